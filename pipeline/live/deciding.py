@@ -7,7 +7,7 @@ between two answers is in the object that :meth:`Decider.begin` returns.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import softmax
@@ -39,18 +39,53 @@ class Curve:
         See :func:`deploy.network.decision.confidence`.
     classes : ndarray of int, shape (n,)
         The class with the highest score at these times.
+    shares : ndarray of float, shape (n, n_classes)
+        The scores at these times as probabilities (softmax).
     """
 
     seconds: np.ndarray
     values: np.ndarray
     classes: np.ndarray
+    shares: np.ndarray
 
-    def first(self, threshold: float | None) -> tuple | None:
-        """Time and class of the early decision, or None if there is none."""
+    def first(self, threshold: float | None) -> Verdict | None:
+        """The early decision, or None if there is none."""
         reached = () if threshold is None else np.flatnonzero(self.values >= threshold)
-        if not len(reached):
-            return None
-        return float(self.seconds[reached[0]]), int(self.classes[reached[0]])
+        return self._verdict(reached[0], True) if len(reached) else None
+
+    def after(self, seconds: float) -> Verdict:
+        """The answer at a time, or at the end if that is earlier."""
+        return self._verdict(self._index(seconds))
+
+    def shares_at(self, seconds: float) -> np.ndarray:
+        """Probabilities of the classes at a time, or at the end if that is earlier."""
+        return self.shares[self._index(seconds)]
+
+    def _index(self, seconds):
+        return min(np.searchsorted(self.seconds, seconds), len(self.seconds) - 1)
+
+    def _verdict(self, index, early=False):
+        at = float(self.seconds[index])
+        return Verdict(int(self.classes[index]), float(self.values[index]), at, early)
+
+
+class Verdict(NamedTuple):
+    """The answer that counts: an early decision, or else the answer at the end of the writing.
+
+    Attributes
+    ----------
+    label : int
+    confidence : float
+        At that time.
+    seconds : float
+        Time from the start of the recording.
+    early : bool
+    """
+
+    label: int
+    confidence: float
+    seconds: float
+    early: bool
 
 
 @dataclass(frozen=True)
@@ -67,8 +102,8 @@ class Answer:
         (`numpy.packbits`).
     curve : Curve
         Its last value is the present confidence.
-    decided : (float, int), optional
-        Time and class of the network's early decision, if there is one.
+    decided : Verdict or None
+        The network's early decision, if there is one.
     unit : float
         See :func:`deploy.network.responses.score_unit`.
     """
@@ -77,7 +112,7 @@ class Answer:
     shares: np.ndarray
     spikes: dict
     curve: Curve
-    decided: tuple | None = None
+    decided: Verdict | None = None
     unit: float = 1.0
 
     @property
@@ -124,6 +159,10 @@ class Decider(Protocol):
         True if an answer can change without an event, as time passes.
     threshold : float or None
         Confidence for early decisions; None if the network always decides at the end.
+    window_s : float or None
+        Seconds from the first event on for which the network receives events; None for images.
+    settles_s : float
+        Seconds that a spike needs to the output.
     """
 
     about: str
@@ -132,6 +171,8 @@ class Decider(Protocol):
     first_step: int
     clocked: bool
     threshold: float | None
+    window_s: float | None
+    settles_s: float
 
     def begin(self) -> Deciding:
         """Begin a recording; returns its state."""
@@ -141,6 +182,7 @@ class _Fast:
     """Common part of both deciders: a network on the target ``fast``, ready to run."""
 
     clocked = False
+    window_s, settles_s = None, 0.0
 
     def __init__(self, bundle: Bundle, sensor: Sensor, seed: int):
         self._spec = spec = bundle.spec
@@ -229,7 +271,7 @@ class ImageDecider(_Fast):
         # give a confidence of nearly 1 unless a threshold was chosen for them.
         sure = shares.max() if self.threshold is None else self._confidence(sums)[-1]
         now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
-        point = now, sure, int(np.argmax(settled(scores, unit)))
+        point = now, sure, int(np.argmax(settled(scores, unit))), shares
         columns = zip(*before, point, strict=True)
         curve = Curve(*map(np.array, columns))
         return point, Answer(scores, shares, spikes, curve, curve.first(self.threshold), unit)
@@ -266,6 +308,8 @@ class EventDecider(_Fast):
     def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
         super().__init__(bundle, sensor, seed)
         milliseconds = 1e3 * self._spec.stimulus.step_seconds
+        self.window_s = self._spec.stimulus.step_seconds * self._spec.presentation.steps
+        self.settles_s = self._spec.stimulus.step_seconds * (len(self._spec.layers) + 2)
         self.about = (
             "time runs to the right as it does on the sensor. This network receives the events, "
             f"in steps of {milliseconds:g} ms, and decides while they arrive."
@@ -289,7 +333,8 @@ class EventDecider(_Fast):
         frames = table.frames([0], 1e3 * seconds, shown.steps, rest)
         scores, spikes, sums = self._show(np.moveaxis(frames, 0, 1), steps)
         ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)
-        curve = Curve(ends, self._confidence(sums), sums.argmax(axis=1))
+        chances = softmax(sums, axis=1)
+        curve = Curve(ends, self._confidence(sums), sums.argmax(axis=1), chances)
         decided = curve.first(self.threshold)
         # The sums from the first event on are what the network's softmax was trained on.
         shares = softmax(scores * (steps - shown.readout_start))

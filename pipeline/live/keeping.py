@@ -120,7 +120,6 @@ class Keeper:
         self._taxels = TaxelMap.grid(self.sensor.rows, self.sensor.columns)
         self._places = places_of(self.sensor.classes)
         self._guard = threading.Lock()
-        self._pages = {}  # the page that saved each recording, since the server's start
         # Numbers of writers that were on any page.  They are not given again when it closes,
         # because a page that has lost its connection comes back with its number.
         self._given = {FIRST_WRITER}
@@ -241,15 +240,13 @@ class Keeper:
         except BadRecording as error:
             raise UserError(f"{path}: {error}; delete it") from error
 
-    def save(self, label: int, recording: MatRecording, page: int | None = None) -> Kept:
+    def save(self, label: int, recording: MatRecording) -> Kept:
         """Write a recording; when the function returns, it is on the disk.
 
         Parameters
         ----------
         label : int
         recording : MatRecording
-        page : int, optional
-            Number of the page that saves it, for :meth:`last`.
 
         Raises
         ------
@@ -273,25 +270,8 @@ class Keeper:
                     break
                 except FileExistsError:
                     kept = replace(kept, number=kept.number + 1)
-            self._pages[kept] = page
             self.look()
             return kept
-
-    def last(self, writer: int, page: int | None = None) -> Kept | None:
-        """A writer's last recording, or None if there is none.
-
-        Several people may have the same number, each on a page of their own.
-
-        Parameters
-        ----------
-        writer : int
-        page : int, optional
-            Only recordings that were saved with this number of a page.
-        """
-        mine = [kept for kept in self._kept if kept.writer == writer]
-        if page is not None:
-            mine = [kept for kept in mine if self._pages.get(kept) == page]
-        return mine[-1] if mine else None
 
     def remove(self, kept: Kept):
         """Remove a recording; nothing happens if it does not exist any more.
@@ -309,7 +289,6 @@ class Keeper:
                 raise UserError(
                     f"{self.folder / kept.name}: cannot be removed ({error.strerror})"
                 ) from error
-            self._pages.pop(kept, None)
             self.look()
 
     def is_writer(self, number: int):

@@ -205,11 +205,6 @@ class Learner:
         return self._writers[writer]
 
     def _read(self, writer):
-        """The stored digits, also those in a file of an earlier version, which had no network."""
-        earlier = self._folder / f".readout-w{writer:03d}.npz"
-        if not self._path(writer).exists() and len(known := self._digits_in(earlier)):
-            earlier.replace(self._path(writer))
-            return known
         return self._digits_in(self._path(writer))
 
     def _digits_in(self, path):

@@ -9,7 +9,6 @@ processed.  On an address of the network the token is the only protection, and i
 from __future__ import annotations
 
 import asyncio
-import collections
 import concurrent.futures
 import contextlib
 import errno
@@ -20,7 +19,6 @@ import logging
 import secrets
 import socket
 import threading
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -32,12 +30,6 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
-from pipeline.live.connections import (
-    Unauthenticated,
-    is_own_error,
-    protocol_of,
-    say_when_files_run_out,
-)
 from pipeline.live.keeping import Keeper
 from pipeline.live.qr import qr_code
 from pipeline.live.session import (
@@ -46,7 +38,6 @@ from pipeline.live.session import (
     MOST_TAXELS,
     PAUSE_S,
     BadMessage,
-    Limits,
     Session,
     problem,
 )
@@ -71,15 +62,11 @@ PAGES = 8
 WAITING = 128
 """Connections that wait to be accepted."""
 
-SILENT_S, PROBE_S, PROBES = 60, 10, 3
-"""Seconds after which the system of a silent page is asked whether it is there, seconds between
-such questions, and how many it may leave unanswered.  A tab that sleeps does not answer, but its
-system does."""
-
 PICTURE = "qr.svg"
 """Name of the QR code of the page's address."""
 
 PAGE = Path(__file__).with_name("page")
+LOOK = Path(__file__).parents[1] / "look.css"
 _KINDS = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -216,19 +203,18 @@ class Live:
         self._make_decider = make_decider
         self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
         self._numbers = itertools.count(1)
-        self._free = collections.deque(Limits() for _ in range(PAGES))  # of closed pages
+        self._open = 0
         self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = self._tests = None
         self.picture = None  # QR code of the address, for other devices
-        self._files = {file.name: file for file in PAGE.iterdir() if file.suffix in _KINDS}
-        self.unauthenticated = Unauthenticated()
+        files = (*PAGE.iterdir(), LOOK)
+        self._files = {file.name: file for file in files if file.suffix in _KINDS}
         self.token = secrets.token_urlsafe(18)
 
     @contextlib.asynccontextmanager
     async def lifespan(self, app):
         """Make the network ready while the page is already there."""
-        say_when_files_run_out(asyncio.get_running_loop())
         work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_both)
         self._decider = asyncio.ensure_future(work)
         self._tests = asyncio.ensure_future(self._tests_when_ready())
@@ -264,10 +250,7 @@ class Live:
 
     def _knows(self, connection):
         token = connection.path_params["token"]
-        if not secrets.compare_digest(token.encode(), self.token.encode()):
-            return False
-        self.unauthenticated.left(connection.client)
-        return True
+        return secrets.compare_digest(token.encode(), self.token.encode())
 
     async def _page(self, request: Request):
         if not self._knows(request):
@@ -285,23 +268,23 @@ class Live:
             await socket.close(1008, "the token in the address is missing or wrong")
             return
         await socket.accept()
-        if not self._free:
+        if self._open >= PAGES:
             text = f"{PAGES} pages are open already; close one of them, and this page will connect"
             await _say(socket, [problem(text)])
             await socket.close(1013, "too many pages")
             return
-        limits = self._free.popleft()  # of the page that was closed first
+        self._open += 1
         try:
-            await self._talk(socket, limits)
+            await self._talk(socket)
         except (WebSocketDisconnect, RuntimeError):  # from Starlette if the socket is closed
             pass
         except asyncio.CancelledError:  # the server has ended
             pass
         finally:
-            self._free.append(limits)
+            self._open -= 1
 
-    async def _talk(self, socket, limits):
-        session = Session(next(self._numbers), self._keeper, self._p, self._seed, limits=limits)
+    async def _talk(self, socket):
+        session = Session(next(self._numbers), self._keeper, self._p, self._seed)
         page, loop = _Page(socket, session), asyncio.get_running_loop()
         hello = {
             "type": "hello",
@@ -322,7 +305,7 @@ class Live:
                     raise BadMessage("not text")
                 async with page.turn:
                     replies = await loop.run_in_executor(
-                        self._hands, session.handle, message["text"], time.monotonic()
+                        self._hands, session.handle, message["text"]
                     )
                 await _say(socket, replies)
                 page.study.set()
@@ -378,6 +361,7 @@ class Live:
             "steps": decider.steps,
             "first_step": decider.first_step,
             "threshold": decider.threshold,
+            "window_s": decider.window_s,
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _say(socket, [ready, state])
@@ -450,7 +434,6 @@ def listen(port: int, host: str = HOST) -> socket.socket:
         raise UserError(f"--host {host!r}: stands for all addresses; {where}")
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    _notice_absence(listening)
     try:
         listening.bind(place)
         listening.listen(WAITING)
@@ -463,23 +446,6 @@ def listen(port: int, host: str = HOST) -> socket.socket:
             "choose another port with --port, or --port 0 for any that is free"
         ) from error
     return listening
-
-
-def _notice_absence(listening):
-    """End connections of machines that are gone, which would keep the places of pages for ever.
-
-    The connections that are accepted have the options of the socket that listens.
-    """
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    gone_ms = 1000 * (SILENT_S + PROBES * PROBE_S)  # for one that is sent something meanwhile
-    for name, value in (
-        ("TCP_KEEPIDLE", SILENT_S),
-        ("TCP_KEEPINTVL", PROBE_S),
-        ("TCP_KEEPCNT", PROBES),
-        ("TCP_USER_TIMEOUT", gone_ms),
-    ):
-        if hasattr(socket, name):  # of Linux
-            listening.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class Server(uvicorn.Server):
@@ -498,7 +464,6 @@ class Server(uvicorn.Server):
 
     def __init__(self, live: Live, listening, when_listening=None, host: str = HOST):
         self._listening, self._when_listening = listening, when_listening
-        self.unauthenticated = live.unauthenticated
         port = listening.getsockname()[1]
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{port}/{live.token}/"
@@ -510,25 +475,21 @@ class Server(uvicorn.Server):
                 live.app(host, port),
                 log_level="error",
                 access_log=False,
-                http=protocol_of(live.unauthenticated),
                 ws="websockets-sansio",
                 ws_max_size=LARGEST,
                 ws_ping_interval=None,  # a page in a sleeping tab does not answer
                 ws_per_message_deflate=False,  # local traffic; saves milliseconds
                 server_header=False,
                 timeout_graceful_shutdown=1,
-                # asyncio accepts up to this many connections at once.  With more, their limit
-                # would act too late, and errors without a free file would be repeated.
-                backlog=1,
             )
         )
-        logging.getLogger("uvicorn.error").addFilter(is_own_error)
+        # Pages that do not close in time when the server ends are no error.
+        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
 
     async def startup(self, sockets=None):
         """See uvicorn."""
         await super().startup(sockets)
         if self.started:
-            self._listening.listen(WAITING)
             self.listens.set()
             if self._when_listening is not None:
                 self._when_listening(self.url)

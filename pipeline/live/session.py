@@ -10,8 +10,7 @@ sends:
              that it was begun with
 ``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or null for any): play an
              existing recording, which is not saved again
-``undo``     discard the present recording or, if it is saved already, remove the last one that
-             this page saved of this writer; one that it did not save only if asked twice
+``undo``     discard the drawing on the skin or, if it is saved already, remove its file
 ``learning`` ``on``: whether the network learns this writer's handwriting
 ``forget``   delete what the network has learned from this writer
 ``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): the
@@ -30,7 +29,6 @@ import datetime
 import functools
 import json
 import math
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -64,13 +62,6 @@ MOST_TAXELS = 4096
 """Maximum number of taxels of a skin to write on: with more, the simulation would take too long
 beside the page and its network (0.15 s of processor time per second for this number)."""
 
-SKIN_RATE = 2.0
-"""Mean number of seconds of the skin that may be simulated for a page per second; a person needs
-one.  At one moment it may be the whole of the longest recording."""
-
-CONFIRMED_S = 10.0
-"""Seconds within which a second undo removes another page's recording."""
-
 PIECE_S = 0.5
 """Seconds of the skin that are simulated in one piece, so that little memory is needed: an
 intermediate result of a piece takes 8 MB on the largest skin."""
@@ -81,60 +72,6 @@ EACH = 1000
 
 class BadMessage(ValueError):
     """Raised for a message that the page would not send; the text has the reason."""
-
-
-@dataclass
-class Allowance:
-    """A limit on an average rate per second.
-
-    Attributes
-    ----------
-    per_second : float
-    at_once : float, optional
-        Maximum amount at one moment; default: that of one second.
-    left : float
-        Negative for a debt.
-    at_s : float
-        Time for which ``left`` is valid.
-    """
-
-    per_second: float
-    at_once: float | None = None
-    left: float = field(init=False)
-    at_s: float = -math.inf
-
-    def __post_init__(self):
-        if self.at_once is None:
-            self.at_once = self.per_second
-        self.left = self.at_once
-
-    def take(self, n: int, now_s: float) -> bool:
-        """Count ``n`` more if they are allowed; return whether they are."""
-        if now_s > self.at_s:
-            since = now_s - self.at_s
-            self.left = min(self.left + since * self.per_second, self.at_once)
-            self.at_s = now_s
-        if n > self.left:
-            return False
-        self.left -= n
-        return True
-
-    def charge(self, n: float):
-        """Count an amount that was used already; :meth:`take` refuses until the debt is gone."""
-        self.left -= n
-
-
-class Limits:
-    """The rates that a page is limited to.
-
-    A server keeps them for its next page, so that a program does not get new ones by connecting
-    again.
-    """
-
-    def __init__(self):
-        self.messages, self.points, self.strokes = (Allowance(n) for n in (400, 6000, 25))
-        self.skin = Allowance(SKIN_RATE, at_once=LONGEST_S)
-        self.requests = Allowance(10)
 
 
 class Writer(NamedTuple):
@@ -181,11 +118,10 @@ class OpenRecording:
         self.writing, self.writer, self.example = writing, writer, example
         self.pen = []
         self.down = False
-        self.spoiled = False  # some of its points were lost
         self.complete = example is not None
         self.saved_as = None
-        self.decision, self.since_s = None, None
-        self.spikes = None  # of the latest answer
+        self.verdict = None
+        self.spikes = self.curve = None  # of the latest answer
         self._longest_s = LONGEST_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
 
@@ -206,6 +142,14 @@ class OpenRecording:
     def settled(self):
         """True if nothing can happen before the pen returns."""
         return self.over or self.writing.time_s >= self.writing.settled_s - 2e-3
+
+    def decide(self, said: Answer, events, settled: bool, settles_s: float):
+        """Keep an early decision; otherwise take the answer to the last event if the pen rests."""
+        if self.verdict is not None and self.verdict.early:
+            return
+        self.verdict = said.decided
+        if said.decided is None and settled:
+            self.verdict = said.curve.after(events.time_ns[-1] * 1e-9 + settles_s)
 
     def point(self, page_ms, right, down, pressure, touches):
         """Add a point of the pen."""
@@ -253,11 +197,9 @@ class Session:
         examples.
     now : callable, optional
         The time of day as a `datetime.datetime` with its zone.
-    limits : Limits, optional
-        Default: those of a page that has sent nothing yet.
     """
 
-    def __init__(self, number, keeper: Keeper, p, seed=0, now=None, limits=None):
+    def __init__(self, number, keeper: Keeper, p, seed=0, now=None):
         self._number, self._keeper, self._p, self._seed = number, keeper, p, seed
         self._now = now or (lambda: datetime.datetime.now().astimezone())
         self._decider = self._learner = self._examples = None
@@ -266,9 +208,6 @@ class Session:
         self._recordings = 0
         self._writer, self._each = Writer(), 0
         self.recording = None
-        self._offered = None, 0.0  # another page's recording that a second undo removes, and when
-        self._limits = limits or Limits()
-        self._complained_s = -math.inf
 
     def begin(self, decider: Decider, learner: Learner | None = None):
         """Set the decider and, if the network can be fitted, the learner."""
@@ -323,15 +262,13 @@ class Session:
             "can_learn": self._learner is not None,
         }
 
-    def handle(self, text: str, now_s: float) -> list:
+    def handle(self, text: str) -> list:
         """Handle a message.
 
         Parameters
         ----------
         text : str
             The message as received.
-        now_s : float
-            Time of a monotonic clock.
 
         Returns
         -------
@@ -342,8 +279,6 @@ class Session:
         ------
         BadMessage
         """
-        if not self._limits.messages.take(1, now_s):
-            return self._too_fast(now_s)
         try:
             message = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -354,11 +289,8 @@ class Session:
         handler = _HANDLERS.get(kind) if isinstance(kind, str) else None
         if handler is None:
             raise BadMessage("of no known type")
-        # The other messages read or write the folder, and a person sends few of them.
-        if kind not in ("pen", "clear") and not self._limits.requests.take(1, now_s):
-            return [problem("too many requests at a time; wait a moment and try again")]
         try:
-            return handler(self, message, now_s)
+            return handler(self, message)
         except OverflowError as error:
             raise BadMessage("a number is out of range") from error
         except UserError as error:
@@ -375,11 +307,15 @@ class Session:
         if self._decider is None or recording is None:
             return None
         events, time_s = recording.writing.events, recording.writing.time_s
-        known_s = math.inf if recording.settled else time_s  # no further event is possible
+        settled = recording.settled
+        known_s = math.inf if settled else time_s  # no further event is possible
 
         def answer():
             said = recording.deciding.answer(events, known_s)
-            return None if said is None else _answer(recording, events, time_s, said)
+            if said is None:
+                return None
+            recording.decide(said, events, settled, self._decider.settles_s)
+            return _answer(recording, events, said)
 
         return answer
 
@@ -393,9 +329,13 @@ class Session:
             "type": "spikes",
             "recording": recording.number,
             "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
+            "seconds": (recording.curve.seconds - START_S).round(4).tolist(),
+            "chances": base64.b64encode(
+                np.rint(255 * recording.curve.shares).astype(np.uint8).tobytes()
+            ).decode(),
         }
 
-    def _pen(self, message, now_s):
+    def _pen(self, message):
         now_ms, points = _number(message, "now"), message.get("points")
         if not isinstance(points, list) or len(points) > POINTS:
             raise BadMessage(f"points: not a list of at most {POINTS}")
@@ -404,15 +344,6 @@ class Session:
             raise BadMessage("points: later than now")
         if self._decider is None:
             return []  # the page says that it is not ready yet
-        down = self.recording is not None and self.recording.down
-        lands = 0
-        for *_, touches in points:
-            lands += touches and not down
-            down = touches
-        limits = self._limits
-        allowed = limits.points.take(len(points), now_s) and limits.strokes.take(lands, now_s)
-        if not (allowed and limits.skin.take(0, now_s)):
-            return self._too_fast(now_s)
         replies = []
         for point in points:
             if point[4] and self._is_new(point[0]):
@@ -435,7 +366,6 @@ class Session:
 
     def _begin(self, page_ms):
         self._recordings += 1
-        self._offered = None, 0.0
         seed = (self._seed, 2, self._number, self._recordings)
         sensor = self._sensor
         writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
@@ -447,7 +377,7 @@ class Session:
         own = self._learner.decider(self._writer.number) if self._learner and self._learns else None
         return (own or self._decider).begin()
 
-    def _example(self, message, now_s):
+    def _example(self, message):
         now_ms, origin, label = _number(message, "now"), message.get("origin"), message.get("label")
         if origin not in (TEST, KEPT):
             raise BadMessage(f"origin: neither {TEST} nor {KEPT}")
@@ -474,10 +404,7 @@ class Session:
     def _passed(self, advance, *until):
         """Advance the skin within the limits; returns the message with its events."""
         recording = self.recording
-        begun_s = recording.writing.time_s
         events = advance(*until)
-        if recording.example is None:
-            self._limits.skin.charge(recording.writing.time_s - begun_s)
         return {
             "type": "events",
             "recording": recording.number,
@@ -489,11 +416,11 @@ class Session:
             "over": recording.over,
         }
 
-    def _clear(self, message, now_s):
+    def _clear(self, message):
         self.recording = None
         return [{"type": "cleared", "recording": None}]
 
-    def _label(self, message, now_s):
+    def _label(self, message):
         label, recording = self._class(message), self.recording
         if recording is not None and recording.example is not None:
             return [problem("this example is saved already; only your own recordings can be saved")]
@@ -506,10 +433,6 @@ class Session:
         events = recording.writing.events
         if len(events) == 0:
             return [*replies, problem("no taxel has an event; write with more pressure")]
-        if recording.spoiled:
-            return [*replies, problem(
-                "not saved: strokes came faster than a person can write; write again"
-            )]  # fmt: skip
         written = Written(
             time=self._now().isoformat(timespec="seconds"),
             handedness=recording.writer.handedness,
@@ -519,7 +442,7 @@ class Session:
         taxels = self._sensor.rows * self._sensor.columns
         writer = recording.writer.number
         content = MatRecording(events, True, writer, written, taxels)
-        kept = self._keeper.save(label, content, self._number)
+        kept = self._keeper.save(label, content)
         recording.complete, recording.saved_as = True, kept
         self._study("learn", writer, kept.name, label, events)
         saved = {
@@ -531,50 +454,30 @@ class Session:
         }
         return [*replies, saved, self.state()]
 
-    def _undo(self, message, now_s):
-        if self.recording is not None and not self.recording.complete:
-            return self._clear(message, now_s)  # it is the last, and not in the folder yet
-        self._keeper.look()
-        shown = self.recording and self.recording.saved_as
-        # The drawing on the skin may be of another writer than the one that is chosen now.
-        writer = self._writer.number if shown is None else shown.writer
-        last = self._keeper.last(writer, self._number) or self._of_another_page(now_s)
-        self._keeper.remove(last)
-        if shown == last:
-            self.recording.saved_as = None  # it can be saved as another class
-        self._study("forget", last.writer, last.name)
-        undone = {"type": "undone", "label": last.label, "name": last.name, "open": shown == last}
-        return [undone, self.state()]
+    def _undo(self, message):
+        recording = self.recording
+        if recording is not None and not recording.complete:
+            return self._clear(message)  # it is not in the folder yet
+        saved = recording and recording.saved_as
+        if saved is None:
+            return [problem("nothing on the skin is saved; only that can be undone")]
+        self._keeper.remove(saved)
+        recording.saved_as = None  # it can be saved as another class
+        self._study("forget", saved.writer, saved.name)
+        return [{"type": "undone", "label": saved.label, "name": saved.name}, self.state()]
 
-    def _of_another_page(self, now_s):
-        """This writer's last recording, which another page may have saved, if asked for twice.
-
-        Every page begins with the same number, so that it may be another person's.
-        """
-        number = self._writer.number
-        last, (offered, offered_s) = self._keeper.last(number), self._offered
-        self._offered = last, now_s
-        if last is None:
-            raise UserError(f"writer {number} has no recording to remove")
-        if last != offered or now_s > offered_s + CONFIRMED_S:
-            raise UserError(
-                f"{last.name}, the last recording of writer {number}, was saved on another "
-                "page, or on this one before it was loaded; undo again to remove it nevertheless"
-            )
-        return last
-
-    def _learning(self, message, now_s):
+    def _learning(self, message):
         on = message.get("on")
         if type(on) is not bool:
             raise BadMessage("on: neither true nor false")
         self._learns = on
         return [self.state()]
 
-    def _forget(self, message, now_s):
+    def _forget(self, message):
         self._study("forget", self._writer.number)
         return []
 
-    def _who(self, message, now_s):
+    def _who(self, message):
         number = message.get("number")
         if number is not None and (type(number) is not int or not 1 <= number < WRITERS):
             raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
@@ -588,15 +491,6 @@ class Session:
         self._writer, self._each = Writer(number, handedness), each
         self._study("recall", number)
         return [self.state()]
-
-    def _too_fast(self, now_s):
-        if self.recording is not None and not self.recording.complete:
-            self.recording.spoiled = True
-            self.recording.lift()
-        if now_s < self._complained_s + 1:
-            return []
-        self._complained_s = now_s
-        return [problem("strokes come faster than a person can write; some were left out")]
 
 
 _HANDLERS = {
@@ -616,24 +510,20 @@ def problem(text: str) -> dict:
     return {"type": "problem", "text": text}
 
 
-def _answer(recording, events, time_s, said: Answer):
-    if said.decision != recording.decision:
-        recording.decision, recording.since_s = said.decision, time_s
-    recording.spikes = said.spikes
-    curve = said.curve
+def _answer(recording, events, said: Answer):
+    recording.spikes, recording.curve = said.spikes, said.curve
+    verdict, shares = recording.verdict, said.shares
+    if verdict is not None and not verdict.early:
+        shares = said.curve.shares_at(verdict.seconds)
     return {
         "type": "answer",
         "recording": recording.number,
         "last_ms": recording.page_ms(events.time_ns[-1] * 1e-9) if len(events) else None,
         "events": len(events),
         "decision": said.decision,
-        "since_s": recording.since_s - START_S,
         "confidence": said.confidence,
-        "curve": [(curve.seconds - START_S).round(4).tolist(), curve.values.round(4).tolist()],
-        "decided": None
-        if said.decided is None
-        else {"s": said.decided[0] - START_S, "label": said.decided[1]},
-        "shares": said.shares.round(4).tolist(),
+        "shares": shares.round(4).tolist(),
+        "verdict": verdict and {**verdict._asdict(), "seconds": verdict.seconds - START_S},
     }
 
 

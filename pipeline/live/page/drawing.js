@@ -49,22 +49,26 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
   const place = (taxel) => [(column(taxel) + 0.5) * wide, (row(taxel) + 0.5) * high];
   let moves = false;
   if (!strokes.length) fillTaxels(context, counts, wide, high, 0.3); // an example has no strokes
-  context.fillStyle = colour("--rest");
+  context.fillStyle = colour("--soft");
   if (flashes.length <= DOTS)
     for (let taxel = 0; taxel < flashes.length; taxel++) {
       context.beginPath();
       context.arc(...place(taxel), Math.max(cell * 0.07, 0.7), 0, 7);
       context.fill();
     }
-  context.strokeStyle = colour("--trace");
+  context.globalAlpha = 0.25;
+  context.strokeStyle = context.fillStyle = colour("--ink");
   context.lineWidth = cell * 0.5;
   context.lineCap = context.lineJoin = "round";
   for (const stroke of strokes) {
     context.beginPath();
     for (const [right, down] of stroke) context.lineTo((right + 0.5) * wide, (down + 0.5) * high);
-    if (stroke.length === 1) context.lineTo((stroke[0][0] + 0.5) * wide, (stroke[0][1] + 0.5) * high);
     context.stroke();
+    if (stroke.length > 1) continue;
+    context.arc((stroke[0][0] + 0.5) * wide, (stroke[0][1] + 0.5) * high, cell * 0.25, 0, 7); // a tap
+    context.fill();
   }
+  context.globalAlpha = 1;
   flashes.forEach((flash, taxel) => {
     if (flash === null) return;
     const { on, off } = flash;
@@ -92,110 +96,6 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
   return moves;
 }
 
-const SPANS = [2, 4, 10, 20, 60]; // lengths of a time axis in seconds
-const SPARE = 1.03; // a network's presentation of 2 s ends a little later, as it begins with the first event
-// The last mark of a time axis, and its end.
-function span(time) {
-  const mark = SPANS.find((seconds) => time <= SPARE * seconds) ?? time;
-  return { mark, end: Math.max(mark, time) };
-}
-const [LEFT, BELOW] = [4, 20];
-const across = (canvas, end, left = LEFT) => (seconds) =>
-  left + (seconds / end) * (canvas.clientWidth - left - LEFT);
-
-// Draws only new events, as long as the others do not move.
-const raster = { key: null, drawn: 0 };
-export function drawRaster(canvas, events, time, afresh) {
-  const { mark, end } = span(time);
-  const key = `${end} ${canvas.clientWidth} ${canvas.clientHeight} ${devicePixelRatio}`;
-  if (afresh || key !== raster.key || events.taxel.length < raster.drawn) {
-    Object.assign(raster, { key, drawn: 0 });
-    drawAxes(canvas, mark, end);
-  }
-  const context = canvas.getContext("2d");
-  const x = across(canvas, end);
-  const tall = (canvas.clientHeight - BELOW) / (rows * columns);
-  for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
-    context.fillStyle = colour(name);
-    for (let i = raster.drawn; i < events.taxel.length; i++) {
-      if (events.polarity[i] !== polarity) continue;
-      // ON is upright, OFF horizontal: distinguishable without colour.
-      const [wide, high] = polarity > 0 ? [2, Math.max(1.4 * tall, 4)] : [4, Math.max(0.7 * tall, 2)];
-      context.fillRect(x(events.s[i]), (events.taxel[i] + 0.5) * tall - high / 2, wide, high);
-    }
-  }
-  raster.drawn = events.taxel.length;
-}
-
-function drawAxes(canvas, mark, end, left = LEFT) {
-  const { context, width, height } = fitted(canvas);
-  const x = across(canvas, end, left);
-  context.fillStyle = colour("--paper");
-  context.fillRect(left, 0, width - left - LEFT, height - BELOW);
-  context.font = "12px system-ui, sans-serif";
-  for (let tick = 0; tick <= mark; tick += mark / 4) {
-    context.fillStyle = colour("--line");
-    context.fillRect(x(tick) - 0.5, 0, 1, height - BELOW);
-    context.fillStyle = colour("--soft");
-    context.textAlign = tick === 0 ? "left" : tick === mark ? "right" : "center";
-    context.fillText(`${tick} s`, x(tick), height - 5);
-  }
-  return { context, x, width, height };
-}
-
-// answer: of the network, or null; threshold: null if it decides at the end.
-export function drawCurve(canvas, answer, threshold, time) {
-  const left = 44;
-  const { mark, end } = span(time);
-  const { context, x, width, height } = drawAxes(canvas, mark, end, left);
-  const y = (share) => 4 + (1 - share) * (height - BELOW - 4);
-  context.textAlign = "right";
-  context.textBaseline = "middle";
-  for (const share of [0, 0.5, 1]) {
-    context.fillStyle = colour("--line");
-    context.fillRect(left, y(share) - 0.5, width - left - LEFT, 1);
-    context.fillStyle = colour("--soft");
-    context.fillText(`${100 * share} %`, left - 4, Math.max(y(share), 7));
-  }
-  context.textBaseline = "alphabetic";
-  if (threshold !== null) {
-    context.strokeStyle = colour("--off");
-    context.lineWidth = 1.5;
-    context.setLineDash([6, 4]);
-    context.beginPath();
-    context.moveTo(left, y(threshold));
-    context.lineTo(width - LEFT, y(threshold));
-    context.stroke();
-    context.setLineDash([]);
-  }
-  if (answer === null) return;
-  const [seconds, values] = answer.curve;
-  context.strokeStyle = context.fillStyle = colour("--on");
-  context.lineWidth = 2;
-  context.beginPath();
-  seconds.forEach((at, i) => context.lineTo(x(at), y(values[i])));
-  context.stroke();
-  context.beginPath();
-  context.arc(x(seconds.at(-1)), y(values.at(-1)), 3, 0, 7);
-  context.fill();
-  if (answer.decided === null) return;
-  const at = x(answer.decided.s);
-  context.fillStyle = colour("--ink");
-  context.fillRect(at - 1, y(1), 2, y(0) - y(1));
-  context.textAlign = at > width / 2 ? "right" : "left";
-  context.fillText(`${answer.decided.s.toFixed(2)} s`, at + (at > width / 2 ? -5 : 5), y(0) - 5);
-}
-
-export function drawImage(canvas, counts) {
-  const { context, width, height } = fitted(canvas);
-  context.fillStyle = colour("--paper");
-  context.fillRect(0, 0, width, height);
-  fillTaxels(context, counts, width / columns, height / rows, 1);
-  context.strokeStyle = colour("--line");
-  context.lineWidth = 1;
-  context.strokeRect(0.5, 0.5, width - 1, height - 1);
-}
-
 function fillTaxels(context, counts, wide, high, opacity) {
   const most = counts.reduce((a, b) => Math.max(a, b), 1);
   context.fillStyle = colour("--on");
@@ -207,25 +107,120 @@ function fillTaxels(context, counts, wide, high, opacity) {
   context.globalAlpha = 1;
 }
 
-// packed: spikes of each step, eight neurons per byte; returns the number of spikes.
-export function drawLayer(canvas, packed, neurons, steps, firstStep) {
+const SPANS = [0.1, 0.2, 0.5, 1, 2, 4, 10, 20, 60]; // lengths of a time axis in seconds
+const spanOf = (seconds) => SPANS.find((span) => seconds <= span * 1.001) ?? seconds;
+const [LEFT, RIGHT, BELOW, ABOVE, GAP] = [10, 90, 22, 17, 6];
+const LINES = ["--s1", "--s2", "--s3", "--s4"];
+
+// Everything on one time axis: events of the sensor, spikes of each layer, belief in the likeliest
+// classes; the end of what the network receives, and the decision as a line.
+// race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, seconds, chances,
+//         classes, verdict }
+// A network on images is presented the image so far again and again: its spikes have an axis of their own.
+export function drawRace(canvas, race) {
   const { context, width, height } = fitted(canvas);
-  const wide = width / steps;
-  const tall = height / neurons;
+  const onEvents = race.windowS !== null;
+  const start = race.events.s[0] ?? 0; // the network's time begins with the first event
+  const window = onEvents ? start + race.windowS : Infinity;
+  const end = onEvents ? Math.max(window, race.time) : spanOf(Math.max(race.time, 1));
+  const x = (seconds) => LEFT + (seconds / end) * (width - LEFT - RIGHT);
+  const parts = ["touch", ...race.layers, "belief"];
+  const free = height - BELOW - parts.length * (ABOVE + GAP);
+  const weights = parts.map((part) => (part === "belief" ? 1.6 : 1));
+  const unit = free / weights.reduce((a, b) => a + b);
+  let top = 0;
+  parts.forEach((part, i) => {
+    const [y, high] = [top + ABOVE, unit * weights[i]];
+    top = y + high + GAP;
+    context.fillStyle = colour("--paper");
+    context.fillRect(LEFT, y, width - LEFT - RIGHT, high);
+    if (part === "touch") drawEvents(context, race, x, y, high);
+    else if (part === "belief") drawBelief(context, race, x, y, high, width);
+    else drawSpikes(context, part, race, onEvents ? x : null, y, high, width);
+  });
+  const bottom = top - GAP;
+  context.font = "12px system-ui, sans-serif";
+  const mark = spanOf(end) / 4;
+  for (let tick = 0; tick <= end * 1.001; tick += mark) {
+    context.fillStyle = colour("--soft");
+    context.textAlign = tick === 0 ? "left" : "center";
+    context.fillText(`${+tick.toFixed(3)} s`, x(tick), height - 6);
+    context.fillStyle = colour("--line");
+    context.fillRect(x(tick), bottom, 1, 4);
+  }
+  if (end > window) { // what the network does not receive
+    context.fillStyle = colour("--note");
+    context.globalAlpha = 0.75;
+    context.fillRect(x(window), ABOVE, x(end) - x(window), bottom - ABOVE);
+    context.globalAlpha = 1;
+  }
+  if (race.verdict) {
+    const at = x(Math.min(race.verdict.seconds, end));
+    context.fillStyle = colour(race.verdict.early ? "--wrong" : "--ink");
+    context.fillRect(at - 1, ABOVE, 2, bottom - ABOVE);
+    context.textAlign = at > width / 2 ? "right" : "left";
+    context.fillText(race.verdict.early ? "decided" : "end", at + (at > width / 2 ? -5 : 5), bottom - 6);
+  }
+}
+
+function caption(context, text, y) {
+  context.font = "12px system-ui, sans-serif";
+  context.fillStyle = colour("--soft");
+  context.textAlign = "left";
+  context.fillText(text, LEFT, y - 5);
+}
+
+function drawEvents(context, { events }, x, y, high) {
+  const taxels = rows * columns;
+  caption(context, `the touch: ${taxels} taxels, ${events.s.length} events`, y);
+  const tall = Math.max(high / taxels, 1.5);
+  for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
+    context.fillStyle = colour(name);
+    for (let i = 0; i < events.s.length; i++)
+      if (events.polarity[i] === polarity)
+        context.fillRect(x(events.s[i]), y + ((events.taxel[i] + 0.5) * high) / taxels, 2, tall);
+  }
+}
+
+// packed: spikes of each step, eight neurons per byte; x is null where the steps have an axis of their own.
+function drawSpikes(context, { name, neurons, packed }, race, x, y, high, width) {
+  const { steps, firstStep, windowS, events } = race;
+  const shownSteps = steps + firstStep; // firstStep is negative: the network rests before the presentation
+  const place = (step) => x === null
+    ? LEFT + ((step - firstStep) / steps) * (width - LEFT - RIGHT)
+    : x((events.s[0] ?? 0) + (step / shownSteps) * windowS);
+  const tall = Math.max(high / neurons, 1.5);
   const bytes = packed.length / steps;
   let spikes = 0;
-  context.fillStyle = colour("--panel");
-  context.fillRect(0, 0, -firstStep * wide, height);
   context.fillStyle = colour("--ink");
   for (let step = 0; step < steps; step++)
-    for (let place = 0; place < bytes; place++) {
-      const eight = packed[step * bytes + place];
+    for (let at = 0; at < bytes; at++) {
+      const eight = packed[step * bytes + at];
       if (eight === 0) continue;
       for (let bit = 0; bit < 8; bit++)
         if (eight & (128 >> bit)) {
           spikes++;
-          context.fillRect(step * wide, (8 * place + bit) * tall, Math.max(wide * 0.8, 1), Math.max(tall, 1));
+          if (x === null || step + firstStep >= 0)
+            context.fillRect(place(step + firstStep), y + ((8 * at + bit) * high) / neurons, 2, tall);
         }
     }
-  return spikes;
+  const axis = x === null ? ", while the image is presented" : "";
+  caption(context, `${name}: ${neurons} neurons, ${spikes} spikes${axis}`, y);
+}
+
+function drawBelief(context, { seconds, chances, classes }, x, y, high, width) {
+  caption(context, "belief", y);
+  const n = classes.length;
+  if (!seconds.length) return;
+  const last = (seconds.length - 1) * n;
+  const order = [...classes.keys()].sort((a, b) => chances[last + b] - chances[last + a]);
+  order.slice(0, LINES.length).forEach((label, i) => {
+    context.strokeStyle = context.fillStyle = colour(LINES[i]);
+    context.lineWidth = i === 0 ? 2.5 : 1.2;
+    context.beginPath();
+    seconds.forEach((at, step) => context.lineTo(x(at), y + high - (chances[step * n + label] / 255) * high));
+    context.stroke();
+    context.textAlign = "left";
+    context.fillText(classes[label].slice(0, 12), width - RIGHT + 6, y + 11 + i * 14);
+  });
 }

@@ -1,6 +1,6 @@
 // The page: messages of the server, input of the user, and what is displayed.
 
-import { drawCurve, drawImage, drawLayer, drawRaster, drawSkin, onColours, setSensor } from "./drawing.js";
+import { drawRace, drawSkin, onColours, setSensor } from "./drawing.js";
 import { Link } from "./link.js";
 import { Pen } from "./pen.js";
 
@@ -22,6 +22,7 @@ let writer = null; // the writer, and the requested class
 let tests = null; // test samples of each class, once they are known
 let recording = null; // number of the recording that is written or played
 let kept = false;
+let warned = false; // of writing that the network does not receive
 let over = false; // the recording has been cut at its maximum duration
 let tried = false; // it was to be saved since the last stroke
 let strokes = [], flashes = [], counts = [];
@@ -34,7 +35,7 @@ let askedSince = -Infinity; // when the class that the session asks for became k
 let recalled = null; // the stored writer, until the server has taken it over
 const latencies = [];
 let lastCounted = -Infinity;
-const stale = { skin: true, rest: true, all: true };
+const stale = { skin: true, rest: true };
 
 function forget() {
   const taxels = about === null ? 0 : about.rows * about.columns;
@@ -44,7 +45,8 @@ function forget() {
   counts = Array(taxels).fill(0);
   time = 0;
   answer = shown = spikes = null;
-  kept = over = tried = false;
+  delete $("shown").dataset.label;
+  kept = over = tried = warned = false;
   clearTimeout(byItself);
   $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
@@ -55,11 +57,10 @@ function forget() {
 
 function describe() {
   const { rows, columns, classes, digits } = about;
-  const taxels = rows * columns;
   document.title = digits ? "Write a digit on the skin" : `${about.trained_on}: draw on the sensor`;
   $("title").textContent = digits ? "Write a digit" : document.title;
-  $("feels").textContent = digits ? `${taxels} taxels:` : `A simulated skin, ${rows} x ${columns} taxels:`;
   $("falls").hidden = about.polarities === 1;
+  if (!digits) $("about").textContent = `Drawing here presses a simulated skin of ${rows} x ${columns} taxels, not your sensor.`;
   $("hint").textContent = !canDraw() ? "Show me an example" : digits ? "Write here, large" : "Draw here, large";
   $("keep-title").textContent = digits ? "It was a …" : "It was …";
   $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"} to save the recording.`;
@@ -272,24 +273,16 @@ link.on("examples", (message) => {
 
 link.on("ready", (network) => {
   ready = network;
-  for (const { name, neurons } of network.layers) {
-    const part = document.createElement("div");
-    const title = document.createElement("h3");
-    title.append(`${name} (${neurons})`, document.createElement("span"));
-    const canvas = document.createElement("canvas");
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Spikes of layer ${name}`);
-    part.append(title, canvas);
-    $("layers").append(part);
-  }
-  showDecided(null);
-  $("about").textContent = `One row for each neuron, every mark is a spike; ${network.about}`;
+  const neurons = network.layers.slice(1).reduce((sum, layer) => sum + layer.neurons, 0);
+  $("lead").textContent =
+    `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch.`;
   $("status").textContent = canDraw()
-    ? `Ready: ${about.digits ? "write" : "draw"} on the sensor with finger, pen or mouse.`
+    ? `Ready: ${about.digits ? "write" : "draw"} with finger, pen or mouse.`
     : "Ready: this sensor is too large for drawing; play examples instead.";
   pen.sensor = canDraw() ? about : null;
-  $("status").classList.add("ready");
+  document.body.classList.remove("offline");
   document.body.dataset.ready = "yes";
+  showDecision(null);
   draw();
 });
 
@@ -318,6 +311,11 @@ link.on("events", (message) => {
   });
   if (message.settled) pen.settled = true;
   else pen.watch();
+  const late = ready?.window_s != null && events.s.length && time > events.s[0] + ready.window_s;
+  if (late && pen.writes && !warned) {
+    warned = true;
+    complain(`The network receives the first ${ready.window_s} s of a recording only: what you write now is saved, but does not count.`);
+  }
   if (message.over && !over && !kept) {
     over = true;
     complain("This recording has reached its maximum duration: press its class, or lift the pen and write again.");
@@ -336,8 +334,14 @@ link.on("answer", (message) => {
 
 link.on("spikes", (message) => {
   if (message.recording !== recording) return;
-  spikes = message;
-  showLayers(); // not in the next frame, which may be that of a decision: this takes the longest
+  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  spikes = {
+    seconds: message.seconds,
+    chances: bytes(message.chances),
+    layers: ready.layers.map(({ name, neurons }) => ({ name, neurons, packed: bytes(message.layers[name]) })),
+  };
+  stale.rest = true;
+  draw();
 });
 
 link.on("saved", (message) => {
@@ -357,7 +361,7 @@ link.on("learned", (message) => {
 });
 
 link.on("undone", (message) => {
-  if (message.open) kept = false; // the drawing can be saved as another class
+  kept = false; // the drawing can be saved as another class
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
   complain(null);
 });
@@ -394,7 +398,7 @@ link.on("heard", () => complain(null));
 link.on("gone", ({ code, reason, opened }) => {
   ready = null;
   delete document.body.dataset.ready;
-  $("status").classList.remove("ready");
+  document.body.classList.add("offline");
   $("status").textContent = "Not connected.";
   if (code !== REFUSED && code !== TOO_MANY) // of these, the server has said the reason itself
     complain(opened
@@ -448,6 +452,8 @@ const remembered = () => `stmnist-writer:${about.data_set}`;
 
 function recall() {
   const { number, handedness, each, learn, save } = stored("localStorage", remembered()) ?? {};
+  // Every browser is a writer of its own.
+  if (number === undefined) link.send({ type: "writer", number: null, handedness: "", each: 0 });
   $("learn").checked = learn ?? true;
   $("by-itself").checked = save ?? true;
   if (Number.isInteger(number)) {
@@ -542,20 +548,33 @@ function showExample(example) {
 }
 
 // A confidence is below 1 and must not be displayed as 100 %.
-function percent(share) {
-  return `${Math.min(Math.round(100 * share), 99)} %`;
-}
+const percent = (share) => `${Math.min(100 * share, 99.9).toFixed(share < 0.995 ? 0 : 1)} %`;
 
-const exact = (share) => `${(100 * share).toFixed(1)} %`;
-
+// The verdict is the early decision, or else the answer at the end of the writing; until then the answer
+// so far is shown as open.
 function showDecision(message) {
   if (about === null) return;
   const { classes } = about;
-  $("decision").textContent = message === null ? "" : classes[message.decision];
-  $("decision").dataset.events = message === null ? 0 : message.events; // to which it is the answer
-  $("confidence").textContent = message === null ? "" : `${percent(message.confidence)} sure`;
-  $("since").textContent = message === null ? "" : `unchanged since ${message.since_s.toFixed(2)} s`;
-  showDecided(message);
+  const verdict = message?.verdict ?? null;
+  const label = verdict?.label ?? message?.decision ?? null;
+  const example = $("shown").dataset.label ?? "";
+  const output = $("decision");
+  output.textContent = label === null ? "" : classes[label];
+  output.dataset.events = message === null ? 0 : message.events; // to which it is the answer
+  output.classList.toggle("open", verdict === null);
+  output.classList.toggle("right", verdict !== null && example === String(label));
+  output.classList.toggle("wrong", verdict !== null && example !== "" && example !== String(label));
+  $("confidence").textContent = label === null ? "" : percent(verdict?.confidence ?? message.confidence);
+  $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
+  if (verdict === null) {
+    const threshold = ready?.threshold ?? null;
+    $("decided").textContent = label !== null ? "sure so far"
+      : threshold === null ? "The network decides at the end." : `The network decides when it is ${percent(threshold)} sure.`;
+  } else {
+    const right = example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
+    $("decided").textContent =
+      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : "sure at the end") + right;
+  }
   const items = [...$("scores").children];
   let best = classes.map((_, label) => label);
   if (classes.length > items.length && message !== null)
@@ -563,30 +582,9 @@ function showDecision(message) {
   items.forEach((item, i) => {
     const label = best[i];
     item.firstChild.textContent = message === null && classes.length > items.length ? "" : classes[label];
-    item.classList.toggle("best", message !== null && label === message.decision);
+    item.classList.toggle("best", message !== null && output.textContent === classes[label]);
     const share = message === null ? 0 : message.shares[label];
     item.lastChild.firstChild.style.transform = `scaleX(${share})`;
-  });
-}
-
-function showDecided(message) {
-  const threshold = ready?.threshold ?? null;
-  const decided = message?.decided ?? null;
-  $("decided").dataset.s = decided === null ? "" : decided.s;
-  if (decided !== null)
-    $("decided").textContent = `Decided for ${named(decided.label)} after ${decided.s.toFixed(2)} s, at ${exact(threshold)}.`;
-  else if (threshold === null) $("decided").textContent = "Confidence of the network over time; it decides at the end.";
-  else $("decided").textContent = `Confidence of the network over time; it decides at ${exact(threshold)}.`;
-}
-
-function showLayers() {
-  if (!ready) return;
-  ready.layers.forEach(({ name, neurons }, i) => {
-    const part = $("layers").children[i];
-    const text = spikes === null ? "" : atob(spikes.layers[name]);
-    const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-    const count = drawLayer(part.querySelector("canvas"), packed, neurons, ready.steps, ready.first_step);
-    part.querySelector("span").textContent = spikes === null ? "" : `${count} spikes`;
   });
 }
 
@@ -606,12 +604,12 @@ function draw() {
         announce();
         afterPaint(answer.last_ms);
       }
-      const last = Math.max(time, shown?.curve[0].at(-1) ?? 0); // a network may run longer than the skin
-      drawRaster($("raster"), events, last, stale.all);
-      drawCurve($("curve"), shown, ready?.threshold ?? null, last);
-      stale.all = false;
-      drawImage($("image"), counts);
       $("count").textContent = events.taxel.length ? `${events.taxel.length} events` : "";
+      if (ready) drawRace($("race"), {
+        events, time, classes: about.classes, steps: ready.steps, firstStep: ready.first_step,
+        windowS: ready.window_s, verdict: shown?.verdict ?? null,
+        ...(spikes ?? { seconds: [], chances: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
+      });
     }
     if (stale.skin) draw();
   });
@@ -637,8 +635,7 @@ function afterPaint(last) {
 }
 
 function redraw() {
-  stale.skin = stale.rest = stale.all = true;
-  showLayers();
+  stale.skin = stale.rest = true;
   draw();
 }
 addEventListener("resize", redraw);

@@ -17,6 +17,7 @@ class Parrot:
     about = "It is shown nothing."
     layers = (DrawnLayer("input", 100),)
     steps, first_step, clocked, threshold = 3, -1, False, 0.9
+    window_s, settles_s = 2.0, 0.0
 
     def __init__(self, classes=10):
         self.classes = classes
@@ -29,7 +30,8 @@ class Parrot:
         label = len(events) % self.classes
         shares[label] += 0.9
         seconds, values = events.time_ns * 1e-9, np.linspace(0.1, 1, len(events))
-        curve = Curve(seconds, values, np.full(len(events), label))
+        every = np.tile(shares, (len(events), 1))
+        curve = Curve(seconds, values, np.full(len(events), label), every)
         spikes = {"input": np.zeros((3, 13), np.uint8)}
         return Answer(np.log(shares), shares, spikes, curve, curve.first(self.threshold))
 

@@ -114,8 +114,8 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
         # The moment of the early decision is the step of the check, whenever the page asks.
         stopped = expected.stopped_at[index]
         if confidence(summed) >= spec.presentation.confidence or stopped < 200:
-            assert at_the_end.decided[0] == pytest.approx(first_s + 0.01 * stopped)
-            assert at_the_end.decided[1] == expected.decisions[index, stopped - 1]
+            assert at_the_end.decided.seconds == pytest.approx(first_s + 0.01 * stopped)
+            assert at_the_end.decided.label == expected.decisions[index, stopped - 1]
         else:
             assert at_the_end.decided is None
 

@@ -69,37 +69,10 @@ def test_another_keeper_goes_on_where_one_was_killed(keeper):
     later.close()
 
 
-def test_the_last_of_a_writer_is_removed(keeper):
-    keeper.save(3, recording(1))
-    keeper.save(8, recording(1))
-    keeper.save(5, recording(2))
-    assert keeper.last(1).label == 8
-    keeper.remove(keeper.last(1))
-    assert keeper.last(1).label == 3
-    keeper.remove(keeper.last(1))
-    assert keeper.last(1) is None
-    assert len(keeper) == 1
-    assert [path.name for path in keeper.folder.rglob("w*.mat")] == ["w002-0001.mat"]
 
 
-def test_the_last_of_a_page_is_not_that_of_another(keeper):
-    """Also if another one saves under a name that was free again."""
-    keeper.save(3, recording(), page=1)
-    keeper.save(3, recording(), page=2)
-    assert keeper.last(1, page=1).number == 1
-    assert keeper.last(1, page=2).number == 2
-    assert keeper.last(1, page=3) is keeper.last(2, page=2) is None
-    keeper.remove(keeper.last(1))
-    keeper.save(3, recording(), page=1)
-    assert keeper.last(1, page=1).number == 2
-    assert keeper.last(1, page=2) is None
 
 
-def test_a_recording_that_is_gone_is_removed_without_a_word(keeper):
-    kept = keeper.save(3, recording(), page=1)
-    (keeper.folder / kept.name).unlink()
-    keeper.remove(kept)
-    assert keeper.last(1, page=1) is None
 
 
 def test_a_data_set_is_a_folder_and_its_classes(tmp_path):

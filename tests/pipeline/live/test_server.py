@@ -1,17 +1,14 @@
 """Who may talk to the server, and what it says to whom; without a browser."""
 
 import base64
-import errno
 import http.client
 import json
 import logging.handlers
 import socket
-import struct
 import threading
 import time
 from contextlib import ExitStack
 from dataclasses import replace
-from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -25,7 +22,6 @@ sync_client = pytest.importorskip("websockets.sync.client", reason="websockets i
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
 from pipeline.live import keeping  # noqa: E402
-from pipeline.live.connections import MOST_UNAUTHENTICATED  # noqa: E402
 from pipeline.live.qr import qr_code  # noqa: E402
 from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
 from tests.command import missing  # noqa: E402
@@ -215,20 +211,6 @@ def test_a_stroke_outside_the_skin_is_refused(server):
     assert is_well(server)
 
 
-def test_a_thousand_strokes_a_second_are_left_out_and_others_go_on(server):
-    with connect(server) as flood, connect(server) as other:
-        read_until(flood, "ready")
-        read_until(other, "ready")
-        for n in range(1000):
-            points = [[n, 4.0, 4.0, 0.5, 1], [n + 0.5, 4.0, 5.0, 0.5, 0]]
-            flood.send(json.dumps({"type": "pen", "now": n + 0.5, "points": points}))
-        write(other)
-        assert read_until(other, "answer")
-        assert "strokes" in read_until(flood, "problem")[-1]["text"]
-        flood.send(json.dumps({"type": "clear"}))
-    assert len(server.keeper) == 0
-
-
 def test_a_page_does_not_wait_for_the_disk_of_another(server, monkeypatch):
     written, save = threading.Event(), server.keeper.save
 
@@ -246,36 +228,6 @@ def test_a_page_does_not_wait_for_the_disk_of_another(server, monkeypatch):
         read_until(other, "answer")
         written.set()
         assert read_until(one, "saved")
-
-
-def test_connecting_again_gives_no_new_limits(server, monkeypatch):
-    """Each place allows one recording of ten seconds and a second one on credit."""
-    monkeypatch.setattr("pipeline.live.server.time", SimpleNamespace(monotonic=lambda: 1.0))
-    points = [[1000.0, 4.0, 4.0, 0.5, 1], [11_000.0, 4.0, 5.0, 0.5, 1]]
-    leap = json.dumps({"type": "pen", "now": 12_000.0, "points": points})
-    kinds = []
-    for _ in range(3 * PAGES):
-        with connect(server) as page:
-            read_until(page, "ready")
-            page.send(leap)
-            kinds.append(read_until(page, ("events", "problem"))[-1]["type"])
-            page.send("{}")  # ends the connection, and the place is free when it has ended
-            refused(page)
-    assert kinds == ["events"] * (2 * PAGES) + ["problem"] * PAGES
-
-
-def test_a_page_that_is_gone_is_not_written_to(server, caplog):
-    """asyncio complains of each message that is written to a connection that was lost."""
-    with connect(server) as page, connect(server) as other:
-        read_until(page, "ready")
-        read_until(other, "ready")
-        for _ in range(2000):
-            page.send('{"type": "clear"}')
-        page.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        page.socket.close()
-        write(other)
-        read_until(other, "answer")
-    assert not [record for record in caplog.records if record.name == "asyncio"]
 
 
 def test_two_pages_write_two_recordings_that_do_not_mix(server):
@@ -313,15 +265,6 @@ def test_a_page_that_goes_in_the_middle_leaves_nothing_behind(server):
     assert is_well(server)
     assert len(server.keeper) == 0
     assert not list(server.keeper.folder.glob("[0-9]"))
-
-
-def test_a_machine_that_is_gone_is_noticed():
-    """A connection that is accepted asks after a minute whether the other end is there."""
-    with listen(0) as listening, socket.create_connection(listening.getsockname()):
-        accepted, _ = listening.accept()
-        with accepted:
-            assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
-            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 60
 
 
 def test_a_port_in_use_is_said(server):
@@ -392,81 +335,6 @@ def test_a_network_that_cannot_be_made_ready_is_said_on_the_page(tmp_path):
 
     with served(tmp_path / "kept", broken) as server, connect(server) as page:
         assert "no readout" in read_until(page, "problem")[-1]["text"]
-
-
-def idle(server, n):
-    """Connections that say nothing, and which of them the server has closed."""
-    there = [socket.create_connection(("127.0.0.1", parts(server)[0])) for _ in range(n)]
-
-    def closed(connection):
-        connection.setblocking(False)
-        try:
-            return connection.recv(1) == b""
-        except BlockingIOError:
-            return False
-        except ConnectionResetError:
-            return True
-
-    return there, closed
-
-
-def test_silent_connections_leave_the_page_its_place(server):
-    there, closed = idle(server, 3 * MOST_UNAUTHENTICATED)
-    try:
-        assert get(server)[0] == 200
-        assert is_well(server)
-        assert sum(map(closed, there)) >= 2 * MOST_UNAUTHENTICATED
-    finally:
-        for connection in there:
-            connection.close()
-
-
-def test_a_connection_that_shows_no_token_is_closed_in_time(server):
-    server.unauthenticated._seconds = 0.01
-    port, _ = parts(server)
-    with socket.create_connection(("127.0.0.1", port), timeout=120) as silent:
-        assert silent.recv(1) == b""
-    with socket.create_connection(("127.0.0.1", port), timeout=120) as slow:
-        slow.send(b"GET ")
-        assert slow.recv(1) == b""
-
-
-def test_a_page_stays_connected_though_it_says_nothing(server):
-    with connect(server) as page:
-        read_until(page, "ready")
-        assert len(server.unauthenticated) == 0
-        there, _ = idle(server, 2 * MOST_UNAUTHENTICATED)
-        assert get(server)[0] == 200
-        write(page)
-        assert read_until(page, "answer")
-        for connection in there:
-            connection.close()
-
-
-def test_files_that_run_out_are_one_line_and_not_a_traceback_each():
-    from pipeline.live.connections import QUIET_S, say_when_files_run_out
-
-    class Loop:
-        now, said, others = 0.0, (), 0
-
-        def set_exception_handler(self, handler):
-            self.handle = handler
-
-        def time(self):
-            return self.now
-
-        def default_exception_handler(self, context):
-            self.others += 1
-
-    loop, said = Loop(), []
-    say_when_files_run_out(loop, said.append)
-    for moment in (0.0, 1.0, 2.0, QUIET_S + 0.1):
-        loop.now = moment
-        loop.handle(loop, {"exception": OSError(errno.EMFILE, "Too many open files")})
-    assert len(said) == 2
-    assert "Too many open files" in said[0]
-    loop.handle(loop, {"exception": ValueError()})
-    assert loop.others == 1
 
 
 def test_odd_requests_are_refused_without_a_word_on_the_terminal(server, monkeypatch):
