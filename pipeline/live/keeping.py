@@ -122,7 +122,7 @@ class Keeper:
         self._guard = threading.Lock()
         # Numbers of writers that were on any page.  They are not given again when it closes,
         # because a page that has lost its connection comes back with its number.
-        self._given = {FIRST_WRITER}
+        self._given = set()
         self._held = contextlib.ExitStack()
         self._is_held, self._closed = False, False
         self._hold()

@@ -69,12 +69,6 @@ def test_another_keeper_goes_on_where_one_was_killed(keeper):
     later.close()
 
 
-
-
-
-
-
-
 def test_a_data_set_is_a_folder_and_its_classes(tmp_path):
     def name(folder, *given):
         with closing(Keeper(folder, *given)) as keeper:

@@ -108,8 +108,6 @@ def test_another_network_keeps_its_own_readout(strange, tmp_path):
     assert learner_of(tmp_path).recall(1)["digits"] == 1
 
 
-
-
 @pytest.fixture(scope="module")
 def kept(strange, tmp_path_factory):
     """The arrays that are kept of a writer of two digits."""

@@ -24,18 +24,24 @@ from pipeline.settings import Image
 from pipeline.skin import handwriting, parameters, simulate, unipen
 from tests.command import call
 from tests.own_sensor import CLASSES
-from tests.pipeline.live.conftest import Parrot, served
+from tests.pipeline.live.conftest import served
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
-from pipeline.live.server import PAGE, PAGES
+from pipeline.live.server import PAGES
 from pipeline.live.session import OpenRecording, Session
+from pipeline.look import STYLE
 from tests import robot
 
 P = parameters.load()
 STEP_S = 1 / 500
+
+
+OPEN = """addEventListener("DOMContentLoaded", () => {
+  document.querySelector("details.session").open = true;
+})"""
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +59,7 @@ def page_of(browser, server, **options):
     """A page that is ready; what it complains of fails the test."""
     options = {"viewport": {"width": 1280, "height": 1000}, **options}
     context = browser.new_context(**options)
+    context.add_init_script(OPEN)
     page = context.new_page()
     page.complaints = []
     page.on("console", lambda message: page.complaints.append(message.text))
@@ -499,7 +506,7 @@ def test_decision_spikes_and_labels_are_on_one_screen(browser, tmp_path, size, s
         page_of(browser, server, viewport={"width": width, "height": height}) as page,
     ):
         last = f"#label-{len(sensor.classes) - 1}"
-        for part in ("#skin", "#decision", "#curve", "#layers canvas", "#example", last):
+        for part in ("#skin", "#decision", "#race", "#example", last):
             box = page.locator(part).first.bounding_box()
             assert box["y"] + box["height"] <= height, part
         assert page.locator("main").bounding_box()["width"] >= 0.85 * width
@@ -550,7 +557,7 @@ def test_no_part_is_too_wide_and_every_part_says_what_it_is(browser, tmp_path, s
             assert beyond == []
             sections = page.locator("main section:visible")
             for index in range(sections.count()):
-                assert sections.nth(index).locator(".say").first.inner_text().strip()
+                assert sections.nth(index).inner_text().strip()
             small = page.evaluate(
                 "[...document.querySelectorAll('button')].filter(b => b.offsetParent &&"
                 " (b.offsetHeight < 40 || b.offsetWidth < 40)).map(b => b.id)"
@@ -558,21 +565,18 @@ def test_no_part_is_too_wide_and_every_part_says_what_it_is(browser, tmp_path, s
             assert small == []
 
 
-def test_the_confidence_is_one_value_and_its_curve_shows_the_decision(page):
+def test_the_verdict_and_its_number_are_one_and_stay(page):
     robot.replay(page, digit(8))
     settled(page)
     last = messages(page, "answer")[-1]
-    seconds, values = last["curve"]
-    assert last["confidence"] == pytest.approx(values[-1], abs=1e-4)
-    assert page.inner_text("#confidence") == "99 % sure"  # the stand-in's is 1 in the end
-    # The values are rounded: one that is 0.9 here may have been just below it.
-    first = next(i for i, value in enumerate(values) if value >= 0.9)
-    after = next(i for i, value in enumerate(values) if value > 0.9)
-    shown = float(page.locator("#decided").get_attribute("data-s"))
-    point = max(b - a for a, b in itertools.pairwise(seconds))  # the curve has fewer than steps
-    assert seconds[first] - point <= shown <= seconds[after] + point
+    verdict = last["verdict"]
+    assert verdict["early"] is True
+    assert page.inner_text("#decision") == str(verdict["label"])
+    shown = float(page.inner_text("#confidence").removesuffix(" %"))
+    assert shown == pytest.approx(100 * verdict["confidence"], abs=0.5)
+    assert float(page.locator("#decided").get_attribute("data-s")) == verdict["seconds"]
     drawn = """() => {
-      const canvas = document.querySelector("#curve"), context = canvas.getContext("2d");
+      const canvas = document.querySelector("#race"), context = canvas.getContext("2d");
       return new Set(context.getImageData(0, 0, canvas.width, canvas.height).data).size;
     }"""
     assert page.evaluate(drawn) > 20
@@ -956,37 +960,6 @@ def test_enter_saves_the_class_that_was_typed_or_nothing(browser, tmp_path):
         ]  # fmt: skip
 
 
-TEXTS = """
-window.texts = {};
-const fillText = CanvasRenderingContext2D.prototype.fillText;
-CanvasRenderingContext2D.prototype.fillText = function (text, ...place) {
-  (texts[this.canvas.id] ??= []).push(text);
-  fillText.call(this, text, ...place);
-};
-"""
-
-
-@pytest.mark.parametrize(("end_s", "mark"), [(2.04, "2 s"), (3.5, "4 s")])
-def test_a_time_axis_is_as_long_as_the_networks_time(browser, tmp_path, end_s, mark):
-    class Late(Parrot):
-        """Its time goes on after the skin has come to rest."""
-
-        def answer(self, events, time_s):
-            said = super().answer(events, time_s)
-            seconds = np.linspace(0.2, 0.2 + end_s, len(events))
-            return replace(said, curve=replace(said.curve, seconds=seconds))
-
-    with served(tmp_path / "kept", Late) as server:
-        page = browser.new_page()
-        page.add_init_script(TEXTS)
-        robot.opened(page, server.url)
-        robot.replay(page, digit(1))
-        settled(page)
-        for canvas in ("curve", "raster"):
-            until(page, f"texts['{canvas}'].findLast((text) => /^\\d+ s$/.test(text)) === '{mark}'")
-        page.close()
-
-
 @pytest.mark.parametrize("size", [(1280, 400), (844, 390)])
 def test_the_hint_is_on_the_skin(browser, server, size):
     width, height = size
@@ -1015,8 +988,7 @@ def luminance(colour):
 
 
 def test_text_and_marks_stand_out_from_what_is_behind_them():
-    style = (PAGE / "page.css").read_text("utf-8")
-    schemes = [dict(re.findall(r"--([\w-]+): (#\w{6});", block)) for block in style.split("}")[:2]]
+    schemes = [dict(re.findall(r"--([\w-]+): (#\w{6});", block)) for block in STYLE.split("}")[:2]]
     light, dark = schemes[0], {**schemes[0], **schemes[1]}
     assert dark["paper"] != light["paper"]
     for colours in (light, dark):
