@@ -226,8 +226,10 @@ class _Fast:
         done = self._emulation.run(spec.stimulus.flat(samples)[None], shown.steps, gap, watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
         output = decoded(spec, done.output[0, :, gap : gap + steps])
-        scores = read_output(spec, output, counts).scores[0]
-        return scores, spikes, running_sums(spec, output)[0]
+        responses = read_output(spec, output, counts)
+        if responses.decisions[0, -1] < 0:  # an empty output is no answer
+            return None
+        return responses.scores[0], spikes, running_sums(spec, output)[0]
 
     def _confidence(self, sums):
         """The confidence for early decisions at each step of the sums."""
@@ -265,7 +267,10 @@ class ImageDecider(_Fast):
     def _answer(self, events, time_s, before):
         recording = self._recording(events)
         image = tactile_images(recording, self._image.aggregation, self._image.normalisation)
-        scores, spikes, sums = self._show(image, self._spec.presentation.steps)
+        shown = self._show(image, self._spec.presentation.steps)
+        if shown is None:
+            return None
+        scores, spikes, sums = shown
         shares, unit = softmax(scores), score_unit(self._spec)
         # The softmax was trained on the scores, which are means.  Sums of many steps would always
         # give a confidence of nearly 1 unless a threshold was chosen for them.
@@ -285,7 +290,10 @@ class _ImageDeciding:
         """See :class:`Deciding`."""
         if len(events) == 0:
             return None
-        point, answer = self._decider._answer(events, time_s, self._points)
+        answered = self._decider._answer(events, time_s, self._points)
+        if answered is None:
+            return None
+        point, answer = answered
         self._points.append(point)
         return answer
 
@@ -331,7 +339,10 @@ class EventDecider(_Fast):
             return None
         table, rest = EventTable.of(self._recording(events)), self._spec.stimulus.refractory
         frames = table.frames([0], 1e3 * seconds, shown.steps, rest)
-        scores, spikes, sums = self._show(np.moveaxis(frames, 0, 1), steps)
+        answered = self._show(np.moveaxis(frames, 0, 1), steps)
+        if answered is None:
+            return None
+        scores, spikes, sums = answered
         ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)
         chances = softmax(sums, axis=1)
         curve = Curve(ends, self._confidence(sums), sums.argmax(axis=1), chances)

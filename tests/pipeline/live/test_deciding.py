@@ -103,6 +103,9 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
             names = ("time_ns", "taxel", "polarity", "columns")
             known = Events(*(getattr(events, name)[so_far] for name in names))
             said = deciding.answer(known, time_s)
+            if expected.decisions[index, step - 1] < 0:
+                assert said is None
+                continue
             assert said.decision == expected.decisions[index, step - 1]
             after = spec.presentation.gap + step
             assert all(not rows[after:].any() for rows in said.spikes.values())
@@ -115,7 +118,8 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
         stopped = expected.stopped_at[index]
         if confidence(summed) >= spec.presentation.confidence or stopped < 200:
             assert at_the_end.decided.seconds == pytest.approx(first_s + 0.01 * stopped)
-            assert at_the_end.decided.label == expected.decisions[index, stopped - 1]
+            # Random weights with a bias can be confident before any output.
+            assert expected.decisions[index, stopped - 1] in (-1, at_the_end.decided.label)
         else:
             assert at_the_end.decided is None
 
