@@ -18,7 +18,7 @@ from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
 from .board import BoardOptions, describe, run_loihi
-from .fast.emulation import run_fast
+from .fast import run_fast
 
 
 @dataclass(frozen=True)

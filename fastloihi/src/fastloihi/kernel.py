@@ -273,7 +273,7 @@ def _wrapped(x, spare):
 
 @_jit()
 def _currents(first, last, keep, shift, loaded, sums, total, current):
-    """u <- wrap(decay(u) + wrap(q)); return whether q and u overflowed."""
+    """u <- wrap(decay(u) + wrap(q)); return the numbers of overflows of q and u."""
     over_q, over_u = int32(0), int32(0)
     if loaded:
         for i in range(first, last):
@@ -290,14 +290,14 @@ def _currents(first, last, keep, shift, loaded, sums, total, current):
         wrapped = _wrapped(u, _U)
         total[i] = arriving
         current[i] = wrapped
-        over_q |= int32(arriving ^ q)
-        over_u |= int32(wrapped ^ u)
+        over_q += int32(arriving != q)
+        over_u += int32(wrapped != u)
     return over_q, over_u
 
 
 @_jit()
 def _voltages(first, last, keep, v_min, v_max, bias, current, voltage):
-    """v <- clip(decay(v) + wrap(u + bias)); return whether the sum overflowed."""
+    """v <- clip(decay(v) + wrap(u + bias)); return the number of overflows of the sum."""
     over = int32(0)
     for i in range(first, last):
         u = int32(current[i] + bias[i])
@@ -305,7 +305,7 @@ def _voltages(first, last, keep, v_min, v_max, bias, current, voltage):
         v = int32(_decayed(voltage[i], keep) + wrapped)
         v = v if v > v_min else v_min
         voltage[i] = v if v < v_max else v_max
-        over |= int32(wrapped ^ u)
+        over += int32(wrapped != u)
     return over
 
 
@@ -484,7 +484,7 @@ def _copy(values, into):
 def advance_integers(
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
-    noise_offset, noise_scale, noise_on_voltage, events, ends, in_use, blocks_now, lost, waits,
+    noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost, waits,
     drawn, scratch, noisy, state, recorded, is_noisy, draws,
     t0, n_steps, arriving, arriving_ends, currents, voltages, spikes, log, stop_at_warning,
 ):  # fmt: skip
@@ -588,6 +588,9 @@ def advance_integers(
                 over_q |= q
                 over_u |= u
                 over_u2 |= u2
+                overflows[b, 0] += q
+                overflows[b, 1] += u
+                overflows[b, 2] += u2
                 if waits[g]:
                     period = int32(segments[g, REFRACTORY])
                     _fire_and_wait(first, last, period, threshold, voltage, waiting, spiked)
@@ -606,7 +609,7 @@ def advance_integers(
 def advance_floats(
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
-    noise_offset, noise_scale, noise_on_voltage, events, ends, in_use, blocks_now, lost, waits,
+    noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost, waits,
     drawn, scratch, noisy, state, recorded, is_noisy, draws,
     t0, n_steps, arriving, arriving_ends, currents, voltages, spikes, log, stop_at_warning,
 ):  # fmt: skip
@@ -670,6 +673,51 @@ def advance_floats(
             count[events[e]] += int32(1)
         _record(recorded, s, current, voltage, spiked, currents, voltages, spikes)
     return n_steps
+
+
+# --- For several streams --------------------------------------------------------------------------
+
+
+@_jit(from_python=True)
+def list_inputs(words, edges, spikes, ends):
+    """List the spikes of inputs in the form that `advance_integers` takes.
+
+    ``words`` has a row of bytes for each step, eight in a word; ``edges`` are the first columns of
+    the inputs and the end of the last one.
+    """
+    n, n_inputs = uint64(0), len(edges) - 1
+    for s in range(len(words)):
+        i = 0
+        for w in range(uint64(words.shape[1])):
+            word = words[s, w]
+            while word:
+                lowest = word & (~word + uint64(1))
+                place = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
+                column = int64(uint64(8) * w + place)
+                while column >= edges[i + 1]:
+                    i += 1
+                    ends[s * n_inputs + i] = n
+                spikes[n] = column - edges[i]
+                n += uint64(1)
+                word ^= lowest
+        while i < n_inputs:
+            i += 1
+            ends[s * n_inputs + i] = n
+
+
+@_jit(from_python=True)
+def sum_rows(words, matrix, sums):
+    """Add to each row of ``sums`` the rows of the matrix of the bytes that are 1, in order."""
+    for s in range(len(words)):
+        for w in range(uint64(words.shape[1])):
+            word = words[s, w]
+            while word:
+                lowest = word & (~word + uint64(1))
+                place = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
+                row = uint64(8) * w + place
+                for k in range(uint64(matrix.shape[1])):
+                    sums[s, k] += matrix[row, k]
+                word ^= lowest
 
 
 class _Announcer(event.Listener):

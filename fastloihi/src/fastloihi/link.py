@@ -85,6 +85,10 @@ class Link:
     draws : bool
         True if anything depends on random numbers; otherwise the kernel does not draw them.
     random : Random
+    overflows : (n_blocks, 3) int64 array
+        Number of overflows since the start in integers.
+    advance : callable
+        The kernel, whose arguments after those of the state are `fixed_arguments`.
     """
 
     def __init__(self, emulator):
@@ -99,7 +103,7 @@ class Link:
         self.layout = layout = make_layout(emulator)
         n, dtype = emulator.block_info.n_compartments, state.dtype
         integers = dtype == np.int32
-        self._advance = kernel.advance_integers if integers else kernel.advance_floats
+        self.advance = kernel.advance_integers if integers else kernel.advance_floats
         skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
         self.random = Random(vars(emulator)["rng"], *skip)
         self.cells = np.zeros((len(ROWS), n), dtype)
@@ -137,6 +141,7 @@ class Link:
         self.histories = self._empty
         self._inputs, self._axons = list(emulator.inputs), emulator.axons
         most = max([s.n_axons * max(1, len(e) * 2) for s, e in synapses.pes_errors.items()] + [n])
+        self.overflows = np.zeros((len(emulator.block_info.blocks), 3), np.int64)
         scratch = (
             np.zeros(n, np.int64),  # events
             np.zeros(len(emulator.block_info.blocks) + 1, np.int64),  # their ends
@@ -148,10 +153,13 @@ class Link:
             np.zeros(most, dtype),
             np.zeros(n, dtype),
         )
+        self.fixed_arguments = (
+            *layout.network, *layout.learning, self.traces, self.pending, self.errors,
+            *layout.noise, self.overflows, *scratch,
+        )  # fmt: skip
         self._arguments = (
             self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
-            *layout.network, *layout.learning, self.traces, self.pending, self.errors,
-            *layout.noise, *scratch,
+            *self.fixed_arguments,
         )  # fmt: skip
 
     def state_arrays(self):
@@ -196,7 +204,7 @@ class Link:
                 for width, kind, empty in zip(layout.widths, self._types, self._empty)
             ]
         self.log[0, 0] = 0
-        done = self._advance(
+        done = self.advance(
             *self._arguments, self.random.words, layout.recorded, layout.is_noisy, self.draws,
             emulator.t, steps, arriving.spikes, arriving.ends, *self.histories, self.log, careful,
         )  # fmt: skip

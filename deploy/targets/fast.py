@@ -1,0 +1,391 @@
+"""The target ``fast``: bit-identical to NengoLoihi's emulator, with many streams at once.
+
+NengoLoihi builds and discretises the network; the chip's part runs on the compiled kernel of
+`fastloihi`, the host's part (input neurons before it, linear readout after it) in NumPy on all
+streams together.
+"""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections import defaultdict
+from dataclasses import replace
+from typing import Iterator, NamedTuple
+
+import nengo
+import numpy as np
+
+from ..errors import UserError
+from ..network.build import EvenSpikes, build
+from ..network.discretisation import BUILD_ERRORS, cannot_build
+from ..network.loihi_import import nengo_loihi
+from ..network.responses import Responses, read_output, spike_hash
+from ..network.spec import DT
+
+from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
+
+MEMORY = 32 << 20
+"""Maximum memory in bytes for the spikes of some steps of all streams that run together."""
+
+OVERFLOWS = ("q0", "current", "u2")
+"""Sums that can overflow, by NengoLoihi's names: input, current, current and bias."""
+
+
+class StreamOutputs(NamedTuple):
+    """Output, spike counts and overflows of a batch of streams.
+
+    Attributes
+    ----------
+    output : (n_streams, n_samples, period, n_outputs) array
+        Values of the readout at every step of every sample, including its gap.
+    counts : dict of str to (n_streams, n_samples, n_neurons) int array
+        Number of spikes of each neuron of each layer during each sample and its gap.
+    overflows : dict of str to (3,) int array
+        Number of overflows of each layer on the chip, see `OVERFLOWS`.
+    """
+
+    output: np.ndarray
+    counts: dict
+    overflows: dict
+
+
+class Emulation:
+    """A network on the compiled kernel; several threads may use it.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    seed : int
+
+    Attributes
+    ----------
+    spec : NetworkSpec
+    chip : fastloihi.streams.StreamEmulator
+    positions : dict of str to int array
+        Index of the compartment of each neuron of each layer on the chip.
+    decoders : (n, n_outputs) array
+        Contribution of each compartment's spike to the readout in its step.
+
+    Raises
+    ------
+    UserError
+        NengoLoihi cannot build the network, or Numba is not installed.
+    """
+
+    def __init__(self, spec, seed=0):
+        built = build(spec, seed)
+        model = nengo_loihi.builder.Model(dt=DT)
+        try:
+            model.build(built.network, precompute=None, discretize=True)
+        except BUILD_ERRORS as error:
+            raise cannot_build(built.network, error) from error
+        try:
+            from fastloihi.streams import StreamEmulator, sum_rows
+
+            self.chip, self._sum_rows = StreamEmulator(model), sum_rows
+        except ImportError as error:
+            raise UserError(f"the target 'fast' needs Numba ({error}): pip install numba") from None
+        except Unsupported as reason:
+            raise UserError(
+                f"the target 'fast' does not support {reason}; use the target 'emulator'"
+            ) from None
+        self.spec = spec
+        ensembles = {e.label: e for e in built.network.all_ensembles if e.neurons in model.objs}
+        self._blocks = {
+            name: list(model.objs[ensembles[name].neurons]["in"])
+            for name in spec.spiking_layers
+            if name != "input"
+        }
+        self.positions = {name: self._places(model, bs) for name, bs in self._blocks.items()}
+        self._inputs = np.concatenate([_sent(model, item) for item in model.inputs])
+        self._on_host = spec.layers[-1].neurons is None
+        probe = next(iter(model.chip2host_receivers)) if self._on_host else built.output
+        self.decoders = self._decoders(model.objs[probe]["out"])
+        # The spikes that are decoded, in the order in which their decoders are added.
+        order = np.concatenate(list(self.positions.values()))
+        self._decoded = order[self.decoders[order].any(axis=1)]
+        self._lock = threading.Lock()
+
+    def _places(self, model, blocks):
+        """Compartment of each neuron of a layer, which may be on several cores."""
+        neurons = np.concatenate([list(model.block_comp_map[block]) for block in blocks])
+        slices = (self.chip.blocks[block] for block in blocks)
+        compartments = np.concatenate([np.arange(part.start, part.stop) for part in slices])
+        return compartments[np.argsort(neurons, kind="stable")]
+
+    def _decoders(self, probe):
+        decoders = []
+        for first in range(0, self.chip.n, 1024):  # all at once would take gigabytes
+            unit = np.eye(min(1024, self.chip.n - first), self.chip.n, first, dtype=bool)
+            spikes = [
+                unit[:, self.chip.blocks[block]][:, part]
+                for block, part in zip(probe.target, probe.slice)
+            ]
+            decoders.append(np.asarray(probe.weight_outputs(spikes), float))
+        return np.concatenate(decoders)
+
+    def run(self, samples, watch=None, memory=MEMORY) -> StreamOutputs:
+        """Present streams of samples, each to a fresh network, as the spec's presentation says.
+
+        Parameters
+        ----------
+        samples : (n_streams, n_samples, size) or (n_streams, n_samples, steps, size) array
+            One frame that is constant for all steps of its sample, or one frame per step.
+        watch : callable, optional
+            Called after each sample of the streams with every spike of each layer: a dict of
+            str to uint8 arrays (n_streams, period, n_neurons / 8), packed by `numpy.packbits`.
+        memory : int
+            Maximum memory in bytes for the spikes of some steps; the result does not depend on it.
+
+        Returns
+        -------
+        StreamOutputs
+        """
+        with self._lock:
+            return self._run(np.asarray(samples), watch, memory)
+
+    def _run(self, samples, watch, memory):
+        gap, period = self.spec.presentation.gap, self.spec.presentation.period
+        n_streams, n_samples, size = samples.shape[0], samples.shape[1], samples.shape[-1]
+        host = InputNeurons(self.spec.stimulus, n_streams, size)
+        readout = Readout(self.spec.layers[-1], self._on_host, n_streams, self.decoders.shape[1])
+        state, overflows = self.chip.start(n_streams), np.zeros((len(self.chip.blocks), 3), int)
+        at_once = max(1, memory // self.bytes_per_step(n_streams))
+        outputs, counts = [], defaultdict(list)
+        weights = self.decoders[self._decoded]
+        for index in range(n_samples):
+            host.take(samples[:, index])
+            before = state.counters[:, 1].copy()
+            n_input, packed = np.zeros((n_streams, size), int), defaultdict(list)
+            for first in range(-gap, period - gap, at_once):
+                sent = host.spikes(first, min(first + at_once, period - gap))
+                reordered = sent if self._sends_all(size) else sent[:, :, self._inputs]
+                spikes, over = self.chip.advance(state, reordered)
+                overflows += over
+                decoded = self._sum_rows(_at(spikes, self._decoded), weights)
+                outputs.append(readout.advance(decoded))
+                n_input += sent.sum(axis=1, dtype=np.int32)
+                if watch is not None:
+                    packed["input"].append(np.packbits(sent, axis=2))
+                    for name, places in self.positions.items():
+                        packed[name].append(np.packbits(_at(spikes, places), axis=2))
+            counts["input"].append(n_input)
+            for name, places in self.positions.items():
+                counts[name].append(_at(state.counters[:, 1] - before, places))
+            if watch is not None:
+                watch({name: np.concatenate(parts, axis=1) for name, parts in packed.items()})
+        output = np.concatenate(outputs, axis=1)
+        return StreamOutputs(
+            output=output.reshape(n_streams, n_samples, period, -1),
+            counts={name: np.stack(parts, axis=1) for name, parts in counts.items()},
+            overflows=self._by_layer(overflows),
+        )
+
+    def _sends_all(self, size):
+        return len(self._inputs) == size and np.array_equal(self._inputs, np.arange(size))
+
+    def _by_layer(self, overflows):
+        rows = dict(zip(self.chip.blocks, overflows))
+        return {name: sum(rows[b] for b in blocks) for name, blocks in self._blocks.items()}
+
+    def bytes_per_step(self, n_streams):
+        """Approximate memory for one step of some streams."""
+        return n_streams * (self.chip.n + len(self._inputs))
+
+    def bytes_kept(self):
+        """Approximate memory for the results of a sample."""
+        outputs = self.decoders.shape[1] * self.spec.presentation.period
+        return 8 * outputs + 4 * (self.chip.n + len(self._inputs))
+
+
+def _sent(model, spike_input):
+    """The input neurons whose spikes an input of the chip receives."""
+    (sender,) = (
+        sender
+        for sender, receiver in model.host2chip_senders.items()
+        if model.spike_targets[receiver] is spike_input
+    )
+    (connection,) = (
+        item
+        for item in model.host_pre.params
+        if isinstance(item, nengo.Connection) and item.post_obj is sender
+    )
+    return np.arange(connection.pre_obj.size_out)[connection.pre_slice]
+
+
+def _at(values, places):
+    """Some compartments' values, of an array with all compartments as its last axis."""
+    first, n = (int(places[0]), len(places)) if len(places) else (0, 0)
+    if np.array_equal(places, np.arange(first, first + n)):
+        return values[..., first : first + n]
+    return np.take(values, places, axis=-1)
+
+
+class InputNeurons:
+    """The state of the input neurons for several streams.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+    n_streams, size : int
+        Number of streams, and of values of a frame.
+    """
+
+    def __init__(self, stimulus, n_streams, size):
+        self._static = stimulus.static
+        self._gain = stimulus.max_rate if self._static else 1.0
+        phase = stimulus.initial_phase if self._static else 0.0
+        self._phase = EvenSpikes(phase).phase
+        self._voltage = np.full((n_streams, size), self._phase, float)
+        self._frames = None
+
+    def take(self, samples):
+        """Set the current sample of each stream: (n_streams, size) or (..., steps, size)."""
+        self._frames = samples
+
+    def spikes(self, first, last):
+        """Spikes of several steps of the sample.
+
+        Parameters
+        ----------
+        first, last : int
+            First step, and one past the last, counted from the start of the sample's presentation;
+            negative in the gap before it.
+
+        Returns
+        -------
+        (n_streams, last - first, size) uint8 array
+        """
+        n_streams, size = self._voltage.shape
+        spikes = np.zeros((n_streams, last - first, size), np.uint8)
+        dark = min(max(-first, 0), last - first)
+        if not self._static:
+            shown = self._frames[:, first + dark : last]
+            np.greater(shown, 0, out=spikes[:, dark:].view(bool))
+            return spikes
+        if dark:  # no input resets the phase
+            self._voltage[:] = self._phase
+        self._even_spikes(self._frames, spikes[:, dark:])
+        return spikes
+
+    def _even_spikes(self, frame, out):
+        """The steps of `EvenSpikes` for a constant input, in Nengo's order of operations."""
+        drive, voltage = self._gain * np.asarray(frame, float), self._voltage
+        increase, blank = np.maximum(drive, 0) * DT, drive <= 0
+        whole = np.empty_like(voltage)
+        for step in range(out.shape[1]):
+            voltage += increase
+            np.floor(voltage, out=whole)
+            voltage -= whole
+            np.not_equal(whole, 0, out=out[:, step].view(bool))
+            np.putmask(voltage, blank, self._phase)
+
+
+class Readout:
+    """The state of the readout for several streams.
+
+    Parameters
+    ----------
+    layer : Layer
+    on_host : bool
+        False if the readout is a layer of neurons on the chip, read in the chip's own step.
+    n_streams, n_outputs : int
+    """
+
+    def __init__(self, layer, on_host, n_streams, n_outputs):
+        self._on_host, self._last, self._step = on_host, None, None
+        self._filtered = np.zeros((n_streams, n_outputs))
+        if on_host and layer.synapse is not None:
+            shape, synapse = self._filtered.shape, nengo.Lowpass(layer.synapse)
+            state = synapse.make_state(shape, shape, DT, dtype=float)
+            self._step = synapse.make_step(shape, shape, DT, rng=None, state=state)
+
+    def advance(self, decoded):
+        """Values of the readout in several steps, (n_streams, n_steps, n_outputs).
+
+        Parameters
+        ----------
+        decoded : (n_streams, n_steps, n_outputs) array
+            Sum of the decoders of the chip's spikes in these steps.
+        """
+        if not self._on_host:
+            return decoded
+        # The host receives the chip's step k - 1 in its own step k.  Only its first step, which has
+        # no predecessor, receives the chip's first (nengo_loihi.builder.inputs.EmptyQueueStep).
+        first = decoded[:, :1] if self._last is None else self._last
+        self._last = decoded[:, -1:].copy()
+        values = np.concatenate([first, decoded[:, :-1]], axis=1)
+        if self._step is not None:
+            for step in range(values.shape[1]):
+                # A filter's output has Nengo's delay of one step.
+                now, self._filtered = (
+                    self._filtered,
+                    np.array(self._step(None, np.ascontiguousarray(values[:, step]))),
+                )
+                values[:, step] = now
+        return values
+
+
+def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
+    """Run NengoLoihi's emulator, with identical integers and spikes, on many streams at once.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    streams : iterable of array
+        Each as returned by `Stimulus.flat`.
+    seed : int
+    memory : int
+        Maximum memory in bytes for the spikes of a batch of streams.
+
+    Yields
+    ------
+    Responses
+        The responses to each stream, in order.  They do not depend on the batches.
+    """
+    emulation, gap = Emulation(spec, seed), spec.presentation.gap
+    overflows = {name: np.zeros(3, int) for name in emulation.positions}
+
+    def fitting(n_samples):
+        """Number of streams of some length that fit into the memory."""
+        spikes = emulation.bytes_per_step(1) * spec.presentation.period
+        return max(1, memory // (spikes + emulation.bytes_kept() * n_samples))
+
+    try:
+        for batch in _batches(streams, fitting):
+            hashes = []
+
+            def watch(packed, hashes=hashes):
+                rows = [packed[name] for name in spec.spiking_layers]
+                hashes.append([spike_hash(layers) for layers in zip(*rows)])
+
+            recording = emulation.run(np.stack(batch), watch, memory)
+            for name, found in recording.overflows.items():
+                overflows[name] += found
+            for index, output in enumerate(recording.output):
+                counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
+                answer = read_output(spec, output[:, gap:], counts)
+                yield replace(answer, spike_hashes=np.transpose(hashes)[index])
+    finally:
+        _warn_of(overflows)
+
+
+def _batches(streams, fitting):
+    """Lists of consecutive streams of equal length, at most ``fitting`` of that length."""
+    batch = []
+    for stream in streams:
+        if batch and (len(batch) == fitting(len(stream)) or len(stream) != len(batch[0])):
+            yield batch
+            batch = []
+        batch.append(stream)
+    if batch:
+        yield batch
+
+
+def _warn_of(overflows):
+    for name, counts in overflows.items():
+        if counts.any():
+            places = ", ".join(f"{n} in {place}" for n, place in zip(counts, OVERFLOWS) if n)
+            message = f"layer {name!r}: overflows of the chip's integers: {places}"
+            warnings.warn(message, RuntimeWarning, stacklevel=3)

@@ -1,0 +1,152 @@
+"""One discretised network for several independent streams of input spikes, side by side.
+
+>>> streams = StreamEmulator(model)  # a built nengo_loihi.builder.Model
+>>> state = streams.start(n_streams=20)
+>>> spikes, overflows = streams.advance(state, inputs)
+
+It uses the kernel of `FastEmulator`; the network's arrays are shared by all streams.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from nengo_loihi.emulator.interface import EmulatorInterface
+
+from . import kernel
+from .layout import Unsupported
+from .link import Link
+
+_SPIKED = 2  # index of the key "spiked" in `layout.KEYS`
+
+
+class StreamState(NamedTuple):
+    """State of several streams between two steps.
+
+    Attributes
+    ----------
+    cells, counters, spiked : ndarray
+        The arrays of the kernel, with the streams as their first axis.
+    arriving : (n_streams, n_inputs) array
+        Spikes that arrive in the next step.
+    """
+
+    cells: np.ndarray
+    counters: np.ndarray
+    spiked: np.ndarray
+    arriving: np.ndarray
+
+
+class StreamEmulator:
+    """NengoLoihi's emulator for several streams, with bit-identical spikes.
+
+    An object must not be used by two threads at a time.
+
+    Parameters
+    ----------
+    model : nengo_loihi.builder.Model
+        A discretised model.  Learning and noise are not supported.
+
+    Attributes
+    ----------
+    n : int
+        Number of compartments, in the order of the model's blocks.
+    input_sizes : list of int
+        Number of neurons of each of the model's inputs.
+    blocks : dict of LoihiBlock to slice
+        The compartments of each block.
+    network : tuple of ndarray
+        See `layout.Layout`.
+
+    Raises
+    ------
+    Unsupported
+        The model needs NengoLoihi's own emulator.
+    """
+
+    def __init__(self, model):
+        emulator = EmulatorInterface(model)
+        self._link = link = Link(emulator)
+        if link.draws or emulator.compartment.dtype != np.int32:
+            raise Unsupported("learning, noise, or a model that is not discretised")
+        self.n = emulator.block_info.n_compartments
+        self.blocks = dict(emulator.block_info.slices)
+        self.input_sizes = [item.n_neurons for item in emulator.inputs]
+        self.network = link.layout.network
+        self._edges = np.cumsum([0, *self.input_sizes])
+        self._record = np.array([[_SPIKED, 0, self.n, 0]], np.int64)
+
+    def start(self, n_streams) -> StreamState:
+        """The state of a fresh network, for some streams."""
+        state = (self._link.cells, self._link.counters, self._link.spiked)
+        copies = (np.tile(array, (n_streams, *[1] * array.ndim)) for array in state)
+        return StreamState(*copies, np.zeros((n_streams, self._edges[-1]), np.uint8))
+
+    def advance(self, state, inputs):
+        """Advance all streams by some steps.
+
+        Parameters
+        ----------
+        state : StreamState
+            Changed to the state after the last step.
+        inputs : (n_streams, n_steps, n_inputs) uint8 array
+            Not 0 where a neuron of an input spikes; the inputs of the model are one after the
+            other.  A spike arrives one step later.
+
+        Returns
+        -------
+        spikes : (n_streams, n_steps, n) uint8 array
+        overflows : (n_blocks, 3) int64 array
+            Number of overflows in each block of the synaptic input, the current, and the sum of
+            current and bias: ``q0``, ``current``, ``u2`` in NengoLoihi.
+        """
+        n_streams, n_steps, n_inputs = inputs.shape
+        arriving = np.zeros((n_streams, n_steps, _padded(n_inputs)), np.uint8)
+        arriving[:, 0, :n_inputs] = state.arriving
+        arriving[:, 1:, :n_inputs] = inputs[:, :-1]
+        state.arriving[:] = inputs[:, -1]
+        spikes = np.empty((n_streams, n_steps, self.n), np.uint8)
+        sent = np.empty(max(1, n_steps * n_inputs), np.int64)
+        ends = np.zeros(n_steps * len(self.input_sizes) + 1, np.int64)
+        log = np.zeros((n_steps + 4, 2), np.int64)  # so that it cannot fill up
+        empty, link = np.zeros((1, 0), np.int32), self._link
+        link.overflows[:] = 0
+        for b in range(n_streams):
+            kernel.list_inputs(arriving[b].view(np.uint64), self._edges, sent, ends)
+            log[0, 0] = 0
+            done = link.advance(
+                state.cells[b], state.counters[b], state.spiked[b],
+                state.spiked[b].view(np.uint64), link.before, *link.fixed_arguments,
+                link.random.words, self._record, False, False, 0, n_steps,
+                sent, ends, empty, empty, spikes[b], log, False,
+            )  # fmt: skip
+            if done < 0:
+                raise Unsupported("a voltage of -2**31")
+        return spikes, link.overflows.copy()
+
+
+def sum_rows(spikes, matrix):
+    """The product of spikes and a matrix, added in the order of the matrix's rows.
+
+    Parameters
+    ----------
+    spikes : (..., n) uint8 array
+        0 or 1.
+    matrix : (n, n_outputs) float64 array
+
+    Returns
+    -------
+    (..., n_outputs) float64 array
+    """
+    n, n_outputs = matrix.shape
+    rows = np.zeros((spikes.size // max(n, 1), _padded(n)), np.uint8)
+    rows[:, :n] = spikes.reshape(len(rows), n)
+    sums = np.zeros((len(rows), n_outputs))
+    kernel.sum_rows(rows.view(np.uint64), np.ascontiguousarray(matrix), sums)
+    return sums.reshape(*spikes.shape[:-1], n_outputs)
+
+
+def _padded(n):
+    """The next multiple of 8, but not 0."""
+    return max(8, -(-n // 8) * 8)
