@@ -13,7 +13,7 @@ import numpy as np
 
 from ..network.spec import DT, NetworkSpec
 from ..network.stream import streams_of
-from ..targets.fast.emulation import Emulation, compile_spec
+from ..targets.fast import Emulation
 
 COARSE = 0.25
 """Spikes per step above which the next possible rate differs by a quarter or more."""
@@ -44,9 +44,7 @@ def firing_rates(
         In spikes per second, from ``start`` to the end of the sample.  A second is one of the
         stimulus (``step_seconds`` per step): with events, a second of the recording.
     """
-    # The NumPy kernel is bit-identical to Numba's and takes a third of a second for 200 samples.
-    # Importing Numba takes longer, and compiling at the first start takes five seconds.
-    emulation = Emulation(compile_spec(spec, seed), "numpy")
+    emulation = Emulation(spec, seed)
     presentation = spec.presentation
     sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}
     window = presentation.steps - start
@@ -60,7 +58,7 @@ def firing_rates(
                 read = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
                 of_batch[name].append(read.sum(axis=1))
 
-        emulation.run(batch, presentation.steps, presentation.gap, watch=watch)
+        emulation.run(batch, watch)
         for name, of_samples in of_batch.items():
             counts[name].append(np.stack(of_samples, axis=1).reshape(-1, sizes[name]))
         if advance is not None:

@@ -20,7 +20,7 @@ from ..errors import UserError
 from ..network.build import EvenSpikes, build
 from ..network.discretisation import BUILD_ERRORS, cannot_build
 from ..network.loihi_import import nengo_loihi
-from ..network.responses import Responses, read_output, spike_hash
+from ..network.responses import Responses, decoded, read_output, spike_hash
 from ..network.spec import DT
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
@@ -64,6 +64,8 @@ class Emulation:
     chip : fastloihi.streams.StreamEmulator
     positions : dict of str to int array
         Index of the compartment of each neuron of each layer on the chip.
+    sent : int array
+        The input neurons whose spikes the chip receives.
     decoders : (n, n_outputs) array
         Contribution of each compartment's spike to the readout in its step.
 
@@ -98,9 +100,9 @@ class Emulation:
             if name != "input"
         }
         self.positions = {name: self._places(model, bs) for name, bs in self._blocks.items()}
-        self._inputs = np.concatenate([_sent(model, item) for item in model.inputs])
-        self._on_host = spec.layers[-1].neurons is None
-        probe = next(iter(model.chip2host_receivers)) if self._on_host else built.output
+        self.sent = np.concatenate([_sent(model, item) for item in model.inputs])
+        on_host = spec.layers[-1].neurons is None
+        probe = next(iter(model.chip2host_receivers)) if on_host else built.output
         self.decoders = self._decoders(model.objs[probe]["out"])
         # The spikes that are decoded, in the order in which their decoders are added.
         order = np.concatenate(list(self.positions.values()))
@@ -149,7 +151,7 @@ class Emulation:
         gap, period = self.spec.presentation.gap, self.spec.presentation.period
         n_streams, n_samples, size = samples.shape[0], samples.shape[1], samples.shape[-1]
         host = InputNeurons(self.spec.stimulus, n_streams, size)
-        readout = Readout(self.spec.layers[-1], self._on_host, n_streams, self.decoders.shape[1])
+        readout = Readout(self.spec.layers[-1], n_streams, self.decoders.shape[1])
         state, overflows = self.chip.start(n_streams), np.zeros((len(self.chip.blocks), 3), int)
         at_once = max(1, memory // self.bytes_per_step(n_streams))
         outputs, counts = [], defaultdict(list)
@@ -160,7 +162,7 @@ class Emulation:
             n_input, packed = np.zeros((n_streams, size), int), defaultdict(list)
             for first in range(-gap, period - gap, at_once):
                 sent = host.spikes(first, min(first + at_once, period - gap))
-                reordered = sent if self._sends_all(size) else sent[:, :, self._inputs]
+                reordered = sent if self._sends_all(size) else sent[:, :, self.sent]
                 spikes, over = self.chip.advance(state, reordered)
                 overflows += over
                 decoded = self._sum_rows(_at(spikes, self._decoded), weights)
@@ -183,7 +185,7 @@ class Emulation:
         )
 
     def _sends_all(self, size):
-        return len(self._inputs) == size and np.array_equal(self._inputs, np.arange(size))
+        return len(self.sent) == size and np.array_equal(self.sent, np.arange(size))
 
     def _by_layer(self, overflows):
         rows = dict(zip(self.chip.blocks, overflows))
@@ -191,12 +193,12 @@ class Emulation:
 
     def bytes_per_step(self, n_streams):
         """Approximate memory for one step of some streams."""
-        return n_streams * (self.chip.n + len(self._inputs))
+        return n_streams * (self.chip.n + len(self.sent))
 
     def bytes_kept(self):
         """Approximate memory for the results of a sample."""
         outputs = self.decoders.shape[1] * self.spec.presentation.period
-        return 8 * outputs + 4 * (self.chip.n + len(self._inputs))
+        return 8 * outputs + 4 * (self.chip.n + len(self.sent))
 
 
 def _sent(model, spike_input):
@@ -288,15 +290,14 @@ class Readout:
     Parameters
     ----------
     layer : Layer
-    on_host : bool
-        False if the readout is a layer of neurons on the chip, read in the chip's own step.
+        On the host, or on the chip, where it is read in the chip's own step.
     n_streams, n_outputs : int
     """
 
-    def __init__(self, layer, on_host, n_streams, n_outputs):
-        self._on_host, self._last, self._step = on_host, None, None
+    def __init__(self, layer, n_streams, n_outputs):
+        self._on_host, self._last, self._step = layer.neurons is None, None, None
         self._filtered = np.zeros((n_streams, n_outputs))
-        if on_host and layer.synapse is not None:
+        if self._on_host and layer.synapse is not None:
             shape, synapse = self._filtered.shape, nengo.Lowpass(layer.synapse)
             state = synapse.make_state(shape, shape, DT, dtype=float)
             self._step = synapse.make_step(shape, shape, DT, rng=None, state=state)
@@ -365,7 +366,7 @@ def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
                 overflows[name] += found
             for index, output in enumerate(recording.output):
                 counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
-                answer = read_output(spec, output[:, gap:], counts)
+                answer = read_output(spec, decoded(spec, output[:, gap:]), counts)
                 yield replace(answer, spike_hashes=np.transpose(hashes)[index])
     finally:
         _warn_of(overflows)

@@ -32,17 +32,16 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import scipy.sparse
 
 from ..errors import UserError
 from ..files import write_arrays
 from ..network.chip import LOIHI
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
-from .fast.arrays import U_BITS
-from .fast.emulation import Emulation, compile_spec
-from .fast.from_nengo import Program
+from .fast import Emulation
 
-LARGEST = 2**U_BITS - 1
+LARGEST = 2**LOIHI.current_bits - 1
 """Limit at which Lava and the chip clip voltages."""
 
 _BIAS_EXPONENTS = 8
@@ -75,55 +74,55 @@ def lava_arrays(spec: NetworkSpec, images) -> dict:
     ``refractory``, ``v_min`` and ``connections``, each with the name of its ``source``, an input or
     an earlier population, and ``weight_exp``).
     """
-    program = compile_spec(spec)
-    network = program.network
-    arrays, populations = {}, []
-    sources, first = {}, 0
-    for item in program.inputs:
-        sources[item.label] = np.arange(first, first + item.n)
-        first += item.n
-    for layer, name, places, common in _populations(network):
-        columns, connections = layer.position[places], []
-        for source, weights, exponent in _connections(network, columns, sources, layer.label):
+    emulation = Emulation(spec)
+    n_inputs, constants = int(np.prod(spec.input_shape)), emulation.chip.constants()
+    weights = weights_of(emulation)
+    arrays, populations, sources = {}, [], {"input": np.arange(n_inputs)}
+    for layer, name, places, common in _populations(emulation.positions, constants):
+        columns, connections = emulation.positions[layer][places], []
+        for source, part, exponent in _connections(weights[:, columns], sources, layer):
             key = f"{name}.{len(connections)}"
-            arrays[f"{key}.data"] = weights.data.astype(np.int16)
-            arrays[f"{key}.indices"], arrays[f"{key}.indptr"] = weights.indices, weights.indptr
+            arrays[f"{key}.data"] = part.data.astype(np.int16)
+            arrays[f"{key}.indices"], arrays[f"{key}.indptr"] = part.indices, part.indptr
             connections.append({"source": source, "weight_exp": exponent})
-        mantissas, exponents = _bias(network.bias[columns], layer.label)
+        mantissas, exponents = _bias(constants["bias"][columns], layer)
         arrays[f"{name}.bias_mant"], arrays[f"{name}.bias_exp"] = mantissas, exponents
         arrays[f"{name}.places"] = places.astype(np.int32)
         populations.append({"name": name, **common, "connections": connections})
-        sources[name] = network.n_inputs + columns
-    spikes = spikes_of(program, spec, images)
-    arrays.update({f"spikes.{item.label}": spikes[item.label] for item in program.inputs})
+        sources[name] = n_inputs + columns
+    arrays["spikes.input"] = spikes_of(emulation, images)["input"]
     description = {
         "period": spec.presentation.period,
         "stream_length": spec.presentation.stream_length,
-        "inputs": [{"name": item.label, "n": item.n} for item in program.inputs],
-        "layers": [{"name": x.label, "n": len(x.position)} for x in network.layers],
+        "inputs": [{"name": "input", "n": n_inputs}],
+        "layers": [{"name": name, "n": len(at)} for name, at in emulation.positions.items()],
         "populations": populations,
     }
     return {"description": np.array(json.dumps(description)), **arrays}
 
 
-def without_refractory_and_floor(program: Program) -> Program:
+def weights_of(emulation: Emulation) -> scipy.sparse.csr_matrix:
+    """Weights on the chip, shape (inputs + compartments, compartments)."""
+    n_inputs, n = int(np.prod(emulation.spec.input_shape)), emulation.chip.n
+    source, target, value = emulation.chip.weights()
+    sent = np.concatenate([emulation.sent, n_inputs + np.arange(n)])
+    return scipy.sparse.coo_matrix((value, (sent[source], target)), (n_inputs + n, n)).tocsr()
+
+
+def without_refractory_and_floor(spec: NetworkSpec) -> Emulation:
     """The network with Lava's standard neurons, without refractory period and lower bound."""
-    segments = program.network.segments
-    free = segments._replace(
-        refractory=np.zeros_like(segments.refractory),
-        v_min=np.full_like(segments.v_min, -LARGEST),
-    )
-    return program._replace(network=_replaced(program.network, segments=free))
+    emulation = Emulation(spec)
+    emulation.chip.set_constants(refractory=0, v_min=-LARGEST)
+    return emulation
 
 
-def spikes_of(program: Program, spec: NetworkSpec, images) -> dict:
+def spikes_of(emulation: Emulation, images) -> dict:
     """Every spike of every population, in the network's presentation.
 
     Parameters
     ----------
-    program : Program
-        The program of this network or of a variant.
-    spec : NetworkSpec
+    emulation : Emulation
+        Of the network or of a variant.
     images : ndarray, shape (n_samples, ...)
 
     Returns
@@ -131,42 +130,32 @@ def spikes_of(program: Program, spec: NetworkSpec, images) -> dict:
     dict of str to uint8 ndarray, shape (n_samples, period, n / 8)
         Eight neurons per byte, see `numpy.packbits`; includes the inputs from the host.
     """
+    spec, samples = emulation.spec, []
     images = spec.stimulus.flat(images)
-    shown, emulation, samples = spec.presentation, Emulation(program), []
-    for part in streams_of(len(images), shown.stream_length):
-        emulation.run(images[part][None], shown.steps, shown.gap, samples.append)
+    for part in streams_of(len(images), spec.presentation.stream_length):
+        emulation.run(images[part][None], samples.append)
     return {name: np.concatenate([sample[name] for sample in samples]) for name in samples[0]}
 
 
-def _replaced(network, **changes):
-    values = {name: getattr(network, name) for name in network.__dataclass_fields__}
-    return type(network)(**{**values, **changes})
-
-
-def _populations(network):
+def _populations(positions, constants):
     """(layer, name, indices in the layer, shared parameters) of every population."""
-    segments = network.segments
-    of_compartment = np.repeat(np.arange(len(segments.start)), segments.stop - segments.start)
-    alike = np.stack(
-        [getattr(segments, name)[of_compartment] for name in ("keep_u", "keep_v", "v_min", "v_max")]
-        + [segments.refractory[of_compartment], segments.shift[of_compartment], network.threshold]
-    )
-    for layer in network.layers:
-        values, group = np.unique(alike[:, layer.position], axis=1, return_inverse=True)
+    names = ("keep_u", "keep_v", "v_min", "v_max", "refractory", "threshold")
+    alike = np.stack([constants[name] for name in names])
+    for layer, position in positions.items():
+        values, group = np.unique(alike[:, position], axis=1, return_inverse=True)
         for index, column in enumerate(values.T.tolist()):
-            keep_u, keep_v, v_min, v_max, refractory, _, threshold = column
+            keep_u, keep_v, v_min, v_max, refractory, threshold = column
             if threshold % 64 or v_max != LARGEST:
                 raise UserError(
-                    f"layer {layer.label}: Lava cannot represent its threshold or upper bound"
+                    f"layer {layer}: Lava cannot represent its threshold or upper bound"
                 )
             places = np.flatnonzero(group.ravel() == index)
-            name = layer.label if values.shape[1] == 1 else f"{layer.label}#{index + 1}"
             yield (
                 layer,
-                name,
+                layer if values.shape[1] == 1 else f"{layer}#{index + 1}",
                 places,
                 {
-                    "layer": layer.label,
+                    "layer": layer,
                     "n": len(places),
                     "du": LOIHI.decay_levels - keep_u,
                     "dv": LOIHI.decay_unit - keep_v,
@@ -191,21 +180,18 @@ def _bias(bias, label):
     return mantissas.astype(np.int32), exponents.astype(np.int32)
 
 
-def _connections(network, columns, sources, label):
+def _connections(into, sources, label):
     """(source, weights (n, n_source) in Lava's units, exponent) of the inputs of a population.
 
     Lava has one exponent per connection and signed 8-bit mantissas, which are even.
     """
-    segments = network.segments
-    shift = int(np.repeat(segments.shift, segments.stop - segments.start)[columns[0]])
-    into, last = network.weights[:, columns].tocsr(), list(sources)[-1]
+    last = list(sources)[-1]
     for name, rows in sources.items():
-        weights = into[rows].T.tocsr().astype(np.int64)  # one row per target
-        whole, exponent = weights.data << shift, 0
-        while len(whole) and np.abs(whole).max() >> (6 + exponent) > 256:
+        weights, exponent = into[rows].T.tocsr(), 0  # one row per target
+        while weights.nnz and np.abs(weights.data).max() >> (6 + exponent) > 256:
             exponent += 1
-        mantissas = whole >> (6 + exponent)
-        exact = np.all(mantissas << (6 + exponent) == whole) and not np.any(mantissas % 2)
+        mantissas = weights.data >> (6 + exponent)
+        exact = np.all(mantissas << (6 + exponent) == weights.data) and not np.any(mantissas % 2)
         if not exact or exponent > 7 or np.any(mantissas > 254):
             raise UserError(f"layer {label}: a weight does not fit 8 bits and an exponent")
         weights.data = mantissas

@@ -16,7 +16,7 @@ from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence
 from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
-from deploy.targets.fast.emulation import Emulation, compile_spec
+from deploy.targets.fast import Emulation
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.data.images import tactile_images
 from pipeline.data.steps import EventTable
@@ -187,7 +187,7 @@ class _Fast:
     def __init__(self, bundle: Bundle, sensor: Sensor, seed: int):
         self._spec = spec = bundle.spec
         self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
-        self._emulation = Emulation(compile_spec(spec, seed))
+        self._emulation = Emulation(spec, seed)
         self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
         limit = spec.presentation.confidence
         self.threshold = None if limit is None or limit >= 1 else limit  # confidences stay below 1
@@ -215,7 +215,7 @@ class _Fast:
             See :func:`deploy.network.responses.running_sums`.
         """
         spec, spikes = self._spec, {}
-        shown, gap = spec.presentation, spec.presentation.gap
+        gap = spec.presentation.gap
         drawn = [layer.name for layer in self.layers]
 
         def watch(packed):
@@ -223,7 +223,7 @@ class _Fast:
                 spikes[name] = packed[name][0].copy()
                 spikes[name][gap + steps :] = 0
 
-        done = self._emulation.run(spec.stimulus.flat(samples)[None], shown.steps, gap, watch)
+        done = self._emulation.run(spec.stimulus.flat(samples)[None], watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
         output = decoded(spec, done.output[0, :, gap : gap + steps])
         responses = read_output(spec, output, counts)

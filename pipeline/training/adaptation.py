@@ -14,7 +14,7 @@ from deploy.network.rehearsal import Rehearsal
 from deploy.network.responses import decoded, running_sums
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
-from deploy.targets.fast.emulation import Emulation, compile_spec
+from deploy.targets.fast import Emulation
 from pipeline.data.altering import AUGMENTATIONS, altered_recordings, augmentation_for
 from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
 from pipeline.data.events import Recordings
@@ -62,9 +62,8 @@ class Responder:
         )  # fmt: skip
         self.spec = spec
         self._emulation = Emulation(
-            compile_spec(replace(spec, layers=(*spec.layers[:-1], through), estimator=None,
-                                 rehearsal=None), seed)
-        )  # fmt: skip
+            replace(spec, layers=(*spec.layers[:-1], through), estimator=None, rehearsal=None), seed
+        )
         self._image = image
 
     @property
@@ -90,11 +89,11 @@ class Responder:
         ------
         ndarray, shape (some, steps, inputs)
         """
-        steps, gap = self.spec.presentation.steps, self.spec.presentation.gap
+        gap = self.spec.presentation.gap
         fed = self.spec.fed(samples)
         for start in range(0, len(fed), AT_ONCE):
             part = fed[start : start + AT_ONCE, None]
-            yield self._emulation.run(part, steps, gap).output[:, 0, gap:]
+            yield self._emulation.run(part).output[:, 0, gap:]
 
     def responses(self, samples) -> np.ndarray:
         """Mean input of the readout while it is read.

@@ -96,7 +96,7 @@ def test_names_that_the_terminal_cannot_write(tmp_path):
 
 
 def test_nothing_is_printed_past_the_escaping():
-    """A name from a file could come with it; Numba's line holds none."""
+    """A name from a file could come with it."""
     found = [
         path.relative_to(ROOT).as_posix()
         for package in ("deploy", "models", "pipeline")
@@ -104,8 +104,7 @@ def test_nothing_is_printed_past_the_escaping():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "print"
     ]
-    assert set(found) == {"deploy/terminal.py", "deploy/targets/fast/kernel_numba.py",
-                          "deploy/cli.py"}  # fmt: skip
+    assert set(found) == {"deploy/terminal.py", "deploy/cli.py"}
 
 
 class Terminal(io.StringIO):

@@ -19,19 +19,18 @@ from deploy.errors import CheckFailed, UserError
 from deploy.files import read_arrays, write_json
 from deploy.network.responses import join, read_output, spike_hash
 from deploy.network.stream import streams_of
-from deploy.targets.fast.emulation import compile_spec
-from deploy.targets.fast.host_stage import OutputStage
+from deploy.targets.fast import Emulation, Readout
 from deploy.targets.lava import spikes_of, without_refractory_and_floor
 
 REMEDY = "run 'make check-lava' again"
 
 
-def differing_bits(program, ours, theirs) -> dict:
+def differing_bits(emulation, ours, theirs) -> dict:
     """How many spikes of each layer on the chip are not the same.
 
     Parameters
     ----------
-    program : Program
+    emulation : Emulation
     ours, theirs : dict of str to uint8 ndarray, shape (n_samples, period, n / 8)
         Spikes, eight neurons a byte.
 
@@ -41,38 +40,35 @@ def differing_bits(program, ours, theirs) -> dict:
         Bits that differ, and all bits.
     """
     found = {}
-    for layer in program.network.layers:
-        n, a, b = len(layer.position), ours[layer.label], theirs[layer.label]
+    for name, position in emulation.positions.items():
+        n, a, b = len(position), ours[name], theirs[name]
         if a.shape != b.shape:
-            raise UserError(f"layer {layer.label}: {b.shape} spikes, not {a.shape}; {REMEDY}")
+            raise UserError(f"layer {name}: {b.shape} spikes, not {a.shape}; {REMEDY}")
         differ = np.unpackbits(a ^ b, axis=2)[:, :, :n]
-        found[layer.label] = int(differ.sum()), differ.size
+        found[name] = int(differ.sum()), differ.size
     return found
 
 
-def responses_of(spec, program, spikes):
+def responses_of(emulation, spikes):
     """A target's responses from the spikes of its populations.
 
     Parameters
     ----------
-    spec : NetworkSpec
-    program : Program
+    emulation : Emulation
     spikes : dict of str to uint8 ndarray, shape (n_samples, period, n / 8)
     """
-    network, parts = program.network, []
-    sizes = {item.label: item.n for item in program.inputs}
-    sizes.update({layer.label: len(layer.position) for layer in network.layers})
+    spec, parts = emulation.spec, []
+    sizes = {"input": int(np.prod(spec.input_shape))}
+    sizes.update({name: len(position) for name, position in emulation.positions.items()})
     plain = {n: np.unpackbits(spikes[n], axis=2)[:, :, :size] for n, size in sizes.items()}
     for part in streams_of(len(next(iter(plain.values()))), spec.presentation.stream_length):
-        stage = OutputStage(program.output, 1, program.dt)
+        readout = Readout(spec.layers[-1], 1, emulation.decoders.shape[1])
         rows, output = {name: values[part] for name, values in plain.items()}, []
         for index in range(part.stop - part.start):
-            chip = np.zeros((1, spec.presentation.period, network.n), np.uint8)
-            for layer in network.layers:
-                chip[0][:, layer.position] = rows[layer.label][index]
-            output.append(stage.advance(chip, chip @ program.output.decoders)[0])
-        if program.output.neurons is not None:
-            rows[program.output.neurons.label] = np.array(output) != 0
+            chip = np.zeros((1, spec.presentation.period, emulation.chip.n), np.uint8)
+            for name, position in emulation.positions.items():
+                chip[0][:, position] = rows[name][index]
+            output.append(readout.advance(chip @ emulation.decoders)[0])
         counts = {name: rows[name].sum(axis=1, dtype=int) for name in spec.spiking_layers}
         hashes = [
             spike_hash(np.packbits(rows[name][i], axis=1) for name in spec.spiking_layers)
@@ -87,12 +83,12 @@ def _spikes(given):
     return {name[len("spikes.") :]: a for name, a in given.items() if name.startswith("spikes.")}
 
 
-def compared(title, opened, program, theirs):
+def compared(title, opened, emulation, theirs):
     """Say how many bits differ, layer by layer, and give the responses to Lava's spikes."""
-    spec, labels = opened.spec, opened.checks.labels
-    ours = spikes_of(program, spec, opened.checks.inputs)
-    found = differing_bits(program, ours, theirs)
-    answers = responses_of(spec, program, {**ours, **theirs})
+    labels = opened.checks.labels
+    ours = spikes_of(emulation, opened.checks.inputs)
+    found = differing_bits(emulation, ours, theirs)
+    answers = responses_of(emulation, {**ours, **theirs})
     wrong, total = (sum(column) for column in zip(*found.values(), strict=True))
     layers = ", ".join(
         f"{name} {answers.spikes[name].sum()} spikes, {bits} bits differ"
@@ -107,13 +103,13 @@ def compared(title, opened, program, theirs):
 
 def main(bundle, output, out, stock=None):
     opened = read_bundle(bundle)
-    program = compile_spec(opened.spec)
+    emulation = Emulation(opened.spec)
     given = read_arrays(output, REMEDY)
-    wrong, answers = compared("Lava as deployed", opened, program, _spikes(given))
+    wrong, answers = compared("Lava as deployed", opened, emulation, _spikes(given))
     samples = records_of(opened.checks, answers)
     write_json(out, result_of(opened, "lava", 0, samples, float(given["seconds"])))
     if stock is not None:
-        free = without_refractory_and_floor(program)
+        free = without_refractory_and_floor(opened.spec)
         title = "Lava's own LIF, no refractory time, no floor"
         wrong += compared(title, opened, free, _spikes(read_arrays(stock, REMEDY)))[0]
     if wrong:

@@ -484,8 +484,8 @@ def _copy(values, into):
 def advance_integers(
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
-    noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost, waits,
-    drawn, scratch, noisy, state, recorded, is_noisy, draws,
+    noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost,
+    waits, drawn, scratch, noisy, state, recorded, is_noisy, draws,
     t0, n_steps, arriving, arriving_ends, currents, voltages, spikes, log, stop_at_warning,
 ):  # fmt: skip
     """Advance a discretised network.
@@ -609,8 +609,8 @@ def advance_integers(
 def advance_floats(
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
-    noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost, waits,
-    drawn, scratch, noisy, state, recorded, is_noisy, draws,
+    noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost,
+    waits, drawn, scratch, noisy, state, recorded, is_noisy, draws,
     t0, n_steps, arriving, arriving_ends, currents, voltages, spikes, log, stop_at_warning,
 ):  # fmt: skip
     """Advance a network that was not discretised; as `advance_integers`."""

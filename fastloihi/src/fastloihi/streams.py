@@ -18,6 +18,7 @@ from . import kernel
 from .layout import Unsupported
 from .link import Link
 
+_CONSTANTS = ("keep_u", "keep_v", "v_min", "v_max")
 _SPIKED = 2  # index of the key "spiked" in `layout.KEYS`
 
 
@@ -124,6 +125,53 @@ class StreamEmulator:
             if done < 0:
                 raise Unsupported("a voltage of -2**31")
         return spikes, link.overflows.copy()
+
+    def constants(self):
+        """Integers of the compartments.
+
+        Returns
+        -------
+        dict of str to (n,) int64 array
+            ``bias``, ``threshold``, the decays' ``keep_u`` and ``keep_v`` (see `kernel`),
+            ``v_min``, ``v_max``, and the steps after a spike in which the voltage stays at 0,
+            ``refractory``.
+        """
+        segments, table = self.network[:2]
+        lengths = segments[:, kernel.STOP] - segments[:, kernel.START]
+        columns = {name: table[:, getattr(kernel, name.upper())] for name in _CONSTANTS}
+        columns["refractory"] = np.maximum(segments[:, kernel.REFRACTORY] - 1, 0)
+        values = {name: np.repeat(column, lengths) for name, column in columns.items()}
+        values["bias"] = self._link.cells[kernel.BIAS]
+        values["threshold"] = self._link.cells[kernel.THRESHOLD]
+        return {name: value.astype(np.int64) for name, value in values.items()}
+
+    def set_constants(self, refractory, v_min):
+        """Give all compartments other refractory steps and another lower bound of the voltage."""
+        segments, table = self.network[:2]
+        segments[:, kernel.REFRACTORY], table[:, kernel.V_MIN] = refractory + 1, v_min
+
+    def weights(self):
+        """All weights on the chip: (source, target, value) of each, int64 arrays.
+
+        Sources are the neurons of the inputs, followed by the compartments; targets are
+        compartments.  Several values of a source and target are added.
+        """
+        _, _, blocks, routes, entries, first_run, runs, narrow, wide, _, sizes = self.network
+        ranges = [(0, size) for size in sizes] + [tuple(block[:2]) for block in blocks]
+        firsts = [*self._edges[:-1], *[self._edges[-1]] * len(blocks)]
+        found = [np.zeros((3, 0), np.int64)]
+        for source, offset, block, is_wide, *_ in routes.tolist():
+            pool, shift = (wide, 0) if is_wide else (narrow, int(blocks[block, kernel.SHIFT]))
+            for neuron in range(*ranges[source]):
+                row, base, _ = entries[:, neuron + offset].tolist()
+                if row < 0:
+                    continue
+                for target, place, length in runs[first_run[row] : first_run[row + 1]].tolist():
+                    values = pool[place : place + length].astype(np.int64) << shift
+                    used = np.flatnonzero(values)
+                    sender = np.full(len(used), firsts[source] + neuron)
+                    found.append(np.stack([sender, base + target + used, values[used]]))
+        return tuple(np.concatenate(found, axis=1))
 
 
 def sum_rows(spikes, matrix):

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.network.responses import decoded, running_sums
 from deploy.network.stream import streams_of
-from deploy.targets.fast.emulation import Emulation, compile_spec
+from deploy.targets.fast import Emulation
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         In the order of ``indices``.
     """
     spec, wanted, replays = bundle.spec, set(indices), {}
-    emulation, shown = Emulation(compile_spec(spec, seed)), spec.presentation
+    emulation, shown = Emulation(spec, seed), spec.presentation
     sizes = {"input": int(np.prod(spec.input_shape))}
     sizes |= {layer.name: layer.size for layer in spec.layers}
     for part in streams_of(len(bundle.checks), shown.stream_length):
@@ -85,7 +85,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         packed = []
         samples = spec.stimulus.flat(bundle.checks.inputs[part.start : here[-1] + 1])
         samples = np.asarray(samples)[None]
-        output = emulation.run(samples, shown.steps, shown.gap, packed.append).output[0]
+        output = emulation.run(samples, packed.append).output[0]
         sums = running_sums(spec, decoded(spec, output[:, shown.gap :]))
         if spec.stimulus.static:
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]

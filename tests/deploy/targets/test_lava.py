@@ -11,7 +11,7 @@ import scipy.sparse
 
 from deploy.errors import UserError
 from deploy.files import read_arrays
-from deploy.targets.fast.emulation import compile_spec
+from deploy.targets.fast import Emulation
 from deploy.targets.lava import (
     lava_arrays,
     spikes_of,
@@ -89,10 +89,10 @@ def samples_for(spec, count):
 def test_plain_integers_of_the_file_give_every_spike_of_fast(make):
     spec = make()
     samples = samples_for(spec, 4)
-    program = compile_spec(spec)
+    emulation = Emulation(spec)
     found = advanced(lava_arrays(spec, samples))
-    ours = spikes_of(program, spec, samples)
-    bits = differing_bits(program, ours, found)
+    ours = spikes_of(emulation, samples)
+    bits = differing_bits(emulation, ours, found)
     on_chip = [layer.name for layer in spec.layers if layer.placement == "chip"]
     assert {name: wrong for name, (wrong, _) in bits.items()} == dict.fromkeys(on_chip, 0)
     assert all(ours[name].any() for name in on_chip)
@@ -114,8 +114,8 @@ def test_blocks_of_different_thresholds_become_populations_of_their_own():
     populations = json.loads(str(arrays["description"]))["populations"]
     assert [p["name"] for p in populations] == ["conv1", "conv2#1", "conv2#2"]
     assert len({p["vth"] for p in populations[1:]}) == 2
-    program = compile_spec(spec)
-    found = differing_bits(program, spikes_of(program, spec, images), advanced(arrays))
+    emulation = Emulation(spec)
+    found = differing_bits(emulation, spikes_of(emulation, images), advanced(arrays))
     assert found["conv2"][0] == 0
 
 
@@ -123,8 +123,8 @@ def test_blocks_of_different_thresholds_become_populations_of_their_own():
 def test_spikes_give_the_answers_of_fast(make):
     spec = make()
     images = samples_for(spec, 7)
-    program = compile_spec(spec)
-    ours = responses_of(spec, program, spikes_of(program, spec, images))
+    emulation = Emulation(spec)
+    ours = responses_of(emulation, spikes_of(emulation, images))
     theirs = answer(spec, images, "fast")
     np.testing.assert_array_equal(ours.spike_hashes, theirs.spike_hashes)
     np.testing.assert_array_equal(ours.decisions, theirs.decisions)
@@ -133,8 +133,8 @@ def test_spikes_give_the_answers_of_fast(make):
 
 def test_one_bit_is_found(tmp_path, capsys):
     opened = bundle_at(tmp_path / "bundle")
-    program = compile_spec(opened.spec)
-    spikes = spikes_of(program, opened.spec, opened.checks.inputs)
+    emulation = Emulation(opened.spec)
+    spikes = spikes_of(emulation, opened.checks.inputs)
     spikes["conv2"][1, 2, 0] ^= 1 << 7
     np.savez(tmp_path / "out.npz", seconds=1.0, **{f"spikes.{k}": v for k, v in spikes.items()})
     with pytest.raises(Exception, match=r"^1 spikes"):
@@ -145,24 +145,18 @@ def test_one_bit_is_found(tmp_path, capsys):
 def test_without_refractory_time_and_floor_there_are_more_spikes():
     spec = paper_spec(steps=40, gap=5)
     images = random_checks(spec, 3).inputs
-    program = compile_spec(spec)
-    free = without_refractory_and_floor(program)
-    few, many = (spikes_of(p, spec, images)["conv2"] for p in (program, free))
+    emulation = Emulation(spec)
+    free = without_refractory_and_floor(spec)
+    few, many = (spikes_of(p, images)["conv2"] for p in (emulation, free))
     assert np.unpackbits(many).sum() > 1.02 * np.unpackbits(few).sum()
-    assert program.network.segments.refractory.any()  # the program itself is as it was
 
 
 def test_weights_that_do_not_fit_are_refused(monkeypatch):
     import deploy.targets.lava as export
 
-    program = compile_spec(small_spec())
-    odd = program.network.weights.copy()
-    odd.data = odd.data | 1
-    segments = program.network.segments._replace(
-        shift=np.full_like(program.network.segments.shift, 6)
-    )
-    network = export._replaced(program.network, weights=odd, segments=segments)
-    monkeypatch.setattr(export, "compile_spec", lambda spec: program._replace(network=network))
+    odd = export.weights_of(Emulation(small_spec()))
+    odd.data = odd.data | 1 << 6
+    monkeypatch.setattr(export, "weights_of", lambda emulation: odd)
     with pytest.raises(UserError, match=r"layer conv1.* weight"):
         lava_arrays(small_spec(), random_checks(small_spec(), 1).inputs)
 
@@ -203,10 +197,10 @@ def test_other_networks_in_lava(tmp_path, make, sizes):
 
 def compare_with_lava(tmp_path, spec, count, sizes):
     images = samples_for(spec, count)
-    program = compile_spec(spec)
+    emulation = Emulation(spec)
     write_lava(tmp_path / "network.npz", spec, images)
-    for options, ours in (((), program), (("--stock",), without_refractory_and_floor(program))):
+    for options, ours in (((), emulation), (("--stock",), without_refractory_and_floor(spec))):
         theirs = run_lava(tmp_path / "network.npz", tmp_path / "out.npz", *options)
-        found = differing_bits(program, spikes_of(ours, spec, images), theirs)
+        found = differing_bits(emulation, spikes_of(ours, images), theirs)
         bits = count * spec.presentation.period
         assert found == {name: (0, bits * size) for name, size in sizes.items()}
