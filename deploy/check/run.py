@@ -176,12 +176,13 @@ class OpenCheck:
         notes = [record["notes"] for record in records if "notes" in record]
         extra = target.describe(notes) if notes and target.describe else {}
         if target.hardware:
-            # NumPy's kernel: in a copied bundle, Numba would compile for five seconds.
-            expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed, kernel="numpy")
-            extra["samples_unlike_fast"] = sum(
-                told.get("spike_hash") != str(spikes)
-                for told, spikes in zip(answers, expected.spike_hashes)
-            )
+            # Without Numba the board's result is written all the same.
+            with contextlib.suppress(UserError):
+                expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed)
+                extra["samples_unlike_fast"] = sum(
+                    told.get("spike_hash") != str(spikes)
+                    for told, spikes in zip(answers, expected.spike_hashes)
+                )
         seconds = sum(record["seconds"] for record in records)
         result = result_of(bundle, target.name, seed, answers, seconds, extra)
         write_json(self._out, result)
