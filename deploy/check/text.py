@@ -90,12 +90,14 @@ def _hardware(result):
         f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
         f"per sample: {phases}"
     )
-    text += (
-        f"\nspikes of {result['samples_unlike_fast']} samples differ from those of the target "
-        "fast: some were lost, or the board computes differently"
-        if result["samples_unlike_fast"]
-        else "\nall spikes are identical to those of the target fast"
-    )
+    unlike = result.get("samples_unlike_fast")  # None without Numba
+    if unlike:
+        text += (
+            f"\nspikes of {unlike} samples differ from those of the target fast: some were lost, "
+            "or the board computes differently"
+        )
+    elif unlike == 0:
+        text += "\nall spikes are identical to those of the target fast"
     if "power" in result:
         power = result["power"]
         text += (
