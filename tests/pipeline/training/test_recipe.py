@@ -1,0 +1,75 @@
+"""Rules by which a network on events reads and learns recordings."""
+
+import numpy as np
+import pytest
+
+from pipeline.data.steps import EventTable
+from pipeline.training import recipe
+
+
+def table_of(counts_of, samples=120, taxels=6, classes=3, length=1000.0):
+    """Recordings whose events a function of (rng, class) draws as (times in ms, taxels)."""
+    rng = np.random.default_rng(0)
+    labels = np.arange(samples) % classes
+    events = [counts_of(rng, label) for label in labels]
+    events = [(np.sort(t), x[np.argsort(t)]) for t, x in events]
+    offsets = np.cumsum([0, *(len(t) for t, _ in events)])
+    time, taxel = (np.concatenate(column) for column in zip(*events, strict=True))
+    nothing = np.zeros(len(time), np.uint8)
+    table = EventTable(
+        time.astype("f4"), nothing, taxel.astype(np.uint8), nothing, offsets, (1, taxels)
+    )
+    return table, labels
+
+
+def test_what_only_time_tells_is_read_in_parts():
+    def events(rng, label):
+        when = {0: (0, 200), 1: (300, 480), 2: (770, 990)}[int(label)]
+        return np.append(rng.uniform(*when, 8), 0.0), rng.integers(0, 6, 9)
+
+    table, labels = table_of(events)
+    train = np.arange(len(labels))
+    reading = recipe.reading_for(table, labels, train, 10.0, 100)
+    assert reading.parts > 1
+    assert reading.accuracy > 0.7
+    again = recipe.reading_for(table, labels, train, 10.0, 100)
+    assert again == reading
+    assert recipe.reading_for(table, labels, train[:1], 10.0, 100).parts == 1
+
+
+def test_what_place_tells_needs_no_parts_and_the_longest_period():
+    def events(rng, label):
+        return rng.uniform(0, 990, 40), np.full(40, int(label))
+
+    reading = recipe.reading_for(*table_of(events), np.arange(120), 10.0, 100)
+    assert (reading.parts, reading.rest) == (1, max(recipe.RESTS))
+    assert 0.3 < reading.lost < 0.95
+    assert "parts" not in reading.text(10.0)
+
+
+def test_left_out_accuracy_is_that_of_fits_without_the_sample():
+    rng = np.random.default_rng(0)
+    labels = np.arange(24) % 3
+    inputs = rng.normal(size=(24, 4)) + 0.8 * np.eye(4)[labels]
+    centred = inputs - inputs.mean(0)
+    kernel = centred @ centred.T
+    kernel = kernel / (np.trace(kernel) / 24) + 1
+    classes = np.eye(3)[labels]
+    best = 0.0
+    for ridge in recipe.RIDGES:
+        right = 0
+        for out in range(24):
+            rest = np.delete(np.arange(24), out)
+            inner = kernel[np.ix_(rest, rest)] + ridge * np.eye(23)
+            scores = kernel[out, rest] @ np.linalg.solve(inner, classes[rest])
+            right += scores.argmax() == labels[out]
+        best = max(best, right / 24)
+    assert recipe.left_out_accuracy(inputs, labels) == pytest.approx(best)
+
+
+@pytest.mark.parametrize(
+    ("samples", "handwriting", "expected"), [(576, False, 80), (1079, False, 58), (5006, True, 80)]
+)
+def test_the_number_of_updates_is_fixed(samples, handwriting, expected):
+    assert recipe.epochs_for(samples, 32, handwriting) == expected
+    assert recipe.epochs_for(200, 32, handwriting) * 7 == pytest.approx(recipe.UPDATES, rel=0.01)
