@@ -124,13 +124,13 @@ def fitted_to_people(spec, others, recordings, draws: int, seed: int):
             for each in EACH:
                 some = first[:, :each].ravel()
                 person = Person(responses[some], mine.labels[some], copies[some])
-                fit = refit(readout.weights, readout.bias, person, kept, draw, responder.scale)
-                new = fit.weights if fit.helps else readout.weights
+                fit = refit(readout.by_class, readout.bias, person, kept, draw, responder.scale)
+                new = fit.weights if fit.helps else readout.by_class
                 tested = responses[rest], mine.labels[rest]
                 results[each].append(
                     [
-                        *(_accuracy(readout, w, tested) for w in (readout.weights, new)),
-                        *(_accuracy(readout, w, elsewhere) for w in (readout.weights, new)),
+                        *(_accuracy(readout, w, tested) for w in (readout.by_class, new)),
+                        *(_accuracy(readout, w, elsewhere) for w in (readout.by_class, new)),
                         float(fit.helps),
                     ]
                 )
