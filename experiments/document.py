@@ -81,9 +81,7 @@ def part(name: str) -> str:
     splits = dict.fromkeys(row["split"] for row in content["rows"])
     parts = [markdown(studies.cells(experiment, content, split)) for split in splits]
     if content["comparisons"]:
-        compared = [["difference, points", "", "95 % interval", "p, Holm"]]
-        compared += study.comparisons_cells(content)
-        parts.append(markdown(compared))
+        parts.append(markdown(study.comparisons_cells(content)))
     return "\n\n".join([*parts, experiment.note])
 
 

@@ -415,11 +415,12 @@ def text(experiment: Experiment, found: dict) -> str:
     lines = [f"{experiment.title}, on {what}: means over splits"]
     for split in dict.fromkeys(row["split"] for row in found["rows"]):
         lines += ["", *aligned(cells(experiment, found, split))]
-        if split == "published":
+        if any(len(row["seeds"]) == 1 for row in found["rows"]):
+            lines.append("the intervals of a single split are Wilson's, over its test samples")
+        elif split == "published":
             lines.append("the intervals are over trainings on this one split")
-    if comparisons := study.comparisons_cells(found):
-        heads = ["differences on the same samples", "points", "95 % interval", "p, Holm"]
-        lines += ["", *aligned([heads, *comparisons])]
+    if found["comparisons"]:
+        lines += ["", *aligned(study.comparisons_cells(found))]
     lines += ["", *filter(None, [experiment.note])]
     lines.append(
         "operations: synaptic, readout included, relative to the multiply-accumulates of the "

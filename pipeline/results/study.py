@@ -492,14 +492,15 @@ def interval_text(ci95, scale: float = 1.0, digits: int = 3, sign: str = "") -> 
 
 
 def comparisons_cells(found: dict) -> list:
-    """The comparisons of a table as lists of text, in points; a loss is negative."""
+    """The comparisons of a table as lists of text, the heads first; a loss is negative."""
     rows = []
     for entry in found["comparisons"]:
         p = "" if entry["p_holm"] is None else p_text(entry["p_holm"])
         title = f"{entry['a']} minus {entry['b']}, {entry['split']} splits"
         interval = interval_text(entry["ci95"], 100, 2, "+")
-        rows.append([title, f"{100 * entry['mean']:+.2f}", interval, p])
-    return rows
+        agreement = f"{entry['agreement']:.1%}" if "agreement" in entry else ""
+        rows.append([title, f"{100 * entry['mean']:+.2f}", interval, p, agreement])
+    return [["on the same samples", "points", "95 % interval", "p, Holm", "equal answers"], *rows]
 
 
 def fitted_to_inputs(settings: Settings, kinds, recordings, say: Callable) -> dict:
