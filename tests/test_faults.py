@@ -132,7 +132,8 @@ def test_a_corrupt_cache(refused, tmp_path, monkeypatch):
 
 
 def test_every_kind_of_bad_recording_has_a_line(tmp_path, capsys):
-    archive(tmp_path / "st.zip", {**good_members(), "3/a.mat": b"x", "4/b.mat": b""})
+    bad = {"data_submission/3/a.mat": b"x", "data_submission/4/b.mat": b""}
+    archive(tmp_path / "st.zip", {**good_members(), **bad})
     assert call("data", "import", tmp_path / "st.zip", "--jobs", 1) == 2
     first, *lines = capsys.readouterr().err.splitlines()
     assert missing(first, "2 of 12", "--skip-bad") == []

@@ -101,7 +101,10 @@ def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, ca
     write_recordings(tmp_path / "renamed.zip", renamed)
     larger = [((2 * x, y, t, p), label) for (x, y, t, p), label in gestures(2)]
     write_recordings(tmp_path / "larger.zip", larger, CLASSES)
-    for name, reason in (("renamed.zip", "class 0"), ("larger.zip", "outside 12 columns")):
+    for name, reason in (
+        ("renamed.zip", "class 0"),
+        ("larger.zip", "of a sensor of 9 x 23 taxels"),
+    ):
         shown = ("--target", "fast", "--data", tmp_path / name)
         assert call("check", "run", folder / "image", *shown) == 2
         assert reason in capsys.readouterr().err
