@@ -110,7 +110,7 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     counts = np.bincount(labels, minlength=len(classes))
     if np.count_nonzero(counts) < 2:
         return "recordings of one class only; at least two are needed"
-    if kind_of(kind, recordings) != PUBLISHED:
+    if kind_of(kind, recordings) != PUBLISHED or not recordings.is_split:
         if single := [classes[i] for i in np.flatnonzero(counts == 1)]:
             return f"only one recording of {_listed(single)}; record more, or take the folder away"
         return None
