@@ -76,7 +76,7 @@ FLOORS = {
     ],
     "deploy": [
         {"terminal"},
-        {"errors", "limits", "tables", "requirements"},
+        {"errors", "limits", "loading", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

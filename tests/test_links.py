@@ -71,7 +71,7 @@ def test_every_file_of_a_run_is_written_in_the_place_of_a_link(tiny_run, run, el
     (run / "experiment.toml").unlink()  # is read first, and makes the folder a run's
     shutil.copy(tiny_run / "experiment.toml", run)
     shutil.rmtree(run / "bundle")
-    for name in ("cnn", "snn"):
+    for name in ("counts", "cnn", "snn"):
         for path in (run / name).iterdir():  # so are metrics, and refused as damaged
             path.unlink()
             path.symlink_to(elsewhere.parent / "nothing there")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from dataclasses import dataclass
-from typing import List, Optional
+from typing import Dict, List, Optional
 
 import nengo
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from .. import __version__
 from ..errors import CheckFailed, UserError
 from ..files import read_json
+from ..loading import Limit, WrongValue, between, limited, load
 from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
 from ..network.operations import multiply_accumulates
@@ -151,20 +152,17 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
         raise UserError(
             f"{path}: schema {result.get('schema')!r}, but this version reads {SCHEMA!r}; {remedy}"
         )
-    for name, fits in _FIELDS.items():
-        if not fits(result[name]) if name in result else name not in _OPTIONAL:
-            raise UserError(
-                f"{path}: not a complete check result ({name!r} is missing or wrong); {remedy}"
-            )
+    try:
+        load(_Result, result, extra=True)
+    except WrongValue as error:
+        raise UserError(f"{path}: not a complete check result ({error}); {remedy}") from error
     samples = result["samples"]
-    for index, sample in enumerate(samples):
-        if not _is_sample(sample):
-            raise UserError(f"{path}: not a complete check result (sample {index + 1}); {remedy}")
     right = sum(sample["label"] == sample["prediction"] for sample in samples)
     sound = (
         len(samples) == result["n_samples"]
         and len({sample["id"] for sample in samples}) == len(samples)
         and len({len(sample["scores"]) for sample in samples}) == 1
+        and all(max(s["label"], s["prediction"]) < len(s["scores"]) for s in samples)
         and abs(right / len(samples) - result["accuracy"]) < 1e-9
     )
     if not sound:
@@ -172,123 +170,91 @@ def read_result(path, remedy="run 'stmnist check run' again") -> dict:
     return result
 
 
-def _is_count(value, below=2**53):
-    return type(value) is int and 0 <= value < below
-
-
-def _is_number(value):
-    return type(value) in (int, float) and -1e300 <= value <= 1e300  # False for NaN
-
-
-def _are_numbers(values):
-    return isinstance(values, list) and all(map(_is_number, values))
-
-
-def _is_text(value):
-    try:
-        return isinstance(value, str) and len(value.encode("utf-8")) <= 10_000
-    except UnicodeEncodeError:
-        return False
-
-
-def _are_counts(values):
-    """True for counts by layer."""
-    return isinstance(values, dict) and all(_is_number(v) and v >= 0 for v in values.values())
+COUNT = between(0, 2**53)
+SHARE = between(0, 1)
+INTERVAL = Limit(
+    lambda pair: len(pair) == 2 and all(map(SHARE.holds, pair)), "two numbers from 0 to 1"
+)
+SHARES_OF_1 = Limit(lambda values: all(map(SHARE.holds, values)), "numbers from 0 to 1")
+COUNTS = Limit(lambda counts: all(n >= 0 for n in counts.values()), "counts of at least 0")
 
 
 def is_share(value) -> bool:
     """True if a value is a number from 0 to 1."""
-    return _is_number(value) and 0 <= value <= 1
+    return type(value) in (int, float) and 0 <= value <= 1
 
 
-def _are_shares(values):
-    return isinstance(values, list) and all(map(is_share, values))
+@dataclass(frozen=True)
+class _Sample:
+    id: str
+    label: int = limited(COUNT)
+    prediction: int = limited(COUNT)
+    scores: List[float]
+    stable_after: Optional[int] = limited(COUNT)
+    stopped_at: Optional[int] = limited(COUNT, None)
+    spike_hash: Optional[str] = None
 
 
-def _is_while_written(value):
-    if not isinstance(value, dict):
-        return False
-    shares, accuracy = value.get("shares"), value.get("accuracy")
-    return (
-        _are_shares(shares)
-        and _are_shares(accuracy)
-        and len(shares) == len(accuracy) > 0
-        and _is_number(value.get("step_ms"))
-        and _is_number(value.get("written_steps_mean"))
-        and ("by_itself" not in value or _is_by_itself(value["by_itself"]))
-    )
+@dataclass(frozen=True)
+class _ByItself:
+    confidence: float = limited(SHARE)
+    accuracy: float = limited(SHARE)
+    accuracy_ci95: List[float] = limited(INTERVAL)
+    share_of_writing_mean: float = limited(SHARE)
+    before_the_end: float = limited(SHARE)
 
 
-def _is_by_itself(value):
-    names = ("confidence", "accuracy", "share_of_writing_mean", "before_the_end")
-    return (
-        isinstance(value, dict)
-        and all(is_share(value.get(name)) for name in names)
-        and _are_shares(value.get("accuracy_ci95"))
-        and len(value["accuracy_ci95"]) == 2
-    )
+@dataclass(frozen=True)
+class _WhileWritten:
+    shares: List[float] = limited(SHARES_OF_1)
+    accuracy: List[float] = limited(SHARES_OF_1)
+    step_ms: float
+    written_steps_mean: float
+    by_itself: Optional[_ByItself] = None
+
+    def __post_init__(self):
+        if not len(self.shares) == len(self.accuracy) > 0:
+            raise WrongValue("accuracy", "must be as long as 'shares'")
 
 
-def _is_part(value):
-    """True for valid results on the samples of a class or of a writer."""
-    return (
-        isinstance(value, dict)
-        and _is_count(value.get("n"))
-        and is_share(value.get("accuracy"))
-        and _are_shares(value.get("accuracy_ci95"))
-        and len(value["accuracy_ci95"]) == 2
-    )
+@dataclass(frozen=True)
+class _Data:
+    source: str
+    sha256: str
+    recordings: int = limited(COUNT)
 
 
-_FIELDS = {
-    "bundle": _is_text,
-    "target": _is_text,
-    "n_samples": _is_count,
-    "samples": lambda v: isinstance(v, list) and len(v) >= 1,
-    "accuracy": _is_number,
-    "accuracy_ci95": lambda v: _are_numbers(v) and len(v) == 2,
-    "stable_after_median": lambda v: v is None or _is_number(v),
-    "anytime_accuracy": _are_numbers,
-    "steps_per_sample": _is_count,
-    "simulated": lambda v: v is None or isinstance(v, bool),
-    "spikes": _are_counts,
-    "synaptic_operations": _are_counts,
-    "wall_seconds": lambda v: _is_number(v) and v >= 0,
-    "versions": lambda v: isinstance(v, dict) and all(map(_is_text, v.values())),
-    "while_written": _is_while_written,
-    "data": lambda v: (
-        isinstance(v, dict)
-        and all(_is_text(v.get(name)) for name in ("source", "sha256"))
-        and _is_count(v.get("recordings"))
-    ),
-    "classes": lambda v: isinstance(v, list) and all(map(_is_text, v)),
-    "confusion": lambda v: (
-        isinstance(v, list)
-        and all(
-            isinstance(row, list) and len(row) == len(v) and all(map(_is_count, row)) for row in v
-        )
-    ),
-    "per_class": lambda v: isinstance(v, list) and all(map(_is_part, v)),
-    "per_writer": lambda v: isinstance(v, list) and all(map(_is_part, v)),
-}
-"""Fields that are read from a result, with their validation."""
-
-_OPTIONAL = {"while_written", "data", "classes", "confusion", "per_class", "per_writer"}
-"""Fields that exist for networks on events, or for results on other recordings."""
+@dataclass(frozen=True)
+class _Part:
+    n: int = limited(COUNT)
+    accuracy: float = limited(SHARE)
+    accuracy_ci95: List[float] = limited(INTERVAL)
 
 
-def _is_sample(value):
-    if not isinstance(value, dict) or not _are_numbers(value.get("scores")):
-        return False
-    classes = len(value["scores"])
-    return (
-        _is_text(value.get("id"))
-        and _is_count(value.get("label"), classes)
-        and _is_count(value.get("prediction"), classes)
-        and (value.get("stable_after") is None or _is_count(value["stable_after"]))
-        and ("stopped_at" not in value or _is_count(value["stopped_at"]))
-        and ("spike_hash" not in value or _is_text(value["spike_hash"]))
-    )
+@dataclass(frozen=True)
+class _Result:
+    """The fields that are read from a result; the last ones exist for some results only."""
+
+    bundle: str
+    target: str
+    n_samples: int = limited(COUNT)
+    samples: List[_Sample] = limited(Limit(len, "a sample or more"))
+    accuracy: float = limited(SHARE)
+    accuracy_ci95: List[float] = limited(INTERVAL)
+    stable_after_median: Optional[float]
+    anytime_accuracy: List[float] = limited(SHARES_OF_1)
+    steps_per_sample: int = limited(COUNT)
+    simulated: Optional[bool]
+    spikes: Dict[str, float] = limited(COUNTS)
+    synaptic_operations: Dict[str, float] = limited(COUNTS)
+    wall_seconds: float = limited(COUNT)
+    versions: Dict[str, str]
+    while_written: Optional[_WhileWritten] = None
+    data: Optional[_Data] = None
+    classes: Optional[List[str]] = None
+    confusion: Optional[List[List[int]]] = None
+    per_class: Optional[List[_Part]] = None
+    per_writer: Optional[List[_Part]] = None
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,35 @@ where ``s`` is the low-pass filtered spike train of the previous layer (each spi
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+import math
+from dataclasses import asdict, dataclass, field, replace
 from typing import Optional, Tuple
 
 import numpy as np
 
 from .. import limits
 from ..errors import UserError
+from ..loading import Limit, WrongValue, between, check, limited, load, one_of
 from .chip import LOIHI
 from .decision import Estimator
 from .geometry import convolution_fan_out, convolution_shape, pooled_shape
 from .rehearsal import Rehearsal
 from .stimulus import KINDS, Stimulus
+
+TAU = between(1e-6, limits.SECONDS, " seconds")
+AT_LEAST_1 = Limit(lambda value: value >= 1, "at least 1")
+SHAPE = Limit(
+    lambda shape: all(side >= 1 for side in shape) and math.prod(shape) <= limits.NEURONS,
+    f"sides of at least 1, with a product of at most {limits.NEURONS}",
+)
+RISING = Limit(
+    lambda starts: (
+        starts[:1] == (0,)
+        and all(a < b for a, b in zip(starts, starts[1:]))
+        and starts[-1] <= limits.STEPS
+    ),
+    f"rising from 0, to {limits.STEPS} at most",
+)
 
 DT = LOIHI.dt
 """Time step in seconds, on which NengoLoihi's decays and the firing rates of training depend."""
@@ -41,21 +58,13 @@ class Neurons:
         Lower bound of the membrane voltage, in units of the threshold.
     """
 
-    amplitude: float
-    tau_rc: float = 0.02
-    tau_ref: float = 0.001
-    min_voltage: float = 0.0
+    amplitude: float = limited(between(1e-9, limits.MAGNITUDE))
+    tau_rc: float = limited(TAU, 0.02)
+    tau_ref: float = limited(between(0, limits.REFRACTORY_S, " seconds"), 0.001)
+    min_voltage: float = limited(between(-limits.MAGNITUDE, 0), 0.0)
 
     def __post_init__(self):
-        # Conditions state what is allowed, so that NaN, which fails every comparison, is refused.
-        _require(1e-9 <= self.amplitude <= limits.MAGNITUDE, "neurons",
-                 "amplitude must be positive")  # fmt: skip
-        _require(1e-6 <= self.tau_rc <= limits.SECONDS, "neurons",
-                 f"tau_rc must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
-        _require(0 <= self.tau_ref <= limits.REFRACTORY_S, "neurons",
-                 f"tau_ref must be from 0 to {limits.REFRACTORY_S:g} seconds")  # fmt: skip
-        _require(-limits.MAGNITUDE <= self.min_voltage <= 0, "neurons",
-                 "min_voltage must not be positive")  # fmt: skip
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -102,24 +111,28 @@ class Layer:
     """
 
     name: str
-    kind: str
-    input_shape: Tuple[int, ...]
-    shape: Tuple[int, ...]
-    placement: str
+    kind: str = limited(one_of("conv", "dense"))
+    input_shape: Tuple[int, ...] = limited(SHAPE)
+    shape: Tuple[int, ...] = limited(SHAPE)
+    placement: str = limited(one_of("chip", "host"))
     neurons: Optional[Neurons]
-    synapse: Optional[float]
+    synapse: Optional[float] = limited(TAU)
     kernel: int
-    block_shape: Optional[Tuple[int, ...]]
+    block_shape: Optional[Tuple[int, ...]] = limited(SHAPE)
     weights: np.ndarray = field(repr=False, compare=False)
     bias: np.ndarray = field(repr=False, compare=False)
-    stride: int = 1
-    padding: str = "valid"
-    pool: int = 1
-    starts: Tuple[int, ...] = (0,)
+    stride: int = limited(AT_LEAST_1, 1)
+    padding: str = limited(one_of("valid", "same"), "valid")
+    pool: int = limited(AT_LEAST_1, 1)
+    starts: Tuple[int, ...] = limited(RISING, (0,))
     recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
         where = f"layer {self.name!r}"
+        try:
+            check(self)
+        except WrongValue as error:
+            raise UserError(f"network description: {where}: {error}") from error
         for name in ("input_shape", "shape", "block_shape", "starts"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
@@ -131,25 +144,11 @@ class Layer:
             _require(np.isfinite(array).all(), where, f"{name} has NaN or infinite values")
             _require(np.abs(array).max(initial=0) <= limits.MAGNITUDE, where,
                      f"{name} has a value above {limits.MAGNITUDE:g}")  # fmt: skip
-        _require(self.kind in ("conv", "dense"), where, "kind is neither 'conv' nor 'dense'")
-        _require(self.placement in ("chip", "host"), where, "placement is not 'chip' or 'host'")
         _require((self.neurons is None) == (self.placement == "host"), where,
                  "a layer on the chip has neurons, one on the host has none")  # fmt: skip
-        _require(self.synapse is None or 1e-6 <= self.synapse <= limits.SECONDS, where,
-                 f"synapse must be from 1e-6 to {limits.SECONDS:g} seconds")  # fmt: skip
-        for name in ("input_shape", "shape"):
-            _check_shape(getattr(self, name), where, name)
         if self.block_shape is not None:
-            _check_shape(self.block_shape, where, "block_shape")
             _require(len(self.block_shape) == len(self.shape), where,
                      f"block_shape {self.block_shape} and shape differ in length")  # fmt: skip
-        for name in ("stride", "pool"):
-            value = getattr(self, name)
-            _require(type(value) is int and value >= 1, where, f"{name} must be at least 1")
-        _require(self.padding in ("valid", "same"), where, "padding is neither 'valid' nor 'same'")
-        rising = all(a < b for a, b in zip(self.starts, self.starts[1:]))
-        _require(self.starts[:1] == (0,) and rising and self.starts[-1] <= limits.STEPS, where,
-                 f"starts must rise from 0, to {limits.STEPS} at most")  # fmt: skip
         in_host = self.kind == "dense" and self.neurons is None
         _require(in_host or self.parts == 1, where, "only a readout on the host has parts")
         image = self.kind == "conv" or self.pool > 1
@@ -238,15 +237,17 @@ class Presentation:
         A number is out of range; the message names the setting.
     """
 
-    steps: int = 100
+    steps: int = limited(between(1, limits.STEPS), 100)
     """Steps for which a sample is presented."""
-    gap: int = 20
+    gap: int = limited(between(0, limits.STEPS), 20)
     """Silent steps before each sample."""
-    readout_start: int = 20
+    readout_start: int = limited(between(0, limits.STEPS), 20)
     """Steps at the start of each sample that the readout ignores."""
-    stream_length: int = 10
+    stream_length: int = limited(between(1, limits.SAMPLES), 10)
     """Samples per stream; 1 means that every sample starts from a fresh network."""
-    confidence: Optional[float] = None
+    confidence: Optional[float] = limited(
+        Limit(lambda value: 0 < value <= 1, "above 0, at most 1"), None
+    )
     """Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
     the end."""
 
@@ -256,20 +257,11 @@ class Presentation:
         return self.gap + self.steps
 
     def __post_init__(self):
-        def need(condition, name, expected):
-            if not condition:
-                raise ValueError(f"'presentation.{name}' must be {expected}")
-
-        for name in ("steps", "gap", "readout_start", "stream_length"):
-            need(type(getattr(self, name)) is int, name, "a whole number")
-        if self.confidence is not None:
-            need(0 < self.confidence <= 1, "confidence", "above 0, at most 1")
-        need(1 <= self.steps <= limits.STEPS, "steps", f"from 1 to {limits.STEPS}")
-        need(0 <= self.gap <= limits.STEPS, "gap", f"from 0 to {limits.STEPS}")
-        need(0 <= self.readout_start < self.steps, "readout_start",
-             f"from 0 to below presentation.steps ({self.steps})")  # fmt: skip
-        need(1 <= self.stream_length <= limits.SAMPLES, "stream_length",
-             f"from 1 to {limits.SAMPLES}")  # fmt: skip
+        check(self)
+        if self.readout_start >= self.steps:
+            raise WrongValue(
+                "readout_start", f"must be from 0 to below presentation.steps ({self.steps})"
+            )
 
 
 @dataclass(frozen=True)
@@ -307,7 +299,7 @@ class NetworkSpec:
     def __post_init__(self):
         object.__setattr__(self, "input_shape", tuple(int(n) for n in self.input_shape))
         object.__setattr__(self, "layers", tuple(self.layers))
-        _check_shape(self.input_shape, "network", "input_shape")
+        _require(SHAPE.holds(self.input_shape), "network", f"input_shape is not {SHAPE.expected}")
         _require(1 <= len(self.layers) <= limits.LAYERS, "network", "has no layers, or too many")
         names = [layer.name for layer in self.layers]
         _require(all(map(_is_name, names)), "network", "a layer's name is not a short text")
@@ -392,24 +384,25 @@ class NetworkSpec:
         try:
             _require(value["dt"] == DT, "network",
                      f"time step is {value['dt']} s, this version runs {DT} s")  # fmt: skip
-            layers = []
-            for plain in value["layers"]:
-                name = plain["name"]
-                neurons = plain["neurons"]
-                own = dict(
-                    plain,
-                    neurons=None if neurons is None else _build(Neurons, neurons),
-                    weights=arrays[f"{name}.weights"],
-                    bias=arrays[f"{name}.bias"],
-                    recurrent=arrays.get(f"{name}.recurrent"),
+            layers = [
+                load(
+                    Layer,
+                    dict(
+                        plain,
+                        weights=arrays[f"{plain['name']}.weights"],
+                        bias=arrays[f"{plain['name']}.bias"],
+                        recurrent=arrays.get(f"{plain['name']}.recurrent"),
+                    ),
+                    f"layers[{index}]",
                 )
-                layers.append(_build(Layer, own))
+                for index, plain in enumerate(value["layers"])
+            ]
             spec = cls(
                 architecture=str(value["architecture"]),
                 input_shape=value["input_shape"],
                 stimulus=_stimulus(value["stimulus"]),
                 layers=tuple(layers),
-                presentation=_build(Presentation, value["presentation"]),
+                presentation=load(Presentation, value["presentation"], "presentation"),
                 provenance=dict(value.get("provenance", {})),
                 estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
@@ -421,19 +414,14 @@ class NetworkSpec:
         except KeyError as error:
             raise UserError(f"network description: {error} is missing") from error
         except (TypeError, AttributeError, ValueError, IndexError, OverflowError) as error:
-            raise UserError(f"network description: a wrong value ({error})") from error
+            raise UserError(f"network description: {error}") from error
 
 
 def _stimulus(value):
     values = dict(value)
     kind = values.pop("kind")
     _require(kind in KINDS, "stimulus", f"kind {kind!r} is not one of {', '.join(KINDS)}")
-    return _build(KINDS[kind], values, "stimulus")
-
-
-def _build(kind, values, where=None):
-    _only(values, [f.name for f in fields(kind)], where or kind.__name__.lower())
-    return kind(**values)
+    return load(KINDS[kind], values, "stimulus")
 
 
 def _only(values, known, where):
@@ -444,14 +432,6 @@ def _only(values, known, where):
 
 def _is_name(name):
     return isinstance(name, str) and 1 <= len(name) <= 100 and name.isprintable()
-
-
-def _check_shape(shape, where, name):
-    size = 1
-    for side in shape:
-        size *= side  # Python integers do not overflow
-    _require(all(side >= 1 for side in shape) and size <= limits.NEURONS, where,
-             f"{name} {shape} has a side below 1 or too many values")  # fmt: skip
 
 
 def _require(condition, where, problem):

@@ -13,7 +13,7 @@ from typing import ClassVar, Optional
 import numpy as np
 
 from .. import limits
-from ..errors import UserError
+from ..loading import Limit, between, check, limited
 from .chip import LOIHI
 
 
@@ -93,12 +93,11 @@ class ImageSpikes(Stimulus):
     """
 
     kind: ClassVar[str] = "image-spikes"
-    max_rate: float = 500.0
-    initial_phase: float = 0.5
+    max_rate: float = limited(between(1e-3, 1 / LOIHI.dt), 500.0)
+    initial_phase: float = limited(Limit(lambda value: 0 <= value < 1, "from 0 to below 1"), 0.5)
 
     def __post_init__(self):
-        _require(1e-3 <= self.max_rate <= 1 / LOIHI.dt, "max_rate must be above 0, at most 1000")
-        _require(0 <= self.initial_phase < 1, "initial_phase must be in [0, 1)")
+        check(self)
 
     @property
     def area(self) -> float:
@@ -142,13 +141,11 @@ class EventFrames(Stimulus):
 
     kind: ClassVar[str] = "events"
     static: ClassVar[bool] = False
-    seconds: float = 0.02
-    refractory: int = 0
+    seconds: float = limited(between(1e-6, limits.SECONDS), 0.02)
+    refractory: int = limited(between(0, limits.STEPS), 0)
 
     def __post_init__(self):
-        _require(1e-6 <= self.seconds <= limits.SECONDS, "seconds must be above 0")
-        _require(type(self.refractory) is int and 0 <= self.refractory <= limits.STEPS,
-                 f"refractory must be a whole number from 0 to {limits.STEPS}")  # fmt: skip
+        check(self)
 
     @property
     def shortest_interval(self) -> int:
@@ -250,8 +247,3 @@ class Feed:
             return self.blank
         shown = self.samples[sample]
         return shown if shown.ndim == 1 else shown[step - self.gap].astype(float)
-
-
-def _require(condition, problem):
-    if not condition:
-        raise UserError(f"network description: stimulus: {problem}")

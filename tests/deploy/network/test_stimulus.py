@@ -143,7 +143,7 @@ def test_a_taxel_that_spikes_while_it_rests_is_refused():
     assert spec.stimulus.complaint(frames, spec.input_shape, steps) is None
     assert "2 steps" in resting.stimulus.complaint(frames, spec.input_shape, steps)
     assert "shape" in resting.stimulus.complaint(frames.ravel(), spec.input_shape, steps)
-    with pytest.raises(UserError, match=r"refractory.* 0 to 10000"):
+    with pytest.raises(ValueError, match=r"refractory.* 0 to 10000"):
         EventFrames(0.01, refractory=-1)
 
 
@@ -159,5 +159,5 @@ def test_what_each_kind_shows():
     assert EventFrames().sample_shape((10, 10, 2), 50) == (50, 10, 10, 2)
     assert small_spec().stimulus.step_seconds == 0.001
     assert EventFrames(0.01).step_seconds == 0.01
-    with pytest.raises(UserError, match=r"seconds.* 0"):
+    with pytest.raises(ValueError, match=r"seconds.* 0"):
         EventFrames(0.0)

@@ -1,0 +1,185 @@
+"""Dataclasses from plain values, such as those of JSON or TOML, with types and limits checked.
+
+The type hints of a dataclass say what a value may be: ``bool``, ``int``, ``float`` (a whole number
+will do), ``str``, ``Optional``, ``Tuple[X, ...]``, ``List[X]``, ``Dict[str, X]`` or another
+dataclass; any other hint, such as ``dict`` or ``np.ndarray``, is not checked.  A :class:`Limit` is
+the metadata of a field (:func:`limited`) or, from Python 3.9 on, part of its hint
+(``Annotated[int, limit]``).  An error has the field's name with those around it, such as
+``layers[0].neurons.tau_rc``.
+"""
+
+from __future__ import annotations
+
+import functools
+import numbers
+from dataclasses import MISSING, field, fields, is_dataclass
+from typing import Callable, NamedTuple, Union, get_type_hints
+
+LARGEST = 1e300
+"""Largest magnitude of a number; NaN and infinite values are refused."""
+
+
+class Limit(NamedTuple):
+    """A condition on a value, and its wording in an error."""
+
+    holds: Callable
+    expected: str
+
+
+def between(low, high, unit="") -> Limit:
+    """The limit of a number from ``low`` to ``high``, both included."""
+    return Limit(lambda value: low <= value <= high, f"from {low:.10g} to {high:.10g}{unit}")
+
+
+def one_of(*values) -> Limit:
+    """The limit of a value that has only these values."""
+    return Limit(lambda value: value in values, "one of " + ", ".join(str(v) for v in values))
+
+
+def limited(limit: Limit, default=MISSING):
+    """A field of a dataclass with a limit; its value may be None if the hint allows it."""
+    return field(default=default, metadata={"limit": limit})
+
+
+class WrongValue(ValueError):
+    """A value does not fit its field.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name of the field; empty for the whole.
+    problem : str
+        Such as "must be from 0 to 1".
+    """
+
+    def __init__(self, name: str, problem: str):
+        self.name, self.problem = name, problem
+        super().__init__(f"'{name}' {problem}" if name else problem)
+
+
+def load(kind, values, name: str = "", extra: bool = False):
+    """Make a dataclass of plain values.
+
+    Parameters
+    ----------
+    kind : type
+        The dataclass.
+    values : dict
+        By the names of its fields.
+    name : str
+        Dotted name of the whole in error messages.
+    extra : bool
+        Ignore entries that are not fields, here and below.
+
+    Returns
+    -------
+    instance of ``kind``
+
+    Raises
+    ------
+    WrongValue
+        An entry is missing, unknown, of another type or beyond its limit.
+    """
+    if not isinstance(values, dict):
+        raise WrongValue(name, f"must be a table of values, not {_short(values)}")
+    known, built = {entry.name: entry for entry in fields(kind) if entry.init}, {}
+    unknown = sorted(str(each)[:40] for each in set(values) - set(known))
+    if unknown and not extra:
+        raise WrongValue(_joined(name, unknown[0]), "is unknown")
+    for entry_name, hint in _hints(kind).items():
+        if entry_name not in known:
+            continue
+        entry, where = known[entry_name], _joined(name, entry_name)
+        if entry_name in values:
+            value = _built(hint, values[entry_name], where, extra)
+            _require_limit(entry.metadata.get("limit"), value, where)
+            built[entry_name] = value
+        elif entry.default is MISSING and entry.default_factory is MISSING:
+            raise WrongValue(where, "is missing")
+    try:
+        return kind(**built)
+    except WrongValue as error:
+        raise WrongValue(_joined(name, error.name), error.problem) from error
+
+
+def check(instance):
+    """Check types and limits of a dataclass that was made otherwise, for its ``__post_init__``.
+
+    Raises
+    ------
+    WrongValue
+    """
+    for entry in fields(instance):
+        value = getattr(instance, entry.name)
+        _built(_hints(type(instance))[entry.name], value, entry.name, False)
+        _require_limit(entry.metadata.get("limit"), value, entry.name)
+
+
+@functools.lru_cache(maxsize=None)
+def _hints(kind):
+    try:
+        return get_type_hints(kind, include_extras=True)
+    except TypeError:  # Python 3.8
+        return get_type_hints(kind)
+
+
+def _built(hint, value, name, extra):
+    """The value of a field; raises an error if it is of another type."""
+    for limit in getattr(hint, "__metadata__", ()):
+        value = _built(hint.__origin__, value, name, extra)
+        _require_limit(limit, value, name)
+        return value
+    origin, inner = getattr(hint, "__origin__", hint), getattr(hint, "__args__", ())
+    if origin is Union or type(hint).__name__ == "UnionType":  # Optional[X], or X | None
+        return None if value is None else _built(inner[0], value, name, extra)
+    if is_dataclass(hint):
+        return value if isinstance(value, hint) else load(hint, value, name, extra)
+    if origin in (tuple, list):
+        _require(isinstance(value, (list, tuple)), name, "a list", value)
+        if origin is tuple and inner[-1] is not Ellipsis:
+            _require(len(value) == len(inner), name, f"a list of {len(inner)}", value)
+        hints = inner if origin is tuple and inner[-1] is not Ellipsis else inner[:1] * len(value)
+        parts = zip(hints, value)
+        return origin(_built(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(parts))
+    if origin is dict and inner:
+        _require(isinstance(value, dict), name, "a table of values", value)
+        return {key: _built(inner[1], v, _joined(name, key), extra) for key, v in value.items()}
+    if origin is bool:
+        _require(type(value) is bool, name, "true or false", value)
+    elif origin is int:
+        whole = isinstance(value, numbers.Integral) and type(value) is not bool  # NumPy's too
+        _require(whole, name, "a whole number", value)
+    elif origin is float:
+        number = isinstance(value, numbers.Real) and type(value) is not bool
+        _require(number and -LARGEST <= value <= LARGEST, name, "a finite number", value)
+    elif origin is str:
+        _require(_is_text(value), name, "text", value)
+    elif origin is dict:
+        _require(isinstance(value, dict), name, "a table of values", value)
+    return value
+
+
+def _is_text(value):
+    try:
+        return isinstance(value, str) and len(value.encode("utf-8")) <= 10_000
+    except UnicodeEncodeError:
+        return False
+
+
+def _require_limit(limit, value, name):
+    if limit is not None and value is not None and not limit.holds(value):
+        raise WrongValue(name, f"must be {limit.expected}, not {_short(value)}")
+
+
+def _require(condition, name, expected, value):
+    if not condition:
+        raise WrongValue(name, f"must be {expected}, not {_short(value)}")
+
+
+def _short(value):
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _joined(name, entry):
+    return f"{name}.{entry}" if name and entry else name or entry
