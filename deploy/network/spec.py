@@ -129,13 +129,13 @@ class Layer:
 
     def __post_init__(self):
         where = f"layer {self.name!r}"
+        for name in ("input_shape", "shape", "block_shape", "starts"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         try:
             check(self)
         except WrongValue as error:
             raise UserError(f"network description: {where}: {error}") from error
-        for name in ("input_shape", "shape", "block_shape", "starts"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         for name in self.arrays:
             array = np.asarray(getattr(self, name))
             _require(array.dtype.kind in "fiu", where, f"{name} are not real numbers")
