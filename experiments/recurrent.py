@@ -1,0 +1,82 @@
+"""A recurrent network trained in snnTorch, imported from NIR, on NengoLoihi's emulator.
+
+The network is trained on the published training part of a data set of events and compared on the
+published test part.  PyTorch is in an environment of its own (``make setup-nir``).
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from deploy.files import read_arrays, write_arrays
+from deploy.tables import aligned
+from deploy.targets.registry import answer
+from deploy.terminal import show
+from models.nir_graph import read_nir
+from models.nir_simulator import simulate
+from pipeline.data.dataset import Dataset
+from pipeline.roads.conversion import spec_of_nir
+from pipeline.roads.nir_answers import graph_inputs
+from pipeline.roads.nir_settings import FROM_REST, Stepped
+from pipeline.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main(
+    data: Annotated[Path, typer.Argument(help="Recordings with a published split.")],
+    seeds: Annotated[int, typer.Option(help="Number of networks.")] = 3,
+    epochs: Annotated[int, typer.Option(help="Epochs of each training.")] = 60,
+    step: Annotated[float, typer.Option(help="Milliseconds of a step.")] = 20.0,
+    target: Annotated[str, typer.Option(help="Target on which the networks are run.")] = "emulator",
+    python: Annotated[Path, typer.Option(help="Python with snnTorch.")] = ROOT
+    / ".venv-nir/bin/python",
+):
+    """Train a recurrent network in snnTorch, import it and compare it on the test part."""
+    changes = {
+        "data": {"source": str(data)},
+        "input": {"kind": "events", "step": step, "refractory": 0.0},
+        "presentation": FROM_REST,
+    }
+    settings = Settings().with_values(changes, "recurrent")
+    dataset = Dataset.of(settings)
+    rows = [("seed", "snnTorch", "graph", target, "points lost", "same answers", "same spikes")]
+    with tempfile.TemporaryDirectory() as folder:
+        frames = Path(folder) / "frames.npz"
+        images = np.moveaxis(dataset.inputs, -1, 2).reshape(*dataset.inputs.shape[:2], -1)
+        parts = {name: images[getattr(dataset.split, name)] for name in ("train", "test")}
+        write_arrays(frames, labels=dataset.labels[dataset.split.train], **parts)
+        for seed in range(seeds):
+            graph, answers = Path(folder) / f"{seed}.nir", Path(folder) / f"{seed}.npz"
+            script = ROOT / "experiments" / "recurrent_torch.py"
+            arguments = python, script, frames, graph, answers, seed, epochs
+            subprocess.run([str(argument) for argument in arguments], check=True)
+            rows.append((str(seed), *compared(graph, answers, settings, dataset, target)))
+    show("\n".join(aligned(rows)))
+
+
+def compared(graph, answers, settings, dataset, target) -> tuple:
+    """The columns of a network: accuracies, and what snnTorch, graph and chip have in common."""
+    network, theirs = read_nir(graph), read_arrays(answers, "train again")
+    stepped, shown = Stepped.of(settings, network), settings.presented()
+    samples = dataset.inputs[np.sort(dataset.split.train)[:: len(dataset.split.train) // 48]]
+    spec = spec_of_nir(network, stepped, settings.stimulus, shown, samples, {})
+    inputs, labels = (x[dataset.split.test] for x in (dataset.inputs, dataset.labels))
+    held = graph_inputs(network, inputs, settings.steps)
+    outputs = simulate(network, held, stepped.seconds, stepped.method).outputs
+    same = (outputs == np.moveaxis(theirs["outputs"], 0, 1)).mean()
+    chip, torch = answer(spec, inputs, target).predictions, theirs["predictions"]
+    accuracies = [(p == labels).mean() for p in (torch, outputs.sum(1).argmax(1), chip)]
+    lost = 100 * (accuracies[0] - accuracies[2])
+    return (
+        *(f"{accuracy:.3f}" for accuracy in accuracies),
+        f"{lost:.1f}",
+        f"{(chip == torch).mean():.1%}",
+        f"{same:.2%}",
+    )
