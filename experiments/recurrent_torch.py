@@ -34,7 +34,9 @@ def network_of(inputs, classes):
         reset_mechanism="zero", spike_grad=grad, init_hidden=True,
     )  # fmt: skip
     first = torch.nn.Linear(inputs, UNITS, bias=False)
-    return torch.nn.Sequential(first, recurrent, torch.nn.Linear(UNITS, classes, bias=False), output)
+    return torch.nn.Sequential(
+        first, recurrent, torch.nn.Linear(UNITS, classes, bias=False), output
+    )
 
 
 def run(network, frames):
@@ -85,7 +87,9 @@ def main(given, graph, answers, seed, epochs):
     train(network, parts["train"], parts["labels"], int(epochs), classes)
     with torch.no_grad():
         outputs = run(network, parts["test"])
-    nir.write(graph, export_to_nir(network, torch.zeros(1, parts["test"].shape[2]), ignore_dims=[0]))
+    nir.write(
+        graph, export_to_nir(network, torch.zeros(1, parts["test"].shape[2]), ignore_dims=[0])
+    )
     np.savez(answers, predictions=outputs.sum(0).argmax(1).numpy(), outputs=outputs.numpy())
 
 

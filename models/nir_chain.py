@@ -66,7 +66,8 @@ def from_nir(
         Method of integration of the graph's equations; see :mod:`models.nir_simulator`.
     input_shape : tuple of int, optional
         (rows, columns, channels) of the chip's input, if the graph's input is flat (channels first,
-        then rows, then columns).
+        then rows, then columns).  Its two channels are one of a graph with half as many inputs, for
+        which events of both polarities are the same.
     read : range, optional
         Steps of a sample in which the readout is averaged.  A readout behind a filter has the
         graph's mean bias in these steps, since that of the host is the same at each step; by
@@ -94,6 +95,9 @@ def from_nir(
         groups.append(run)
     shape = network.input_shape
     place = _places_first(shape) if input_shape is None else tuple(input_shape)
+    if merged := merges_polarities(network, place):
+        input_shape = place = (*place[:2], 1)
+    place_of_input = place
     as_given = len(shape) != 3 or place == _places_first(shape)
     if math.prod(place) != math.prod(shape) or not as_given:
         raise NirError(
@@ -112,7 +116,24 @@ def from_nir(
         )
         before, place = nodes[-1].shape, layers[-1].shape
         is_image = len(place) == 3
+    if merged:
+        first = layers[0]
+        axis = 2 if first.kind == "conv" else 0
+        weights = np.repeat(first.weights, 2, axis)
+        layers[0] = replace(first, input_shape=(*place_of_input[:2], 2), weights=weights)
     return tuple(layers)
+
+
+def merges_polarities(network: NirNetwork, place) -> bool:
+    """True for a graph with one input for both polarities of each taxel.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    place : tuple of int
+        (rows, columns, channels) of the sensor's events.
+    """
+    return tuple(place[2:]) == (2,) and math.prod(place) == 2 * math.prod(network.input_shape)
 
 
 def _link(nodes, step, method, before, place, is_image, last, read) -> Link:

@@ -42,9 +42,9 @@ from models.nir_graph import FILTERS, SPIKING, NirError, NirNetwork, Node
 
 METHODS = ("exact", "euler")
 
-RESETS = ("value", "subtract")
-"""Effect of a spike on v: set it to v_reset, as in NIR; or subtract v_threshold - v_reset in the
-next step, after the leak, as snnTorch's ``subtract`` does."""
+RESETS = ("value", "subtract", "subtract-late")
+"""Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; or subtract
+it in the next step, after the leak, as snnTorch's ``subtract`` does by default."""
 
 AT_ONCE = 50
 """Samples that are simulated together, which bounds the memory."""
@@ -206,7 +206,7 @@ def _after_spike(node, voltage, step, method, reset):
     if reset == "value":
         return node["v_reset"]
     taken = node["v_threshold"] - node["v_reset"]
-    if node.kind != "IF":  # the leak reduces it
+    if reset == "subtract-late" and node.kind != "IF":  # the leak reduces it
         taken = taken / decay(node["tau" if node.kind == "LIF" else "tau_mem"], step, method)
     return voltage - taken
 

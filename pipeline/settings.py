@@ -262,6 +262,10 @@ class NIR(Section):
     """Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
     Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote the
     graph, otherwise ``exact``."""
+    reset: Annotated[str, one_of("value", "subtract", "subtract-late")] = "value"
+    """The reset with which the graph was trained, which NIR does not record: ``value``, to
+    ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
+    step, as snnTorch does unless ``reset_delay=False``."""
 
 
 @dataclass(frozen=True)

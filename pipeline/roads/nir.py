@@ -46,7 +46,7 @@ class NirRoad(Road):
     @property
     def parts(self):
         shown = ("presentation.steps",) if self.settings.on_events else ("presentation", "image")
-        reads = ("input", "nir.sha256", "nir.step", "nir.method", *shown)
+        reads = ("input", "nir.sha256", "nir.step", "nir.method", "nir.reset", *shown)
         files = ("metrics.json", GRAPH)
         return counts.PART, Part("nir", "snn", files, reads, self._read, action="reading")
 

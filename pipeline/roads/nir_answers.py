@@ -11,6 +11,7 @@ from deploy.check.bundle import Bundle
 from deploy.network.chip import LOIHI
 from deploy.network.responses import Responses, read_output
 from deploy.network.stimulus import EventFrames
+from models.nir_chain import merges_polarities
 from models.nir_graph import NirNetwork
 from models.nir_simulator import AT_ONCE, simulate
 from pipeline.roads.nir_settings import Stepped, graph_in
@@ -78,6 +79,8 @@ def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
     """
     if inputs.ndim == 4:
         inputs = np.broadcast_to(inputs[:, None], (len(inputs), steps, *inputs.shape[1:]))
+    if merges_polarities(network, inputs.shape[-3:]):
+        inputs = inputs.max(-1, keepdims=True)
     first = np.moveaxis(inputs, -1, 2)
     return first.reshape(*first.shape[:2], *network.input_shape)
 
@@ -115,7 +118,8 @@ def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=No
         Called with the number of samples done since the last call.
     """
     network, inputs, spec = graph_in(folder, settings), bundle.checks.inputs, bundle.spec
-    outputs, counts = outputs_of(network, Stepped.of(settings, network), inputs, settings, advance)
+    stepped, reset = Stepped.of(settings, network), settings.nir.reset
+    outputs, counts = outputs_of(network, stepped, inputs, settings, advance, reset)
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds

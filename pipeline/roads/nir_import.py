@@ -5,6 +5,7 @@ The run has a copy of the graph, ``snn/network.nir``, from which everything else
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -33,11 +34,11 @@ from pipeline.settings import SIMULATED, Settings
 DECIDED_ON = 300
 """Maximum number of training samples on which the confidence for early decisions is chosen."""
 
-RESETTING = ("IF", "LIF", "CubaLIF")
-"""Nodes whose voltage a spike resets."""
-
 RESET_ON = 200
 """Maximum number of training samples on which the two resets are compared."""
+
+RUNAWAY = 0.9
+"""Share of the steps with spikes from which a neuron counts as one that never rests."""
 
 
 def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
@@ -66,13 +67,15 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     layers, cost = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset)), None
     for line in notes(network, layers, stepped):
         say(f"nir: {line}")
-    if any(node.kind in RESETTING for node in network.nodes):
+    if settings.nir.reset != "value":
         cost = reset_cost(network, stepped, settings, dataset)
         say(f"nir: {_reset_text(cost)}")
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
-        answers = outputs_of(network, stepped, dataset.inputs[index], settings, advance)[0]
+        inputs, reset = dataset.inputs[index], settings.nir.reset
+        answers, spikes = outputs_of(network, stepped, inputs, settings, advance, reset)
+    _refuse_runaway(network, spikes, settings.steps)
     right = predictions_of(answers, settings) == dataset.labels[index]
     accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
     metrics = {
@@ -83,7 +86,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "epochs": 0,
         "step_seconds": stepped.seconds,
         "method": stepped.method,
-        "reset_by_subtraction": cost,
+        "reset": cost,
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
         "versions": NUMPY,
     }
@@ -133,13 +136,15 @@ def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     return source, network
 
 
-def refuse_early(settings: Settings):
+def refuse_early(settings: Settings, strict: bool = False):
     """Refuse a graph that cannot fit any recordings, before anything is written.
 
     Parameters
     ----------
     settings : Settings
         With ``nir.file``.
+    strict : bool
+        Also refuse a graph that was trained with another reset than the chip's.
 
     Raises
     ------
@@ -148,6 +153,11 @@ def refuse_early(settings: Settings):
     """
     source = settings.nir.file
     network = read_nir(source)
+    if strict and settings.nir.reset != "value":
+        raise UserError(
+            f"{source}: trained with a reset by subtraction ('nir.reset'), and the chip resets to "
+            "v_reset; train it with a reset to zero, or convert it without --strict"
+        )
     if settings.data.source == SIMULATED:
         skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
         require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
@@ -179,7 +189,8 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source):
         The message has the required sensor and classes.
     """
     (rows, columns, channels), shape = fed_shape, network.input_shape
-    if shape not in ((channels, rows, columns), (channels * rows * columns,)):
+    fits = [(n, rows, columns) for n in {channels, 1}]  # one for both polarities
+    if shape not in (*fits, *((math.prod(fit),) for fit in fits)):
         what = "events" if channels == 2 else "an image"
         raise UserError(
             f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
@@ -235,44 +246,57 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
 
 
 def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
-    """Effect of a reset by subtraction on a graph's answers to training samples.
-
-    A graph does not record how its network was trained to reset; the chip resets to ``v_reset``.
+    """Effect of the chip's reset on the answers of a graph that was trained with another.
 
     Returns
     -------
     dict
-        ``samples``; ``accuracy`` with the chip's reset and ``accuracy_subtracting``; ``agreement``
-        of their predictions; ``spikes``, the ratio of spikes by subtraction to those with the
-        chip's reset.
+        Training ``samples``; ``accuracy`` with the chip's reset and ``accuracy_as_trained``;
+        ``agreement``, the share of samples with the same prediction.
     """
     rng = np.random.default_rng([settings.seed, 0x5EB])
     some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
-    predictions, spikes = {}, {}
-    for reset in ("value", "subtract"):
-        outputs, counts = outputs_of(network, stepped, dataset.inputs[some], settings, reset=reset)
-        predictions[reset] = predictions_of(outputs, settings)
-        spikes[reset] = sum(int(count.sum()) for count in counts.values())
-    labels = dataset.labels[some]
+    inputs, labels = dataset.inputs[some], dataset.labels[some]
+    chip, trained = (
+        predictions_of(outputs_of(network, stepped, inputs, settings, reset=reset)[0], settings)
+        for reset in ("value", settings.nir.reset)
+    )
     return {
         "samples": len(some),
-        "accuracy": float((predictions["value"] == labels).mean()),
-        "accuracy_subtracting": float((predictions["subtract"] == labels).mean()),
-        "agreement": float((predictions["value"] == predictions["subtract"]).mean()),
-        "spikes": spikes["subtract"] / max(spikes["value"], 1),
+        "accuracy": float((chip == labels).mean()),
+        "accuracy_as_trained": float((trained == labels).mean()),
+        "agreement": float((chip == trained).mean()),
     }
 
 
 def _reset_text(cost):
-    here, there = cost["accuracy"], cost["accuracy_subtracting"]
-    text = (
-        f"neurons reset to v_reset; with a reset by subtraction the accuracy on {cost['samples']} "
-        f"training samples is {there:.3f} instead of {here:.3f}, {cost['agreement']:.1%} of the "
-        f"answers are the same, and there are {cost['spikes']:.2f} times as many spikes"
+    return (
+        f"neurons reset to v_reset on the chip, not by subtraction: an accuracy of "
+        f"{cost['accuracy']:.3f} instead of {cost['accuracy_as_trained']:.3f} on "
+        f"{cost['samples']} training samples, {cost['agreement']:.1%} of their answers are the same"
     )
-    if there <= here:
-        return text
-    return text + "; if it was trained with that reset, train it with a reset to zero"
+
+
+def _refuse_runaway(network, spikes, steps):
+    """Refuse a recurrent layer most of whose neurons spike at almost every step.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    spikes : dict of str to ndarray, shape (n_samples, neurons)
+        Number of spikes by the node's name.
+    steps : int
+    """
+    for node in network.nodes:
+        if node.loop is None:
+            continue
+        share = (spikes[node.name] > RUNAWAY * steps).mean()
+        if share > 0.5:
+            raise UserError(
+                f"{node}: its connection to itself through {node.loop.name!r} runs away: "
+                f"{share:.0%} of its neurons spike at almost every step of these recordings; "
+                "correct the step (--step), or train it on inputs of this density"
+            )
 
 
 def _threshold(network, stepped, layers, settings, dataset):
@@ -281,7 +305,7 @@ def _threshold(network, stepped, layers, settings, dataset):
         return None
     held_out = decided_on(dataset.split, settings.seed)
     inputs = dataset.inputs[held_out]
-    outputs = outputs_of(network, stepped, inputs, settings)[0]
+    outputs = outputs_of(network, stepped, inputs, settings, reset=settings.nir.reset)[0]
     sums = delayed(np.cumsum(outputs, 1), len(layers))
     found = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
     return {**trusted(found, len(held_out))._asdict(), "samples": len(held_out)}

@@ -58,17 +58,18 @@ def test_steps_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("r", "value", "subtract"),
+    ("r", "value", "subtract", "late"),
     [
-        # 0.95 a step; value: 0.95, 1.425; subtract: 0.95, 1.425, 0.7125 - 1 + 0.95, 1.28, 0.59
-        (1.9, [0, 1, 0, 1, 0], [0, 1, 0, 1, 0]),
-        # 0.79 a step; subtract: 0.79, 1.185, 0.5925 - 1 + 0.79, 0.98, 1.28
-        (1.58, [0, 1, 0, 1, 0], [0, 1, 0, 0, 1]),
+        # 0.95 a step; value: 0.95, 1.425; subtract: 0.95, 1.425, 0.2125 + 0.95, 0.08 + 0.95, 0.97;
+        # late: 0.95, 1.425, 0.7125 - 1 + 0.95, 1.28, 0.59
+        (1.9, [0, 1, 0, 1, 0], [0, 1, 1, 1, 0], [0, 1, 0, 1, 0]),
+        # 0.79 a step; late: 0.79, 1.185, 0.5925 - 1 + 0.79, 0.98, 1.28
+        (1.58, [0, 1, 0, 1, 0], [0, 1, 0, 1, 0], [0, 1, 0, 0, 1]),
     ],
 )
-def test_resets_by_hand(r, value, subtract):
+def test_resets_by_hand(r, value, subtract, late):
     network = network_of((1,), lif(2 * H, r))
-    for reset, wanted in zip(RESETS, (value, subtract), strict=True):
+    for reset, wanted in zip(RESETS, (value, subtract, late), strict=True):
         found = simulate(network, np.ones((1, 5, 1)), H, "euler", reset).outputs[0, :, 0]
         assert found.tolist() == wanted, reset
 

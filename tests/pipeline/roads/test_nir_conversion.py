@@ -1,5 +1,6 @@
 """A NIR graph becomes a run's network: integers on every target, round trip, ladder, bad input."""
 
+import itertools
 import json
 
 import numpy as np
@@ -24,6 +25,7 @@ from pipeline.data.steps import EventTable
 from pipeline.live.deciding import decider_of
 from pipeline.roads.conversion import spec_of_nir
 from pipeline.roads.events import FEWEST, trusted
+from pipeline.roads.nir_answers import graph_inputs
 from pipeline.roads.nir_import import decided_on, notes
 from pipeline.roads.nir_settings import Stepped, settings_of_nir
 from pipeline.settings import Image, Settings
@@ -192,6 +194,52 @@ def test_a_flat_graph_is_given_again_without_its_kind(tmp_path):
     assert settings_of_nir(tmp_path / "flat.nir", before=run)["input"] == {"kind": "events"}
 
 
+def merged_graph(loop=0.0):
+    """One input for both polarities of each taxel, and a recurrent layer."""
+    rng = np.random.default_rng(0)
+    full = {name: np.full(20, x) for name, x in (("tau_syn", 2e-4), ("tau_mem", 1e-3), ("r", 10.0),
+            ("v_leak", 0.0), ("v_threshold", 1.0), ("w_in", 2.0))}  # fmt: skip
+    nodes = {
+        "input": nir.Input({"input": np.array([100])}),
+        "fc1": nir.Affine(rng.normal(0, 1, (20, 100)), np.zeros(20)),
+        "lif": nir.CubaLIF(**full),
+        "w_rec": nir.Linear(rng.normal(loop, 0.3, (20, 20))),
+        "fc2": nir.Affine(rng.normal(0, 1, (10, 20)), np.zeros(10)),
+        "output": nir.Output({"output": np.array([10])}),
+    }
+    edges = [*itertools.pairwise(["input", "fc1", "lif", "fc2", "output"])]
+    edges += [("lif", "w_rec"), ("w_rec", "lif")]
+    return nir.NIRGraph(nodes, edges)
+
+
+def test_a_recurrent_graph_with_one_input_for_both_polarities():
+    rng, network = np.random.default_rng(1), read_nir(merged_graph())
+    frames = (rng.random((3, 60, 10, 10, 2)) < 0.03).astype(np.uint8)
+    frames[..., 1] &= 1 - frames[..., 0]  # never both in one step, which would count twice
+    stepped = Stepped.of(Settings(), network)
+    assert stepped == Stepped(1e-4, "euler")
+    spec = spec_of_nir(network, stepped, EventFrames(0.02, 0), FRESH, frames, {})
+    assert make_plan(spec).problems == []
+    reference = simulate(network, graph_inputs(network, frames, 60), 1e-4, "euler")
+    (link, _) = from_nir(network, 1e-4, "euler", (10, 10, 2))
+    signal = fired(link, frames.reshape(3, 60, -1))
+    np.testing.assert_array_equal(signal, reference.spikes["lif"])
+    integers = chosen(link, frames.reshape(3, 60, -1))
+    late = fired(link, frames.reshape(3, 60, -1), integers)[:, :59]
+    found = answer(spec, frames, "emulator")
+    np.testing.assert_array_equal(found.spikes["dense1"], late.sum((1, 2)))
+    assert late.sum() > 100
+
+
+@pytest.mark.slow
+def test_a_loop_that_runs_away_is_refused(tmp_path, capsys):
+    few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
+    nir.write(tmp_path / "away.nir", merged_graph(5.0))
+    given = ("--nir", tmp_path / "away.nir", "--input", "events")
+    assert stmnist("convert", tmp_path / "run", *given, *few) == 2
+    assert missing(capsys.readouterr().err, "'lif'", "'w_rec'", "runs away") == []
+
+
 def test_early_decisions_are_chosen_on_every_class():
     labels = np.repeat(np.arange(10), 500)
     split = Split(np.arange(5000), np.arange(0), np.arange(0))
@@ -219,11 +267,13 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     file, run = tmp_path / "some.nir", tmp_path / "run"
     nir.write(file, graph)
     few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
-    assert stmnist("convert", run, "--nir", file, *few) == 0
-    assert missing(capsys.readouterr().err, "nir: ", "--step") == []
-    cost = read_json(run / "snn" / "metrics.json", "")["reset_by_subtraction"]
+    subtract = ["--set", "nir.reset=subtract"]
+    assert stmnist("convert", run, "--nir", file, *few, *subtract, "--strict") == 2
+    assert "--strict" in capsys.readouterr().err
+    assert stmnist("convert", run, "--nir", file, *few, *subtract) == 0
+    assert missing(capsys.readouterr().err, "nir: ", "by subtraction", "same") == []
+    cost = read_json(run / "snn" / "metrics.json", "")["reset"]
     assert cost["samples"] == 64
-    assert cost["spikes"] > 1
     assert 0 <= cost["agreement"] <= 1
     nir.write(file, graph_of_ones())  # a later version; the run has its own copy
     changed = ["--set", "nir.method=euler"]  # for which the graph is read again
@@ -279,6 +329,7 @@ BAD = [
     (["--nir", "text.nir"], ["text.nir: ", "NIR"]),
     (["--nir", "small.nir", "--model", "x.keras"], ["--model", "--nir"]),
     (["--step", "20"], ["--step", "--nir"]),
+    (["--strict"], ["--strict", "--nir"]),
     (["--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--step", "5000"], ["'input.step'"]),
