@@ -8,10 +8,8 @@ from matplotlib.figure import Figure
 from pipeline.data.events import DIGITS, Recordings
 from pipeline.data.images import aggregate, growing, normalise
 from pipeline.data.words import shortened, shortened_apart
+from pipeline.look import colour
 from pipeline.results.report.figures import plain
-
-ON, OFF = "red", "black"
-"""Colours of the paper's Figure 4."""
 
 FRAMES = 8
 """Tactile images above the raster."""
@@ -51,13 +49,13 @@ def recording(recordings: Recordings, index: int) -> Figure:
         axes.set_title(f"to {end:.2f} s", fontsize=9)
     axes = raster.subplots()
     seconds = events.time_ns * 1e-9
-    for polarity, colour, label in ((1, ON, "ON"), (-1, OFF, "OFF")):
+    for polarity, name in ((1, "on"), (-1, "off")):
         chosen = events.polarity == polarity
         axes.scatter(
-            *(seconds[chosen], events.taxel[chosen] + 1, 4, colour),
+            *(seconds[chosen], events.taxel[chosen] + 1, 14, colour(name)),
             marker="|",
-            linewidths=1,
-            label=label,
+            linewidths=1.2,
+            label=name.upper(),
         )
     axes.set(xlim=(0, duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
     axes.set_xlabel("time (s)")
@@ -88,9 +86,9 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     width = 0.6 * per_digit + 0.1 + margin
     height = 0.6 * len(digits) + 0.5
     figure = Figure(figsize=(width, height))
-    figure.suptitle(_source(recordings))
+    figure.suptitle(_source(recordings), y=1 - 0.1 / height, va="top")
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
-    figure.subplots_adjust(margin / width, 0.01, 0.99, 1 - 0.4 / height, 0.06, 0.06)
+    figure.subplots_adjust(margin / width, 0.01, 0.99, 1 - 0.45 / height, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
@@ -117,7 +115,7 @@ def _is_strip(taxels):
 
 def _show(axes, taxels, image, width):
     """A tactile image, [row, column], whose axes are some points wide."""
-    grey = {"cmap": "gray_r", "vmin": 0, "vmax": 1}
+    grey = {"cmap": "Blues", "vmin": 0, "vmax": 1}
     if taxels.positions is not None:
         size = (width / (2 * np.sqrt(len(taxels)))) ** 2
         values = image[taxels.row, taxels.column]
@@ -138,7 +136,7 @@ def _show_over_time(axes, recordings, index):
     duration_ns = 1e9 * _duration_s(recordings, events)
     ranges = ((0, n), (0, duration_ns))
     counts, _, _ = np.histogram2d(events.taxel, events.time_ns, (n, BINS), ranges)
-    axes.imshow(np.sqrt(counts), aspect="auto", origin="lower", cmap="gray_r", vmin=0)
+    axes.imshow(np.sqrt(counts), aspect="auto", origin="lower", cmap="Blues", vmin=0)
     axes.set(xticks=[], yticks=[])
 
 

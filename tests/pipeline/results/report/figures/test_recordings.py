@@ -6,8 +6,10 @@ import io
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.look import colour
 from pipeline.results.report.figures import recordings as data_figures
 
 
@@ -40,9 +42,8 @@ def test_recording(recordings):
     on, off = raster.collections
     np.testing.assert_allclose(on.get_offsets(), [[0.1, 4], [1.5, 71]])
     np.testing.assert_allclose(off.get_offsets(), [[0.2, 71]])
-    red, black = (tuple(marks.get_facecolor()[0][:3]) for marks in (on, off))
-    assert red[0] > 0.8 > 0.3 > red[1]
-    assert black == (0, 0, 0)
+    for marks, name in ((on, "on"), (off, "off")):
+        assert to_hex(marks.get_facecolor()[0]) == colour(name)
     assert "simulated" in figure.get_suptitle()
     assert drawn(figure).startswith(b"\x89PNG")
 
