@@ -295,7 +295,9 @@ def test_blanks_in_a_path_do_not_part_it(target):
 
 
 def test_a_wrong_python_is_one_clear_line(tmp_path):
-    for name in ("Makefile", "setup.sh", "pyproject.toml", "constraints.txt"):
+    (tmp_path / "fastloihi").mkdir()
+    pins = ("pyproject.toml", "fastloihi/pyproject.toml", "constraints.txt")
+    for name in ("Makefile", "setup.sh", *pins):
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
     done = subprocess.run(
         ["make", "setup", "PYTHON=no-such-python"], cwd=tmp_path, capture_output=True, text=True
