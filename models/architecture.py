@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.errors import UserError
 from deploy.network.geometry import (
     convolution_fan_out,
     convolution_shape,
@@ -38,7 +39,7 @@ MAX_WEIGHTS = 100_000_000
 """Maximum number of weights of a layer."""
 
 
-class NotationError(ValueError):
+class NotationError(UserError):
     """A text cannot be parsed as an architecture; the message names the token and its position."""
 
 

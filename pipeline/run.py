@@ -6,11 +6,14 @@ import contextlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deploy.errors import UserError
 from deploy.files import locked, refuse_linked_folder, refuse_linked_folders, remove_leftovers
-from pipeline.artifacts import Origin
-from pipeline.settings import Settings, read_own_settings, write_settings
+
+if TYPE_CHECKING:
+    from pipeline.artifacts import Origin
+    from pipeline.settings import Settings
 
 FILES = {
     *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
@@ -103,6 +106,8 @@ class RunFolder:
         UserError
             A file or value is invalid.
         """
+        from pipeline.settings import Settings, read_own_settings  # import NumPy
+
         settings = Settings()
         if base is not None or self.experiment.exists():
             settings = read_own_settings(base or self.experiment)
@@ -116,6 +121,8 @@ class RunFolder:
         UserError
             The folder cannot be written.
         """
+        from pipeline.settings import write_settings
+
         write_settings(self.experiment, settings, own)
 
     @contextlib.contextmanager

@@ -12,7 +12,6 @@ from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
 from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
 from pipeline.commands import options
-from pipeline.commands.completion import data_sets
 from pipeline.data.events import Recordings
 from pipeline.data.words import listed
 from pipeline.run import RunFolder
@@ -24,7 +23,6 @@ def adapt(
         str,
         typer.Option(
             help="Zip or folder of the person's recordings of every class.",
-            autocompletion=data_sets,
         ),
     ],
     writer: Annotated[

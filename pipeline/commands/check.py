@@ -20,7 +20,6 @@ from deploy.files import write_json
 from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options, signatures
-from pipeline.commands.completion import data_sets
 from pipeline.progress import progress
 from pipeline.roads import ROADS, compared_with
 from pipeline.run import checks_beside
@@ -81,7 +80,6 @@ Others = signatures.group(
         typer.Option(
             help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
             "and classes must be the same.",
-            autocompletion=data_sets,
         ),
     ],
     samples=Annotated[

@@ -12,7 +12,6 @@ from deploy import limits
 from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options, signatures
-from pipeline.commands.completion import data_sets
 from pipeline.data.events import GRID
 from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading
@@ -31,9 +30,7 @@ from pipeline.skin import unipen
 
 Source = Annotated[
     str,
-    typer.Option(
-        "--data", help="Zip or folder of recordings, or 'simulated'.", autocompletion=data_sets
-    ),
+    typer.Option("--data", help="Zip or folder of recordings, or 'simulated'."),
 ]
 SimulationSeed = Annotated[
     int,

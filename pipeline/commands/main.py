@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import sys
 from functools import cached_property
@@ -15,7 +14,6 @@ from typer.core import TyperCommand, TyperGroup
 from deploy import __version__
 from deploy.errors import CheckFailed, SeveralErrors, UserError, line_of, one_line
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
-from models.architecture import NotationError
 from pipeline.commands.signatures import for_typer
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
@@ -197,7 +195,6 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
         problem = plain(error.format_message()).rstrip(".") or "a command is missing"
-        problem += _setting_of(getattr(error, "option_name", None), arguments)
         status = _say(f"{problem} (see '{context} --help')", 2)
     except ClickException as error:
         status = _say(error.format_message(), 2)
@@ -206,7 +203,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     except SeveralErrors as error:
         for line in error.lines:
             status = _say(line, 2)
-    except (UserError, NotationError) as error:
+    except UserError as error:
         status = _say(str(error), 2)
     except (BrokenPipeError, SystemExit) as end:
         # The reader, such as head, has closed the pipe.  Typer then ends with status 1.
@@ -235,26 +232,6 @@ def plain(message: str) -> str:
     for pattern, meaning in _PLAIN:
         message = re.sub(pattern, meaning, message)
     return message
-
-
-def _setting_of(option, arguments):
-    """A hint for an unknown option that has the name of a setting: how to set it."""
-    if not option:
-        return ""
-    from pipeline.settings import Settings
-
-    last = option.lstrip("-").replace("-", "_")
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    prefer = "events." if "events" in words else "cnn."
-    flat = Settings().flat()
-    close = difflib.get_close_matches(last, {name.rpartition(".")[2] for name in flat}, 1, 0.8)
-    names = [name for name in flat if name.rpartition(".")[2] in close]
-    if not names:
-        return ""
-    name = next((name for name in names if name.startswith(prefer)), names[0])
-    index = words.index(option) + 1 if option in words else len(words)
-    value = words[index] if index < len(words) and not words[index].startswith("-") else "..."
-    return f"; settings are given as --set {name}={value}"
 
 
 def _say(message, status):

@@ -14,7 +14,6 @@ import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.terminal import remark, show
-from pipeline.commands.completion import data_sets
 from pipeline.commands.signatures import group
 from pipeline.run import (
     RunFolder,
@@ -22,7 +21,6 @@ from pipeline.run import (
     refuse_other_folders,
     refuse_results,
 )
-from pipeline.settings import SIMULATED, parse_assignments, put
 
 
 def between(low: int, high: int):
@@ -60,7 +58,6 @@ Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
     typer.Option(
         help="Zip or folder of recordings, or 'simulated' (default: as in the settings).",
-        autocompletion=data_sets,
     ),
 ]
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
@@ -131,6 +128,8 @@ class Given:
         UserError
             An assignment is malformed, or contradicts an option.
         """
+        from pipeline.settings import SIMULATED, parse_assignments, put  # import NumPy
+
         changes = parse_assignments(self.assignments or [])
         for option, name, value in (
             ("--data", "data.source", self.data),

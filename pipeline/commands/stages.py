@@ -10,7 +10,6 @@ import typer
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.roads import road_of
 from pipeline.run import RunFolder, refuse_other_folders
 
 
@@ -20,6 +19,8 @@ def train(
     jobs: options.Jobs = 2,
 ):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
+
+    from pipeline.roads import road_of  # imports all that a run is made with
 
     def examine(settings):
         return road_of(settings).trained  # an error if the network was trained elsewhere
@@ -94,6 +95,8 @@ def convert(
 
 
 def _require_model(settings):
+    from pipeline.roads import road_of
+
     if road_of(settings).imported is None:
         raise UserError("--model: Keras models receive tactile images; leave out --input events")
 

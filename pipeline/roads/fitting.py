@@ -9,7 +9,6 @@ that does not fit is an error; all errors are reported together before anything 
 from __future__ import annotations
 
 from deploy.errors import SeveralErrors, UserError
-from models.architecture import NotationError
 from pipeline.data.dataset import NO_SPLIT, TOO_SMALL
 from pipeline.data.events import Recordings
 from pipeline.data.library import recordings_of
@@ -56,7 +55,7 @@ def fitted(
         road = road_of(result)
         road.require_fit(recordings)
         problems += road.chip_problems()
-    except (UserError, NotationError) as error:
+    except UserError as error:
         problems.append(str(error))
     n_test = _test_samples(settings, recordings, problems)
     if check and 0 < n_test < settings.check.drawn(n_test):

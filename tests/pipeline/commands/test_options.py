@@ -8,7 +8,6 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.commands.completion import data_sets
 from pipeline.settings import Settings, read_settings, write_settings
 from tests.command import call
 
@@ -87,21 +86,6 @@ def test_a_slip_is_one_line_in_the_user_s_words(words, told, tmp_path, monkeypat
     for leak in ("Input should", "Value error", "literal", "parse string", "pydantic"):
         assert leak not in line
     assert list(tmp_path.iterdir()) == []
-
-
-def test_data_sets_of_the_machine_are_offered(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("own", "own/press", ".hidden", "runs/a", "runs/b"):
-        (tmp_path / name).mkdir(parents=True)
-    (tmp_path / "people.zip").touch()
-    (tmp_path / "notes.txt").touch()
-    (tmp_path / "runs/a/experiment.toml").write_text('[data]\nsource = "/far/gestures.zip"\n')
-    (tmp_path / "runs/b/experiment.toml").write_text("damaged [")
-    offered = data_sets("")
-    assert offered == ["simulated", "/far/gestures.zip", "own/", "people.zip", "runs/"]
-    assert data_sets("o") == ["own/"]
-    assert data_sets("own/") == ["own/press/"]
-    assert data_sets("nowhere/x") == []
 
 
 class Terminal(io.StringIO):
