@@ -338,7 +338,7 @@ def _decision_text(chosen, samples):
     why = ""
     if samples < FEWEST:
         why = (
-            f", since {samples} held-out samples are fewer than the {FEWEST} on which a confidence "
-            "may be chosen (more: split.validation_fraction)"
+            f", since fewer than {FEWEST} samples could be held out to choose a confidence on "
+            "(more: split.validation_fraction)"
         )
     return f"no early decisions, the network decides at the end of each recording{why}"
