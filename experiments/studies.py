@@ -270,19 +270,12 @@ EXPERIMENTS = (
 
 def measure(case: Case, networks: Library) -> dict:
     """As :func:`pipeline.results.study.measure`, also for stages that only experiments have."""
-    dataset, settings = study.dataset_of(case), case.resolved
+    dataset = study.dataset_of(case)
     if case.alter:
         dataset = varied(dataset, case.alter, case.seed)
-    if case.stage not in ("cnn-matched", "slayer", "slayer-small"):
+    if case.stage not in ("slayer", "slayer-small"):
         return study.measure(case, networks, dataset)
     index = getattr(dataset.split, case.part)
-    if case.stage == "cnn-matched":
-        from pipeline.training import networks as training  # TensorFlow, where it is needed
-
-        recipe = training.RECIPES["loihi"]
-        trained = training.train_cnn(settings, dataset.part("train"), case.seed, recipe=recipe)
-        predictions = trained.logits(dataset.inputs[index]).argmax(1)
-        return study.row_of(case, dataset, index, predictions)
     from experiments.slayer import predictions_of
 
     scale = 10.0 if case.stage == "slayer-small" else 100.0

@@ -84,8 +84,15 @@ def set_weights(model: tf.keras.Model, weights: dict):
             variable.assign(weights[name])
 
 
-def with_noise(model: tf.keras.Model, images, noise):
-    """Call the network in training mode, with noise added to the input of its neurons.
+def relu(noise: float = 0.0, dropout: float = 0.0) -> tf.keras.layers.Layer:
+    """A layer of ReLUs with the noise and the dropout of :func:`with_noise`."""
+    layer = tf.keras.layers.ReLU()
+    layer.noise, layer.dropout = noise, dropout
+    return layer
+
+
+def with_noise(model: tf.keras.Model, images, noise, masks=()):
+    """Call the network in training mode, with noise on the input of its neurons, and dropout.
 
     Parameters
     ----------
@@ -93,24 +100,36 @@ def with_noise(model: tf.keras.Model, images, noise):
         From :func:`build_cnn`.
     images : tensor, shape (n_samples, rows, columns, channels)
     noise : sequence of tensors
-        One for each layer of :func:`noisy_layers`, shape (n_samples, \\*shape of its input).
+        One for each layer of :func:`noisy_layers`, shape (n_samples, \\*shape of its input); it
+        is added.
+    masks : sequence of tensors
+        One for each layer of :func:`dropped_layers`, of the same shape; the output is multiplied.
 
     Returns
     -------
     tensor, shape (n_samples, outputs)
         Logits.
     """
-    signal, added = images, dict(zip(noisy_layers(model), noise, strict=True))
+    added = dict(zip(noisy_layers(model), noise, strict=True))
+    dropped = dict(zip(dropped_layers(model), masks, strict=True))
+    signal = images
     for layer in model.layers[1:]:  # the first is the input layer
         if layer in added:
             signal = signal + added[layer]
         signal = layer(signal, training=True)
+        if layer in dropped:
+            signal = signal * dropped[layer]
     return signal
 
 
 def noisy_layers(model: tf.keras.Model) -> list:
     """The activation layers whose input is noisy during training."""
     return [layer for layer in model.layers if getattr(layer, "noise", 0)]
+
+
+def dropped_layers(model: tf.keras.Model) -> list:
+    """The activation layers whose output has dropout during training."""
+    return [layer for layer in model.layers if getattr(layer, "dropout", 0)]
 
 
 def predict(model: tf.keras.Model, images) -> np.ndarray:

@@ -70,6 +70,8 @@ class RateLIF(tf.keras.layers.Layer):
     noise : float
         Standard deviation of the normal noise added to z in training, outside of this layer: see
         :func:`models.cnn.with_noise`.
+    dropout : float
+        Share of the neurons that are left out in training, in the same way.
     spike_costs : ndarray, shape of one sample, optional
         Penalty in the training loss for a neuron that fires at ``max_rate``, averaged over samples.
     smoothing : float
@@ -89,6 +91,7 @@ class RateLIF(tf.keras.layers.Layer):
         tau_ref=0.001,
         on_chip=False,
         noise=0.0,
+        dropout=0.0,
         spike_costs=None,
         smoothing=0.1,
         **kwargs,
@@ -96,7 +99,7 @@ class RateLIF(tf.keras.layers.Layer):
         super().__init__(**kwargs)
         self.max_rate = max_rate
         self.gain = gain_for(max_rate, tau_rc, tau_ref)
-        self.noise = noise
+        self.noise, self.dropout = noise, dropout
         self.spike_costs = spike_costs
         self.smoothing = smoothing
         if on_chip:

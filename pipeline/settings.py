@@ -26,7 +26,8 @@ from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import NotationError, parse
 from pipeline import paper
 
-AGGREGATIONS = ("count", "columns", "signed", "on", "off")
+AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
+AUGMENTATIONS = ("auto", "time", "space", "none")
 RECIPES = ("loihi", "paper", "as-is")
 SIMULATED = "simulated"
 """The name of the built-in recordings."""
@@ -167,11 +168,28 @@ class Image(Section):
 
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
     """Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
-    the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only."""
+    the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only;
+    ``polarities``, ON and OFF events as two channels."""
+    slices: Annotated[int, between(1, 64)] = 1
+    """Number of equal slices of time whose events are counted separately, each as channels of the
+    image."""
+    duration: Annotated[float, between(0, 1e7, " milliseconds")] = 0.0
+    """Time from the first event that is divided into slices, in milliseconds; later events are
+    counted in the last slice.  0 for two seconds."""
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
     """Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
     ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``,
     undivided counts, which need a low ``deployment.input_rate``."""
+
+    @property
+    def channels(self) -> int:
+        """Channels of an image."""
+        return self.slices * (2 if self.aggregation == "polarities" else 1)
+
+    @property
+    def duration_ms(self) -> float:
+        """Time that is divided into slices, also if ``duration`` is 0."""
+        return self.duration or 1000 * paper.DURATION_S
 
 
 @dataclass(frozen=True)
@@ -195,12 +213,17 @@ class CNN(Section):
 
     architecture: str = "10x10-6c4-24c3-10o"
     """Input, convolutions (``6c4``: six filters of 4x4) and outputs."""
-    epochs: Annotated[int, EPOCHS] = 20
-    """Passes over the training samples."""
+    epochs: Annotated[int, OWN_EPOCHS] = 0
+    """Passes over the training samples; 0 for the paper's 20, or more on few samples."""
     batch_size: Annotated[int, BATCH] = 32
     """Samples per training step.  Not given in the paper; Keras's default."""
     learning_rate: Annotated[float, ABOVE_0] = 0.001
     """Learning rate of RMSProp.  Not given in the paper; Keras's default."""
+    augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
+    """Alterations of the events of training samples, before the image is made: ``time``, dropped
+    events; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels; ``none``;
+    ``auto``, none for the paper's CNN, and in the spiking network's training ``space`` for
+    handwriting on the simulated skin or ST-MNIST's, and ``time`` for other recordings."""
     model: str = ""
     """A Keras model file whose weights replace trained ones; ``convert --model`` sets it."""
     model_sha256: str = ""
@@ -217,7 +240,7 @@ class SNN(Section):
     from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled to the
     neurons' range and response curve without further training."""
     epochs: Annotated[int, OWN_EPOCHS] = 0
-    """Passes over the training samples; 0 for the default of the recipe."""
+    """Passes over the training samples; 0 for the default of the recipe, or more on few samples."""
     batch_size: Annotated[int, OWN_BATCH] = 0
     """Samples per training step; 0 for the default of the recipe."""
     learning_rate: Annotated[float, AT_LEAST_0] = 0.0
@@ -225,6 +248,8 @@ class SNN(Section):
     noise: Annotated[float, AT_LEAST_0] = 0.1
     """Standard deviation of the noise on each neuron's input while training, relative to the
     activation at ``max_rates``; recipe ``loihi`` only."""
+    dropout: Annotated[float, FROM_0_BELOW_1] = 0.0
+    """Share of the neurons that are left out at random while training; recipe ``loihi`` only."""
     spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
     """Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps, in
     multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only."""

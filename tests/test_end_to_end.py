@@ -12,7 +12,7 @@ from deploy.files import read_arrays, read_json
 from pipeline.settings import read_settings
 from tests.command import call, missing
 
-STAGES = ["counts", "cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator"]
+STAGES = ["counts", "cnn", "cnn-matched", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator"]
 
 
 def test_the_runs_folder_holds_what_the_contract_names(tiny_run):
@@ -20,7 +20,7 @@ def test_the_runs_folder_holds_what_the_contract_names(tiny_run):
     folder = {"weights.npz", "history.csv", "metrics.json"}
     assert names - {".lock"} == {
         *("experiment.toml", "dataset.json", "ladder.json"),
-        *(f"{network}/{name}" for network in ("cnn", "snn") for name in folder),
+        *(f"{network}/{name}" for network in ("cnn", "cnn-matched", "snn") for name in folder),
         *(f"bundle/{name}" for name in ("network.json", "weights.npz", "checks.npz")),
         *("bundle/MANIFEST.json", "bundle/deploy.pyz", "counts/scores.npz", "counts/metrics.json"),
         *(f"checks/{stage}.json" for stage in STAGES),

@@ -139,12 +139,29 @@ def _altered(how, rng, samples, sample, step, row, column, size):
     pace = np.exp(rng.normal(0, how.stretch, samples))
     step = step * pace[sample] + rng.uniform(0, 1, samples)[sample]
     kept = rng.random(len(sample)) >= rng.uniform(0, how.drop, samples)[sample]
-    place = _moved(how, rng, samples, sample, np.stack([row, column], -1), size)
+    place = moved(how, rng, samples, sample, np.stack([row, column], -1), size)
     return kept & ((place >= 0) & (place < size)).all(1), step, place
 
 
-def _moved(how, rng, samples, sample, place, size):
-    """Each event's (row, column) after the change of its sample, in whole taxels."""
+def moved(how: Alteration, rng, samples: int, sample, place, size) -> np.ndarray:
+    """The places of events after the change of their sample in space.
+
+    Parameters
+    ----------
+    how : Alteration
+    rng : numpy.random.Generator
+    samples : int
+    sample : ndarray of int, shape (n_events,)
+        Sample of each event.
+    place : ndarray, shape (n_events, 2)
+        Row and column of each event.
+    size : (int, int)
+
+    Returns
+    -------
+    ndarray of int, shape (n_events, 2)
+        In whole taxels; places outside of ``size`` are beyond the edge.
+    """
     angle = rng.normal(0, how.turn, samples)
     cosine, sine = np.cos(angle), np.sin(angle)
     turned = np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), 2, 0)

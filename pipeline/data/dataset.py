@@ -217,7 +217,7 @@ def _what_is_shown(settings):
     """The settings on which :func:`inputs_of` depends."""
     if settings.on_events:
         return settings.input.step, settings.input.refractory, settings.steps
-    return settings.image.aggregation, settings.image.normalisation
+    return settings.image
 
 
 def require_images_fit(images: np.ndarray, settings: Settings):
@@ -278,9 +278,9 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
     Returns
     -------
     ndarray
-        With ``input.kind = "image"`` tactile images, float32, shape (n_samples, rows, columns, 1);
-        with ``"events"`` the events of each step of the presentation, uint8, shape (n_samples,
-        steps, rows, columns, 2), first ON, then OFF.
+        With ``input.kind = "image"`` tactile images, float32, shape (n_samples, rows, columns,
+        channels); with ``"events"`` the events of each step of the presentation, uint8, shape
+        (n_samples, steps, rows, columns, 2), first ON, then OFF.
     """
     image = settings.image
     if settings.on_events:
@@ -289,7 +289,7 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
         for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
             inputs[some] = np.moveaxis(table.frames(some, shown.step, steps, shown.rest), 0, 1)
         return inputs
-    return tactile_images(recordings, image.aggregation, image.normalisation)
+    return tactile_images(recordings, image)
 
 
 def classes_of(spec: NetworkSpec) -> tuple:
@@ -335,8 +335,7 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.get("image")) is not None:
         image = Settings().with_values({"image": recorded}, "provenance of the bundle").image
-    image = image or Image()
-    return tactile_images(recordings, image.aggregation, image.normalisation)
+    return tactile_images(recordings, image)
 
 
 def event_warnings(settings: Settings, recordings: Recordings) -> list:

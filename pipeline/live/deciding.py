@@ -266,7 +266,7 @@ class ImageDecider(_Fast):
 
     def _answer(self, events, time_s, before):
         recording = self._recording(events)
-        image = tactile_images(recording, self._image.aggregation, self._image.normalisation)
+        image = tactile_images(recording, self._image)
         shown = self._show(image, self._spec.presentation.steps)
         if shown is None:
             return None

@@ -262,7 +262,7 @@ def reference(case: Case, opened, inputs) -> np.ndarray:
         ids = [dataset.recordings.ids[i] for i in getattr(dataset.split, case.part)]
         return np.argmax([by_id[name] for name in ids], axis=1)
     weights = opened.weights(part)
-    if case.stage == "cnn":
+    if case.stage.startswith("cnn"):
         from pipeline.training.networks import TrainedCNN  # TensorFlow, where it is needed
 
         return TrainedCNN(settings, weights).logits(inputs).argmax(1)

@@ -14,15 +14,19 @@ REFERENCES = {stage: texts for road in ROADS for stage, texts in road.references
 """Title and note of the reference stages of all roads."""
 
 
+COMPARED_WITH = ("cnn-matched", "trained", "nir", "cnn", "rate-lif")
+"""The stages that a deployed network is compared with: the first of them that there is."""
+
+
 def compared_with(stages) -> str:
-    """The stage that the stages after it are compared with: the first that is a network.
+    """The stage that the deployed network is compared with, and from which losses are stated.
 
     Parameters
     ----------
     stages : sequence of str
         Stages in the order of the ladder.
     """
-    return next(stage for stage in stages if stage != "counts")
+    return next((stage for stage in COMPARED_WITH if stage in stages), next(iter(stages)))
 
 
 def road_of(settings: Settings) -> Road:

@@ -49,11 +49,14 @@ def remedy(resource: str, is_conv: bool, on_events: bool) -> str:
 LARGEST_MAP = 14
 """Rows and columns of the first convolution's output on images, at most, on average."""
 
+SMALLEST_GRID = 6
+"""Rows and columns that an image needs for the paper's convolutions."""
+
 EVENT_MAP = 5
 """The same for a network on events, as in the first layer of the default network."""
 
 
-def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64) -> str:
+def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels: int = 1) -> str:
     """An architecture for a sensor and its classes, in the paper's notation.
 
     These are the paper's layers if they fit.  For larger sensors the first convolution has a
@@ -66,17 +69,22 @@ def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64) -> str:
     on_events : bool
         For events, with a channel for each polarity.
     hidden : int
-        Neurons of the hidden layer of a network on events.
+        Neurons of the hidden layer of a network on events, or of one without convolutions.
+    channels : int
+        Channels of an image.
     """
     rows, columns, classes = sensor.rows, sensor.columns, len(sensor.classes)
     side, smallest = math.sqrt(rows * columns), min(rows, columns)
-    size, end = f"{rows}x{columns}{'x2' if on_events else ''}", f"{classes}o"
+    channels = 2 if on_events else channels
+    size, end = f"{rows}x{columns}" + (f"x{channels}" if channels > 1 else ""), f"{classes}o"
     if on_events:
         stride = max(3, math.floor(side / EVENT_MAP))
         first = f"24c{stride + 1}s{stride}"
         middle = [first, f"{hidden}"] if smallest > stride else [f"{hidden}"]
+    elif smallest < SMALLEST_GRID:
+        middle = [f"{hidden}"]
     elif side <= LARGEST_MAP + 3:
-        middle = ["6c4", "24c3"] if smallest >= 6 else ["64"]
+        middle = ["6c4", "24c3"]
     else:
         stride = math.ceil((side - 4) / (LARGEST_MAP - 2))
         first = f"6c{stride + 2}s{stride}"

@@ -273,7 +273,7 @@ class Road:
             usual.settings.deployment,
         ):
             return ()
-        return chip_problems(self.architecture, self.channels == 2, self.settings.deployment)
+        return chip_problems(self.architecture, self.settings.on_events, self.settings.deployment)
 
     def require_presentable(self, dataset: Dataset):
         """Refuse samples that cannot be presented to the chip.

@@ -14,9 +14,11 @@ from models.chain import links_of
 from models.cnn import (
     activations,
     build_cnn,
+    dropped_layers,
     get_weights,
     noisy_layers,
     predict,
+    relu,
     set_weights,
     with_noise,
 )
@@ -59,13 +61,40 @@ class Recipe:
     learning_rate: float
     annealed: bool = False
 
+    def batches(self, n_samples: int) -> int:
+        """Number of updates in an epoch."""
+        return -(-n_samples // self.batch_size)
+
+    def changed(self, section, n_samples: int) -> Recipe:
+        """This recipe with the values of a section of the settings that are not 0.
+
+        The default number of epochs is the recipe's, or more for at least
+        :data:`FEWEST_UPDATES` updates.
+
+        Parameters
+        ----------
+        section : pipeline.settings.CNN or pipeline.settings.SNN
+        n_samples : int
+            Number of training samples.
+        """
+        names = ("batch_size", "learning_rate")
+        own = replace(
+            self, **{name: getattr(section, name) or getattr(self, name) for name in names}
+        )
+        fewest = -(-FEWEST_UPDATES // own.batches(n_samples))
+        return replace(own, epochs=section.epochs or max(own.epochs, fewest))
+
 
 RECIPES = {
     "paper": Recipe(epochs=20, batch_size=32, learning_rate=0.001),
     "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.002, annealed=True),
     "as-is": Recipe(epochs=0, batch_size=0, learning_rate=0.0),
 }
-"""Defaults of the rate-based networks, where a setting is 0."""
+"""Defaults of the networks, where a setting is 0."""
+
+FEWEST_UPDATES = 2500
+"""Updates of the weights in a training, at least: a small data set gets more epochs than a recipe
+has.  The paper's 20 epochs of ST-MNIST are 3,480."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +150,7 @@ class TrainedRates(Trained):
 
 
 def train_cnn(
-    settings: Settings, data, seed: int, validation=None, advance=None, recipe=None
+    settings: Settings, data, seed: int, validation=None, advance=None, altered=None
 ) -> TrainedCNN:
     """Train the paper's CNN (Section 3.2.1).
 
@@ -137,8 +166,9 @@ def train_cnn(
         Samples that are evaluated for the history only.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
-    recipe : Recipe, optional
-        Default: the paper's recipe, with the settings' epochs, batch size and learning rate.
+    altered : callable, optional
+        ``altered(rng, indices)`` returns the images of some training samples for an epoch, such as
+        :class:`pipeline.data.images.AlteredImages`.  Default: the images themselves.
 
     Returns
     -------
@@ -146,7 +176,36 @@ def train_cnn(
     """
     one_thread_each()
     model = new_cnn(settings, seed)
-    history = fit(model, recipe or cnn_recipe(settings.cnn), data, seed, validation, advance)
+    recipe = cnn_recipe(settings.cnn, len(data[0]))
+    history = fit(model, recipe, data, seed, validation, advance, altered)
+    return TrainedCNN(settings, get_weights(model), history)
+
+
+def train_matched(
+    settings: Settings, data, seed: int, cnn_weights, altered=None, validation=None, advance=None
+) -> TrainedCNN:
+    """Train the paper's CNN further, as :func:`train_rate_network` trains the spiking network.
+
+    Both start from the same weights and have the same epochs, annealing, noise, dropout and
+    altered images, so that what their accuracies differ by is due to the neurons and the chip's
+    weights.
+
+    Parameters
+    ----------
+    settings, data, seed, cnn_weights, validation, advance, altered
+        As in :func:`train_rate_network`, with ``snn.recipe = "loihi"``.
+
+    Returns
+    -------
+    TrainedCNN
+    """
+    one_thread_each()
+    make_deterministic(seed)
+    snn = settings.snn
+    model = build_cnn(parse(settings.cnn.architecture), lambda index: relu(snn.noise, snn.dropout))
+    set_weights(model, scale_to_unit(settings, cnn_weights, data[0]))
+    recipe = snn_recipe(snn, len(data[0]))
+    history = fit(model, recipe, data, seed, validation, advance, altered)
     return TrainedCNN(settings, get_weights(model), history)
 
 
@@ -156,18 +215,15 @@ def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
     return TrainedCNN.build(settings)
 
 
-def cnn_recipe(cnn) -> Recipe:
-    """The paper's recipe for the CNN, with the settings' epochs, batch size and learning rate."""
-    return Recipe(cnn.epochs, cnn.batch_size, cnn.learning_rate)
+def cnn_recipe(cnn, n_samples: int) -> Recipe:
+    """The paper's recipe for the CNN, with changes from the settings."""
+    return RECIPES["paper"].changed(cnn, n_samples)
 
 
-def snn_recipe(snn) -> Recipe:
+def snn_recipe(snn, n_samples: int) -> Recipe:
     """The recipe for the rate-based network, with changes from the settings."""
     own = RECIPES[snn.recipe]
-    if snn.recipe == "as-is":
-        return own
-    names = ("epochs", "batch_size", "learning_rate")
-    return replace(own, **{name: getattr(snn, name) or getattr(own, name) for name in names})
+    return own if snn.recipe == "as-is" else own.changed(snn, n_samples)
 
 
 def build_rate_network(settings: Settings) -> tf.keras.Model:
@@ -183,6 +239,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             snn.tau_ref,
             on_chip=on_chip,
             noise=snn.noise if on_chip else 0.0,
+            dropout=snn.dropout if on_chip else 0.0,
             spike_costs=costs and costs[index],
         )
 
@@ -211,7 +268,13 @@ def _spike_costs(settings, architecture):
 
 
 def train_rate_network(
-    settings: Settings, data, seed: int, cnn_weights=None, validation=None, advance=None
+    settings: Settings,
+    data,
+    seed: int,
+    cnn_weights=None,
+    altered=None,
+    validation=None,
+    advance=None,
 ) -> TrainedRates:
     """Train the network with rate-based LIF neurons (paper, Section 3.2.2).
 
@@ -222,7 +285,7 @@ def train_rate_network(
 
     Parameters
     ----------
-    settings, data, seed, validation, advance
+    settings, data, seed, validation, advance, altered
         As in :func:`train_cnn`.
     cnn_weights : dict, optional
         Required for ``"loihi"`` and ``"as-is"``.
@@ -235,7 +298,8 @@ def train_rate_network(
         return TrainedRates(settings, fit_to_rates(settings, cnn_weights, data[0]))
     one_thread_each()
     model = new_rate_network(settings, seed, data[0], cnn_weights)
-    history = fit(model, snn_recipe(settings.snn), data, seed, validation, advance)
+    recipe = snn_recipe(settings.snn, len(data[0]))
+    history = fit(model, recipe, data, seed, validation, advance, altered)
     return TrainedRates(settings, get_weights(model), history)
 
 
@@ -329,7 +393,9 @@ def _best_shift(neurons, activations):
     return min(found)[1:]
 
 
-def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -> list:
+def fit(
+    model, recipe: Recipe, data, seed: int, validation=None, advance=None, altered=None
+) -> list:
     """Train a model with logit outputs with sparse categorical cross-entropy.
 
     Parameters
@@ -342,6 +408,8 @@ def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -
         Seed of the order of the samples, and of the noise.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
+    altered : callable, optional
+        See :func:`train_cnn`.
 
     Returns
     -------
@@ -349,7 +417,7 @@ def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -
         The history, one row per epoch.
     """
     history = []
-    for row in epochs_of(model, recipe, data, seed):
+    for row in epochs_of(model, recipe, data, seed, altered):
         history.append({"epoch": len(history) + 1, **row})
         if validation is not None:
             history[-1] |= _judged(predict(model, validation[0]), validation[1])
@@ -358,7 +426,7 @@ def fit(model, recipe: Recipe, data, seed: int, validation=None, advance=None) -
     return history
 
 
-def epochs_of(model, recipe: Recipe, data, seed: int):
+def epochs_of(model, recipe: Recipe, data, seed: int, altered=None):
     """Train a model as :func:`fit` does; each value requested trains one epoch.
 
     An epoch is one call of a compiled loop over its batches, or a few calls if there is much noise.
@@ -370,31 +438,29 @@ def epochs_of(model, recipe: Recipe, data, seed: int):
     dict
         ``loss`` and ``accuracy`` of the epoch.
     """
-    images, labels = tf.constant(data[0], tf.float32), tf.constant(data[1], tf.int32)
     count = len(data[0])
     rule = optimizer(recipe, count)
     rule.build(model.trainable_variables)
-    train_on = _compiled_batches(model, rule, images, labels, recipe.batch_size)
-    samples = _ahead(_samples(model, count, recipe, seed))
+    train_on = _compiled_batches(model, rule, recipe.batch_size)
+    samples = _ahead(_samples(model, data, recipe, seed, altered))
     for _ in range(recipe.epochs):
         sums, shown = tf.zeros(2), 0
         while shown < count:
-            order, noise = next(samples)
-            sums += train_on(order, noise)
-            shown += len(order)
+            images, labels, *draws = next(samples)
+            sums += train_on(images, labels, *draws)
+            shown += len(labels)
         loss, right = (float(n) / count for n in sums.numpy())
         yield {"loss": loss, "accuracy": right}
 
 
-def _compiled_batches(model, rule, images, labels, batch_size):
-    """``train_on(order, noise) -> [sum of losses, number of right answers]``, batch by batch."""
+def _compiled_batches(model, rule, batch_size):
+    """``train_on(images, labels, noise, masks) -> [sum of losses, number of right answers]``."""
     variables = model.trainable_variables
 
     @as_written
-    def step(chosen, noise):
-        wanted = tf.gather(labels, chosen)
+    def step(images, wanted, noise, masks):
         with tf.GradientTape() as tape:
-            logits = with_noise(model, tf.gather(images, chosen), noise)
+            logits = with_noise(model, images, noise, masks)
             losses = tf.nn.sparse_softmax_cross_entropy_with_logits(wanted, logits)
             loss = tf.reduce_mean(losses) + tf.add_n([0.0, *model.losses])
         rule.apply_gradients(
@@ -405,35 +471,48 @@ def _compiled_batches(model, rule, images, labels, batch_size):
         return tf.stack([loss * tf.cast(tf.shape(wanted)[0], tf.float32), right])
 
     @tf.function
-    def train_on(order, noise):
+    def train_on(images, labels, noise, masks):
         sums = tf.zeros(2)
-        for start in tf.range(0, len(order), batch_size):
+        for start in tf.range(0, len(labels), batch_size):
             batch = slice(start, start + batch_size)
-            sums += step(order[batch], [layer[batch] for layer in noise])
+            draws = ([layer[batch] for layer in layers] for layers in (noise, masks))
+            sums += step(images[batch], labels[batch], *draws)
         return sums
 
     return train_on
 
 
-def _samples(model, count, recipe, seed):
-    """The training samples in order, with noise for each of :func:`noisy_layers`.
+def _samples(model, data, recipe, seed, altered):
+    """The training samples of all epochs: images, labels, noise and masks for dropout.
 
     Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
     in two thirds of TensorFlow's time, and concurrently with the training steps.
     """
-    layers = noisy_layers(model)
-    numbers = recipe.batch_size * sum(int(np.prod(layer.input_shape[1:])) for layer in layers)
-    some = recipe.batch_size * max(NOISE_AHEAD // numbers, 1) if layers else count
+    noisy, dropped = noisy_layers(model), dropped_layers(model)
+    images, labels = np.asarray(data[0], np.float32), np.asarray(data[1], np.int32)
+    numbers = sum(int(np.prod(layer.input_shape[1:])) for layer in (*noisy, *dropped))
+    some = recipe.batch_size * max(NOISE_AHEAD // (recipe.batch_size * max(numbers, 1)), 1)
     # Separate random streams, so that no number depends on how many are drawn at once.
-    draws = [np.random.default_rng([seed, 0, 1 + index]) for index in range(len(layers))]
+    noises = [np.random.default_rng([seed, 0, 1 + index]) for index in range(len(noisy))]
+    masks = [np.random.default_rng([seed, 1, 1 + index]) for index in range(len(dropped))]
     for epoch in range(recipe.epochs):
-        order = np.random.default_rng([seed, epoch]).permutation(count)
-        for part in np.split(order, range(some, count, some)):
-            noise = []
-            for draw, layer in zip(draws, layers, strict=True):
-                values = draw.standard_normal((len(part), *layer.input_shape[1:]), np.float32)
-                noise.append(tf.constant(np.multiply(values, layer.noise, out=values)))
-            yield tf.constant(part), noise
+        order = np.random.default_rng([seed, epoch]).permutation(len(labels))
+        shown = images[order]
+        if altered is not None:
+            shown = altered(np.random.default_rng([seed, epoch, 2]), order)
+        for start in range(0, len(order), some):
+            part = slice(start, start + some)
+            drawn = []
+            for rng, layer in zip(noises, noisy, strict=True):
+                shape = (len(order[part]), *layer.input_shape[1:])
+                values = rng.standard_normal(shape, np.float32)
+                drawn.append(tf.constant(np.multiply(values, layer.noise, out=values)))
+            kept = []
+            for rng, layer in zip(masks, dropped, strict=True):
+                shape = (len(order[part]), *layer.input_shape[1:])
+                values = rng.random(shape, np.float32) >= layer.dropout
+                kept.append(tf.constant(values / np.float32(1 - layer.dropout)))
+            yield tf.constant(shown[part]), tf.constant(labels[order[part]]), drawn, kept
 
 
 def _ahead(values):
@@ -456,9 +535,9 @@ def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
     """The recipe's optimiser for a number of training samples."""
     if not recipe.annealed:
         return tf.keras.optimizers.RMSprop(recipe.learning_rate)
-    batches = -(-n_samples // recipe.batch_size)
+    steps = recipe.batches(n_samples) * recipe.epochs
     return tf.keras.optimizers.Adam(
-        tf.keras.optimizers.schedules.CosineDecay(recipe.learning_rate, batches * recipe.epochs)
+        tf.keras.optimizers.schedules.CosineDecay(recipe.learning_rate, steps)
     )
 
 

@@ -24,12 +24,9 @@ from pipeline.data.events import Recordings
 from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts
 from pipeline.results.report.samples import final_probabilities
-from pipeline.roads import REFERENCES
+from pipeline.roads import COMPARED_WITH, REFERENCES
 from pipeline.settings import PATHS, Settings
 from pipeline.stages import settings_read
-
-COMPARED_WITH = ("cnn-matched", "trained", "nir", "rate-lif", "cnn")
-"""The stages that a deployed network is compared with, the first that the ladder has."""
 
 MOST_IN_A_MATRIX = 40
 """Largest number of classes for which a confusion matrix is drawn."""

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pipeline.data.events import TaxelMap
-from pipeline.data.images import aggregate, normalise, tactile_images
-from pipeline.settings import AGGREGATIONS, NORMALISATIONS
+from pipeline.data.images import AlteredImages, aggregate, normalise, tactile_images
+from pipeline.settings import AGGREGATIONS, NORMALISATIONS, Image
 from tests.pipeline.handmade import recordings
 
 # Taxel 37 (row 7, column 3): two ON of 4 and 5 columns, one OFF of 2; taxel 90: one OFF of 3.
@@ -75,3 +75,52 @@ def test_unknown_names_are_refused_with_the_known_ones():
     for name in NORMALISATIONS:
         with pytest.raises(ValueError, match=f"'mean' is .*{name}"):
             normalise(np.ones((1, 2, 2)), "mean")
+
+
+def test_channels_are_slices_of_time_and_polarities():
+    """Two slices of 5 us: an event at 5 us is in the second, as is one after the end."""
+    rows = [(0, 37, 1, 4), (1_000, 90, -1, 3), (5_000, 37, 1, 5), (90_000, 37, -1, 2)]
+    image = Image("polarities", 2, 0.01, "none")
+    (found,) = tactile_images(recordings(rows), image)
+    expected = np.zeros((10, 10, 4))
+    expected[7, 3], expected[0, 9] = [1, 0, 1, 1], [0, 1, 0, 0]
+    np.testing.assert_array_equal(found, expected)
+    both = tactile_images(recordings(rows), Image("count", 2, 0.01, "none"))[0]
+    np.testing.assert_array_equal(both, expected.reshape(10, 10, 2, 2).sum(3))
+
+
+@pytest.mark.parametrize("aggregation", ["count", "columns", "signed", "on", "off"])
+def test_one_slice_is_the_paper_s_image(aggregation):
+    given = recordings(ROWS, [])
+    image = tactile_images(given, Image(aggregation, normalisation="none"))
+    np.testing.assert_array_equal(image[..., 0], aggregate(given, aggregation))
+
+
+def test_altered_images_have_a_share_of_the_events():
+    rows = [(1_000 * i, 37, 1, 1) for i in range(1000)]
+    image = Image(normalisation="none")
+    altered = AlteredImages(recordings(rows, ROWS), image, "time")
+    rng = np.random.default_rng(0)
+    left = np.array([altered(rng, [0])[0] for _ in range(50)])
+    assert set(np.argwhere(left)[:, 1:].ravel()) == {7, 3, 0}  # nothing moves
+    counts = left[:, 7, 3, 0]
+    assert 790 < counts.min() < 850 < 950 < counts.max() <= 1000  # up to a fifth is dropped
+    assert altered(rng, [1, 0, 0]).shape == (3, 10, 10, 1)
+
+
+def test_altered_images_move_the_events_of_a_taxel_together():
+    rows = [(1_000 * i, 37, 1, 1) for i in range(100)]
+    altered = AlteredImages(recordings(rows), Image(normalisation="none"), "space")
+    rng = np.random.default_rng(0)
+    places = []
+    for _ in range(60):
+        (image,) = altered(rng, [0])
+        assert np.count_nonzero(image) == 1
+        places.append(tuple(np.argwhere(image)[0][:2]))
+    assert (7, 3) in places
+    assert len(set(places)) > 3
+    assert np.abs(np.array(places) - (7, 3)).max() <= 3
+    same = AlteredImages(recordings(rows), Image(normalisation="none"), "space")
+    np.testing.assert_array_equal(
+        same(np.random.default_rng(4), [0]), altered(np.random.default_rng(4), [0])
+    )

@@ -124,6 +124,18 @@ def test_small_losses_that_add_up_are_too_much_together():
     assert [b for _, b, _ in losing_stages(ladder, 5)] == ["nengo", "emulator", "emulator"]
 
 
+def test_losses_are_stated_against_the_matched_cnn():
+    """The paper's CNN, trained less, is no measure of what conversion costs."""
+    cnn, matched, last = (
+        of_eighty("cnn", 60),
+        of_eighty("cnn-matched", 72),
+        of_eighty("emulator", 70),
+    )
+    text = ladder_text(ladder_json([of_eighty("counts", 50), cnn, matched, last]))
+    assert "from cnn-matched to emulator: -2.5 points" in text
+    assert "from counts to emulator: +25.0 points" in text
+
+
 def test_what_the_cnn_loses_is_no_matter_of_firing_rates():
     assert losing_stages(ladder_json([CNN, RATE]), 1) == []
 

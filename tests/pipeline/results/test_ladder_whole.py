@@ -14,7 +14,7 @@ from pipeline.roads.road import responses_of
 from pipeline.settings import Presentation, read_settings
 from tests.command import call, missing
 
-STAGES = ["counts", "cnn", "rate-lif", "spiking-lif", "fast"]
+STAGES = ["counts", "cnn", "cnn-matched", "rate-lif", "spiking-lif", "fast"]
 
 
 @pytest.fixture(scope="module")

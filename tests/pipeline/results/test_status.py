@@ -17,7 +17,16 @@ ON_IMAGES = [
     *("dataset", "counts", "cnn", "rate-lif", "bundle"),
     *(
         f"checks/{s}"
-        for s in ("counts", "cnn", "rate-lif", "spiking-lif", "nengo", "simreal", "emulator")
+        for s in (
+            "counts",
+            "cnn",
+            "cnn-matched",
+            "rate-lif",
+            "spiking-lif",
+            "nengo",
+            "simreal",
+            "emulator",
+        )
     ),
     "ladder",
 ]

@@ -121,7 +121,7 @@ def test_more_rates_than_the_chosen_network_has_layers_are_a_problem(tmp_path):
     with pytest.raises(SeveralErrors) as caught:
         fitted(settings_of(small, **rates))
     of_rates, asked = caught.value.lines
-    assert missing(of_rates, "snn.max_rates", "4x4-64-4o") == []
+    assert missing(of_rates, "snn.max_rates", "4x4x16-256-4o") == []
     assert "500" in asked
 
 

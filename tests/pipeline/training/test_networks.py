@@ -114,20 +114,23 @@ def test_noise_does_not_depend_on_how_much_is_drawn_at_once(cnn, stripes, monkey
 def test_noise_is_normal_with_the_settings_deviation():
     chosen = settings(recipe="loihi", epochs=2, batch_size=64, noise=0.3)
     model = training.build_rate_network(chosen)
-    drawn = list(training._samples(model, 200, training.snn_recipe(chosen.snn), seed=4))
-    assert [len(order) for order, _ in drawn] == [200, 200]
-    assert sorted(drawn[0][0].numpy()) == list(range(200))
-    assert not np.array_equal(drawn[0][0], drawn[1][0])
-    for _, noise in drawn:
+    recipe = training.snn_recipe(chosen.snn, 200)
+    data = np.arange(200.0).reshape(-1, 1, 1, 1), np.arange(200)
+    drawn = list(training._samples(model, data, recipe, 4, None))
+    assert [len(labels) for _, labels, _, _ in drawn] == [200, 200]
+    assert sorted(drawn[0][1].numpy()) == list(range(200))
+    assert not np.array_equal(drawn[0][1], drawn[1][1])
+    for images, labels, noise, masks in drawn:
+        np.testing.assert_array_equal(images[:, 0, 0, 0], labels)
+        assert masks == []
         assert [layer.shape for layer in noise] == [(200, 7, 7, 6), (200, 5, 5, 24)]
         for layer in noise:
             assert abs(float(np.mean(layer))) < 0.01
             assert np.std(layer) == pytest.approx(0.3, rel=0.02)
-    first, second = drawn[0][1][0].numpy(), drawn[1][1][0].numpy()
+    first, second = drawn[0][2][0].numpy(), drawn[1][2][0].numpy()
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02
     again, other = (
-        next(training._samples(model, 200, training.snn_recipe(chosen.snn), seed))[1][0].numpy()
-        for seed in (4, 5)
+        next(training._samples(model, data, recipe, seed, None))[2][0].numpy() for seed in (4, 5)
     )
     np.testing.assert_array_equal(again, first)
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.02
@@ -213,3 +216,50 @@ def test_the_best_shift_brings_a_lif_neuron_near_a_rectified_unit():
     plain = neurons.rates(wanted.astype(np.float32)).numpy()
     assert error(shift, factor) < 0.5 * error(0.0, plain @ wanted / (plain @ plain))
     assert _best_shift(neurons, np.empty(0)) == (0.0, 1.0)
+
+
+def test_dropout_keeps_the_mean():
+    chosen = settings(recipe="loihi", epochs=1, batch_size=64, dropout=0.25)
+    model = training.build_rate_network(chosen)
+    data = np.zeros((200, 1, 1, 1)), np.zeros(200, int)
+    *_, masks = next(training._samples(model, data, training.snn_recipe(chosen.snn, 200), 4, None))
+    assert [layer.shape for layer in masks] == [(200, 7, 7, 6), (200, 5, 5, 24)]
+    for mask in masks:
+        assert set(np.unique(mask)) == {np.float32(0), np.float32(4 / 3)}
+        assert np.mean(mask) == pytest.approx(1, abs=0.02)
+
+
+def test_small_data_sets_get_more_epochs():
+    """A recipe has a number of updates at least; a number of epochs that is set is kept."""
+    default = Settings()
+    assert training.cnn_recipe(default.cnn, 5562).epochs == 20  # the paper's
+    assert training.cnn_recipe(default.cnn, 518).epochs == 148  # 17 batches: 2,500 updates
+    assert training.snn_recipe(default.snn, 5562).epochs == 60
+    assert training.snn_recipe(default.snn, 518).epochs == 278
+    assert training.cnn_recipe(settings().cnn, 518).epochs == 6
+
+
+def test_the_matched_cnn_is_trained_like_the_rate_network(cnn, stripes):
+    images, labels = stripes
+    chosen = settings(epochs=8, batch_size=16)
+    matched = training.train_matched(chosen, stripes, 0, cnn.weights)
+    assert [row["epoch"] for row in matched.history] == list(range(1, 9))
+    assert accuracy(matched.logits(images), labels) > 0.9
+    untrained = training.scale_to_unit(chosen, cnn.weights, images)
+    assert not np.allclose(matched.weights["conv1.kernel"], untrained["conv1.kernel"])
+    # It starts from the CNN's function, not from new weights.
+    assert matched.history[0]["accuracy"] > 0.9
+
+
+def test_altered_images_take_the_place_of_the_samples(stripes):
+    images, labels = stripes
+    seen = []
+
+    def altered(rng, indices):
+        seen.append(indices)
+        return images[(indices + 1) % len(images)]  # of the next class
+
+    few = Settings().with_values({"cnn": {"epochs": 8, "batch_size": 16}})
+    trained = training.train_cnn(few, stripes, 0, altered=altered)
+    assert len(seen) == 8
+    assert np.mean(trained.logits(images).argmax(1) == (labels - 1) % 10) > 0.8
