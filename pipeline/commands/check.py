@@ -21,7 +21,7 @@ from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
 from pipeline.commands import options, signatures
 from pipeline.progress import progress
-from pipeline.roads import ROADS, compared_with
+from pipeline.roads import COMPARED_WITH
 from pipeline.run import checks_beside
 
 
@@ -146,8 +146,7 @@ def _checked(bundle, path, target, seed, chosen):
 
 def _loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
-    for road in ROADS:
-        stage = compared_with(road.references)
+    for stage in COMPARED_WITH:
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(checks_beside(bundle.path) / f"{stage}.json")
             if reference["bundle"] == bundle.id:

@@ -37,7 +37,7 @@ def ladder_stages(road: Road, whole: bool = False) -> list:
     and ``fast``, without a board's result, on the whole test split.
     """
     left_out = ("emulator", *BOARDS) if whole else ("fast",)
-    return [*road.references, *(name for name in TARGETS if name not in left_out)]
+    return [*road.reference_stages, *(name for name in TARGETS if name not in left_out)]
 
 
 def measure_ladder(

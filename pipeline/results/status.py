@@ -220,7 +220,10 @@ def _dataset_origin(run, settings):
 def _parts(run, road, dataset):
     """The states of a road's parts, with accuracies and durations from their records."""
     statuses = {}
+    answering = {road.references[stage].part for stage in road.reference_stages}
     for part in road.parts:
+        if part.name not in answering and not road.is_deployed(part.name):
+            continue
         artifact = road.artifact(part.name, run, dataset)
         state = artifact.state()
         with reporting_damage(artifact.record, DELETE_IT):

@@ -114,11 +114,13 @@ class ImageRoad(Road):
         "snn.spike_penalty=0,0.05",
     )
 
-    def __init__(self, settings):
-        super().__init__(settings)
-        if settings.snn.recipe != "loihi" or settings.cnn.model:
-            # The spiking network is not trained as the own recipe does: there is nothing to match.
-            self.references = {k: v for k, v in self.references.items() if k != "cnn-matched"}
+    @property
+    def reference_stages(self):
+        settings = self.settings
+        if settings.snn.recipe == "loihi" and not settings.cnn.model:
+            return tuple(self.references)
+        # No CNN can be trained as a network that is not trained further than the CNN itself.
+        return tuple(stage for stage in self.references if stage != "cnn-matched")
 
     @property
     def channels(self):
@@ -134,10 +136,7 @@ class ImageRoad(Road):
         return (
             counts.PART,
             Part("cnn", "cnn", files, reads, self._cnn),
-            *(
-                Part("cnn-matched", "cnn-matched", files, further, self._matched, uses=("cnn",))
-                for _ in ({"cnn-matched"} & self.references.keys())
-            ),
+            Part("cnn-matched", "cnn-matched", files, further, self._matched, uses=("cnn",)),
             Part("rate-lif", "snn", files, further, self._rates, uses=("cnn",)),
         )
 

@@ -130,6 +130,11 @@ class Road:
         return getattr(self.settings, self.section).architecture if self.section else ""
 
     @property
+    def reference_stages(self) -> tuple:
+        """Names of the stages of :attr:`references` that the ladder of these settings has."""
+        return tuple(self.references)
+
+    @property
     def parts(self) -> tuple:
         """The :class:`Part` of each artifact before the bundle, in the order of their making."""
         raise NotImplementedError
