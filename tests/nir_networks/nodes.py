@@ -38,7 +38,20 @@ def by_snntorch():
             init_hidden=True, reset_mechanism="zero", reset_delay=False,
         )  # fmt: skip
 
+    def recurrent(kind, n, **options):
+        layer = kind(
+            beta=full(0.9, (n,)), threshold=full(1.7, (n,)), all_to_all=True, linear_features=n,
+            init_hidden=True, **options,
+        )  # fmt: skip
+        layer.recurrent.weight.data.normal_(0, 0.5)
+        return layer
+
     nn = torch.nn
+    loop = nn.Sequential(
+        nn.Linear(6, 8), recurrent(snn.RLeaky, 8, reset_mechanism="subtract"),
+        nn.Linear(8, 5, bias=False),
+        recurrent(snn.RSynaptic, 5, alpha=full(0.8, (5,)), reset_mechanism="subtract"),
+    )  # fmt: skip
     flat = nn.Sequential(nn.Linear(6, 8), leaky(8), nn.Linear(8, 5, bias=False), leaky(5))
     current = nn.Sequential(nn.Linear(6, 8, bias=False), synaptic(8), nn.Linear(8, 5), leaky(5))
     images = nn.Sequential(
@@ -50,10 +63,12 @@ def by_snntorch():
         ("leaky", flat, (6,)),
         ("synaptic", current, (6,)),
         ("images", images, (2, 8, 8)),
+        ("recurrent", loop, (6,)),
     ):
         for layer in network.double():
             # snnTorch's spikes have 32 bits
-            layer.register_forward_pre_hook(lambda _, given: given[0].double())
+            for module in (layer, *layer.children()):
+                module.register_forward_pre_hook(lambda _, inputs: inputs[0].double())
             if hasattr(layer, "weight"):
                 layer.weight.data *= 3
         sample = torch.zeros(1, *shape, dtype=torch.float64)
@@ -61,6 +76,8 @@ def by_snntorch():
         inputs = (torch.rand(STEPS, SAMPLES, *shape) < 0.3).double()
         snn.Leaky.reset_hidden()
         snn.Synaptic.reset_hidden()
+        snn.RLeaky.reset_hidden()
+        snn.RSynaptic.reset_hidden()
         yield f"snntorch-{name}", graph, inputs, torch.stack([network(step) for step in inputs])
 
 

@@ -18,6 +18,7 @@ CASES = {
     "snntorch-leaky": ("Affine LIF Linear LIF", SNNTORCH_STEP),
     "snntorch-synaptic": ("Linear CubaLIF Affine LIF", SNNTORCH_STEP),
     "snntorch-images": ("Conv2d LIF AvgPool2d Conv2d LIF Flatten Affine LIF", SNNTORCH_STEP),
+    "snntorch-recurrent": ("Affine LIF Linear CubaLIF", SNNTORCH_STEP),
     "norse-writes": ("Affine LIF Affine LI", STEP),
     "norse-reads": ("Affine CubaLIF Affine LIF", STEP),
     # Norse adds the whole input to IF at each step, as a step of 1 s does
@@ -49,7 +50,8 @@ def test_every_step_is_the_packages(name, folder):
     assert network.written_by_snntorch == name.startswith("snntorch")
     with np.load(folder / f"{name}.npz") as file:
         inputs, wanted = file["inputs"], file["outputs"]
-    found = simulate(network, inputs, step, "euler")
+    reset = "subtract-late" if name == "snntorch-recurrent" else "value"
+    found = simulate(network, inputs, step, "euler", reset)
     assert all(spikes.mean() > 0.001 for spikes in found.spikes.values())
     error = np.abs(found.outputs - wanted.reshape(found.outputs.shape)).max()
     spiking = network.nodes[-1].kind in SPIKING
