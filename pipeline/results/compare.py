@@ -370,7 +370,7 @@ def _settings_lines(compared, letters, width):
 def _accuracy_lines(compared, letters):
     if not compared["stages"]:
         return ["no stage has results in two of the runs; 'stmnist ladder RUN' makes them"]
-    rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p", ""]]
+    rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p"]]
     unpaired = False
     for stage in compared["stages"]:
         against = {d["b"]: d for d in stage["differences"] if d["a"] == 0}
@@ -395,7 +395,7 @@ def _accuracy_lines(compared, letters):
         *aligned(rows, left=2),
         "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
     ]
-    if any(cells[-1] for cells in rows):
+    if any(cells[-1].endswith("*") for cells in rows):
         lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
     if unpaired:
         lines.append("unpaired: the samples are different; p is that of Fisher's exact test")
@@ -404,13 +404,12 @@ def _accuracy_lines(compared, letters):
 
 def _difference_cells(value):
     if value is None:
-        return [""] * 5
+        return [""] * 4
     counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
     return [
         f"{round(value['difference'], 3) + 0.0:+.3f}",
         *counts,
-        p_text(value["p"]),
-        star(value["p"]),
+        p_text(value["p"]) + star(value["p"]),
     ]
 
 

@@ -15,7 +15,7 @@ from tests.command import call
 def test_options_and_what_is_set_besides(tmp_path):
     assignments = ["check.samples=50", "cnn.epochs=7"]
     given = options.Given(seed=3, samples=50, assignments=assignments)
-    with options.opened(tmp_path / "run", given) as (folder, resolved):
+    with options.resolved(tmp_path / "run", given) as (folder, resolved):
         assert folder.path == tmp_path / "run"
         assert (resolved.seed, resolved.check.samples, resolved.cnn.epochs) == (3, 50, 7)
 
@@ -44,18 +44,9 @@ def test_an_option_and_another_value_of_its_setting_are_refused(option, given, a
 )
 def test_a_section_given_a_value_beside_an_option_is_refused(tmp_path, option, given, section):
     given = options.Given(assignments=[f"{section}=100"], **given)
-    opened = options.opened(tmp_path / "run", given)
+    opened = options.resolved(tmp_path / "run", given)
     with pytest.raises(UserError, match=f"^{option}: '{section}'"), opened:
         pass
-
-
-def test_an_option_that_is_a_setting_s_name(tmp_path, capsys):
-    assert call("ladder", tmp_path / "run", "--epochs", 5) == 2
-    assert "--set cnn.epochs=5" in capsys.readouterr().err
-    assert call("ladder", tmp_path / "run", "--input", "events", "--epochs", 5) == 2
-    assert "--set events.epochs=5" in capsys.readouterr().err
-    assert call("ladder", tmp_path / "run", "--nonsense") == 2
-    assert "--set " not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("words", "told"), [
@@ -65,10 +56,8 @@ def test_an_option_that_is_a_setting_s_name(tmp_path, capsys):
     ("ladder runs/x --limit much", ["--limit", "number"]),
     ("ladder runs/x --set epochs=5", ["cnn.epochs"]),
     ("ladder runs/x --slow", ["--slow", "--whole"]),
-    ("benchmark emulator runs/x --networks", ["--networks", "BUNDLE"]),
-    ("benchmark emulator --samples 3 --networks", ["--networks", "--samples"]),
     ("ladder runs/x --set cnn.epoch=5", ["cnn.epochs"]),
-    ("ladder runs/x --epoch 5", ["--set cnn.epochs=5"]),
+    ("ladder runs/x --epoch 5", ["--epoch", "--help"]),
     ("ladder runs/x more", ["more"]),
     ("lader runs/x", ["ladder"]),
     ("check run runs/x --target chip", ["chip", "emulator"]),
@@ -76,7 +65,6 @@ def test_an_option_that_is_a_setting_s_name(tmp_path, capsys):
     ("data import x --time-unit h", ["--time-unit", "'h'", "ms"]),
     ("data import x --downsample 0", ["--downsample", "0"]),
     ("live runs/x --port 70000", ["--port", "65535"]),
-    ("benchmark table2 --splits 0", ["--splits", "1"]),
 ])  # fmt: skip
 def test_a_slip_is_one_line_in_the_user_s_words(words, told, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
