@@ -54,7 +54,7 @@ def test_contents_settings_that_come_and_settings_that_go_are_told():
     told = [str(change) for change in now.changes_since(before.to_json())]
     assert told == [
         'cnn.model_sha256: unused -> ""',
-        "cnn.epochs: 20 -> unused",
+        "cnn.epochs: 0 -> unused",
         "recordings: aaaaaaaaaaaa -> bbbbbbbbbbbb",
     ]
 
@@ -79,7 +79,7 @@ def test_a_setting_that_is_not_declared_cannot_be_read():
     origin = Origin.of(SETTINGS, ["cnn.epochs", "image", "seed"])
     view = origin.view(SETTINGS)
     for seen in (view, pickle.loads(pickle.dumps(view))):  # as a worker gets it
-        assert (seen.seed, seen.cnn.epochs, seen.image) == (0, 20, SETTINGS.image)
+        assert (seen.seed, seen.cnn.epochs, seen.image) == (0, 0, SETTINGS.image)
         for read in (
             lambda s: s.cnn.batch_size,
             lambda s: s.snn.recipe,
@@ -122,25 +122,29 @@ def test_variants_lie_side_by_side(tmp_path):
     assert library.folder("cnn", one) == library.folder("cnn", one)
 
 
-IMAGE_DATA, EVENT_DATA = "dataset cnn rate-lif bundle", "dataset events threshold bundle"
+IMAGE_DATA, EVENT_DATA = (
+    "dataset cnn cnn-matched rate-lif bundle",
+    "dataset events threshold bundle",
+)
 
 DEPENDS = {
     # setting: what is made again, of a run on images and of one on events
-    ("cnn.epochs", 3): ("cnn rate-lif bundle", ""),
-    ("snn.noise", 0.2): ("rate-lif bundle", ""),
+    ("cnn.epochs", 3): ("cnn cnn-matched rate-lif bundle", ""),
+    ("snn.noise", 0.2): ("cnn-matched rate-lif bundle", ""),
+    ("cnn.augment", "none"): ("cnn cnn-matched rate-lif bundle", ""),
     ("deployment.synapse", 0.01): ("bundle", ""),
     ("presentation.steps", 60): ("bundle", "threshold bundle"),
     ("presentation.gap", 3): ("bundle", "bundle"),
     ("check.samples", 50): ("bundle", "bundle"),
     ("input.refractory", 20.0): ("", "events threshold bundle"),
     ("events.epochs", 3): ("", "events threshold bundle"),
-    ("image.aggregation", "signed"): ("cnn rate-lif bundle", "bundle"),
+    ("image.aggregation", "signed"): ("cnn cnn-matched rate-lif bundle", "bundle"),
     ("split.test_fraction", 0.3): (
-        "dataset cnn rate-lif bundle",
+        "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
     ),
     ("data.samples_per_digit", 9): (
-        "dataset cnn rate-lif bundle",
+        "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
     ),
     ("seed", 1): (IMAGE_DATA, EVENT_DATA),

@@ -1,0 +1,61 @@
+"""What the road of images chooses, and which stages its ladder has."""
+
+import numpy as np
+import pytest
+
+from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.roads import compared_with, road_of
+from pipeline.settings import Settings
+
+
+def settings(**sections):
+    return Settings().with_values(sections)
+
+
+def recordings(rows, columns, duration_ms=400):
+    """Ten recordings of two classes, with an event at the start and one at the end."""
+    n, times = 10, np.array([0, duration_ms]) * 10**6
+    events = Events(times, np.zeros(2, int), np.array([1, -1]), np.ones(2, int))
+    source, taxels = Source("made", "0" * 64, False), TaxelMap.grid(rows, columns)
+    sensor = Sensor(rows, columns, classes=("a", "b", "c"))
+    ids, labels = [str(i) for i in range(n)], [i % 3 for i in range(n)]
+    return collect([events] * n, labels, ids, [-1] * n, source, taxels, sensor)
+
+
+def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
+    changes, lines = road_of(settings()).choices(recordings(1, 30))
+    assert changes["cnn"] == {"architecture": "1x30x16-256-3o"}
+    image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
+    assert changes["image"] == {**image, "normalisation": "sqrt-max"}
+    assert changes["snn"] == {"dropout": 0.5}
+    assert len(lines) == 3
+    chosen = road_of(settings(**changes))
+    assert chosen.channels == 16
+
+
+def test_what_the_user_sets_is_kept():
+    strip = recordings(1, 30)
+    changes, _ = road_of(settings(image={"normalisation": "sum"})).choices(strip)
+    assert changes == {"cnn": {"architecture": "1x30-256-3o"}}
+    changes, _ = road_of(settings(snn={"dropout": 0.1})).choices(strip)
+    assert "snn" not in changes
+    assert road_of(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip) == ({}, [])
+
+
+def test_a_grid_gets_the_paper_s_image_and_layers():
+    changes, _ = road_of(settings()).choices(recordings(8, 9))
+    assert changes == {"cnn": {"architecture": "8x9-6c4-24c3-3o"}}
+
+
+@pytest.mark.parametrize(
+    ("sections", "against"),
+    [
+        ({}, "cnn-matched"),
+        ({"snn": {"recipe": "paper"}}, "cnn"),
+        ({"cnn": {"model": "m.keras"}, "snn": {"recipe": "as-is"}}, "cnn"),
+    ],
+)
+def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, against):
+    stages = road_of(settings(**sections)).reference_stages
+    assert compared_with(stages) == against
+    assert ("cnn-matched" in stages) == (against == "cnn-matched")
