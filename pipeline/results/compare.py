@@ -40,7 +40,7 @@ COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
 """Stages whose spikes give the operations and decision times; the first available one is used.  The
 first two have identical spikes; a board does not report the spikes of all layers."""
 
-LONGEST_SOURCE = 10
+LONGEST_SOURCE = 12
 """Characters of the name of other recordings in a stage's name."""
 
 WIDTH = 80
