@@ -245,11 +245,6 @@ class Architecture:
         return tuple(names)
 
     @property
-    def convs(self) -> tuple:
-        """The convolutions in order; the tuple may be empty."""
-        return tuple(layer for layer in self.layers if layer.kind == "conv")
-
-    @property
     def spiking(self) -> dict:
         """The layers with neurons by name, in order: convolutions and hidden dense layers."""
         layers = zip(self.names, self.layers, strict=True)

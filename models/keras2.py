@@ -13,14 +13,14 @@ import os
 import sys
 
 os.environ["TF_USE_LEGACY_KERAS"] = "1"
+# No plug-ins for HDF5, which TensorFlow before 2.21 searches for (CVE-2026-2492).
+os.environ["HDF5_PLUGIN_PRELOAD"] = "::"
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # no messages about missing GPUs
 # The scheduler of XLA 2.20 optimises for concurrency, which makes the small steps of these networks
 # 10 % slower than with 2.12.  The trained weights are bit-identical.
 os.environ["XLA_FLAGS"] = (
     os.environ.get("XLA_FLAGS", "") + " --xla_cpu_enable_concurrency_optimized_scheduler=false"
 )
-
-import models.hdf5  # noqa: F401  before TensorFlow imports h5py
 
 # The import creates half a million objects and no garbage; garbage collection would take a third
 # of its time.

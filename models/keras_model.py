@@ -123,7 +123,7 @@ def _version(path) -> str:
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
             return json.loads(archive.read("metadata.json"))["keras_version"]
-    from models.hdf5 import h5py
+    import h5py
 
     with h5py.File(path, "r") as file:
         return str(file.attrs["keras_version"])

@@ -288,14 +288,14 @@ def _chain(nodes, edges) -> tuple:
     """Name of the input node, and names of the nodes between input and output, in order."""
     first, last = _end(nodes, "Input"), _end(nodes, "Output")
     after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
-    _refuse_cycles(nodes, after)
     order, name = [], first
     while name != last:
-        if len(after[name]) != 1:
+        if len(after[name]) != 1 or len(order) > len(nodes):
             leads = " and ".join(map(shown, after[name][:3])) or "nothing"
             raise NirError(
-                f"node {shown(name)} leads to {leads}; a chain of nodes without branches from "
-                "input to output can be used"
+                f"node {shown(name)} ({_kind(nodes[name])}) leads to {leads}; a chain from input "
+                "to output can be used, in which a layer of neurons may also be connected to "
+                "itself, through one Linear or Affine and without delays"
             )
         (name,) = after[name]
         order.append(name)
@@ -309,29 +309,6 @@ def _chain(nodes, edges) -> tuple:
     if not order:
         raise NirError("has no nodes between input and output; write the trained network")
     return first, order
-
-
-def _refuse_cycles(nodes, after):
-    """Refuse a graph with a cycle, naming a layer of neurons in it."""
-    reach = {}
-    for name in nodes:
-        seen, left = set(), list(after[name])
-        while left:
-            place = left.pop()
-            if place not in seen:
-                seen.add(place)
-                left += after[place]
-        reach[name] = seen
-    inside = sorted(name for name in nodes if name in reach[name])
-    if inside:
-        neurons = [name for name in inside if _kind(nodes[name]) in SPIKING]
-        name = (neurons or inside)[0]
-        others = ", ".join(shown(n) for n in inside if n != name) or "nothing"
-        raise NirError(
-            f"node {shown(name)} ({_kind(nodes[name])}) is connected to itself through {others}; "
-            "a layer of neurons can be connected to itself through one Linear or Affine, without "
-            "delays, convolutions or other layers"
-        )
 
 
 def _text(value) -> str:

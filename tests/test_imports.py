@@ -151,7 +151,6 @@ def test_each_foreign_world_is_in_one_file():
     assert users("nengo_dl") == {"pipeline/training/nengodl.py"}
     assert users("nengo_loihi") == {"deploy/network/loihi_import.py"}
     assert users("tensorflow") == {"models/keras2.py"}
-    assert users("h5py") == {"models/hdf5.py"}
     assert users("fcntl") == {"deploy/files.py"}
 
 

@@ -10,17 +10,12 @@ from fastloihi.numpy1 import NumPy1
 
 from deploy.network.loihi_import import nengo_loihi
 from tests.command import LEAVE_GARBAGE, ROOT
-from tests.models.test_hdf5 import READ, REFUSED, asking
 
-IMPORT_BOTH = (
-    """
+IMPORT_BOTH = """
 import subprocess, sys
 from models.keras2 import tf
 import keras as keras3
 print("Keras", tf.keras.Model.__module__)
-"""
-    + READ
-    + """
 def refuse(*arguments, **options):
     raise AssertionError("NengoDL starts a process")
 subprocess.Popen = refuse
@@ -31,7 +26,6 @@ import pipeline.training.nengodl
 assert kerases() == before and sys.modules["keras"] is keras3
 print("NengoDL", "nengo_dl" in sys.modules)
 """
-)
 
 
 def run(code, *arguments, environment=os.environ):
@@ -44,21 +38,13 @@ def run(code, *arguments, environment=os.environ):
 
 
 @pytest.fixture(scope="module")
-def both(tmp_path_factory):
-    """Keras and NengoDL as we import them, one after the other: seconds.
-
-    Between them a file of HDF5 that asks for a plug-in is read.
-    """
-    path, environment = asking(tmp_path_factory.mktemp("hdf5"))
-    return run(IMPORT_BOTH, path, environment=environment)
+def both():
+    """Keras and NengoDL as we import them, one after the other: seconds."""
+    return run(IMPORT_BOTH)
 
 
 def test_keras_is_the_second_whoever_asks(both):
     assert "Keras tf_keras." in both.stdout, both.stderr
-
-
-def test_no_plug_in_of_hdf5_is_looked_for_beside_tensorflow(both):
-    assert REFUSED in both.stdout, both
 
 
 def test_nengodl_is_imported_without_a_second_python_and_leaves_keras_3_as_it_was(both):

@@ -12,10 +12,10 @@ import io
 import math
 from dataclasses import dataclass, field
 
+import h5py
 import numpy as np
 import scipy
 
-from models.hdf5 import h5py
 from pipeline.data.events import (
     N_TAXELS,
     Events,

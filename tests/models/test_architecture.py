@@ -21,7 +21,7 @@ def test_the_papers_networks():
     )
     assert cnn.shapes == ((10, 10, 1), (7, 7, 6), (5, 5, 24), (10,))
     assert cnn.names == ("conv1", "conv2", "output")
-    assert cnn.convs == (Convolution(6, 4), Convolution(24, 3))
+    assert cnn.layers[:2] == (Convolution(6, 4), Convolution(24, 3))
     assert cnn.outputs == 10
     slayer = parse("10x10x2-6c2-24c3-10o")
     assert slayer.shapes == ((10, 10, 2), (9, 9, 6), (7, 7, 24), (10,))

@@ -131,10 +131,10 @@ BAD = {
     "a loop with a convolution": (loop_over(CONV_BACK), "'n1' (LIF)", "'back0'", "Linear"),
     "a loop with a delay": (
         loop_over(WEIGHTS_BACK, {"type": "Delay", "delay": 1.0}),
-        *("'n1' (LIF)", "'back0'", "'back1'"),
+        *("'n1' (LIF)", "'back0'", "delays"),
     ),
     "a loop of another size": (loop_over({"type": "Linear", "weight": np.eye(3)}), "'back0'", "27"),
-    "a loop over two layers": (lambda n, e, t: e.append(("n3", "n1")), "'n1' (LIF)", "'n3'"),
+    "a loop over two layers": (lambda n, e, t: e.append(("n3", "n1")), "'n3' (Affine)", "'n1'"),
     "itself": (lambda n, e, t: e.append(("n1", "n1")), "'n1' (LIF)", "itself"),
     "two inputs": (second_input, "2 nodes", "Input"),
     "no output": (put("output", type="Scale"), "0 nodes", "Output"),
