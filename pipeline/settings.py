@@ -222,8 +222,8 @@ class CNN(Section):
     augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
     """Alterations of the events of training samples, before the image is made: ``time``, dropped
     events; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels; ``none``;
-    ``auto``, none for the paper's CNN, and in the spiking network's training ``space`` for
-    handwriting on the simulated skin or ST-MNIST's, and ``time`` for other recordings."""
+    ``auto``, ``none`` for the paper's CNN and for handwriting on the simulated skin or ST-MNIST's,
+    and ``time`` in the spiking network's training on other recordings."""
     model: str = ""
     """A Keras model file whose weights replace trained ones; ``convert --model`` sets it."""
     model_sha256: str = ""

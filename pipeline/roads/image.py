@@ -276,7 +276,9 @@ def _trained_further(name, function, opened, artifact):
     settings, dataset = opened.settings, opened.dataset
     data, how = dataset.part("train"), settings.cnn.augment
     if how == "auto":
-        how = augmentation_for(dataset.recordings)
+        # On validation samples of handwriting, alterations in space help the CNN (by 0.2 and 1.8
+        # points) and not the spiking network (by 0.5 points).
+        how = "none" if augmentation_for(dataset.recordings) == "space" else "time"
     if settings.snn.recipe != "loihi" or dataset.is_of_arrays:
         how = "none"
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
