@@ -33,7 +33,9 @@ def between(low, high, unit="") -> Limit:
 
 def one_of(*values) -> Limit:
     """The limit of a value that has only these values."""
-    return Limit(lambda value: value in values, "one of " + ", ".join(str(v) for v in values))
+    return Limit(
+        lambda value: value in values, "one of " + ", ".join(str(v) or "''" for v in values)
+    )
 
 
 def limited(limit: Limit, default=MISSING):
@@ -152,6 +154,7 @@ def _built(hint, value, name, extra):
     elif origin is float:
         number = isinstance(value, numbers.Real) and type(value) is not bool
         _require(number and -LARGEST <= value <= LARGEST, name, "a finite number", value)
+        return float(value)
     elif origin is str:
         _require(_is_text(value), name, "text", value)
     elif origin is dict:

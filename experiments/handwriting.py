@@ -13,7 +13,6 @@ from scipy.cluster.vq import kmeans2
 from deploy.errors import UserError
 from deploy.files import sha256_of
 from deploy.terminal import show
-from pipeline.commands import options
 from pipeline.skin import shape_model, unipen
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
@@ -254,9 +253,7 @@ def _loyalty(usage):
 
 def main(
     file: Annotated[Path, typer.Argument(help="UNIPEN file of digits, with their writers.")],
-    seed: Annotated[
-        int, typer.Option(help="Seed of the search.", parser=options.between(0, 2**31 - 1))
-    ] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0, max=2**31 - 1)] = 0,
     out: Annotated[
         Path, typer.Option(help="File for the model.", show_default="the one that is read")
     ] = shape_model.MODEL,

@@ -146,9 +146,9 @@ def _in_processes(function, jobs, processes, meanwhile):
             for number, result in results:
                 yield left.pop(number), result
     except TerminatedWorkerError:
-        # It is unknown whose process was killed: each remaining job gets a process of its own.
+        message = "a process was killed, perhaps for lack of memory; use fewer --jobs"
         for job in left.values():
-            yield job, _alone(function, job)
+            yield job, Failure(message, message, UserError(message))
 
 
 def _beginning():
@@ -163,14 +163,6 @@ def _beginning():
 def ignore_ctrl_c():
     """Ignore Ctrl-C in this process, which another one ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _alone(function, job):
-    try:
-        return next(results_of([delayed(attempt)(function, job)], 2))  # 1 is this process
-    except TerminatedWorkerError:
-        message = "its process was killed, perhaps for lack of memory; use fewer --jobs"
-        return Failure(message, message, UserError(message))
 
 
 def _numbered(number, function, job):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import enum
 import functools
 import inspect
 import itertools
@@ -14,13 +15,13 @@ import json
 import math
 import textwrap
 import tomllib
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Annotated, NamedTuple, get_type_hints
+from dataclasses import asdict, dataclass, field, fields
+from typing import Annotated
 
 from deploy import limits
 from deploy.errors import UserError
 from deploy.files import open_regular, replacing
+from deploy.loading import Limit, WrongValue, between, load, one_of
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import NotationError, parse
@@ -42,14 +43,11 @@ class UndeclaredSetting(Exception):
     """
 
 
-class _Hidden:
+class _Access(enum.Enum):
     """Stands in a section for a value that may not be read; the same object after pickling."""
 
-    def __reduce__(self):
-        return "_HIDDEN"
+    DENIED = 0
 
-
-_HIDDEN = _Hidden()
 
 PATHS = ("data.source", "cnn.model", "nir.file")
 """Settings with the path of a file.  The origin of an artifact has a hash of the file's content
@@ -61,35 +59,13 @@ class Section:
 
     def __getattribute__(self, name):
         value = object.__getattribute__(self, name)
-        if value is _HIDDEN:
+        if value is _Access.DENIED:
             raise UndeclaredSetting(
                 f"{type(self).__name__}.{name} is read, but the artifact that is being made does "
                 "not declare it; add it to the reads of the artifact's origin"
             )
         return value
 
-
-class Limit(NamedTuple):
-    """A condition on a value, and its wording in an error."""
-
-    holds: Callable
-    expected: str
-
-
-def one_of(*values) -> Limit:
-    """The limit of a setting that has only these values."""
-    return Limit(lambda value: value in values, "one of " + ", ".join(v or "''" for v in values))
-
-
-def between(low, high, unit="") -> Limit:
-    """The limit of a setting from ``low`` to ``high``, both included."""
-    return Limit(lambda value: low <= value <= high, f"from {low:.10g} to {high:.10g}{unit}")
-
-
-LARGEST = 2**53
-"""Largest number: all integers up to it are exact in every format."""
-
-LONGEST_TEXT = 4096
 
 SEED = between(0, 2**31 - 1)
 EPOCHS, BATCH = between(1, limits.EPOCHS), between(1, limits.BATCH)
@@ -253,7 +229,7 @@ class SNN(Section):
     spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
     """Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps, in
     multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only."""
-    max_rates: tuple = (150.0,)
+    max_rates: tuple[float, ...] = (150.0,)
     """Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
     the last entry also applies to all layers after it."""
     tau_rc: Annotated[float, TAU] = 0.02
@@ -349,7 +325,7 @@ class PresentationSettings(Section):
     ``input.step``.  0 for 100 steps, or with events for the two seconds of a recording."""
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     """Blank steps before each sample."""
-    readout_start: int = Presentation.readout_start
+    readout_start: Annotated[int, STEPS_OR_NONE] = Presentation.readout_start
     """First step of the readout window, over which the output is averaged for the decision; with
     events always the first step of the presentation."""
     stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
@@ -411,8 +387,11 @@ class Settings(Section):
         UserError
             An unknown setting, or a value of the wrong kind or out of range.
         """
-        settings = _changed(self, changes, origin, "")
-        _validate(settings, origin)
+        try:
+            settings = load(Settings, _merged(self.to_json(), changes))
+            _check_relations(settings)
+        except WrongValue as error:
+            raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
         return settings
 
     def presented(self, confidence: float | None = None) -> Presentation:
@@ -648,73 +627,21 @@ def _toml(value):
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _changed(settings, changes, origin, prefix):
-    known = {entry.name: getattr(settings, entry.name) for entry in fields(settings)}
-    values = {}
-    for name, value in changes.items():
-        full = prefix + name
-        if name not in known:
-            raise UserError(
-                f"{origin}: unknown setting {_short(full)}{_meant(name, known, prefix)}; "
-                f"known here: {', '.join(sorted(known))}"
-            )
-        default = known[name]
-        if hasattr(default, "__dataclass_fields__"):
-            if not isinstance(value, dict):
-                raise UserError(f"{origin}: {full!r} is a section, write it as [{full}]")
-            values[name] = _changed(default, value, origin, full + ".")
-        else:
-            values[name] = _coerced(value, default, origin, full)
-    try:
-        return replace(settings, **values)
-    except ValueError as error:
-        raise UserError(f"{origin}: {error}") from error
+def _merged(old, changes):
+    """Nested values with some changed."""
+    return old | {
+        name: _merged(old[name], value)
+        if isinstance(value, dict) and isinstance(old.get(name), dict)
+        else value
+        for name, value in changes.items()
+    }
 
 
-def _meant(name, known, prefix):
-    """The suggestion of a known name that is similar to an unknown one."""
-    near = difflib.get_close_matches(str(name), known, n=1)
-    if not near and not prefix:  # the section was left out
-        last = {full.rpartition(".")[2]: full for full in reversed(Settings().flat())}
-        near = [last[word] for word in difflib.get_close_matches(str(name), last, n=1)]
-    return f" (did you mean {prefix + near[0]!r}?)" if near else ""
-
-
-def _coerced(value, default, origin, name):
-    def fail(kind):
-        raise UserError(f"{origin}: {name!r} must be {kind}, not {_short(value)}")
-
-    if isinstance(default, bool):
-        return value if isinstance(value, bool) else fail("true or false")
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if isinstance(default, int):
-        if not number or not isinstance(value, int) or abs(value) > LARGEST:
-            fail("a whole number")
-        return value
-    if isinstance(default, float):
-        if not number or not -LARGEST <= value <= LARGEST:  # NaN fails both comparisons
-            fail("a number")
-        return float(value)
-    if isinstance(default, tuple):
-        if not isinstance(value, (list, tuple)):
-            fail("a list")
-        if len(value) > limits.LAYERS:
-            fail(f"a list of at most {limits.LAYERS} values")
-        return tuple(_coerced(entry, default[0], origin, name) for entry in value)
-    try:
-        if len(value.encode()) > LONGEST_TEXT:
-            fail(f"text of at most {LONGEST_TEXT} bytes")
-    except (AttributeError, UnicodeEncodeError):
-        fail("text (in UTF-8)")
-    return value
-
-
-def _short(value):
-    try:
-        text = repr(value)
-    except ValueError:
-        return "a number of thousands of digits"
-    return text if len(text) <= 80 else text[:77] + "..."
+def _suggestion(error):
+    """The known name that is most similar to an unknown one."""
+    unknown = error.problem == "is unknown"
+    near = difflib.get_close_matches(error.name, Settings().flat(), n=1) if unknown else []
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def _narrowed(section, kept, prefix):
@@ -724,7 +651,7 @@ def _narrowed(section, kept, prefix):
         if isinstance(value, Section):
             value = _narrowed(value, kept, f"{prefix}{name}.")
         elif prefix + name not in kept:
-            value = _HIDDEN
+            value = _Access.DENIED
         object.__setattr__(copy, name, value)
     return copy
 
@@ -748,13 +675,6 @@ def _entries(settings, prefix=""):
 
 
 @functools.cache
-def _limits(section):
-    """The limit of each entry of a section that has one."""
-    hints = get_type_hints(section, include_extras=True)
-    return {n: hint.__metadata__[0] for n, hint in hints.items() if hasattr(hint, "__metadata__")}
-
-
-@functools.cache
 def _meanings(section):
     """The text below each entry of a section, in one line and without its markup."""
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(section))).body
@@ -765,25 +685,22 @@ def _meanings(section):
     }
 
 
-def _validate(s: Settings, origin):
+def _check_relations(s: Settings):
+    """Check the limits of a setting that depend on other settings, and the notations."""
+
     def need(condition, name, expected):
         if not condition:
-            raise UserError(f"{origin}: {name!r} must be {expected}")
+            raise WrongValue(name, f"must be {expected}")
 
-    for name, section, entry in _entries(s):
-        limit = _limits(type(section)).get(entry)
-        if limit is not None:
-            need(limit.holds(getattr(section, entry)), name, limit.expected)
     inside = 0 <= s.presentation.readout_start < s.steps
     need(s.on_events or inside, "presentation.readout_start",
          f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
          "with so few steps give it too, such as "
          f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
-    layers = _parsed(s.events.architecture, "events.architecture", origin).layers
+    layers = _parsed(s.events.architecture, "events.architecture").layers
     need(len(layers) > 1 and all(layer.kind != "pool" for layer in layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
-    architecture = _parsed(s.cnn.architecture, "cnn.architecture", origin)
-    n_spiking = len(architecture.spiking)
+    n_spiking = len(_parsed(s.cnn.architecture, "cnn.architecture").spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
@@ -791,15 +708,16 @@ def _validate(s: Settings, origin):
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
 
 
-def _parsed(architecture, name, origin):
+def _parsed(architecture, name):
     try:
         parsed = parse(architecture)
     except NotationError as error:
-        raise UserError(f"{origin}: {name!r}: {error}") from error
+        raise WrongValue(name, f"is not a network: {error}") from error
     weights = sum(map(math.prod, parsed.weight_shapes.values()))
     if weights > limits.WEIGHTS or max(map(math.prod, parsed.shapes)) > limits.NEURONS:
-        raise UserError(
-            f"{origin}: {name!r} must be a network of at most {limits.WEIGHTS} weights, "
-            f"and {limits.NEURONS} neurons in a layer"
+        raise WrongValue(
+            name,
+            f"must be a network of at most {limits.WEIGHTS} weights, "
+            f"and {limits.NEURONS} neurons in a layer",
         )
     return parsed

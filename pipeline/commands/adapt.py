@@ -21,9 +21,7 @@ def adapt(
     run: Annotated[Path, typer.Argument(help="Folder of a run, or of a copied bundle.")],
     data: Annotated[
         str,
-        typer.Option(
-            help="Zip or folder of the person's recordings of every class.",
-        ),
+        typer.Option(help="Zip or folder of the person's recordings of every class."),
     ],
     writer: Annotated[
         Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
@@ -33,9 +31,7 @@ def adapt(
         Optional[Path],  # noqa: UP045
         typer.Option(help="Folder of the new bundle.", show_default="RUN/adapted"),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(help="Seed of the fit.", parser=options.between(0, 2**31 - 1))
-    ] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the fit.", min=0, max=2**31 - 1)] = 0,
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
     ] = False,

@@ -19,7 +19,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
-from pipeline.commands import options, signatures
+from pipeline.commands import options
 from pipeline.progress import progress
 from pipeline.roads import COMPARED_WITH
 from pipeline.run import checks_beside
@@ -29,7 +29,7 @@ def _board_option(kind, text):
     return Annotated[kind, typer.Option(help=text, rich_help_panel="Target loihi")]
 
 
-Board = signatures.group(
+Board = options.group(
     BoardOptions,
     board=_board_option(Optional[str], "Name of a board (default: the cluster's choice)."),  # noqa: UP045
     partition=_board_option(
@@ -73,20 +73,21 @@ class OtherRecordings:
     jobs: int = 2
 
 
-Others = signatures.group(
+Others = options.group(
     OtherRecordings,
     data=Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(
             help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
-            "and classes must be the same.",
+            "and classes must be the same."
         ),
     ],
     samples=Annotated[
         Optional[int],  # noqa: UP045
         typer.Option(
             help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
-            parser=options.between(0, limits.SAMPLES),
+            min=0,
+            max=limits.SAMPLES,
         ),
     ],
     skip_bad=Annotated[
@@ -100,7 +101,7 @@ def run(
     bundle: options.Bundle,
     target: Annotated[
         str,
-        typer.Option(help=f"One of {', '.join(TARGETS)}.", autocompletion=lambda: list(TARGETS)),
+        typer.Option(help=f"One of {', '.join(TARGETS)}."),
     ],
     out: Annotated[
         Optional[Path],  # noqa: UP045

@@ -11,7 +11,7 @@ import typer
 from deploy import limits
 from deploy.errors import UserError
 from deploy.terminal import show
-from pipeline.commands import options, signatures
+from pipeline.commands import options
 from pipeline.data.events import GRID
 from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading
@@ -34,15 +34,14 @@ Source = Annotated[
 ]
 SimulationSeed = Annotated[
     int,
-    typer.Option(
-        "--seed", help="Seed of simulated recordings.", parser=options.between(0, 2**63 - 1)
-    ),
+    typer.Option("--seed", help="Seed of simulated recordings.", min=0, max=2**63 - 1),
 ]
 PerDigit = Annotated[
     int,
     typer.Option(
         help="Number of recordings of each digit; 0 for the published numbers.",
-        parser=options.between(0, limits.SAMPLES),
+        min=0,
+        max=limits.SAMPLES,
     ),
 ]
 
@@ -64,7 +63,7 @@ class Unit(StrEnum):
 
 def _side(what):
     help_ = f"Number of {what} of taxels, 2 to 256."
-    return Annotated[int, typer.Option(help=help_, parser=options.between(2, 256))]
+    return Annotated[int, typer.Option(help=help_, min=2, max=256)]
 
 
 Rows, Columns = _side("rows"), _side("columns")
@@ -72,7 +71,7 @@ Rows, Columns = _side("rows"), _side("columns")
 
 def _side_or_found(what):
     help_ = f"Number of {what} of taxels; 0: as found, or ten for the simulated skin."
-    return Annotated[int, typer.Option(help=help_, parser=options.between(0, 256))]
+    return Annotated[int, typer.Option(help=help_, min=0, max=256)]
 
 
 TimeUnit = Annotated[
@@ -86,7 +85,8 @@ Downsample = Annotated[
     int,
     typer.Option(
         help="Files of events: side of the square of pixels that becomes one taxel.",
-        parser=options.between(1, MOST_DOWNSAMPLED),
+        min=1,
+        max=MOST_DOWNSAMPLED,
     ),
 ]
 
@@ -96,7 +96,7 @@ def _reading(rows=0, columns=0, time_unit=Unit.found, downsample=1):
 
 
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")]
-ReadingGiven = signatures.group(
+ReadingGiven = options.group(
     _reading,
     rows=_side_or_found("rows"),
     columns=_side_or_found("columns"),
@@ -241,7 +241,7 @@ FIGURES = ("recording", "sheet")
 def plot(
     what: Annotated[
         str,
-        typer.Argument(help=f"One of {', '.join(FIGURES)}.", autocompletion=lambda: list(FIGURES)),
+        typer.Argument(help=f"One of {', '.join(FIGURES)}."),
     ],
     out: Annotated[Path, typer.Option(help="The picture to write: .png, .pdf or .svg.")],
     data: Source = SIMULATED,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from functools import cached_property
 from importlib import import_module
@@ -14,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from deploy import __version__
 from deploy.errors import CheckFailed, SeveralErrors, UserError, line_of, one_line
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
-from pipeline.commands.signatures import for_typer
+from pipeline.commands.options import for_typer
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -73,7 +72,7 @@ VERBS = {
         "report.report",
     ),
     "animate": (
-        "Write an animation of a sample: events, image, probabilities over time.",
+        "Write an animation of a sample: touch, spikes and probabilities over time.",
         "report.animate",
     ),
     "live": (
@@ -90,25 +89,6 @@ or its own sub-commands.  A module is imported only when one of its commands is 
 ``--help`` and TAB do not wait for the second that importing all of them takes."""
 
 
-class _Flags:
-    """Boolean options without a placeholder for a value in the help."""
-
-    def get_params(self, ctx):
-        parameters = super().get_params(ctx)
-        for parameter in parameters:
-            if getattr(parameter, "is_flag", False) and parameter.metavar is None:
-                parameter.metavar = ""
-        return parameters
-
-
-class _Command(_Flags, TyperCommand):
-    pass
-
-
-class _Group(_Flags, TyperGroup):
-    pass
-
-
 def _imported(name):
     """The functions of one of the :data:`VERBS`, or of the verbs below it, each with its name."""
     _, verb = VERBS[name]
@@ -120,14 +100,14 @@ def _imported(name):
     return functions
 
 
-class _Deferred(_Command):
+class _Deferred(TyperCommand):
     """Placeholder in the list for a verb whose modules are imported when it is chosen."""
 
     @cached_property
     def chosen(self):
         made = _typer(self.help, add_completion=False)
         for name, verb in _imported(self.name).items():
-            made.command(name, cls=_Command)(for_typer(verb))
+            made.command(name)(for_typer(verb))
         return typer.main.get_command(made)  # a single command, or a group of them
 
     def make_context(self, *arguments, **options):
@@ -138,7 +118,6 @@ def _typer(help_text, **options) -> typer.Typer:
     return typer.Typer(
         help=help_text,
         no_args_is_help=True,
-        cls=_Group,
         pretty_exceptions_enable=False,
         rich_markup_mode="markdown",  # which fills paragraphs
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
@@ -175,7 +154,7 @@ def with_every_verb() -> TyperGroup:
 def run_alone(verb, name: str, arguments):
     """Run a function as a command of its own, as :func:`main` runs those of ``stmnist``."""
     made = _typer(None, add_completion=False)
-    made.command(cls=_Command)(for_typer(verb))
+    made.command()(for_typer(verb))
     main(arguments, typer.main.get_command(made), name)
 
 
@@ -194,7 +173,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
         status = _say(INTERRUPTION, INTERRUPTED)
     except UsageError as error:
         context = error.ctx.command_path if error.ctx else "stmnist"
-        problem = plain(error.format_message()).rstrip(".") or "a command is missing"
+        problem = error.format_message().rstrip(".") or "a command is missing"
         status = _say(f"{problem} (see '{context} --help')", 2)
     except ClickException as error:
         status = _say(error.format_message(), 2)
@@ -214,24 +193,6 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     except (MemoryError, OSError) as error:  # not handled by any module
         status = _say(line_of(error), 2)
     sys.exit(status or 0)
-
-
-_PLAIN = (
-    (r"Value error, ", ""),
-    (r"Input should be a valid integer.*", "must be a whole number"),
-    (r"Input should be a valid (number|boolean).*", r"must be a \1"),
-    (r"Input should be less than or equal to ", "must be at most "),
-    (r"Input should be greater than or equal to ", "must be at least "),
-    (r"Got unexpected extra arguments?\(?s?\)? \((.*)\)", r"unexpected argument: \1"),
-)
-"""Messages of the libraries that read options, and what they mean."""
-
-
-def plain(message: str) -> str:
-    """A message about an option in this project's words instead of the library's."""
-    for pattern, meaning in _PLAIN:
-        message = re.sub(pattern, meaning, message)
-    return message
 
 
 def _say(message, status):

@@ -1,4 +1,13 @@
-"""Options that several commands share, and functions that apply them: settings, workers, output."""
+"""Options that several commands share, and functions that apply them: settings, workers, output.
+
+A command receives a group of options, such as those that choose the settings of a run, as one
+value::
+
+    def train(run: options.Run, given: options.RunGiven, jobs: options.Jobs = 2): ...
+
+where the annotation contains a :class:`Group`.  Typer needs one parameter for each option, so
+:func:`for_typer` replaces the group by its options.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +15,17 @@ import contextlib
 import json
 import shlex
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Optional, get_type_hints
 
 import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.terminal import remark, show
-from pipeline.commands.signatures import group
 from pipeline.run import (
     RunFolder,
     nothing_left_of_a_failure,
@@ -22,50 +33,78 @@ from pipeline.run import (
     refuse_results,
 )
 
-
-def between(low: int, high: int):
-    """A parser of whole numbers; Typer's own prints the range, which is too wide for the help."""
-
-    def number(text) -> int:
-        try:
-            value = int(text)
-        except ValueError as error:
-            raise typer.BadParameter(f"{text!r} is not a whole number") from error
-        if not low <= value <= high:
-            raise typer.BadParameter(f"{value} is not from {low} to {high}")
-        return value
-
-    return number
+KEYWORD = Parameter.KEYWORD_ONLY
 
 
-def one_of(*choices: str) -> dict:
-    """Parameters of an option that has one of some values: its parser and completion."""
+@dataclass(frozen=True)
+class Group:
+    """Options that a command receives as one value.
 
-    def choice(text) -> str:
-        if text not in choices:
-            raise typer.BadParameter(f"{text!r} is not one of {', '.join(choices)}")
-        return text
+    Attributes
+    ----------
+    make : callable
+        Function that makes the value from the options; its parameters have the options' defaults.
+    options : dict
+        Annotation of each option, by the parameter of ``make``, in the order of the help.
+    """
 
-    return {
-        "parser": choice,
-        "autocompletion": lambda: list(choices),
-    }
+    make: Callable
+    options: dict
+
+
+def group(make: Callable, **options):
+    """Annotation of a parameter that receives a :class:`Group` of options as one value."""
+    return Annotated[object, Group(make, options)]
+
+
+def for_typer(verb: Callable) -> Callable:
+    """A verb whose signature has one parameter for each option.
+
+    Parameters
+    ----------
+    verb : callable
+        Function of a command; parameters may be annotated with a :func:`group`.
+
+    Returns
+    -------
+    callable
+        Takes every option as a keyword argument.
+    """
+    hints = get_type_hints(verb, include_extras=True)
+    parameters, groups = [], {}
+    for name, parameter in signature(verb).parameters.items():
+        metadata = getattr(hints[name], "__metadata__", ())
+        if metadata and isinstance(metadata[0], Group):
+            groups[name] = metadata[0]
+            defaults = signature(metadata[0].make).parameters
+            parameters += [
+                Parameter(option, KEYWORD, default=defaults[option].default, annotation=hint)
+                for option, hint in metadata[0].options.items()
+            ]
+        else:
+            parameters.append(parameter.replace(kind=KEYWORD, annotation=hints[name]))
+
+    @wraps(verb)
+    def with_groups(**values):
+        for name, each in groups.items():
+            values[name] = each.make(**{option: values.pop(option) for option in each.options})
+        return verb(**values)
+
+    with_groups.__signature__ = Signature(parameters)
+    with_groups.__annotations__ = {each.name: each.annotation for each in parameters}
+    return with_groups
 
 
 Run = Annotated[Path, typer.Argument(help="Folder of the run, such as runs/default.")]
 Bundle = Annotated[Path, typer.Argument(help="Folder of the bundle or of its run.")]
 Data = Annotated[
     Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
-    typer.Option(
-        help="Zip or folder of recordings, or 'simulated' (default: as in the settings).",
-    ),
+    typer.Option(help="Zip or folder of recordings, or 'simulated' (default: as in the settings)."),
 ]
 Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
 Input = Annotated[
     Optional[str],  # noqa: UP045
-    typer.Option(
-        "--input", help="Input of the chip: 'image' or 'events'.", **one_of("image", "events")
-    ),
+    typer.Option("--input", help="Input of the chip: 'image' or 'events'."),
 ]
 Samples = Annotated[Optional[int], typer.Option(help="Number of samples of the check.")]  # noqa: UP045
 Steps = Annotated[Optional[int], typer.Option(help="Number of steps of a sample.")]  # noqa: UP045
@@ -77,7 +116,7 @@ Assignments = Annotated[
     Optional[list[str]],  # noqa: UP045
     typer.Option("--set", help="Change a setting, such as --set cnn.epochs=5; repeatable."),
 ]
-Jobs = Annotated[int, typer.Option(help="Number of parallel processes.", parser=between(1, 10_000))]
+Jobs = Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=10_000)]
 Scheduler = Annotated[
     Optional[str],  # noqa: UP045
     typer.Option(

@@ -16,12 +16,14 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import open_regular
-from pipeline.settings import LARGEST
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import boxed
 
 MOST_TEXT = 1 << 26
 """Characters that are read of a file; a thousand writers take a tenth of it."""
+
+LARGEST = 2**53
+"""Largest coordinate; all integers up to it are exact."""
 
 _COMPONENTS = re.compile(r"(\d+)(?:-(\d+))?")
 _SEGMENT = re.compile(r'\.SEGMENT\s+\S+\s+(\S+)\s+\S+\s+"(.*)"')

@@ -44,7 +44,7 @@ def test_defaults_nested_values_and_whole_numbers():
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"inner": {"rate": 2000}}, "'inner.rate' must be from 0 to 1000 Hz, not 2000"),
+        ({"inner": {"rate": 2000}}, "'inner.rate' must be from 0 to 1000 Hz, not 2000.0"),
         ({"inner": {"rate": float("nan")}}, "'inner.rate' must be a finite number, not nan"),
         ({"inner": {"rate": True}}, "'inner.rate' must be a finite number, not True"),
         ({"many": [{}, {"kind": "c"}]}, "'many[1].kind' must be one of a, b, not 'c'"),

@@ -46,21 +46,10 @@ def test_what_was_raised_in_a_process_can_be_raised_again():
         failures[2].raise_again("target fast")
 
 
-def test_a_killed_process_is_a_failure_and_the_others_go_on():
+def test_a_killed_process_is_a_failure():
     results = dict(run_jobs(die_of_two, [0, 1, 2, 3, 4], 2))
-    assert "killed" in results.pop(2).error
-    assert results == {number: number for number in (0, 1, 3, 4)}
-
-
-def interrupted_at(number):
-    os.kill(os.getpid(), signal.SIGINT)
-    return number
-
-
-def test_processes_do_not_hear_ctrl_c():
-    """Between two jobs joblib's own code would answer it with a traceback."""
-    assert dict(run_jobs(interrupted_at, [0, 1], 2)) == {0: 0, 1: 1}
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert set(results) == {0, 1, 2, 3, 4}
+    assert "killed" in results[2].error
 
 
 def slow(number):
@@ -76,18 +65,6 @@ def test_what_goes_on_meanwhile_may_fail_or_be_interrupted(gives_up):
 
     with warnings.catch_warnings(record=True) as told, pytest.raises(gives_up):
         list(run_jobs(slow, [0, 1, 2], 2, meanwhile=meanwhile))
-    assert told == []
-
-
-def fail_at_once(number):
-    return Failure("no", "no") if number == 0 else slow(number)
-
-
-def test_who_asked_may_give_up_at_the_first_failure():
-    with warnings.catch_warnings(record=True) as told:
-        results = run_jobs(fail_at_once, [0, 1, 2], 2)
-        assert next(results)[0] == 0
-        results.close()
     assert told == []
 
 

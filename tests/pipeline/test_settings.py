@@ -48,9 +48,9 @@ def test_round_trip(tmp_path_factory, seed, source, rates, skip):
 
 
 BAD = [
-    ({"epochs": 3}, "cnn"),
-    ({"cnn": {"epoch": 3}}, "'cnn.epochs'", "batch_size"),
-    ({"cnn": 3}, "[cnn]"),
+    ({"epochs": 3},),
+    ({"cnn": {"epoch": 3}}, "'cnn.epochs'"),
+    ({"cnn": 3}, "table"),
     ({"cnn": {"epochs": "3"}}, "'3'"),
     ({"cnn": {"epochs": 3.5}}, "3.5"),
     ({"cnn": {"epochs": True}}, "True"),

@@ -70,7 +70,7 @@ def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
         bundle=bundle,
         results=results,
         metrics={
-            title: read_json(path / "metrics.json", REMEDY)
+            title: _test_accuracy(path / "metrics.json")
             for title, path in files.items()
             if (path / "metrics.json").exists()
         },
@@ -85,6 +85,16 @@ def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
         outdated=outdated(status_of(folder)),
         others=_others(folder, bundle),
     )
+
+
+def _test_accuracy(path):
+    """The record of a training, with the accuracy that the page shows."""
+    metrics = read_json(path, REMEDY)
+    try:
+        shown = float(metrics["accuracy"]["test"]), int(metrics["n_test"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise UserError(f"{path}: has no accuracy of the test samples; {REMEDY}") from error
+    return {"accuracy": shown[0], "n_test": shown[1]}
 
 
 def _recordings(settings, bundle, jobs, say):

@@ -48,7 +48,7 @@ class Inputs:
     results : list of dict
         Check results of the bundle, in the order of the ladder.
     metrics : dict of str to dict
-        ``metrics.json`` of the trained networks, by title.
+        ``accuracy`` on ``n_test`` test samples of the trained networks, by title.
     histories : dict of str to list of dict
         Rows with one epoch each, for each trained network, by title.
     plan : dict
