@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,11 +27,8 @@ def random_neurons(rng):
     )
 
 
-def random_spec(seed, recurrent=False):
-    """Any network that a bundle can describe, but small.
-
-    With ``recurrent`` its hidden dense layers are.
-    """
+def random_spec(seed):
+    """Any network that a bundle can describe, but small."""
     rng = np.random.default_rng(seed)
     input_shape = shape = (*(int(n) for n in rng.integers(3, 9, 2)), int(rng.integers(1, 3)))
     layers = []
@@ -41,8 +39,9 @@ def random_spec(seed, recurrent=False):
         layers.append(_convolution(rng, f"conv{index + 1}", shape, size))
         shape = layers[-1].shape
     for index in range(rng.integers(0 if n_convs else 1, 3)):
-        layers.append(_dense(rng, f"dense{index + 1}", shape, size, recurrent))
+        layers.append(_dense(rng, f"dense{index + 1}", shape, size))
         shape = layers[-1].shape
+    layers = [_perhaps_recurrent(np.random.default_rng([seed, 1]), x, size) for x in layers]
     layers.append(_output(rng, shape, size))
     steps = 40 if size == LOUD else int(rng.integers(6, 30))
     if rng.random() < 0.3:
@@ -91,7 +90,7 @@ def _convolution(rng, name, before, size):
     )
 
 
-def _dense(rng, name, before, size, recurrent):
+def _dense(rng, name, before, size):
     pool = int(rng.choice([1, 2])) if len(before) == 3 and min(before[:2]) >= 2 else 1
     read = pooled_shape(before, pool) if pool > 1 else before
     units = int(rng.integers(2, 9))
@@ -108,8 +107,13 @@ def _dense(rng, name, before, size, recurrent):
         weights=_weights(rng, size, (units, int(np.prod(read)))),
         bias=rng.normal(1.2, 1, units),
         pool=pool,
-        recurrent=_weights(rng, size, (units, units)) if recurrent else None,
     )
+
+
+def _perhaps_recurrent(rng, layer, size):
+    if layer.kind == "conv" or rng.random() < 0.6:
+        return layer
+    return replace(layer, recurrent=_weights(rng, size, layer.shape * 2))
 
 
 def _weights(rng, size, shape):

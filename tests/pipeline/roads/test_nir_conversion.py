@@ -226,8 +226,9 @@ def test_a_recurrent_graph_with_one_input_for_both_polarities():
     np.testing.assert_array_equal(signal, reference.spikes["lif"])
     integers = chosen(link, frames.reshape(3, 60, -1))
     late = fired(link, frames.reshape(3, 60, -1), integers)[:, :59]
-    found = answer(spec, frames, "emulator")
-    np.testing.assert_array_equal(found.spikes["dense1"], late.sum((1, 2)))
+    for target in ("emulator", "fast"):
+        found = answer(spec, frames, target)
+        np.testing.assert_array_equal(found.spikes["dense1"], late.sum((1, 2)))
     assert late.sum() > 100
 
 
