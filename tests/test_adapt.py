@@ -19,7 +19,7 @@ from pipeline.skin import handwriting, parameters
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import boxed
 from pipeline.skin.simulate import simulate
-from tests.command import call, missing
+from tests.command import call
 
 LEANING = np.array([[1.0, 0.7], [0.0, 1.0]])
 """From (down, right) to that of a digit that leans to the left."""
@@ -116,13 +116,6 @@ def test_responses_are_what_the_readout_reads(of, request):
     np.testing.assert_allclose(scores + readout.bias, found, atol=1e-6)
 
 
-def test_what_is_kept_of_the_training(run):
-    kept = read_bundle(run / "bundle").spec.rehearsal
-    assert len(kept) == 500
-    assert set(kept.labels) == set(range(10))
-    assert kept.responses.max() > 0
-
-
 def test_of_images(tiny_run, person, tmp_path, capsys):
     assert call("adapt", tiny_run, "--data", person, "--out", tmp_path / "new", "--json") == 0
     result = told(capsys)
@@ -206,21 +199,6 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     chosen, name = adapt._of_one(several, 4)
     assert (len(chosen), name, set(chosen.writers)) == (10, "4", {4})
     assert not (tmp_path / "new").exists()
-
-
-def test_somebody_else_of_the_same_name_is_not_replaced(tmp_path, person, capsys):
-    shutil.copytree(SHIPPED, tmp_path / "bundle")
-    place = tmp_path / "adapted" / "7"
-    for _ in range(2):  # the second time the result of the same recordings is replaced
-        assert call("adapt", tmp_path, "--data", person) == 0
-    before = contents(place)
-    write_zip(tmp_path / "other.zip", strange_hand(5, seed=8))
-    assert call("adapt", tmp_path, "--data", tmp_path / "other.zip") == 2
-    printed = capsys.readouterr().err
-    assert missing(printed, place, "mine.zip", "--out") == []
-    assert contents(place) == before
-    assert call("adapt", tmp_path, "--data", tmp_path / "other.zip", "--out", place) == 0
-    assert contents(place) != before
 
 
 def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):

@@ -10,9 +10,6 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.data.dataset import event_warnings
-from pipeline.settings import Settings
-from pipeline.skin.simulate import simulate
 from pipeline.training import events
 from tests.command import call, missing
 
@@ -115,32 +112,6 @@ def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, ca
     assert "of the kind 'events'" in said
     assert call("train", folder) == 0
     assert "of the kind" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ("input.step=0", "'input.step'"),
-        ("events.architecture=10x10x2-2a-10o", "'events.architecture'"),
-        ("events.architecture=10x10-6c4-10o", "10x10x2-6c4-10o"),
-    ],
-)
-def test_a_wrong_setting_is_one_line(setting, message, tmp_path, capsys):
-    status = call("train", tmp_path / "run", "--input", "events", "--set", setting)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert status == 2
-    assert message in line
-    assert not (tmp_path / "run" / "experiment.toml").exists()
-
-
-def test_few_that_share_a_step_and_many_that_come_while_a_taxel_rests_are_told_apart():
-    settings = Settings().with_values(
-        {"input": {"kind": "events", "step": 1.0, "refractory": 100.0}}, "here"
-    )
-    shares, rests = event_warnings(settings, simulate(0, [2] * 10, jobs=1))
-    assert " 1 ms" in shares
-    assert "input.step" not in shares
-    assert " 100 ms" in rests
 
 
 def test_what_is_not_shown_is_said(tmp_path, capsys, monkeypatch):

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import re
 import shutil
 import signal
 
@@ -12,7 +11,6 @@ import pytest
 
 from deploy.check.results import read_result
 from deploy.files import read_json, write_json
-from deploy.targets.registry import TARGETS
 from pipeline.commands import check
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
@@ -64,19 +62,6 @@ def test_more_samples_than_the_test_split_has(refused, run):
 
 
 @pytest.mark.parametrize(
-    ("option", "said"),
-    [
-        ("cnn.epochs=many", "'cnn.epochs'"),
-        ("epochs", "'epochs'"),
-    ],
-)
-def test_a_wrong_setting_on_the_command_line(refused, run, option, said):
-    before = content(run)
-    assert said in refused("train", run, "--set", option)
-    assert content(run) == before
-
-
-@pytest.mark.parametrize(
     ("toml", "said"),
     [
         ("[cnn]\nepoch = 3\n", "'cnn.epoch'"),
@@ -95,22 +80,11 @@ def test_a_broken_experiment_toml(refused, run, toml, said):
     assert said in refused("train", run.parent / "new", "--settings", path)
 
 
-def test_a_settings_file_that_is_not_there(refused, run):
-    assert "no.toml: " in refused("train", run, "--settings", "no.toml")
-
-
 def test_a_run_folder_that_cannot_be_written(refused, tmp_path):
     (tmp_path / "file").write_text("mine")
     for folder in (tmp_path / "file" / "run", tmp_path / "file"):
         assert f"{folder}: " in refused("ladder", folder, *TINY)
     assert (tmp_path / "file").read_text() == "mine"
-
-
-def test_a_cache_that_cannot_be_written(refused, tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    archive(tmp_path / "st.zip", good_members())
-    monkeypatch.setenv("STMNIST_CACHE", str(tmp_path / "file" / "cache"))
-    assert str(tmp_path / "file") in refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
 
 
 def test_a_corrupt_cache(refused, tmp_path, monkeypatch):
@@ -151,14 +125,6 @@ def test_skipping_them_lists_them_and_goes_on(tmp_path, capsys):
     assert missing(err, "3/a.mat: ", "4/b.mat: ") == []
 
 
-def test_too_little_data(refused, tmp_path):
-    archive(tmp_path / "st.zip", good_members(2))
-    given = ("--data", tmp_path / "st.zip", "--samples", 150, "--jobs", 1)
-    line = refused("convert", tmp_path / "run", *given)
-    assert re.search(r"\b150\b.* 4\b", line)
-    assert not (tmp_path / "run" / "experiment.toml").exists()
-
-
 def test_a_bundle_with_a_changed_byte(refused, run):
     path = run / "bundle" / "weights.npz"
     damaged = bytearray(path.read_bytes())
@@ -171,12 +137,6 @@ def test_a_bundle_with_a_changed_byte(refused, run):
     assert content(run) == before
     shutil.rmtree(run / "bundle")
     assert call("ladder", run) == 0
-
-
-def test_an_unknown_target(refused, run):
-    line = refused("check", "run", run / "bundle", "--target", "gpu")
-    assert missing(line, "'gpu'", *TARGETS) == []
-    assert not (run / "checks" / "gpu.json").exists()
 
 
 def test_a_result_of_another_bundle(refused, run):
@@ -291,16 +251,6 @@ def test_a_training_that_was_killed_goes_on_and_ends_alike(tmp_path):
             weights.append(dict(file))
     for name, array in weights[0].items():
         np.testing.assert_array_equal(array, weights[1][name])
-
-
-@pytest.mark.slow
-def test_ctrl_c_in_the_simulation_of_recordings(own_cache, tmp_path):
-    before = set(own_cache.iterdir())
-    with started("train", tmp_path / "run", "--set", "data.samples_per_digit=4000") as process:
-        wait_until_said(process, r"simulate\D+[1-9]\d*/40000")
-        interrupt(process)
-    assert set(own_cache.iterdir()) == before
-    assert not temporaries(tmp_path / "run")
 
 
 def test_a_check_that_was_interrupted_goes_on(run, monkeypatch):

@@ -1,26 +1,17 @@
 """Damaged and hostile input: one small case each."""
 
-import io
 import json
 import os
 import re
-import shutil
-import subprocess
-import sys
-import zipfile
 
 import pytest
 
-from deploy.errors import UserError
 from deploy.files import read_json, write_json
-from pipeline.artifacts import Artifact, Origin
-from pipeline.data.library import cache_folder
-from pipeline.roads.events import confidence_of
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 
-from .command import call, environment
-from .pipeline.handmade import archive, good_members, mat5, spiketrain
+from .command import call
+from .pipeline.handmade import archive, good_members
 
 
 @pytest.mark.parametrize(
@@ -105,38 +96,6 @@ def test_the_status_of_a_run_with_a_damaged_record(refused, run, file, name, val
     assert str(run / file) in refused("status", run)
 
 
-@pytest.mark.parametrize("contents", [5, [], "x"])
-def test_a_record_of_the_dataset_without_contents(run, contents, capsys):
-    change_result(["made_from", "contents"], contents)(run / "dataset.json")
-    assert call("status", run) == 0
-    assert "outdated" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [(["rows", 1, "accuracy"], "high"), (["rows", 1], {}), (["n_samples"], None),
-     (["layers", 0], 5), (["losses"], 7)],
-)  # fmt: skip
-def test_a_ladder_that_is_current_and_damaged(run, capsys, name, value):
-    change_result(name, value)(run / "ladder.json")
-    assert call("ladder", run, "--jobs", 1) == 2
-    assert f"stmnist: {run / 'ladder.json'}: " in capsys.readouterr().err.splitlines()[-1]
-
-
-@pytest.mark.parametrize("value", [{}, {"confidence": 7}, {"confidence": "x"}, 5])
-def test_a_threshold_that_is_none(tmp_path, value):
-    artifact = Artifact("threshold", tmp_path / "metrics.json", Origin())
-    artifact.write({"decides_by_itself": value})
-    with pytest.raises(UserError, match=r"metrics\.json"):
-        confidence_of(artifact)
-
-
-def test_text_where_operations_belong(refused, run):
-    change_result(["synaptic_operations", "conv2"], "many")(run / "checks" / "emulator.json")
-    line = refused("deploy", "energy", run / "bundle", run / "checks" / "emulator.json")
-    assert "synaptic_operations" in line
-
-
 def test_a_name_that_a_terminal_would_obey(refused, tmp_path):
     archive(tmp_path / "st.zip", {**good_members(), "3/\x1b[2J.mat": b"x"})
     line = refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
@@ -154,17 +113,6 @@ def test_a_message_is_one_line_of_a_bearable_length():
     assert long.endswith(" ends")
 
 
-def test_members_packed_with_lzma_and_damaged(refused, tmp_path):
-    path = tmp_path / "st.zip"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:
-        for name, content in good_members().items():
-            file.writestr(name, content)
-    content = bytearray(path.read_bytes())
-    content[90] ^= 0xFF
-    path.write_bytes(content)
-    assert path.name in refused("data", "import", path, "--jobs", 1)
-
-
 def test_training_needs_no_samples_for_a_check_and_keeps_its_data(tmp_path, capsys):
     """It failed on the check's samples, forgot --data, and the ladder then took simulated ones."""
     archive(tmp_path / "small.zip", good_members(3))
@@ -177,13 +125,6 @@ def test_training_needs_no_samples_for_a_check_and_keeps_its_data(tmp_path, caps
     assert re.search(r"\b150\b.* 6\b", capsys.readouterr().err)
 
 
-def test_a_refused_ladder_says_that_its_data_was_not_kept(refused, tmp_path):
-    archive(tmp_path / "small.zip", good_members(3))
-    given = ("--data", tmp_path / "small.zip", "--samples", 150, "--jobs", 1)
-    line = refused("ladder", tmp_path / "run", *given)
-    assert "--data" in line
-
-
 def test_simulated_recordings_are_not_taken_without_a_word(tmp_path, capsys):
     options = ["--set", "data.samples_per_digit=60", "--set", "cnn.epochs=1"]
     assert call("train", tmp_path / "run", *options) == 0
@@ -192,29 +133,11 @@ def test_simulated_recordings_are_not_taken_without_a_word(tmp_path, capsys):
     assert "--data" not in capsys.readouterr().err
 
 
-def test_digits_that_are_missing_are_said(tmp_path, capsys):
-    members = {
-        f"{digit}/{index}.mat": mat5(spiketrain=spiketrain(1 + digit + index))
-        for digit in range(5)
-        for index in range(4)
-    }
-    archive(tmp_path / "five.zip", members)
-    options = ["--set", "cnn.epochs=1", "--jobs", 1]
-    assert call("train", tmp_path / "run", "--data", tmp_path / "five.zip", *options) == 0
-    assert "5, 6, 7, 8, 9" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("verb", ["train", "convert", "ladder", "sweep"])
 def test_a_file_that_is_not_there_does_not_become_a_run(refused, tmp_path, verb):
     line = refused(verb, tmp_path / "my_model.keras")
     assert "my_model.keras" in line
     assert not list(tmp_path.iterdir())
-
-
-def test_an_empty_name_of_the_cache_is_none(monkeypatch, tmp_path):
-    monkeypatch.setenv("STMNIST_CACHE", "")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "stmnist"
 
 
 def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
@@ -229,39 +152,6 @@ def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
         ("train", tmp_path / "run", "--settings", path),
     ):
         assert re.search("large: .*larger", refused(*command))
-
-
-def test_sparse_files_of_terabytes_are_not_hashed(refused, tmp_path, tiny_run):
-    """They take no space on the disk, but hours to read."""
-    recordings, bundle = tmp_path / "st.zip", tmp_path / "bundle"
-    shutil.copytree(tiny_run / "bundle", bundle)
-    os.truncate(bundle / "weights.npz", 1 << 40)
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("3/a.mat", b"x")
-    with open(recordings, "wb") as file:
-        file.seek(1 << 40)  # a zip is found from its end
-        file.write(content.getvalue())
-    (tmp_path / "folder" / "3").mkdir(parents=True)
-    (tmp_path / "folder" / "3" / "a.mat").touch()
-    os.truncate(tmp_path / "folder" / "3" / "a.mat", 1 << 40)
-    assert "st.zip: " in refused("data", "import", recordings, "--jobs", 1)
-    assert "a.mat" in refused("data", "import", tmp_path / "folder", "--jobs", 1)
-    for command in (("check", "run", bundle, "--target", "fast"), ("deploy", "plan", bundle)):
-        assert "weights.npz: " in refused(*command)
-
-
-def test_a_folder_that_has_vanished(tmp_path):
-    """Which Nengo asks for when it is imported."""
-    started_in = tmp_path / "gone"
-    started_in.mkdir()
-    done = subprocess.run(
-        [sys.executable, "-c", "import os, sys, pipeline.__main__ as main\n"
-         "os.rmdir(os.getcwd())\nsys.argv[1:] = ['settings']\nmain.main()"],
-        cwd=started_in, env=environment(), capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
-    assert done.stderr.startswith("stmnist: ")
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
@@ -290,15 +180,3 @@ def test_a_pipe_or_a_device_is_not_read(refused, tmp_path, arguments, make):
     names = {"pipe": tmp_path / "a", "run": tmp_path / "run", "bundle": bundle}
     line = refused(*(argument.format(**names) for argument in arguments))
     assert "a pipe" in line
-
-
-def test_adapted_bundles_are_not_written_through_a_linked_folder(tmp_path, run):
-    from pipeline.commands.adapt import adapt
-
-    (tmp_path / "elsewhere").mkdir()
-    (run / "adapted").symlink_to(tmp_path / "elsewhere")
-    data = tmp_path / "st.zip"
-    archive(data, good_members(2))
-    with pytest.raises(UserError, match=r"adapted: .*link"):
-        adapt(run, str(data), jobs=1)
-    assert not list((tmp_path / "elsewhere").iterdir())

@@ -4,11 +4,8 @@ import os
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-from fastloihi.numpy1 import NumPy1
 
-from deploy.network.loihi_import import nengo_loihi
 from tests.command import LEAVE_GARBAGE, ROOT
 
 IMPORT_BOTH = """
@@ -64,15 +61,6 @@ print(numba.njit(lambda: 1)())
     assert done.stdout.split() == ["set()", "1"], done.stderr
 
 
-def test_nengo_is_silent_about_rates_that_nobody_asks_for():
-    """Of a neuron of gain 1 without a bias it works out a maximum rate of 0, by a division by 0."""
-    done = run(
-        "from deploy.network import loihi_import; import nengo, numpy as np\n"
-        "nengo.LIF().max_rates_intercepts(np.ones(1), np.zeros(1))"
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 def test_keras_3_is_refused_and_nengodl_finds_no_keras_of_its_time():
     code = """
 import tensorflow
@@ -88,26 +76,3 @@ import nengo_dl
     done = run(code)
     assert "set TF_USE_LEGACY_KERAS=1 before" in done.stdout
     assert "No module named 'keras.engine'" in done.stderr
-
-
-@pytest.mark.skipif(np.lib.NumpyVersion(np.__version__) < "2.0.0", reason="NumPy 1 is not NumPy 2")
-def test_nengoloihi_asks_numpy_for_what_numpy_2_refuses(monkeypatch):
-    rates = nengo_loihi.neurons.loihi_rates
-    arguments = (nengo_loihi.neurons.LoihiLIF(), [2], [3], [1], 0.001)
-    assert np.isfinite(rates(*arguments)).all()
-    monkeypatch.setattr(nengo_loihi.neurons, "np", np)
-    with pytest.raises(ValueError, match="Unable to avoid copy"):
-        rates(*arguments)
-    synapse = nengo_loihi.block.Synapse(1)
-    monkeypatch.setattr(nengo_loihi.block, "np", np)
-    with pytest.raises(ValueError, match="Unable to avoid copy"):
-        synapse.set_weights([[1, 2]])
-
-
-def test_numpy_1_copies_only_what_must_be_copied():
-    array = np.arange(3.0)
-    old = NumPy1()
-    assert old.array(array, copy=False) is array
-    assert old.array(array, dtype=int, copy=False).dtype == int
-    assert old.array(array) is not array
-    assert old.float32 is np.float32

@@ -112,16 +112,3 @@ def test_recordings_of_the_training_are_recognised_by_their_content(run, tmp_pat
     _, result, printed = checked(run, later, capsys)
     assert result["data"]["trained_on"] == 0
     assert "used to make" not in printed.err
-
-
-def test_recordings_of_another_sensor_are_one_line_about_it(run, tmp_path, capsys):
-    larger = part_of(run, tmp_path / "larger", change=lambda a: {**a, "x": 2 * a["x"]})
-    status, _, printed = checked(run, larger, capsys)
-    assert (status, len(printed.err.splitlines())) == (2, 1)
-    assert "taxels, larger than 16 x 12" in printed.err
-    smaller = part_of(run, tmp_path / "smaller", change=lambda a: {**a, "x": a["x"] // 3})
-    status, _, printed = checked(run, smaller, capsys)
-    assert (status, "of 12 columns; if these are" in printed.err) == (0, True)
-    inside = tmp_path / "larger" / NAMES[0]
-    status, _, printed = checked(run, inside, capsys)
-    assert (status, "give the folder above" in printed.err) == (2, True)

@@ -1,7 +1,6 @@
 """A folder of a user's own recordings: ladder, report and checks without any option."""
 
 import json
-import re
 import subprocess
 import sys
 
@@ -89,13 +88,6 @@ def test_the_own_recordings_are_said_to_be_known(folder, capsys):
     assert missing(capsys.readouterr().err, "warning", folder / "own") == []
 
 
-def test_so_are_those_of_a_folder_that_has_grown(folder, tmp_path, capsys):
-    write_folder(tmp_path / "own", per_class=26)
-    shown = ("--target", "fast", "--data", tmp_path / "own", "--out", tmp_path / "own.json")
-    assert call("check", "run", folder / "image", *shown) == 0
-    assert missing(capsys.readouterr().err, "warning", tmp_path / "own") == []
-
-
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):
     renamed = [(events, f"class {label}") for events, label in gestures(2)]
     write_recordings(tmp_path / "renamed.zip", renamed)
@@ -109,18 +101,6 @@ def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, ca
         assert call("check", "run", folder / "image", *shown) == 2
         assert reason in capsys.readouterr().err
     assert call("check", "run", folder / "image", "--target", "fast", "--samples", 5) == 2
-
-
-def test_a_run_stands_for_its_bundle(folder, tmp_path):
-    out = ("--format", "lava", "--out", tmp_path / "network.npz")
-    assert call("deploy", "export", folder / "image", *out) == 0
-
-
-@pytest.mark.parametrize("words", [("settings",), ("settings", "image")])
-def test_settings_fit_80_columns(folder, monkeypatch, words, capsys):
-    monkeypatch.chdir(folder)
-    assert call(*words) == 0
-    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 
 @pytest.mark.parametrize("kind", QUICK)
@@ -142,20 +122,6 @@ def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
     assert call("animate", folder / kind, "--out", tmp_path / "a.txt") == 2
     assert call("animate", folder / kind, "--out", tmp_path / "b.gif", "--sample", "x/1") == 2
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
-
-
-def test_an_animation_as_mp4(folder, tmp_path, monkeypatch):
-    from pipeline.results.report.figures import animation
-
-    if not animation.FFMpegWriter.isAvailable() and animation._packaged_ffmpeg() is None:
-        pytest.skip("no ffmpeg here (Debian: apt install ffmpeg; or pip install imageio-ffmpeg)")
-    monkeypatch.setattr(animation, "FRAMES", 4)
-    monkeypatch.setattr(animation, "STILL", 1)
-    assert call("animate", folder / "image", "--out", tmp_path / "a.mp4") == 0
-    content = (tmp_path / "a.mp4").read_bytes()
-    assert content[4:8] == b"ftyp"
-    assert b"avc1" in content  # H.264, which every browser and slide program plays
-    assert b"moov" in content
 
 
 def test_without_ffmpeg_an_mp4_is_refused_in_one_line(folder, tmp_path, monkeypatch, capsys):
@@ -205,29 +171,6 @@ def test_runs_are_compared_on_other_recordings_too(folder, capsys):
     names = [setting["name"] for setting in compared["settings"]]
     assert "input.kind" in names
     assert not [name for name in names if name.startswith(("cnn.", "snn.", "events."))]
-
-
-TABLES = (
-    "ladder image", "ladder events", "compare image events", "data stats --data own",
-    "data import own", "deploy plan image", "deploy plan events", "deploy energy image",
-    "status image", "check run image --target fast --data people.zip",
-    "check compare image/checks/cnn.json image/checks/emulator.json",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("words", TABLES)
-def test_tables_fit_80_columns_and_speak_of_the_user_s_data(folder, words, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
-    assert call(*words.split()) == 0
-    out = capsys.readouterr().out
-    rows = [line for line in out.splitlines() if len(re.findall(r"\S {2,}\S", line)) > 1]
-    prose = ("ladder", "data import", "check run")  # with names, which may be as long as they like
-    lines = rows if words.startswith(prose) else out.splitlines()
-    assert all(len(line) <= 80 for line in lines), max(lines, key=len)
-    if words != "data import own":
-        assert rows or words.startswith("check compare")
-    for word in ("digit", "ST-MNIST", "the paper", "of the writing"):
-        assert word not in out
 
 
 @pytest.mark.parametrize("kind", QUICK)

@@ -52,21 +52,6 @@ def test_files_called_as_our_packages_break_nothing(tmp_path):
     assert done.stdout.split() == ["10x10-6c4-24c3-10o", "5", str(ROOT / "models" / "__init__.py")]
 
 
-def test_nor_in_the_processes_of_jobs(tmp_path):
-    for name in ("deploy.py", "models.py", "pipeline.py"):
-        (tmp_path / name).write_text(RAISES)
-    done = python(
-        "import stmnist\n"
-        "from models.architecture import parse\n"
-        "from pipeline.jobs import run_jobs\n"
-        "for _, found in run_jobs(parse, ['6x6-4c3-5o', '6x6-4c3-5o'], 2):\n"
-        "    print(found.outputs)\n",
-        tmp_path,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["5", "5"]
-
-
 @pytest.mark.parametrize("package", [False, True])
 def test_a_file_that_was_imported_before_is_named_in_one_line(tmp_path, package):
     own = tmp_path / "models" / "__init__.py" if package else tmp_path / "models.py"
@@ -86,12 +71,6 @@ def test_a_file_that_was_imported_before_is_named_in_one_line(tmp_path, package)
     line, rest = done.stdout.splitlines()
     assert missing(line, own, "'models'", "stmnist") == []
     assert rest == "False 1"
-
-
-def test_ours_imported_before_are_no_trouble(tmp_path):
-    code = "import deploy.errors, stmnist; print(stmnist.UserError is deploy.errors.UserError)"
-    done = python(code, tmp_path)
-    assert done.stdout.strip() == "True", done.stderr
 
 
 def test_a_script_called_as_a_package_of_ours_can_import_stmnist(tmp_path):

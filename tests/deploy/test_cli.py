@@ -1,7 +1,6 @@
 """The command of a copied bundle ends in one line, whatever happens to its files and its output."""
 
 import json
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,7 +9,7 @@ import pytest
 
 from deploy import cli
 from deploy.errors import CheckFailed, UserError
-from tests.command import environment, missing
+from tests.command import environment
 from tests.deploy.networks import bundle_at, small_spec
 
 
@@ -44,16 +43,6 @@ def test_every_error_is_one_line_and_a_status(monkeypatch, capsys, error, status
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "facts"),
-    [(["loihi"], ["NxSDK"]), (["emulator", "--board", "b"], ["--board", "loihi"])],
-)
-def test_a_board_that_cannot_be_is_one_line(bundle, capsys, arguments, facts):
-    assert cli.main(["check", str(bundle.path), "--target", *arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert missing(line, *facts) == []
-
-
 def test_a_check_runs_with_the_seed_of_the_bundle_s_run(tmp_path):
     spec = small_spec()
     spec = replace(spec, provenance={**spec.provenance, "seed": 3})
@@ -69,13 +58,3 @@ def plan(bundle, out, **more):
         stdout=out, stderr=subprocess.PIPE, env=environment(**more), text=True, timeout=300,
     )  # fmt: skip
     return run.returncode, run.stderr
-
-
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_reader_that_has_seen_enough_ends_the_command_without_a_word(bundle, unbuffered):
-    reader, writer = os.pipe()
-    os.close(reader)
-    try:
-        assert plan(bundle, writer, PYTHONUNBUFFERED=unbuffered) == (0, "")
-    finally:
-        os.close(writer)

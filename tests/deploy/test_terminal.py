@@ -1,17 +1,13 @@
 """What is printed: escaped, in any encoding, to streams that may be closed or full."""
 
-import ast
 import io
 import os
 import subprocess
 import sys
 
-import pytest
-
-from deploy.files import read_json, write_json
 from deploy.tables import aligned
 from deploy.terminal import printable, remark, show
-from tests.command import ROOT, call, environment
+from tests.command import ROOT, environment
 from tests.pipeline.handmade import archive, good_members
 
 OBEYED = "\x1b[2J\x1b]0;mine\x07\u202e\r\nx"
@@ -23,42 +19,6 @@ def test_what_a_terminal_would_obey_is_escaped(capsys):
     remark("three \x07")
     assert capsys.readouterr() == ("one \\x1b[2J\ntwo\n", "three \\x07\n")
     assert aligned([["name", "n"], ["a\nb\x1b", "1"]]) == ["name      n", "a\\nb\\x1b  1"]
-
-
-def controls(text):
-    """Characters that a terminal obeys, but for the ends of lines."""
-    return [c for c in text if not c.isprintable() and c != "\n"]
-
-
-@pytest.mark.parametrize("as_json", [[], ["--json"]])
-def test_class_names_and_sources(tmp_path, capsys, as_json):
-    members = {
-        name.replace("data_submission/3/", f"data_submission/{OBEYED}/"): content
-        for name, content in good_members(2).items()
-    }
-    path = tmp_path / "st\x1b[2J.zip"
-    archive(path, members)
-    for verb in (["import", path], ["stats", "--data", path]):
-        assert call("data", *verb, "--jobs", 1, *as_json) == 0
-    out, err = capsys.readouterr()
-    assert controls(out + err) == []
-    assert "mine" in out
-
-
-def test_targets_and_names_of_runs(tiny_run, tmp_path, capsys):
-    import shutil
-
-    runs = [shutil.copytree(tiny_run, tmp_path / name) for name in ("a\x1b[2J", "b")]
-    for name in ("nengo", "fast"):
-        path = runs[0] / "checks" / f"{name}.json"
-        write_json(path, {**read_json(runs[0] / "checks" / "nengo.json", ""), "target": OBEYED})
-    pair = [runs[0] / "checks" / f"{name}.json" for name in ("nengo", "emulator")]
-    assert call("check", "compare", *pair) == 0
-    assert call("compare", *runs) == 0
-    assert call("report", runs[0]) == 2
-    out, err = capsys.readouterr()
-    assert controls(out + err) == []
-    assert "checks/nengo.json: " in err
 
 
 def run(*arguments, closed=(), **options):
@@ -93,18 +53,6 @@ def test_names_that_the_terminal_cannot_write(tmp_path):
     done = run("data", "import", tmp_path / "\u4e2d\u6587.zip", env=plain)
     assert done.returncode == 2
     assert rb"\u4e2d\u6587.zip: " in done.stderr
-
-
-def test_nothing_is_printed_past_the_escaping():
-    """A name from a file could come with it."""
-    found = [
-        path.relative_to(ROOT).as_posix()
-        for package in ("deploy", "models", "pipeline")
-        for path in sorted((ROOT / package).rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "print"
-    ]
-    assert set(found) == {"deploy/terminal.py", "deploy/cli.py"}
 
 
 class Terminal(io.StringIO):
@@ -142,23 +90,3 @@ def test_errors_warnings_and_significant_differences_have_colours(monkeypatch):
             stream.truncate(0), stream.seek(0)
             print_(line)
             assert stream.getvalue() == expected + "\n"
-
-
-@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
-def test_colours_can_be_switched_off(monkeypatch, name, value):
-    _, error = terminals(monkeypatch)
-    monkeypatch.setenv(name, value)
-    remark("\n".join(LINES))
-    assert error.getvalue() == "\n".join(LINES) + "\n"
-
-
-def test_no_colours_in_a_file_and_none_from_a_name(monkeypatch):
-    _, error = terminals(monkeypatch)
-    remark("warning: \x1b[32mgreen")
-    assert error.getvalue() == "\x1b[33mwarning: \\x1b[32mgreen\x1b[0m\n"
-    result = subprocess.run(
-        [sys.executable, "-m", "pipeline", "data", "inspect", "nowhere.mat"],
-        cwd=ROOT, env=environment(), capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert result.returncode == 2
-    assert "\x1b" not in result.stderr

@@ -4,7 +4,6 @@ import json
 import os
 import platform
 import re
-import resource
 import shutil
 import stat
 import subprocess
@@ -18,8 +17,6 @@ import pytest
 from deploy import requirements as host
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.check.run import run_check
-from deploy.files import write_json
-from deploy.network.chip import LOIHI
 from deploy.network.decision import Estimator
 from deploy.network.stimulus import EventFrames, thinned
 from tests.command import missing
@@ -65,14 +62,6 @@ def pyz(bundle, *arguments, python=sys.executable, standin=True, faults=None, **
     )  # fmt: skip
 
 
-def one_line(run, status=2):
-    """The single line of a failed command."""
-    assert run.returncode == status, run.stderr
-    (line,) = run.stderr.strip().splitlines()
-    assert line.startswith("deploy: ")
-    return line
-
-
 def same_answers(a, b):
     """Every spike and prediction the same; scores may differ in the last digit, as BLAS's kernels
     for different processors do."""
@@ -84,39 +73,6 @@ def same_answers(a, b):
 
 def result_in(bundle, target):
     return json.loads((bundle / "checks" / f"{target}.json").read_text())
-
-
-def test_board_target_is_never_guessed(home, copied):
-    """With NxSDK importable, target emulator is still the emulator."""
-    faults = {"refuse": 1000}
-    assert pyz(copied, "check", ".", "--target", "emulator", faults=faults).returncode == 0
-    assert same_answers(result_in(copied, "emulator"), home[1])
-
-
-def test_board_says_whether_there_is_nxsdk(copied):
-    found = pyz(copied, "board")
-    assert (found.returncode, found.stderr) == (0, "")
-    assert "NxSDK 1.0.0" in found.stdout
-    assert "NxSDK" in one_line(pyz(copied, "board", standin=False))
-
-
-def test_full_disk_keeps_the_result_that_was_there(home, copied):
-    path = copied / "checks" / "emulator.json"
-    path.parent.mkdir()
-    write_json(path, home[1])
-    before = path.read_bytes()
-
-    def no_room():  # every file ends at 1000 bytes, as on a disk that is full then
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-
-    run = pyz(copied, "check", ".", "--target", "emulator", preexec_fn=no_room)
-    assert "emulator.json" in one_line(run)
-    assert path.read_bytes() == before
-
-
-def test_plan_runs_from_the_bundle(copied):
-    run = pyz(copied, "plan", ".", "--json", standin=False)
-    assert json.loads(run.stdout)["fits"] is True
 
 
 @pytest.mark.parametrize(
@@ -134,19 +90,6 @@ def test_host_with_other_versions(monkeypatch, package, version, fact):
     real = host.version
     monkeypatch.setattr(host, "version", lambda name: version if name == package else real(name))
     assert missing(host.complaint(), fact, *([version] if version != "3.2.0" else [])) == []
-
-
-def test_host_with_another_version_is_one_line(copied, tmp_path):
-    """What a package says of its version is found first on the path, before the real one."""
-    info = tmp_path / "other" / "numpy-3.0.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 3.0.0\n")
-    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(info.parent)}
-    run = subprocess.run(
-        [sys.executable, "deploy.pyz", "check", ".", "--target", "emulator"],
-        cwd=copied, env=environment, capture_output=True, text=True,
-    )  # fmt: skip
-    assert "numpy 3.0.0" in one_line(run)
 
 
 def test_host_without_a_package(monkeypatch):
@@ -291,27 +234,3 @@ def test_job_submitted_again_goes_on(home, far_away, tmp_path):
     assert same_answers(result, home[1])
     assert result["hardware"]["connections"] == 3
     assert not partial.exists()
-
-
-def test_job_of_a_network_for_several_chips(far_away, tmp_path):
-    spec = small_spec(steps=3, gap=1, readout_start=0)
-    layers = [replace(layer, block_shape=(1, 1, 1)) for layer in spec.layers[:2]]
-    assert sum(layer.size for layer in layers) > LOIHI.cores
-    spec = replace(spec, layers=(*layers, spec.layers[2]))
-    write_bundle(tmp_path / "bundle", spec, random_checks(spec, 1))
-    shutil.copy(INRC / "check.sbatch", tmp_path)
-    for chips, state in (("1", "FAILED 2"), ("2", "COMPLETED")):
-        subprocess.run(
-            ["sbatch", "check.sbatch", "bundle", "nahuku32", "--chips", chips],
-            cwd=tmp_path, env=far_away, check=True, capture_output=True,
-        )  # fmt: skip
-        assert max((tmp_path / "jobs").iterdir()).read_text() == state
-    assert result_in(tmp_path / "bundle", "loihi")["hardware"]["chips"] == 2
-
-
-def test_job_without_arguments_says_how(far_away):
-    run = subprocess.run(
-        ["bash", str(INRC / "check.sbatch")], env=far_away, capture_output=True, text=True
-    )
-    assert run.returncode == 2
-    assert "BUNDLE PARTITION" in run.stderr

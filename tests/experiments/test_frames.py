@@ -52,12 +52,6 @@ def test_events_outside_the_two_seconds_are_left_out():
     assert not bin_events(late).any()
 
 
-def test_a_recording_without_events_is_silent():
-    frames = bin_events(recordings([], [[0, 0, 1, 1]]))
-    assert frames[0].sum() == 0
-    assert frames[1].sum() == 1
-
-
 @pytest.mark.parametrize("bins", [1, 20, 200])
 @given(
     rows=st.lists(

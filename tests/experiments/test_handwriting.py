@@ -9,7 +9,7 @@ from deploy.errors import UserError
 from deploy.files import sha256_of, write_arrays
 from experiments import handwriting as fit
 from experiments.__main__ import main
-from pipeline.skin import shape_model, unipen
+from pipeline.skin import shape_model
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import POINTS, Allograph
 from tests.command import call
@@ -66,21 +66,6 @@ def test_offsets_of_persons_and_what_differs_within_one():
         np.testing.assert_allclose(covariance, true, atol=0.15)
         root = fit._root(covariance)
         np.testing.assert_allclose(root @ root.T, covariance, atol=0.05)
-
-
-def test_what_hardly_anybody_does_is_left_out():
-    traces = people(writers=9)
-    odd = [Trace(7, 0, (stroke([0.5, 0], [-0.5, 0]), stroke([0, -1], [0, 1]))) for _ in range(40)]
-    alone, common = (fit.estimate(traces + some) for some in (odd, []))
-    assert len(alone.allographs[7]) == len(common.allographs[7])
-    assert sum(way.share for way in alone.allographs[7]) == pytest.approx(1)
-    shared = [replace(trace, writer=index % 9) for index, trace in enumerate(odd)]
-    assert any(len(w.points) == 2 for w in fit.estimate(traces + shared).allographs[7])
-
-
-def test_too_few_people():
-    with pytest.raises(ValueError, match=r"no .* 4$"):
-        fit.estimate(people(digits=[d for d in range(10) if d != 4]))
 
 
 def test_loyalty_by_hand():
@@ -154,26 +139,3 @@ def test_the_command_estimates_the_built_in_model(shared_data, tmp_path):
     for one, other in zip(again.allographs, BUILT_IN.allographs, strict=True):
         for way, stored in zip(one, other, strict=True):
             np.testing.assert_allclose(way.mean, stored.mean, atol=1e-2)
-
-
-def test_the_command_on_what_is_no_handwriting(tmp_path, capsys):
-    few = tmp_path / "few.unipen"
-    few.write_text('.SEGMENT DIGIT 0 ? "3"\n.COMMENT 3 1 1\n.PEN_DOWN\n 1 2\n 1 5\n.PEN_UP\n')
-    out = tmp_path / "model.npz"
-    for file in (few, tmp_path / "none"):
-        assert call("handwriting", file, "--out", out, main=main) == 2
-        assert str(file) in capsys.readouterr().err
-    assert not out.exists()
-
-
-def test_real_trajectories_as_vectors(shared_data):
-    """A trajectory through the model's vector and back is where it was."""
-    traces = unipen.read(shared_data / "pendigits-train.unipen")[:200]
-    for trace in traces:
-        points = fit._points_of([trace], len(trace.strokes))
-        vector = fit.vector(trace, points)
-        nothing = np.zeros((1, 1))
-        way = Allograph(1.0, points, vector, np.zeros((1, len(vector))), nothing, nothing)
-        for mine, again in zip(trace.strokes, way.strokes(np.zeros(1), np.zeros(1)), strict=True):
-            there = shape_model.resampled(again, len(mine))
-            assert np.sqrt(((there - mine) ** 2).sum(1)).mean() < 0.05

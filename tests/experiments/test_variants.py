@@ -92,8 +92,3 @@ def test_as_it_is_nothing_changes(three):
 
 def test_durations(three):
     assert durations_ns(three).tolist() == [1000, 0, 0]
-
-
-def test_an_unknown_variant_is_refused(three):
-    with pytest.raises(ValueError, match="backwards"):
-        vary(three, "backwards", 0, 0)

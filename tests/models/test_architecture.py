@@ -51,10 +51,6 @@ def test_strides_padding_pooling_and_dense_layers():
     )  # fmt: skip
 
 
-def test_multiplication_sign_spaces_and_a_stride_of_one():
-    assert parse("10×10×2 - 6c2s1 - 10o") == parse("10x10x2-6c2-10o")
-
-
 def test_weights_by_hand():
     assert parse("10x10x2-12c4s2-64-10o").weight_shapes == {
         "conv1.kernel": (4, 4, 2, 12),
@@ -178,21 +174,6 @@ def test_an_error_names_its_token(text, token, fact):
 def test_an_impossible_architecture_is_refused(shape, layers, fact):
     with pytest.raises(ValueError, match=fact):
         Architecture(shape, layers)
-
-
-@pytest.mark.parametrize(
-    ("kind", "values", "named"),
-    [
-        (Convolution, (0, 3), "0c3"),
-        (Convolution, (1, 3, 0), "stride"),
-        (Convolution, (1, 3, 1, "full"), "'valid'.*'same'"),
-        (Pooling, (0,), "0a"),
-        (Dense, (0,), "units"),
-    ],
-)
-def test_an_impossible_layer_is_refused(kind, values, named):
-    with pytest.raises(ValueError, match=named):
-        kind(*values)
 
 
 convolutions = st.builds(

@@ -180,18 +180,6 @@ def test_files_that_are_no_nir(tmp_path, path):
             read_nir(tmp_path / name)
 
 
-def test_a_file_is_parsed_once(path, monkeypatch, tmp_path):
-    parsed = []
-    read = nir.read
-    monkeypatch.setattr(nir, "read", lambda *a, **k: parsed.append(1) or read(*a, **k))
-    copy = tmp_path / "copy.nir"
-    copy.write_bytes(path.read_bytes() + b"not yet parsed")
-    assert read_nir(copy) is read_nir(copy)
-    (tmp_path / "again.nir").write_bytes(copy.read_bytes())
-    assert read_nir(tmp_path / "again.nir") is read_nir(copy)
-    assert len(parsed) == 1
-
-
 def recurrent_tree(kind="Affine", times=1):
     rng = np.random.default_rng(0)
     tree = tree_of((6,), affine(rng, 4, 6), lif(), affine(rng, 3, 4))
@@ -220,18 +208,3 @@ def test_a_layer_connected_to_itself_in_a_subgraph():
     network = read_nir(Graph(tree_of((6,), affine(rng, 4, 6), ("NIRGraph", inner))))
     assert [node.name for node in network.nodes] == ["n0", "n1.n0"]
     assert network.nodes[1].loop.name == "n1.w_rec"
-
-
-@pytest.mark.parametrize(
-    ("tree", "told"),
-    [
-        (recurrent_tree(times=2), "'n1': .*twice.*w_rec0.*w_rec1"),
-        (tree_of((np.inf,), lif()), "Input"),
-        (tree_of((4,), ("Flatten", {"start_dim": [0, 0]}), lif()), "start_dim"),
-        (tree_of((4,), ("Flatten", {"start_dim": 0.5}), lif()), "start_dim"),
-    ],
-    ids=range(4),
-)
-def test_graphs_of_odd_parts_are_refused(tree, told):
-    with pytest.raises(NirError, match=told):
-        read_nir(Graph(tree))

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from models.nir_graph import NirError, read_nir
 from models.nir_simulator import RESETS, run_node, simulate
-from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, tree_of
+from tests.models.nir_graphs import Graph, conv, lif, network_of, tree_of
 
 H = 0.002
 
@@ -118,25 +118,6 @@ def test_pools_by_hand(kind):
     corner = x[:, :2, :2].sum((1, 2))  # of nine places, five outside count as 0
     np.testing.assert_allclose(got[:, 0, 0], corner / (9 if kind == "AvgPool2d" else 1))
     assert got.shape == (2, 3, 3)
-
-
-def test_samples_do_not_see_each_other():
-    rng = np.random.default_rng(0)
-    network = network_of((4,), affine(rng, 5, 4, 2.0, bias=0.2), cuba_lif(0.004, 0.01, 3.0))
-    inputs = (rng.random((60, 30, 4)) < 0.4).astype(float)
-    both = simulate(network, inputs, H).outputs
-    np.testing.assert_array_equal(both[55], simulate(network, inputs[55:56], H).outputs[0])
-    assert both.any()
-
-
-def test_inputs_have_the_shape_of_the_graph_s_input_or_are_flat():
-    network = network_of((2, 3, 4), lif(np.full((2, 3, 4), 2 * H)))
-    frames = np.random.default_rng(0).random((2, 5, 2, 3, 4))
-    flat = simulate(network, frames.reshape(2, 5, 24), H).outputs
-    np.testing.assert_array_equal(flat, simulate(network, frames, H).outputs)
-    for wrong in (frames.swapaxes(-1, -2), frames[0], frames[:, 0], frames[..., :2]):
-        with pytest.raises(ValueError, match="2, 3, 4"):
-            simulate(network, wrong, H)
 
 
 def test_a_step_longer_than_a_time_constant_is_refused():

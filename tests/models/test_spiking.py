@@ -79,17 +79,6 @@ def test_nengoloihis_emulator_makes_the_same_spikes(text):
             np.testing.assert_array_equal(mine, its)
 
 
-def test_the_emulator_at_rest_under_biases_makes_the_same_spikes():
-    network = network_of("10x10x2-12c4s2-64-10o", biases=0.05)
-    frames, integers = frames_for(network), network.integers()
-    assert any(layer.bias.max() > 0 for layer in integers.values())
-    expected = spiking_in_numpy.network(network.architecture, integers, frames[:, 0])
-    spikes, _ = emulate(network.architecture, integers, frames[:, 0], gap=400)
-    for mine, its in zip(expected, spikes, strict=True):
-        assert its[:400].sum() == 0
-        np.testing.assert_array_equal(mine, its[400:])
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**20),
@@ -122,18 +111,6 @@ def test_nengoloihi_comes_to_any_integers(seed, keep_u, keep_v, threshold, floor
     (synapse,) = block.synapses
     on_chip = np.concatenate([np.ravel(w) for w in synapse.weights])
     assert sorted(set(on_chip)) == sorted(set(np.ravel(weights) * 128))
-
-
-@pytest.mark.parametrize("text", ["10x10x2-8c4s2-16-10o"])
-def test_silence_stays_silent_whatever_the_biases(text):
-    network = network_of(text, biases=5.0)
-    integers = network.integers()
-    assert all(layer.bias.max() > 0 for layer in integers.values())
-    second = np.zeros((1000, 10, 10, 2), np.uint8)
-    spikes, _ = emulate(network.architecture, integers, second)
-    assert sum(layer.sum() for layer in spikes) == 0
-    for layer in network(tf.constant(second[:, None]), dtype=tf.float64)[1]:
-        assert not layer.numpy().any()
 
 
 @pytest.mark.parametrize("floor", [-1e4, -0.1])
@@ -253,17 +230,3 @@ def test_weights_there_and_back():
         other.set_weights({**weights, "conv1.kernel": np.zeros((1, 1, 2, 8))})
     with pytest.raises(ValueError, match=r"dense1\.tau_u"):
         other.set_weights({name: v for name, v in weights.items() if name != "dense1.tau_u"})
-
-
-@pytest.mark.parametrize(
-    ("text", "fact"), [("10x10x2-8c4-2a-10o", "stride"), ("10x10x2-10o", "neurons")]
-)
-def test_a_network_that_cannot_be_is_refused(text, fact):
-    with pytest.raises(ValueError, match=f"^{text}: .*{fact}"):
-        SpikingNetwork(parse(text))
-
-
-@pytest.mark.parametrize("values", [{"tau_u": (0.0,)}, {"tau_v": (1.0, -1.0)}, {"floor": 0.5}])
-def test_an_impossible_neuron_is_refused(values):
-    with pytest.raises(ValueError, match="Neuron"):
-        Neuron(**values)

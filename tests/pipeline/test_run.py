@@ -4,8 +4,8 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.run import RunFolder, checks_beside
-from pipeline.settings import Settings, read_settings, write_settings
-from tests.command import call, missing
+from pipeline.settings import Settings, read_settings
+from tests.command import call
 
 
 def test_a_bundle_is_no_run(tmp_path, capsys):
@@ -18,18 +18,6 @@ def test_a_bundle_is_no_run(tmp_path, capsys):
     assert [entry.name for entry in bundle.iterdir()] == ["MANIFEST.json"]
 
 
-def test_a_run_in_a_bundle_is_refused(tmp_path, capsys):
-    bundle = tmp_path / "own" / "bundle"
-    bundle.mkdir(parents=True)
-    for name in ("MANIFEST.json", "network.json"):
-        (bundle / name).write_text("{}")
-    for verb in ("train", "ladder", "live"):
-        assert call(verb, bundle / "new" / "run") == 2
-        assert str(bundle) in capsys.readouterr().err
-    assert call("sweep", bundle / "sweep") == 2
-    assert sorted(entry.name for entry in bundle.iterdir()) == ["MANIFEST.json", "network.json"]
-
-
 @pytest.mark.parametrize("command", [
     ("sweep", "RUN"),
 ])  # fmt: skip
@@ -40,31 +28,6 @@ def test_a_run_does_not_become_the_folder_of_a_benchmark(tmp_path, capsys, comma
     assert call(*(tmp_path if word == "RUN" else word for word in command)) == 2
     assert str(tmp_path) in capsys.readouterr().err
     assert (tmp_path / "experiment.toml").read_text() == ""
-
-
-@pytest.mark.parametrize(
-    "result", ["rows/cnn-random-00-0a.json", "networks/cnn/0a/x", "sweep.json"]
-)
-def test_the_folder_of_a_benchmark_does_not_become_a_run(tmp_path, capsys, result):
-    """A benchmark that was interrupted could not continue there."""
-    (tmp_path / result).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / result).write_text("{}")
-    write_settings(tmp_path / "experiment.toml", Settings())
-    for command in ("convert", "train", "status", "check run --target fast", "live"):
-        assert call(*command.split(), tmp_path) == 2
-        said = capsys.readouterr().err
-        assert missing(said, tmp_path, result.split("/")[0], "benchmark") == []
-        assert "stmnist convert" not in said
-    assert not (tmp_path / "dataset.json").exists()
-
-
-def test_the_status_of_a_bundle_names_its_run(tmp_path, capsys):
-    bundle = tmp_path / "own" / "bundle"
-    bundle.mkdir(parents=True)
-    (bundle / "MANIFEST.json").write_text("{}")
-    (tmp_path / "own" / "experiment.toml").write_text("")
-    assert call("status", bundle) == 2
-    assert f"ladder {bundle}" not in capsys.readouterr().err
 
 
 def test_a_folder_of_other_things_is_no_run(tmp_path, capsys):

@@ -1,13 +1,12 @@
 """Several stages at once: their streams shared between processes."""
 
-import fcntl
 import json
 from types import SimpleNamespace
 
 import pytest
 
 from deploy.check.results import read_result
-from deploy.check.run import OpenCheck, open_check, run_check
+from deploy.check.run import OpenCheck, run_check
 from deploy.errors import UserError
 from pipeline.artifacts import Origin
 from pipeline.run import RunFolder
@@ -81,29 +80,8 @@ def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, 
     assert not partial(check_of(tmp_path, "nengo")).exists()
 
 
-def test_streams_are_resumed_in_whatever_order_they_came(bundle, tmp_path):
-    interrupted(bundle, check_of(tmp_path, "emulator"), 3, "emulator")
-    saved = partial(check_of(tmp_path, "emulator"))
-    first, second, third = saved.read_text().splitlines()[1:]
-    cut, other = second[:-9], json.dumps({**json.loads(first), "of": {"bundle": "another"}})
-    saved.write_text("\n".join(["", third, cut, other]))
-    check = check_of(tmp_path, "emulator")
-    with open_check(bundle, "emulator", check) as opened:
-        assert opened.left == [slice(0, 3), slice(3, 6)]
-    (result,) = answered(tmp_path, bundle, ["emulator"])
-    same_answers(result, run_check(bundle, "emulator", check))
-
-
 def test_a_target_that_fails_leaves_the_others_results(bundle, tmp_path):
     with pytest.raises(UserError, match="NxSDK"):
         answered(tmp_path, bundle, ["nengo", "loihi"])
     assert len(read_result(check_of(tmp_path, "nengo"))["samples"]) == 7
     assert not check_of(tmp_path, "loihi").exists()
-
-
-def test_a_result_that_another_process_writes(bundle, tmp_path):
-    interrupted(bundle, check_of(tmp_path, "nengo"), 1, "nengo")
-    with partial(check_of(tmp_path, "nengo")).open("a") as other:
-        fcntl.flock(other, fcntl.LOCK_EX)
-        with pytest.raises(UserError, match=r"nengo\.json: "):
-            answered(tmp_path, bundle, ["nengo", "emulator"])

@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 
 from deploy.check.rates import (
-    chip_rates,
     firing_rates,
     rate_summary,
-    rate_warnings,
-    rates_text,
 )
-from tests.command import missing
-from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
+from tests.deploy.networks import random_checks, small_spec
 
 
 def test_rate_of_a_constant_drive():
@@ -48,22 +44,3 @@ def test_summary_by_hand():
     # at 1000 / k Hz the next rate down is 1000 / (k + 1): at 250 Hz (k = 4) a fifth lower
     quarter = rate_summary({"a": np.array([[250.0]])})["a"]
     assert quarter["step_at_p99"] == pytest.approx(0.2)
-
-
-def test_warnings():
-    summary = rate_summary({"quiet": np.zeros((1, 3)), "loud": np.full((1, 3), 400.0)})
-    silent, coarse = rate_warnings(summary)
-    assert missing(silent, "layer quiet") == []
-    assert missing(coarse, "layer loud", "100%", "250 Hz") == []
-    told = ["29%", f"warning: {coarse}", f"warning: {silent}"]  # 400 Hz down to 1000 / 3.5 Hz
-    assert missing(rates_text(summary, 1), *told) == []
-
-
-def test_of_events_nothing_is_said_of_how_far_rates_are_apart():
-    spec = events_spec()
-    summary = chip_rates(spec, random_frames(spec, 3, share=0.3))
-    assert set(summary["conv1"]) == {"silent", "mean_hz", "p99_hz", "max_hz"}
-    assert max(layer["max_hz"] for layer in summary.values()) > 0
-    assert rate_warnings(summary) == []
-    (first, *_) = rates_text(summary, 3).splitlines()
-    assert missing(first, "3 samples", "recording") == []

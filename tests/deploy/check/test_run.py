@@ -1,16 +1,12 @@
 """A check is saved stream by stream, and goes on where it stopped."""
 
 import fcntl
-import json
-import shutil
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from deploy import __version__
-from deploy.check.results import read_result, versions
-from deploy.check.run import answered, open_check, run_check
+from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.stimulus import ImageSpikes
 from tests.deploy.checks import interrupted, partial, same_answers
@@ -61,13 +57,6 @@ def test_the_result_has_the_contracts_entries(bundle, whole):
     assert whole["wall_seconds"] > 0
 
 
-def test_what_is_written_is_what_is_returned(bundle, tmp_path):
-    out = tmp_path / "new" / "nengo.json"
-    result = run_check(bundle, "nengo", out)
-    assert read_result(out) == json.loads(json.dumps(result))
-    assert [path.name for path in out.parent.iterdir()] == ["nengo.json"]
-
-
 @pytest.mark.parametrize("after", [1, 2, 3])
 def test_an_interrupted_check_goes_on_and_ends_the_same(bundle, whole, tmp_path, after):
     out = tmp_path / "emulator.json"
@@ -77,16 +66,6 @@ def test_an_interrupted_check_goes_on_and_ends_the_same(bundle, whole, tmp_path,
     same_answers(run_check(bundle, "emulator", out, advance=told.append), whole)
     assert told == [3, 3, 1]
     assert [path.name for path in tmp_path.iterdir()] == ["emulator.json"]
-
-
-def test_what_is_done_is_not_done_again(bundle, tmp_path):
-    out = tmp_path / "nengo.json"
-    saved = interrupted(bundle, out, 2, "nengo")
-    header, first, second = saved.read_text().splitlines()
-    record = json.loads(first)
-    record["samples"][0]["scores"][0] = 123.0
-    saved.write_text("\n".join([header, json.dumps(record), second]) + "\n")
-    assert run_check(bundle, "nengo", out)["samples"][0]["scores"][0] == 123.0
 
 
 @pytest.mark.parametrize("target", ["nengo", "simreal", "emulator", "fast"])
@@ -99,33 +78,10 @@ def test_a_network_that_no_integers_hold_is_refused_and_nothing_is_left(tmp_path
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
 
 
-@pytest.mark.parametrize("target", ["nengo", "simreal", "emulator"])
-def test_that_a_network_fits_is_asked_once_and_not_for_each_stream(
-    bundle, tmp_path, monkeypatch, target
-):
-    asked = []
-    monkeypatch.setattr("deploy.targets.registry.require_integers", asked.append)
-    run_check(bundle, target, tmp_path / "result.json")
-    with open_check(bundle, target, tmp_path / "again.json") as check:  # as with --jobs
-        assert len(check.left) > 1
-        for part in check.left:
-            for record in answered(check.work([part])):
-                check.take(record)
-    assert len(asked) == (0 if target == "emulator" else 2)
-
-
 @pytest.mark.parametrize("cut", [1, 40, 400])
 def test_a_line_that_was_cut_short_is_done_again(bundle, whole, begun, tmp_path, cut):
     out = tmp_path / "emulator.json"
     partial(out).write_bytes(begun[:-cut])
-    same_answers(run_check(bundle, "emulator", out), whole)
-
-
-def test_a_stream_that_lost_a_sample_is_done_again(bundle, whole, begun, tmp_path):
-    out = tmp_path / "emulator.json"
-    first, second = map(json.loads, filter(None, begun.decode().split("\n")))
-    del first["samples"][-1]
-    partial(out).write_text("\n".join(map(json.dumps, [first, second])))
     same_answers(run_check(bundle, "emulator", out), whole)
 
 
@@ -158,42 +114,6 @@ def test_the_answers_to_another_bundle_are_not_taken(bundle, whole, tmp_path):
     same_answers(run_check(bundle, "emulator", out), whole)
 
 
-def test_nor_those_of_another_target(bundle, whole, tmp_path):
-    out = tmp_path / "emulator.json"
-    shutil.move(interrupted(bundle, tmp_path / "nengo.json", 1, "nengo"), partial(out))
-    same_answers(run_check(bundle, "emulator", out), whole)
-
-
-def test_responses_from_a_host_with_another_python_are_kept(bundle, whole, tmp_path, monkeypatch):
-    """An hour on a board was lost when the job was submitted again where Python is another."""
-    out = tmp_path / "emulator.json"
-    with monkeypatch.context() as other:
-        before = {**versions(), "python": "3.8.10"}
-        other.setattr("deploy.check.run.versions", lambda: before)
-        saved = interrupted(bundle, out, 1)
-    begun = saved.read_bytes()
-
-    def stop(n):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):  # at its first stream
-        run_check(bundle, "emulator", out, advance=stop)
-    assert saved.read_bytes().startswith(begun)
-    with monkeypatch.context() as other:  # the first host again
-        other.setattr("deploy.check.run.versions", lambda: before)
-        with open_check(bundle, "emulator", out) as check:
-            assert 0 not in [part.start for part in check.left]
-    same_answers(run_check(bundle, "emulator", out), whole)
-    assert not saved.exists()
-
-
-def test_nor_those_to_other_recordings_with_the_same_names(bundle, tmp_path):
-    out, blank = tmp_path / "nengo.json", np.zeros_like(bundle.checks.inputs)
-    interrupted(bundle, out, 1, "nengo")
-    other = replace(bundle, checks=replace(bundle.checks, inputs=blank))
-    assert run_check(other, "nengo", out)["spikes"]["input"] == 0
-
-
 def test_a_second_writer_is_refused_and_loses_nothing(bundle, tmp_path):
     out = tmp_path / "nengo.json"
     saved = interrupted(bundle, out, 1, "nengo")
@@ -203,19 +123,6 @@ def test_a_second_writer_is_refused_and_loses_nothing(bundle, tmp_path):
         with pytest.raises(UserError, match=rf"{out}\b"):
             run_check(bundle, "nengo", out)
     assert saved.read_bytes() == before
-
-
-def test_an_earlier_result_stays_until_the_new_one_is_whole(bundle, tmp_path):
-    out = tmp_path / "nengo.json"
-    run_check(bundle, "nengo", out)
-    before = out.read_bytes()
-    with pytest.raises(KeyboardInterrupt):
-        run_check(bundle, "nengo", out, advance=_raise)
-    assert out.read_bytes() == before
-
-
-def _raise(n):
-    raise KeyboardInterrupt
 
 
 def test_a_place_that_cannot_be_written(bundle, tmp_path):

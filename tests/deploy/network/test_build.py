@@ -101,12 +101,6 @@ def test_multiply_accumulates_of_an_averaging_by_hand():
     assert fan_out(layer).reshape(7, 6, 2)[6].tolist() == [[0, 0]] * 6
 
 
-def test_a_layer_that_fits_is_whole():
-    rng = np.random.default_rng(0)
-    assert default_block(conv("conv1", (10, 10, 1), 6, 4, rng)) == (7, 7, 6)
-    assert default_block(dense("dense1", (5, 5, 8), 64, rng)) == (64,)
-
-
 def test_the_cut_with_the_fewest_axons():
     rng = np.random.default_rng(0)
     # 26 x 26 x 4 = 2704 neurons, three cores at the least; squares overlap least: four of 15 x 15
@@ -130,12 +124,6 @@ def test_synapse_memory_and_output_axons_cut_too():
     shapes = block_shapes((before, after))
     assert -(-600 // shapes["dense1"][0]) * np.prod(shapes["conv1"]) <= 4096
     assert make_plan(spec_of((10, 10, 1), before, after)).problems == []
-
-
-def test_an_own_block_is_kept():
-    rng = np.random.default_rng(0)
-    layer = conv("conv1", (10, 10, 1), 6, 4, rng, block_shape=(3, 4, 2))
-    assert block_shapes((layer,)) == {"conv1": (3, 4, 2)}
 
 
 def test_a_layer_of_several_cores():

@@ -1,12 +1,7 @@
 """What the chip has is said in one place."""
 
-import ast
-
-import pytest
-
 from deploy.network.blocks import list_words
 from deploy.network.chip import LOIHI
-from tests.command import ROOT
 
 
 def test_levels_by_hand():
@@ -18,14 +13,3 @@ def test_levels_by_hand():
 def test_words_of_a_list_by_hand():
     # 10 bits of header: 54 are left of the first word, six synapses of 9 bits
     assert [list_words(n, 9) for n in (1, 6, 7, 13, 14)] == [1, 1, 2, 2, 3]
-
-
-@pytest.mark.parametrize(
-    "name", ["network/blocks", "preflight/resources", "targets/lava", "targets/fast"]
-)
-def test_its_numbers_are_not_said_again(name):
-    tree = ast.parse((ROOT / "deploy" / f"{name}.py").read_text(encoding="utf-8"))
-    numbers = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
-    assert not numbers & {LOIHI.decay_levels, LOIHI.decay_unit}
-    named = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-    assert not any(name.endswith("_BITS") for name in named - {"INDEX_BITS"})

@@ -9,7 +9,6 @@ from deploy.network.decision import (
     confidence,
     decide,
     estimator_inputs,
-    share_of_time,
 )
 
 
@@ -46,10 +45,6 @@ def test_a_decision_falls_in_the_first_sure_step_or_at_the_end():
     steps, classes = decide(outputs_of([0, 2, -9, -9], [0.1, -0.1, 0.1, -0.1]), 0.88)
     assert steps.tolist() == [1, 3]
     assert classes.tolist() == [0, 1]
-
-
-def test_share_of_time_is_never_more_than_all():
-    assert share_of_time([0, 4, 9], [9, 9, 4]).tolist() == [0.1, 0.5, 1]
 
 
 def test_the_chosen_threshold_is_the_earliest_that_loses_no_more_than_allowed():
@@ -114,32 +109,12 @@ def test_an_estimator_of_one_unit_by_hand():
     assert decide(np.ones((1, 3, 2)), 0.6, simple, first=3)[0].tolist() == [1]
 
 
-def test_an_estimator_that_is_very_sure_says_so_without_a_warning():
-    estimator = estimator_of(3)
-    with np.errstate(all="raise", under="ignore"):
-        sure = confidence(1e4 * np.eye(3)[:, None], estimator)
-    assert np.isfinite(sure).all()
-
-
 def test_an_estimators_arrays_there_and_back():
     estimator = estimator_of(10)
     again = Estimator.from_arrays({**estimator.arrays(), "output.weights": np.zeros(3)}, 10)
     outputs = np.random.default_rng(1).normal(size=(4, 7, 10))
     np.testing.assert_array_equal(estimator(outputs), again(outputs))
     assert Estimator.from_arrays({"output.weights": np.zeros(3)}, 10) is None
-
-
-@pytest.mark.parametrize("change", ["missing", "shape", "nan"])
-def test_wrong_arrays_of_an_estimator_are_named(change):
-    arrays = estimator_of(10).arrays()
-    if change == "missing":
-        del arrays["estimator.bias2"]
-    elif change == "shape":
-        arrays["estimator.bias2"] = np.zeros(3)
-    else:
-        arrays["estimator.bias2"] = np.full(32, np.nan)
-    with pytest.raises(ValueError, match=r"estimator\.bias2"):
-        Estimator.from_arrays(arrays, 10)
 
 
 def test_a_threshold_is_chosen_for_the_estimator():

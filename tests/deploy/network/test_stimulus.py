@@ -16,7 +16,7 @@ from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, last_steps
 from deploy.network.stream import show
 from deploy.preflight.plan import make_plan
 from tests.deploy.check.test_bundle import with_arrays
-from tests.deploy.networks import events_spec, random_frames, small_spec
+from tests.deploy.networks import events_spec, random_frames
 
 
 def test_frames_and_silence_by_hand():
@@ -113,13 +113,6 @@ def test_a_pixel_spikes_at_most_once_a_step():
         assert f"{rate:g}" in said
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 2e9, -2e9])
-def test_no_value_is_too_large_or_nan(value):
-    images = np.zeros((2, 6, 6, 1))
-    images[1, 2, 3] = value
-    assert ImageSpikes().complaint(images, (6, 6, 1), 30) is not None
-
-
 def test_wrong_samples_are_refused(tmp_path):
     spec = events_spec()
     frames = random_frames(spec, 2)
@@ -152,12 +145,3 @@ def test_the_last_event_by_hand():
     frames[0, [1, 3], 1, 0, 1] = 1
     frames[1, 4], frames[2, 0] = 1, 1
     assert last_steps(frames).tolist() == [3, 4, 0, 0]
-
-
-def test_what_each_kind_shows():
-    assert ImageSpikes().sample_shape((10, 10, 1), 50) == (10, 10, 1)
-    assert EventFrames().sample_shape((10, 10, 2), 50) == (50, 10, 10, 2)
-    assert small_spec().stimulus.step_seconds == 0.001
-    assert EventFrames(0.01).step_seconds == 0.01
-    with pytest.raises(ValueError, match=r"seconds.* 0"):
-        EventFrames(0.0)

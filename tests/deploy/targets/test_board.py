@@ -145,38 +145,11 @@ def test_nxsdk_is_told_board_and_partition_and_only_then(nxsdk, monkeypatch):
     assert "SLURM" not in os.environ
 
 
-def test_refused_connection_is_tried_again(nxsdk, bundle, emulated, tmp_path):
-    nxsdk.faults.FAULTS.refuse = 4  # NengoLoihi gives up after three, the second attempt gets it
-    result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
-    assert same_answers(result, emulated)
-    assert result["hardware"]["attempts"] == 4
-
-
 def test_board_that_stays_away_is_one_line(nxsdk, bundle, tmp_path):
     nxsdk.faults.FAULTS.refuse = 100
     with pytest.raises(UserError, match=r"stream 1 .*3 attempts.*connection refused"):
         run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
     assert not (tmp_path / "r.json").exists()
-
-
-def test_waits_are_doubled_up_to_ten_minutes(nxsdk, bundle, tmp_path, monkeypatch):
-    waits = []
-    monkeypatch.setattr("time.sleep", waits.append)
-    nxsdk.faults.FAULTS.refuse = 1000
-    with pytest.raises(UserError, match="6 attempts"):
-        run_check(
-            bundle, "loihi", tmp_path / "r.json", options=BoardOptions(attempts=6, wait=100.0)
-        )
-    assert [wait for wait in waits if wait >= 100] == [100, 200, 400, 600, 600]
-
-
-def test_connection_lost_in_mid_run_begins_the_stream_again(nxsdk, bundle, emulated, tmp_path):
-    nxsdk.faults.FAULTS.lose_at_step = 150  # in the second stream
-    result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
-    assert same_answers(result, emulated)
-    assert result["hardware"] | {"board": None, "partition": None} == {
-        "board": None, "partition": None, "chips": 1, "connections": 3, "attempts": 4,
-    }  # fmt: skip
 
 
 def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path):
@@ -190,23 +163,6 @@ def test_run_goes_on_where_the_board_was_lost(nxsdk, bundle, emulated, tmp_path)
     period = 35
     assert nxsdk.faults.FAULTS.steps - before == 4 * period  # streams 2 (3 samples) and 3 (1)
     assert result["hardware"]["connections"] == 3
-
-
-def test_a_result_names_every_board_of_a_resumed_check(nxsdk, bundle, tmp_path, monkeypatch):
-    nxsdk.faults.FAULTS.lose_at_step = 150  # in the second of three streams
-    monkeypatch.setattr(nxsdk, "__version__", "0.9.0")
-    first = BoardOptions(board="one", attempts=1)
-    with pytest.raises(UserError, match="stream 2"):
-        run_check(bundle, "loihi", tmp_path / "r.json", options=first)
-    monkeypatch.setattr(nxsdk, "__version__", "1.0.0")
-    other = BoardOptions(board="other", chips=2, attempts=1)
-    result = run_check(bundle, "loihi", tmp_path / "r.json", options=other)
-    assert result["hardware"]["board"] == ["one", "other"]
-    assert result["hardware"]["chips"] == [1, 2]
-    assert result["hardware"]["partition"] is None
-    assert result["versions"]["nxsdk"] == "0.9.0, 1.0.0"
-    read_result(tmp_path / "r.json")
-    assert missing(summary(result), "one and other", "0.9.0", "1.0.0") == []
 
 
 def test_missing_steps_are_noticed(nxsdk, bundle, tmp_path):
@@ -289,27 +245,6 @@ def test_a_fault_at_any_stream(
     assert same_answers(result, shortest_emulated)
 
 
-def test_connecting_and_running_are_each_given_the_time_that_was_asked_for(
-    nxsdk, shortest, tmp_path, monkeypatch
-):
-    def set_timer(which, seconds):
-        asked.append(seconds)
-        return before(which, seconds)
-
-    asked, before = [], signal.setitimer
-    monkeypatch.setattr(signal, "setitimer", set_timer)
-    run_check(shortest, "loihi", tmp_path / "r.json", options=BoardOptions(timeout=432.0))
-    assert asked == [432.0, 0] * 6  # three streams, and each connects and runs
-
-
-def test_lost_input_spikes_show_in_the_comparison(nxsdk, bundle, emulated, tmp_path):
-    nxsdk.faults.FAULTS.drop_spikes = 10
-    result = run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
-    differ = compare_results(result, emulated).other_spikes
-    assert result["samples_unlike_fast"] == differ >= 1
-    assert f" {differ} samples" in summary(result)
-
-
 @pytest.mark.parametrize("version", ["0.8.7", "1.1.0"])
 def test_wrong_version_of_nxsdk(nxsdk, bundle, tmp_path, monkeypatch, version):
     monkeypatch.setattr(nxsdk, "__version__", version)
@@ -320,12 +255,6 @@ def test_wrong_version_of_nxsdk(nxsdk, bundle, tmp_path, monkeypatch, version):
 def test_without_nxsdk(bundle, tmp_path):
     with pytest.raises(UserError, match=r"target loihi .*NxSDK.*--target emulator"):
         run_check(bundle, "loihi", tmp_path / "r.json")
-
-
-def test_axon_cfgs_refused_by_the_board(nxsdk, bundle, tmp_path, monkeypatch):
-    monkeypatch.setattr("nxsdk.core.AXON_CFGS", 10)
-    with pytest.raises(UserError, match=r"AxonCfg.*fewer filters"):
-        run_check(bundle, "loihi", tmp_path / "r.json", options=PATIENT)
 
 
 @pytest.mark.parametrize("error", [AssertionError(), ValueError("a core\nis missing")])
@@ -354,28 +283,6 @@ def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
     }
     text = summary(result)
     assert missing(text, "NxSDK 1.0.0", "3 connections", "5 mW", "25 mW") == []
-
-
-def test_board_without_energy_probe(nxsdk, bundle, tmp_path):
-    with pytest.raises(UserError, match="--energy"):
-        run_check(bundle, "loihi", tmp_path / "r.json", options=BoardOptions(energy=True, wait=0))
-
-
-def test_mean_power_is_weighted_by_steps():
-    note = {
-        "board": None, "partition": None, "chips": 1, "attempts": 1, "nxsdk": "1.0.0",
-        "build_seconds": 1.0, "connect_seconds": 2.0, "run_seconds": 3.0,
-    }  # fmt: skip
-    power = {"total_mw": 2.0, "static_mw": 1.0, "dynamic_mw": 1.0, "step_microseconds": 8.0}
-    stronger = {"total_mw": 5.0, "static_mw": 1.0, "dynamic_mw": 4.0, "step_microseconds": 8.0}
-    result = hardware.describe(
-        [
-            {**note, "samples": 2, "steps": 20, "power": power},
-            {**note, "samples": 1, "steps": 10, "power": stronger},
-        ]
-    )
-    assert result["power"]["dynamic_mw"] == pytest.approx(2.0)
-    assert result["timing"]["run_seconds_per_sample"] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("command", ["stmnist", "deploy.pyz"])

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
-import tracemalloc
 import warnings
 from dataclasses import replace
 
@@ -17,12 +15,10 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.network.responses import join
-from deploy.network.spec import NetworkSpec, Presentation
-from deploy.network.stimulus import EventFrames
 from deploy.targets.fast import OVERFLOWS, Emulation, run_fast
 from deploy.targets.registry import run_emulator
 from tests.deploy.fast_networks import images_for, loud_spec, overflows_of, random_spec
-from tests.deploy.networks import bundle_at, conv, paper_spec, readout, small_spec
+from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
 
 def assert_same(found, expected, atol=1e-9):
@@ -97,38 +93,6 @@ def test_overflows_are_counted_and_warned_of_by_layer(filters, kinds, sign):
     told = ", ".join(f"{n} in {kind}" for kind, n in counts.items() if n)
     with pytest.warns(RuntimeWarning, match=f"layer 'output': .*: {told}"):
         list(run_fast(spec, [images]))
-
-
-def test_no_warning_without_overflows(recwarn):
-    list(run_fast(paper_spec(steps=5, gap=0, readout_start=0), [images_for(paper_spec(), 1)]))
-    assert not [w for w in recwarn if "overflows" in str(w.message)]
-
-
-def test_streams_are_taken_as_memory_allows():
-    spec = paper_spec(steps=10, gap=0, readout_start=0)
-    images, taken = images_for(spec, 1), []
-    endless = (taken.append(i) or images for i in itertools.count())
-    memory = 3 * 10 * 1300  # three streams of ten steps and their answers
-    answers = run_fast(spec, endless, memory=memory)
-    for _ in range(4):
-        next(answers)
-    answers.close()
-    assert 4 <= len(taken) <= 12
-
-
-def test_memory_grows_with_the_sensor_not_with_its_square():
-    rng = np.random.default_rng(0)
-    first = conv("conv1", (40, 40, 2), 1, 8, rng, stride=8)
-    layers = (first, readout(first.shape, rng))
-    shape = Presentation(steps=10, readout_start=0)
-    spec = NetworkSpec("40x40x2-1c8s8-10o", (40, 40, 2), EventFrames(), layers, shape)
-    Emulation(small_spec())  # compiles
-    tracemalloc.start()
-    try:
-        Emulation(spec)
-        assert tracemalloc.get_traced_memory()[1] < 8 * (40 * 40 * 2) ** 2 / 2
-    finally:
-        tracemalloc.stop()
 
 
 def test_silence_gives_zeros():

@@ -20,9 +20,8 @@ from deploy.targets.lava import (
 )
 from deploy.targets.registry import answer
 
-from ...lava_reader.result import differing_bits, main, responses_of
+from ...lava_reader.result import differing_bits, responses_of
 from ..networks import (
-    bundle_at,
     events_spec,
     paper_spec,
     random_checks,
@@ -129,26 +128,6 @@ def test_spikes_give_the_answers_of_fast(make):
     np.testing.assert_array_equal(ours.spike_hashes, theirs.spike_hashes)
     np.testing.assert_array_equal(ours.decisions, theirs.decisions)
     np.testing.assert_allclose(ours.scores, theirs.scores, rtol=1e-12)
-
-
-def test_one_bit_is_found(tmp_path, capsys):
-    opened = bundle_at(tmp_path / "bundle")
-    emulation = Emulation(opened.spec)
-    spikes = spikes_of(emulation, opened.checks.inputs)
-    spikes["conv2"][1, 2, 0] ^= 1 << 7
-    np.savez(tmp_path / "out.npz", seconds=1.0, **{f"spikes.{k}": v for k, v in spikes.items()})
-    with pytest.raises(Exception, match=r"^1 spikes"):
-        main(tmp_path / "bundle", tmp_path / "out.npz", tmp_path / "lava.json")
-    assert "conv2" in capsys.readouterr().out
-
-
-def test_without_refractory_time_and_floor_there_are_more_spikes():
-    spec = paper_spec(steps=40, gap=5)
-    images = random_checks(spec, 3).inputs
-    emulation = Emulation(spec)
-    free = without_refractory_and_floor(spec)
-    few, many = (spikes_of(p, images)["conv2"] for p in (emulation, free))
-    assert np.unpackbits(many).sum() > 1.02 * np.unpackbits(few).sum()
 
 
 def test_weights_that_do_not_fit_are_refused(monkeypatch):

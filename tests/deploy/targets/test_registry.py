@@ -33,15 +33,6 @@ def images():
 
 
 @pytest.mark.parametrize("target", EXACT)
-def test_streams_do_not_know_of_each_other(target, images):
-    spec = small_spec()  # streams of three
-    together = answer(spec, images, target)
-    assert_same(together, answer(spec, images[3:], target), slice(3, None))
-    assert_same(together, answer(spec, images, target))
-    assert min(counts.min() for counts in together.spikes.values()) > 0
-
-
-@pytest.mark.parametrize("target", EXACT)
 def test_in_a_stream_of_one_every_sample_is_fresh(target, images):
     fresh = small_spec(stream_length=1)
     together = answer(fresh, images[:3], target)
@@ -173,23 +164,6 @@ def test_what_no_integers_can_hold_is_refused_alike(spec):
     assert re.search(r"layer (conv|dense|output)\d?: .*\b17 bits", line)
 
 
-def test_weights_that_the_integers_cannot_hold_are_said():
-    """NengoLoihi takes what is below 1e-8 for 0."""
-    spec = small_spec()
-    first = replace(spec.layers[0], weights=spec.layers[0].weights * 1e-15)
-    tiny = replace(spec, layers=(first, *spec.layers[1:]))
-    assert make_plan(spec).warnings == []
-    assert [line.split(":")[0] for line in make_plan(tiny).warnings] == ["layer conv1"]
-
-
 def test_an_unknown_target_is_named_with_the_known_ones():
     with pytest.raises(UserError, match="'gpu'.* " + ", ".join(TARGETS)):
         target_named("gpu")
-
-
-def test_progress_is_told_stream_by_stream(images):
-    told = []
-    answer(
-        small_spec(stream_length=4, steps=9, readout_start=0), images, "nengo", advance=told.append
-    )
-    assert told == [4, 2]

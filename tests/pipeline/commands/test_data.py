@@ -3,17 +3,14 @@
 import json
 import re
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deploy.files import read_json
 from pipeline.data.eventfiles import write_recordings
 from pipeline.data.source import read_source
 from pipeline.settings import Settings, parse_assignments
 from tests.command import call, missing
-from tests.deploy.networks import bundle_at
 from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
@@ -102,19 +99,6 @@ def test_plot(what, archive, tmp_path):
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
-def test_plot_mistakes(archive, tmp_path, capsys):
-    out = tmp_path / "x.png"
-    assert call("data", "plot", "pie", "--out", out) == 2
-    assert "sheet" in capsys.readouterr().err
-    assert call("data", "plot", "sheet", "--out", tmp_path / "x.doc") == 2
-    assert "x.doc" in capsys.readouterr().err
-    assert (
-        call("data", "plot", "recording", "--data", archive, "--sample", "none", "--out", out) == 2
-    )
-    assert missing(capsys.readouterr().err, "'none'", "/0000") == []
-    assert not out.exists()
-
-
 def test_recorded_handwriting(tmp_path, capsys):
     unipen = tmp_path / "sevens.unipen"
     unipen.write_text(SEVENS)
@@ -130,14 +114,6 @@ def test_recorded_handwriting(tmp_path, capsys):
     assert facts["simulated"] is True
     assert "handwriting" in facts["source"]
     assert len(read_source(out, jobs=1)) == 10
-
-
-def test_simulate_mistakes(tmp_path, capsys):
-    assert call("data", "simulate", "--out", tmp_path / "x.tar") == 2
-    assert ".zip" in capsys.readouterr().err
-    missing = tmp_path / "none.unipen"
-    assert call("data", "simulate", "--out", tmp_path / "x.zip", "--handwriting", missing) == 2
-    assert "none.unipen" in capsys.readouterr().err
 
 
 def test_recordings_that_were_not_simulated_are_not_replaced(archive, tmp_path, capsys):
@@ -160,22 +136,3 @@ def test_recordings_that_were_not_simulated_are_not_replaced(archive, tmp_path, 
     assert call("data", "export", theirs, mine) == 0
     assert call("data", "simulate", "--out", archive, *few) == 0
     assert len(read_source(archive, jobs=1)) == 10
-
-
-@pytest.mark.parametrize(
-    ("arguments", "result"),
-    [
-        ("data simulate --out OUT --samples-per-digit 1 --jobs 1", Path.read_bytes),
-        ("check run BUNDLE --target emulator --out OUT", lambda out: read_json(out, "")["seed"]),
-    ],
-    ids=["simulate", "check"],
-)
-def test_another_seed_gives_another_result(arguments, result, tmp_path):
-    places = {name: tmp_path / f"{name.lower()}.zip" for name in ("OUT", "BUNDLE")}
-    bundle_at(places["BUNDLE"], count=1)
-
-    def of(seed):
-        assert call(*(places.get(word, word) for word in arguments.split()), "--seed", seed) == 0
-        return result(places["OUT"])
-
-    assert of(1) == of(1) != of(2)

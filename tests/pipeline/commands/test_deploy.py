@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from deploy import cli
 from deploy.check.run import run_check
 from tests.command import call, missing
 from tests.deploy.networks import bundle_at, small_spec
@@ -28,13 +27,6 @@ def test_plan(bundle, capsys):
     assert "3 samples" in out
 
 
-def test_plan_as_json(bundle, capsys):
-    _, out, _ = run(capsys, "deploy", "plan", bundle.path, "--json")
-    value = json.loads(out)
-    assert value["fits"] is True
-    assert set(value["firing_rates"]) == {"conv1", "conv2"}
-
-
 def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
     big = bundle_at(tmp_path / "bundle", spec_of((24, 3), block_shape=(8, 8, 24)), 2)
     status, out, err = run(capsys, "deploy", "plan", big.path)
@@ -42,16 +34,6 @@ def test_plan_refuses_what_will_not_fit(capsys, tmp_path):
     assert missing(err, "conv1", "1536 compartments", 1024) == []
     assert len(err.strip().splitlines()) == 1
     assert "1536 compartments" in out
-
-
-def test_plan_for_several_chips(capsys, tmp_path):
-    spec = spec_of((2, 3), (2, 3), shape=(20, 20, 1), block_shape=(2, 2, 2))  # 81 + 64 cores
-    large = bundle_at(tmp_path / "bundle", spec.with_presentation(steps=2, readout_start=0), 1)
-    for chips, status in ((1, 2), (2, 0)):
-        found, out, _ = run(capsys, "deploy", "plan", large.path, "--chips", chips)
-        assert found == status
-        assert missing(out, "145 cores") == []
-        assert cli.main(["plan", str(large.path), "--chips", str(chips)]) == status
 
 
 def test_export_with_inputs(bundle, capsys, tmp_path):
@@ -77,15 +59,6 @@ def test_energy(bundle, capsys):
     assert json.loads(out)["joules_per_inference"]["loihi"] > 0
 
 
-def test_energy_of_another_bundle(bundle, capsys, tmp_path):
-    other = bundle_at(tmp_path / "bundle", small_spec(seed=5), 7)
-    result = tmp_path / "other.json"
-    run_check(other, "emulator", result)
-    status, _, err = run(capsys, "deploy", "energy", bundle.path, result)
-    assert status == 2
-    assert missing(err, result, bundle.path) == []
-
-
 def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
     status, _, err = run(
         capsys, "check", "run", bundle.path, "--target", "emulator", "--partition", "nahuku32"
@@ -103,12 +76,3 @@ def test_export_to_lava(bundle, capsys, tmp_path):
     assert "7 samples" in out
     with np.load(wanted, allow_pickle=False) as archive:
         assert archive["spikes.input"].shape == (7, 35, 5)  # 36 pixels in 5 bytes
-
-
-def test_export_to_lava_takes_no_second_file(bundle, capsys, tmp_path):
-    status, _, err = run(
-        capsys, "deploy", "export", bundle.path, "--format", "lava",
-        "--out", tmp_path / "a.npz", "--inputs", tmp_path / "b.npz",
-    )  # fmt: skip
-    assert status == 2
-    assert "--inputs" in err

@@ -9,12 +9,12 @@ from deploy.errors import UserError
 from pipeline.data.dataset import Dataset, dataset_origin
 from pipeline.data.images import tactile_images
 from pipeline.data.library import identity_of, recordings_of
-from pipeline.data.splits import random_split, split_of, writer_split
+from pipeline.data.splits import random_split
 from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
 from pipeline.stages import open_run
 from tests.own_sensor import write_folder
-from tests.pipeline.handmade import archive, good_members, recordings
+from tests.pipeline.handmade import archive, good_members
 
 SMALL = Settings().with_values(
     {"seed": 3, "data": {"samples_per_digit": 6}, "split": {"validation_fraction": 0.25}}, "test"
@@ -49,15 +49,6 @@ def test_the_split_is_of_the_settings_seed_and_fractions(dataset):
         np.testing.assert_array_equal(labels, dataset.labels[index])
 
 
-def test_a_split_by_writers_is_another_data_set(dataset):
-    settings = dataset.settings
-    by_writer = Dataset.of(settings, kind="writers")
-    expected = writer_split(dataset.recordings.writers, settings.seed).test
-    np.testing.assert_array_equal(by_writer.split.test, expected)
-    assert by_writer.part("validation") is None
-    assert by_writer.origin != dataset.origin
-
-
 @pytest.mark.parametrize("source", ["simulated", "imported"])
 def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_path):
     """A worker of an experiment can read no others."""
@@ -80,11 +71,6 @@ def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
     assert not np.array_equal(dataset.seen_by(signed.only(image)).inputs, dataset.inputs)
     with pytest.raises(UndeclaredSetting):
         _ = dataset.seen_by(settings.only(["input.kind"])).inputs
-
-
-def test_writers_that_are_not_known_are_refused():
-    with pytest.raises(ValueError, match="writers"):
-        split_of(recordings([], []), 0, 0.2, kind="writers")
 
 
 def test_too_few_samples_are_one_line_with_the_source(tmp_path):
@@ -145,16 +131,6 @@ def test_arrays_in_the_place_of_recordings():
 def test_arrays_that_are_no_samples_are_refused(change, fact):
     with pytest.raises(UserError, match=f"^mine: .*{fact}"):
         Dataset.of_arrays(*change(*arrays()), OWN, ("soft", "hard"))
-
-
-def test_settings_that_are_not_for_arrays_are_refused():
-    with pytest.raises(UserError, match=r"'data\.source'"):
-        Dataset.of_arrays(*arrays(), SMALL)
-    on_events = OWN.with_values({"input": {"kind": "events"}})
-    with pytest.raises(UserError, match=r"input\.kind"):
-        Dataset.of_arrays(*arrays(), on_events)
-    with pytest.raises(UserError, match="classes"):
-        Dataset.of_arrays(*arrays(), OWN, ("soft", "soft"))
 
 
 def test_a_run_refuses_arrays_of_other_settings(tmp_path):

@@ -1,8 +1,6 @@
 """Files of events in every format, and arrays written as such files."""
 
 import io
-import tracemalloc
-import zipfile
 
 import numpy as np
 import pytest
@@ -169,37 +167,6 @@ def test_a_bad_event_file(change, fact):
         read_events(npz(**{**GOOD, **change}))
 
 
-def test_an_event_file_that_says_it_is_larger_than_it_is():
-    """The header of an array declares a terabyte, which nobody sets aside."""
-    buffer = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**11,)}
-    )
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w") as file:
-        for name in "xytp":
-            file.writestr(f"{name}.npy", buffer.getvalue())
-    with pytest.raises(BadRecording, match="'x'"):
-        read_events(out.getvalue())
-
-
-def test_what_an_event_file_has_besides_its_events_is_not_unpacked():
-    """Nor are arrays that have together more than any recording can have."""
-    large = np.zeros(12_000_000)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **GOOD, image=large)
-    tracemalloc.start()
-    try:
-        assert read_events(buffer.getvalue()).x.tolist() == [0, 1]
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, x=large, y=large, t=large, p=large)
-        with pytest.raises(BadRecording, match="more than 5000000"):
-            read_events(buffer.getvalue())
-        assert tracemalloc.get_traced_memory()[1] < 20_000_000
-    finally:
-        tracemalloc.stop()
-
-
 @settings(max_examples=200)
 @given(st.data())
 def test_damaged_event_files_are_refused_or_read(data):
@@ -281,18 +248,6 @@ def test_what_cannot_be_written(tmp_path, items, fact):
     with pytest.raises(SeveralErrors, match=fact):
         write_recordings(tmp_path / "a.zip", items, CLASSES)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_one_recording_of_each_class_is_enough_to_adapt_to(tmp_path):
-    path = write_recordings(tmp_path / "a.zip", gestures(1), CLASSES)
-    assert len(load_recordings(str(path), jobs=1)) == len(CLASSES)
-
-
-def test_the_name_and_the_unit(tmp_path):
-    with pytest.raises(UserError, match=r"\.zip"):
-        write_recordings(tmp_path / "a", gestures(2), CLASSES)
-    with pytest.raises(UserError, match=r"time_unit 'minutes'.* s, ms, us, ns"):
-        write_recordings(tmp_path / "a.zip", gestures(2), CLASSES, "minutes")
 
 
 def test_a_published_split_of_arrays(tmp_path):

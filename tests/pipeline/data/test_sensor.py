@@ -6,16 +6,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from pipeline.data.events import Sensor, TaxelMap
+from pipeline.data.events import Sensor
 from pipeline.data.images import aggregate
 from pipeline.data.library import load_recordings
-from pipeline.data.matfile import lookup_table_bytes
 from pipeline.data.sensor import Reading, class_order
-from pipeline.data.source import export_zip, read_source
+from pipeline.data.source import read_source
 from pipeline.data.statistics import reading_text
 from tests.command import missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
-from tests.pipeline.handmade import archive, assert_same, mat5, npz
+from tests.pipeline.handmade import archive, mat5, npz
 
 
 def own(per_class=4, scale=1e6, kind=np.int64, **instead):
@@ -79,31 +78,12 @@ def test_a_clock_that_runs_since_1970(tmp_path):
     assert read.sensor.duration_s < 2
 
 
-def test_a_clock_that_began_with_the_first_recording(tmp_path):
-    """Recordings of up to 1.9 s, one every 10 s; those of the first minute are no exception."""
-    members = {}
-    for index, ((x, y, t, p), label) in enumerate(gestures(4)):
-        members[f"{CLASSES[label]}/{index:03d}.npz"] = npz(x=x, y=y, t_s=t + 10 * index, p=p)
-    for number in (16, 5):  # until 150 s, and until 40 s
-        archive(tmp_path / "own.zip", dict(list(members.items())[:number]))
-        read = read_source(tmp_path / "own.zip", jobs=1)
-        assert (read.events.time_ns[read.offsets[:-1]] == 0).all()
-        assert read.sensor.duration_s < 2
-
-
 def test_mixed_units(tmp_path):
     members = own()
     name = min(members)
     x, y, t, p = gestures(1)[0][0]
     (line,) = refused(tmp_path, {**members, name: npz(x=x, y=y, t=t, p=p)})
     assert missing(line, "1 of 16 ", name, "time") == []
-
-
-def test_coordinates_from_1(tmp_path):
-    (line,) = refused(tmp_path, own(x=lambda x: x + 1, y=lambda y: y + 1))
-    assert missing(line, "x = 0", "y = 0", "skin.rows") == []
-    taken = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(ROWS + 1, COLUMNS + 1))
-    assert aggregate(taken)[:, 0].sum() == 0
 
 
 def test_a_sensor_with_too_many_pixels_is_downsampled(tmp_path):
@@ -140,34 +120,6 @@ def test_the_published_layout_with_another_number_of_taxels(tmp_path):
     assert read_source(tmp_path / "s.zip", jobs=1, reading=Reading(columns=9)).sensor.rows == 4
 
 
-@pytest.mark.parametrize("table", [None, TaxelMap.grid(4, 16)])
-def test_an_export_of_another_number_of_taxels(tmp_path, table):
-    """It has a look-up table if the source has one."""
-    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(64)) for name in "ab" for i in (0, 1)}
-    if table is not None:
-        members["LUT.mat"] = lookup_table_bytes(table)
-    archive(tmp_path / "s.zip", members)
-    assert export_zip(tmp_path / "out.zip", tmp_path / "s.zip") == 4
-    read, again = (read_source(tmp_path / f"{name}.zip", jobs=1) for name in ("s", "out"))
-    assert again.sensor == read.sensor
-    assert_same(again, read, source=False)
-
-
-def test_a_lookup_table_with_gaps(tmp_path):
-    """Five taxels as the five of a die, on three by three places."""
-    places = TaxelMap(np.array([0, 0, 1, 2, 2]), np.array([0, 2, 1, 0, 2]))
-    members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(5)) for name in "ab" for i in (0, 1)}
-    archive(tmp_path / "s.zip", {**members, "LUT.mat": lookup_table_bytes(places)})
-    read = read_source(tmp_path / "s.zip", jobs=1)
-    assert (read.sensor.rows, read.sensor.columns) == (3, 3)
-    image = aggregate(read)[0]
-    np.testing.assert_array_equal(image, [[2, 0, 1], [0, 1, 0], [1, 0, 1]])
-    wider = read_source(tmp_path / "s.zip", jobs=1, reading=Reading(5, 5))
-    assert aggregate(wider).shape == (4, 5, 5)
-    with pytest.raises(UserError, match=r"LUT\.mat has 3 rows .* not 2 "):
-        read_source(tmp_path / "s.zip", jobs=1, reading=Reading(2))
-
-
 def test_another_number_of_taxels_than_the_others(tmp_path):
     members = {f"{name}/{i}.mat": mat5(spiketrain=array_of(16)) for name in "ab" for i in range(3)}
     archive(tmp_path / "s.zip", {**members, "a/odd.mat": mat5(spiketrain=array_of(25))})
@@ -202,25 +154,6 @@ def test_a_simulated_skin_of_another_size():
         high, wide = (np.ptp(np.nonzero(images.any(axis=(0, axis)))[0]) for axis in (2, 1))
         assert high >= 0.7 * size
         assert wide >= 0.6 * size
-
-
-def test_the_unit_of_the_training_is_that_of_a_person_whose_files_have_none(tmp_path):
-    """Taps of 55 ms fit milliseconds as well, as recordings of 55 s."""
-    t = np.arange(0, 55_000, 5_000)
-    members = {
-        f"{name}/{i}.npz": npz(x=t % 3, y=t % 2, t=t, p=np.ones(len(t)))
-        for name in "ab"
-        for i in range(3)
-    }
-    archive(tmp_path / "fifth.zip", members)
-
-    def unit(**given):
-        read = read_source(tmp_path / "fifth.zip", jobs=1, reading=Reading(**given))
-        return read.source.time_unit
-
-    assert unit() == "ms"
-    assert unit(usual_unit="us") == "us"
-    assert unit(time_unit="ms", usual_unit="us") == "ms"
 
 
 def test_taxels_in_no_square_are_a_strip(tmp_path):

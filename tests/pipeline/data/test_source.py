@@ -1,6 +1,5 @@
 """Zips and folders of recordings: what belongs to a source, splits, writing, the cache."""
 
-import io
 import os
 import zipfile
 from pathlib import Path
@@ -10,7 +9,7 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import sha256_of
-from pipeline.data import library, source
+from pipeline.data import source
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
 from pipeline.data.matfile import MatRecording, lookup_table_bytes, read_recording, recording_bytes
@@ -123,15 +122,6 @@ def test_anything_else_is_named(tmp_path, name, fact):
             assert (len(read), len(read.source.left_out)) == (6, 1)
 
 
-def test_links_that_lead_nowhere_or_to_folders(tmp_path):
-    path = put(tmp_path / "s", members())
-    (path / "c").symlink_to(path / "a")
-    assert "c is a link to a folder" in error(path)
-    (path / "c").unlink()
-    (path / "a" / "9.npz").symlink_to(tmp_path / "nothing")
-    assert "a/9.npz is not a regular file" in error(path)
-
-
 def test_recordings_that_are_not_in_folders(tmp_path):
     """A folder of one class, of which the user gives the inside."""
     path = put(tmp_path / "s", {f"{i}.npz": strip(i) for i in range(3)})
@@ -161,13 +151,6 @@ def test_damaged_members_are_refused_by_name(tmp_path):
         file.writestr("a/1.npz", strip())
     read = read_source(tmp_path / "d.zip", jobs=1, skip_bad=True)
     assert (len(read), len(read.source.left_out)) == (6, 2)
-
-
-def test_a_class_does_not_vanish_with_its_bad_files(tmp_path):
-    bad = {name: b"bad" for name in members() if name.startswith("b/")}
-    put(tmp_path / "s.zip", {**members(), **bad})
-    with pytest.raises(UserError, match="no recording of 'b'"):
-        read_source(tmp_path / "s.zip", jobs=1, skip_bad=True)
 
 
 def test_a_source_with_too_many_events_or_files(tmp_path, monkeypatch):
@@ -238,22 +221,6 @@ def test_parts_that_do_not_fit_each_other(tmp_path, how, fact):
     assert fact in line
 
 
-def test_parts_with_stated_units_that_differ(tmp_path):
-    train = members("train/{}/{}.npz", t_us=1000 * np.arange(7))
-    test = members("test/{}/{}.npz", t_ms=np.arange(7))
-    assert "milliseconds and in microseconds" in error(put(tmp_path / "s.zip", {**train, **test}))
-
-
-def test_parts_of_matrices_with_different_numbers_of_taxels(tmp_path):
-    def matrix(n):
-        return mat5(spiketrain=np.vstack([np.eye(n), 0.1 * np.arange(1, n + 1)]))
-
-    files = {
-        f"{part}/{c}/0.mat": matrix(n) for part, n in (("train", 9), ("test", 4)) for c in "ab"
-    }
-    assert "train has 9 taxels, test has 4 taxels" in error(put(tmp_path / "s.zip", files))
-
-
 @pytest.mark.parametrize(("name", "n", "parts", "size"), [
     ("ev-objects.zip", 36, (576, 144), (1, 39)), ("nuskin-letters.zip", 27, (1079, 269), (1, 80)),
 ])  # fmt: skip
@@ -304,11 +271,6 @@ def test_bad_positions(tmp_path, table, fact):
     line = error(put(tmp_path / "s.zip", {**members(), "taxels.csv": table}))
     assert fact in line
     assert "taxels.csv" in line
-
-
-def test_positions_of_a_sensor_with_rows(tmp_path):
-    files = {**members(y=np.arange(7) % 2), "taxels.csv": POSITIONS}
-    assert "2 rows" in error(put(tmp_path / "s.zip", files))
 
 
 # --- writing --------------------------------------------------------------------------------------
@@ -385,36 +347,6 @@ def test_recordings_are_read_once(tmp_path, monkeypatch):
     put(path, {"a/1.npz": strip(30)})
     os.utime(path / "a" / "1.npz", (1, 1))
     assert load_recordings(str(path), jobs=1).source.sha256 != first.source.sha256
-
-
-def test_an_import_without_bad_files_is_not_a_complete_one(tmp_path):
-    path = put(tmp_path / "s.zip", {**members(), "a/bad.npz": b"bad"})
-    lines = []
-    assert len(load_recordings(str(path), skip_bad=True, jobs=1, warn=lines.append)) == 6
-    assert len(load_recordings(str(path), skip_bad=True, jobs=1, warn=lines.append)) == 6
-    assert len(lines) == 2
-    assert all("left out a/bad.npz" in line for line in lines)
-    with pytest.raises(UserError, match="bad"):
-        load_recordings(str(path), jobs=1)
-
-
-@pytest.mark.parametrize("change", [
-    {"labels": np.array([10])}, {"taxel": np.full(4, 100)}, {"offsets": np.array([0, 9])},
-    {"ids": np.array(["a", "b"])}, {"row": np.full(100, 200)}, {"size": np.array([1])},
-])  # fmt: skip
-def test_a_damaged_cache_is_said(tmp_path, change):
-    path = tmp_path / "recordings.npz"
-    made = recordings([(0, 5, 1, 4), (9, 5, 1, 1), (18, 6, 1, 1), (30, 7, -1, 1)])
-    library.store(path, made)
-    assert_same(library.load(path), made)
-    with np.load(path) as file:
-        arrays = {**file, **change}
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    for content in (buffer.getvalue(), b"", path.read_bytes()[:100]):
-        path.write_bytes(content)
-        with pytest.raises(UserError, match=r"recordings\.npz: .*delete it"):
-            library.load(path)
 
 
 def test_a_spike_train_of_a_hundred_taxels_is_read_from_a_folder(tmp_path):

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.data.events import Events
 from pipeline.data.splits import (
     draw_check_samples,
     hold_out,
@@ -32,12 +31,6 @@ def test_a_random_split_is_a_partition(n, seed, fraction):
     np.testing.assert_array_equal(np.sort(together), np.arange(n))
     assert len(split.test) == round(0.2 * n)
     np.testing.assert_array_equal(split.test, random_split(n, seed).test)
-
-
-def test_the_seed_changes_a_random_split():
-    assert not np.array_equal(random_split(100, 0).test, random_split(100, 1).test)
-    with pytest.raises(ValueError, match="2 samples"):
-        random_split(2, 0)
 
 
 @given(st.lists(st.integers(1, 40), min_size=2, max_size=25), st.integers(0, 1000))
@@ -110,12 +103,6 @@ def test_the_hash_of_a_recording_is_that_of_its_events(order):
     changed = [(0, 3, 1, 1), (0, 4, 1, 2), *rows[2:]]
     assert recordings(changed).hashes() != (content,)
     assert recordings([]).hashes() != (content,)
-
-
-def test_part_of_recordings_keeps_the_parts():
-    some = published().part([5, 0])
-    assert some.parts == ("test", "train")
-    assert isinstance(some[0], Events)
 
 
 def test_hold_out():

@@ -37,13 +37,6 @@ def test_by_hand():
     assert row["y_range"] == pytest.approx((0.5, np.sqrt(0.5)))
 
 
-def test_a_recording_without_events_counts_but_has_no_place():
-    row = statistics.table(by_hand())[7]
-    assert row["on"][0] == 0
-    assert np.isnan(row["x_mean"][0])
-    assert row["samples"] == 1
-
-
 def test_another_lookup_table():
     turned = TaxelMap(row=TaxelMap().column, column=TaxelMap().row)
     straight = statistics.table(by_hand())[4]
@@ -72,12 +65,6 @@ def test_st_mnist_is_recorded_and_has_as_many_of_each_digit_as_published():
     assert statistics.is_st_mnist(SimpleNamespace(labels=labels, source=SOURCE))
     assert not statistics.is_st_mnist(SimpleNamespace(labels=labels[1:], source=SOURCE))
     assert not statistics.is_st_mnist(SimpleNamespace(labels=labels, source=simulated))
-
-
-def test_the_paper_beside_others_is_said_to_be_of_st_mnist():
-    text = statistics.table1_text(by_hand(), against_paper=True)
-    assert "ST-MNIST" in text.splitlines()[-1]
-    assert "1399" not in statistics.table1_text(by_hand())
 
 
 def test_the_papers_table():

@@ -55,13 +55,6 @@ def test_a_taxel_rests_after_a_spike():
     assert np.flatnonzero(long[:, 2, 1]).tolist() == [0]
 
 
-def test_picked_events_are_those_of_the_samples(table):
-    sample, time_ms, row, column, polarity = table.pick([1, 0, 1])
-    assert sample.tolist() == [0] * 4 + [1] + [2] * 4
-    np.testing.assert_array_equal(time_ms[:4], time_ms[5:])
-    assert (row[4], column[4], polarity[4]) == (0, 0, 1)
-
-
 def test_two_tables_as_one(table):
     both = table.followed_by(table)
     assert len(both) == 4
@@ -69,16 +62,6 @@ def test_two_tables_as_one(table):
         one, other = (both.frames([index], 10, 5) for index in (first, second))
         np.testing.assert_array_equal(one, other)
         np.testing.assert_array_equal(one, table.frames([first], 10, 5))
-
-
-def test_recordings_without_events_give_empty_frames():
-    table = EventTable.of(recordings([], ROWS, []))
-    np.testing.assert_allclose(table.duration_ms, [0, 42, 0])
-    frames = table.frames([0, 1, 2], 10, 5)
-    assert [int(f.sum()) for f in np.moveaxis(frames, 1, 0)] == [0, 3, 0]
-    nothing = EventTable.of(recordings([]))
-    assert nothing.lost(10) == 0
-    assert nothing.duration_ms.tolist() == [0]
 
 
 def test_frames_take_steps_down_and_leave_out_what_is_before_and_after():

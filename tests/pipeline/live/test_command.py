@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import re
-import resource
 import shutil
 import signal
 import socket
@@ -15,16 +14,14 @@ import urllib.request
 import pytest
 
 from deploy.check.bundle import read_bundle
-from deploy.errors import UserError
 from pipeline.data.source import read_source
 from pipeline.live.network import SHIPPED
-from tests.command import call, environment, missing
+from tests.command import call, environment
 from tests.pipeline.live.conftest import stroke
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 pytest.importorskip("segno", reason="the extra 'live' is not installed")
 sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
-from pipeline.live.qr import qr_code  # noqa: E402
 
 
 def address(process):
@@ -112,18 +109,6 @@ def test_without_a_run_it_has_the_network_of_the_package_and_learns(live):
     assert list(kept.glob(".readout-w001-*.npz"))
 
 
-def test_another_address_is_printed_with_its_qr_code(live, capsys):
-    process, _ = live(None, "--host", "127.0.0.2")
-    url = process.stdout.readline().split()[1]
-    assert url.startswith("http://127.0.0.2:")
-    code = qr_code(url).text.splitlines()
-    assert [process.stdout.readline().rstrip("\n") for _ in code] == code
-    with socket_of(url) as page:
-        assert json.loads(page.recv(timeout=300))["shared"] is True
-    assert call("live", "--host", "0.0.0.0", "--no-browser") == 2
-    assert "--host" in capsys.readouterr().err
-
-
 def test_a_killed_server_has_lost_nothing(live):
     process, kept = live()
     with socket_of(address(process)) as page:
@@ -136,35 +121,11 @@ def test_a_killed_server_has_lost_nothing(live):
         assert write_and_label(page, 5)["name"] == "5/w001-0002.mat"
 
 
-def test_a_full_disk_is_said_and_nothing_half_is_kept(live):
-    process, kept = live()
-    with socket_of(address(process)) as page:
-        # Every file ends at 300 bytes, as on a disk that is full then.
-        room = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (300, room[1]))
-        said = write_and_label(page, 4)
-        assert said["type"] == "problem"
-        assert missing(said["text"], kept, ".mat") == []
-        assert not list(kept.rglob("*.mat"))
-        assert len(list(kept.rglob("*"))) <= 2  # the lock, and a folder at most
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, room)
-        page.send(json.dumps({"type": "label", "label": 4}))  # what was written is still there
-        while (message := json.loads(page.recv(timeout=300)))["type"] not in ("saved", "problem"):
-            pass
-    assert message["type"] == "saved"
-    assert read_source(kept, jobs=1).labels.tolist() == [4]
-
-
 def test_a_bundle_copied_from_elsewhere_will_do(live, tiny_run, tmp_path):
     shutil.copytree(tiny_run / "bundle", tmp_path / "elsewhere")
     process, _ = live(run=tmp_path / "elsewhere")
     with socket_of(address(process)) as page:
         assert write_and_label(page, 4)["type"] == "saved"
-
-
-def test_settings_are_not_for_a_bundle(tiny_run, refused):
-    line = refused("live", tiny_run / "bundle", "--port", 0, "--no-browser", "--seed", 3)
-    assert missing(line, tiny_run / "bundle", "--seed") == []
 
 
 def test_a_port_in_use_is_one_line(tiny_run, tmp_path, capsys):
@@ -224,10 +185,3 @@ def test_from_python(tiny_run, tmp_path):
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-
-
-def test_from_python_a_folder_without_a_network_is_an_error(tmp_path):
-    from pipeline.live.serving import live
-
-    with pytest.raises(UserError, match=r"nothing: .*stmnist ladder"):
-        live(tmp_path / "nothing", port=0, open_browser=False)

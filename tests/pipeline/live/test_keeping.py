@@ -2,7 +2,6 @@
 
 import errno
 import os
-import shutil
 from collections import Counter
 from contextlib import closing
 from dataclasses import replace
@@ -69,27 +68,9 @@ def test_another_keeper_goes_on_where_one_was_killed(keeper):
     later.close()
 
 
-def test_a_data_set_is_a_folder_and_its_classes(tmp_path):
-    def name(folder, *given):
-        with closing(Keeper(folder, *given)) as keeper:
-            return keeper.data_set
-
-    one = name(tmp_path / "one")
-    assert name(tmp_path / "other" / ".." / "one") == one
-    assert name(tmp_path / "other") != one
-    assert name(tmp_path / "one", Sensor(classes=("a", "b"))) != one
-    assert "one" not in one  # other devices are told it
-
-
 def test_two_at_a_time_are_refused(keeper):
     with pytest.raises(UserError, match="'stmnist live'"):
         Keeper(keeper.folder)
-
-
-def test_a_folder_that_cannot_be_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="--record"):
-        Keeper(tmp_path / "file" / "below")
 
 
 def test_a_full_disk_leaves_nothing_half(keeper, monkeypatch):
@@ -130,33 +111,6 @@ def test_a_file_that_was_put_there_is_not_replaced(keeper, monkeypatch, links):
     assert sorted(p.name for p in (keeper.folder / "1").iterdir()) == [
         f"w001-000{n}.mat" for n in (1, 2, 3)
     ]
-
-
-def test_a_file_that_was_put_there_before_counts(keeper):
-    keeper.save(1, recording())
-    (keeper.folder / "3").mkdir()
-    (keeper.folder / "3" / "w001-0041.mat").write_text("mine")
-    assert keeper.save(1, recording()).number == 42
-    assert (keeper.folder / "3" / "w001-0041.mat").read_text() == "mine"
-
-
-def test_a_folder_that_was_deleted_is_made_and_locked_again(keeper):
-    keeper.save(1, recording())
-    shutil.rmtree(keeper.folder)
-    assert keeper.save(1, recording()).number == 1
-    with pytest.raises(UserError, match="'stmnist live'"):
-        Keeper(keeper.folder)
-
-
-@pytest.mark.parametrize(
-    "name", ["w1000-0001.mat", "w001-\u0661\u0661\u0661\u0661.mat", "w000-0001.mat", "w001-1.mat"]
-)
-def test_names_that_are_not_ours_do_not_count(keeper, name):
-    (keeper.folder / "1").mkdir()
-    (keeper.folder / "1" / name).write_text("mine")
-    keeper.look()
-    assert (len(keeper), keeper.writers) == (0, [])
-    assert keeper.save(1, recording()).name == "1/w001-0001.mat"
 
 
 def test_all_digits_are_asked_for_as_often_as_wanted_in_a_random_order():

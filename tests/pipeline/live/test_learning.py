@@ -1,7 +1,6 @@
 """Learning a writer's handwriting on the page, with the network that comes with the package."""
 
 import json
-import os
 from contextlib import closing
 from dataclasses import replace
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle
-from deploy.errors import UserError
 from pipeline.data.events import Sensor
 from pipeline.live.keeping import Keeper
 from pipeline.live.learning import Learner
@@ -119,66 +117,6 @@ def kept(strange, tmp_path_factory):
         return dict(arrays)
 
 
-READOUT = BUNDLE.spec.layers[-1]
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("responses", lambda a: a[:, :, :-1]),
-        ("responses", lambda a: a[:, :-1]),
-        ("responses", lambda a: np.where(a == a.max(), np.nan, a)),
-        ("responses", lambda a: a + 1e30),
-        ("responses", lambda a: a.astype("U5")),
-        ("responses", lambda a: a[:, :, :1] * 1j),
-        ("labels", lambda a: a + 10),
-        ("labels", lambda a: a - 99),
-        ("labels", lambda a: a[:, None]),
-        ("names", lambda a: a[:1]),
-        ("right", lambda a: a.astype(float)),
-        ("weights", lambda a: np.full(READOUT.weights.shape, np.nan)),
-        ("weights", lambda a: np.full(READOUT.weights.shape, "x")),
-        ("weights", lambda a: np.ones((3, 3))),
-    ],
-)
-def test_a_kept_readout_of_odd_values_is_not_used(kept, tmp_path, name, value):
-    """Only what a person's digits can have given; the recordings themselves are safe elsewhere."""
-    np.savez(tmp_path / KEPT, **{**kept, name: value(kept.get(name))})
-    learner = learner_of(tmp_path)
-    assert learner.recall(1)["digits"] == 0
-    assert learner.decider(1) is None
-
-
-def test_a_kept_readout_past_all_use_is_not_read(kept, tmp_path, monkeypatch):
-    np.savez(tmp_path / KEPT, **kept)
-    assert learner_of(tmp_path).recall(1)["digits"] == 2
-    monkeypatch.setattr("pipeline.live.learning.LARGEST", 1000)
-    assert learner_of(tmp_path).recall(1)["digits"] == 0
-
-
-@pytest.mark.parametrize("make", ["link", "nowhere", "pipe", "folder"])
-def test_what_is_in_the_place_of_a_kept_readout_is_not_changed(strange, tmp_path, make):
-    precious, path = tmp_path / "precious", tmp_path / "written" / KEPT
-    precious.write_bytes(b"somebody else's")
-    path.parent.mkdir()
-    if make == "pipe":
-        os.mkfifo(path)
-    elif make == "folder":
-        path.mkdir()
-    else:
-        path.symlink_to(precious if make == "link" else tmp_path / "nowhere")
-    learner = learner_of(path.parent)
-    assert learner.recall(1)["digits"] == 0
-    if make in ("pipe", "folder"):
-        with pytest.raises(UserError, match="not a file"):
-            learner.learn(1, "one", 3, strange[6])
-    else:
-        assert learner.learn(1, "one", 3, strange[6])["digits"] == 1
-        assert not path.is_symlink()
-    assert precious.read_bytes() == b"somebody else's"
-    assert not (tmp_path / "nowhere").exists()
-
-
 def test_a_network_that_cannot_be_fitted_learns_nothing(tmp_path):
     forgetful = replace(BUNDLE, spec=replace(BUNDLE.spec, rehearsal=None))
     assert Learner.of(forgetful, Image(), tmp_path, Sensor()) is None
@@ -248,18 +186,3 @@ def test_learning_changes_nothing_that_is_recorded(tmp_path, strange):
             say(session, {"type": "label", "label": 4})
             kept.append((keeper.folder / "4" / "w001-0001.mat").read_bytes())
     assert kept[0] == kept[1]
-
-
-def test_a_session_says_whether_its_network_can_learn(session, tmp_path):
-    assert session.state()["can_learn"] is True
-    with closing(Keeper(tmp_path / "other")) as keeper:
-        alone = Session(1, keeper, P)
-        alone.begin(Parrot())
-        assert alone.state()["can_learn"] is alone.state()["learns"] is False
-        assert alone.lessons() == []
-
-
-def test_a_readout_that_cannot_be_written_is_said(strange, tmp_path):
-    (tmp_path / KEPT).mkdir()
-    with pytest.raises((UserError, OSError)):
-        learner_of(tmp_path).learn(1, "one", 3, strange[6])

@@ -8,8 +8,7 @@ import pytest
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from pipeline.data.events import Sensor
-from pipeline.live.network import SHIPPED, about, facts_of_run, record_folder, sensor_of
-from pipeline.run import RunFolder
+from pipeline.live.network import SHIPPED, about, record_folder, sensor_of
 from tests.own_sensor import CLASSES
 
 BUNDLE = read_bundle(SHIPPED)
@@ -41,11 +40,6 @@ def test_a_data_set_of_ones_own_has_its_words_and_a_folder_of_its_own():
     assert record_folder(changed(source="../.."), sensor) == "written-9x12"
 
 
-def test_without_names_classes_are_numbers():
-    for said in (None, "0123456789", ["a"] * 10, [1] * 10, ["a", "b"]):
-        assert sensor_of(changed(classes=said), {}).classes == Sensor().classes
-
-
 def test_polarities_are_those_of_the_check_where_no_run_says():
     frames = np.zeros((3, 5, 9, 12, 2), np.uint8)
     frames[..., 0] = 1
@@ -57,11 +51,3 @@ def test_polarities_are_those_of_the_check_where_no_run_says():
 def test_a_network_that_reads_no_sensor_is_refused(shape):
     with pytest.raises(UserError, match="shape"):
         sensor_of(changed(shape), {})
-
-
-def test_the_facts_of_a_run_that_is_none_or_damaged_are_nothing(tiny_run, tmp_path):
-    assert facts_of_run(RunFolder(tiny_run))["sensor"]["polarities"] == 2
-    assert facts_of_run(RunFolder(tmp_path)) == {}
-    (tmp_path / "experiment.toml").write_text("")
-    (tmp_path / "dataset.json").write_text("[")
-    assert facts_of_run(RunFolder(tmp_path)) == {}

@@ -1,6 +1,5 @@
 """The page in a real Chromium, written on as a hand would."""
 
-import itertools
 import json
 import os
 import re
@@ -8,7 +7,6 @@ import threading
 import time
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -30,7 +28,6 @@ pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
-from pipeline.live.server import PAGES
 from pipeline.live.session import Session
 from pipeline.look import STYLE
 from tests import robot
@@ -114,12 +111,6 @@ def settled(page):
         " parseInt(document.querySelector('#count').textContent) =="
         " document.querySelector('#decision').dataset.events",
     )
-
-
-def time_to_save(page):
-    """Wait for as long as the page waits until it saves a drawing by itself, and a bit more."""
-    end = page.evaluate("performance.now()") + 1300
-    until(page, f"performance.now() > {end}")
 
 
 def start(page, each=1):
@@ -273,44 +264,6 @@ class Counting:
         return self.recall(writer)
 
 
-def test_the_page_says_how_far_learning_has_come(browser, tmp_path):
-    def digits(number):
-        until(page, f"document.querySelector('#learned').dataset.digits === '{number}'")
-
-    learner = Counting()
-    with (
-        served(tmp_path / "kept", make_learner=lambda: learner) as server,
-        page_of(browser, server) as page,
-    ):
-        digits(0)
-        for count in (1, 2):
-            robot.replay(page, digit(count))
-            settled(page)
-            label(page, count)
-            digits(count)
-        assert re.search("1 .*2", page.inner_text("#learned"))
-        page.click("#undo")
-        digits(1)
-        page.click("#forget")
-        digits(0)
-        page.uncheck("#learn")
-        robot.replay(page, digit(3))
-        settled(page)
-        label(page, 3)
-        page.check("#learn")
-        robot.replay(page, digit(9))
-        settled(page)
-        label(page, 9)
-        until(page, "!document.querySelector('#problem').hidden")
-        assert "no nines" in page.inner_text("#problem")
-        assert learner.digits == 0
-        assert page.inner_text("#saved") == "3"
-
-
-def test_a_network_that_cannot_learn_shows_nothing_of_it(page):
-    assert page.is_hidden("#learning")
-
-
 def test_events_and_decisions_come_while_the_pen_is_still_down(page):
     skin = page.locator("#skin").bounding_box()
     x, y = skin["x"] + skin["width"] / 2, skin["y"] + 20
@@ -350,21 +303,7 @@ def test_pointer_events_of_any_origin_write(page):
     assert (np.diff(kept.written.pen[:, 0]) >= 0).all()
 
 
-TELL = """([kind, right, down]) => {
-  const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
-  skin.dispatchEvent(new PointerEvent(kind, { pointerId: 7, pointerType: "pen", pressure: 0.5,
-    clientX: box.left + right * box.width, clientY: box.top + down * box.height }));
-}"""
 """One event of a pointer that the browser knows nothing else of."""
-
-
-def test_a_pointer_whose_end_was_never_told_does_not_hold_the_pen(page):
-    page.evaluate(TELL, ["pointerdown", 0.2, 0.2])
-    robot.replay(page, digit(0))
-    page.evaluate(TELL, ["pointerdown", 0.8, 0.8])
-    page.evaluate(TELL, ["pointerup", 0.8, 0.8])
-    settled(page)
-    label(page, 0)
 
 
 def test_clear_empties_the_decision(page):
@@ -377,24 +316,6 @@ def test_clear_empties_the_decision(page):
     page.wait_for_selector("#problem:not([hidden])")
     assert page.inner_text("#problem")
     assert page.inner_text("#saved") == "0"
-
-
-def test_a_pen_that_lands_before_the_page_is_clear_goes_on_writing(page):
-    """The server's word that all is forgotten comes while the stroke is under way."""
-    robot.write(page, digit(1))
-    settled(page)
-    page.told.clear()
-    both = f"(first) => {{ document.querySelector('#clear').click(); ({TELL})(first); }}"
-    page.evaluate(both, ["pointerdown", 0.5, 0.1])
-    while [message["recording"] for message in messages(page, "cleared")][:1] != [None]:
-        page.wait_for_timeout(10)
-    for down in np.linspace(0.1, 0.9, 40).tolist():
-        page.evaluate(TELL, ["pointermove", 0.5, down])
-    page.evaluate(TELL, ["pointerup", 0.5, 0.9])
-    settled(page)
-    label(page, 1)
-    kept = read_recording(next(page.server.keeper.folder.rglob("w*.mat")).read_bytes())
-    assert len(kept.written.pen) > 30
 
 
 def test_everything_but_writing_goes_by_keyboard(page):
@@ -442,59 +363,6 @@ def test_a_session_asks_keeps_by_itself_and_goes_on_after_a_reload(page):
     assert (kept.labels.tolist(), kept.writers.tolist()) == ([asked], [2])
     page.click("#stop")
     page.wait_for_selector("#asking", state="hidden")
-
-
-def test_keeping_by_itself_complains_of_nothing(page):
-    """It tried to keep each recording a second time, of which the server said that nothing was."""
-    page.fill("#each", "1")
-    page.click("#start")
-    page.wait_for_selector("#asking:not([hidden])")
-    for done in range(1, 7):
-        robot.replay(page, digit(int(page.inner_text("#asked b"))))
-        until(page, f"document.querySelector('#progress').value === {done}")
-    assert messages(page, "problem") == []
-
-
-def test_stop_saves_nothing_and_the_last_drawing_can_still_be_saved(page):
-    """The page sent the class that is asked for, which was none any more, and was refused."""
-    number = start(page)
-    robot.replay(page, digit(number))
-    settled(page)
-    page.click("#stop")
-    page.wait_for_selector("#asking", state="hidden")
-    assert "not saved" in page.inner_text("#told")
-    time_to_save(page)
-    assert sent(page, "label") == []
-    label(page, number)
-
-
-def test_undo_before_a_drawing_is_saved_clears_that_drawing_only(page):
-    """It removed the recording before, and the drawing was saved as the class of that one."""
-    first = start(page)
-    robot.replay(page, digit(first))
-    until(page, "document.querySelector('#saved').textContent === '1'")
-    second = asked(page)
-    robot.replay(page, digit(second))
-    settled(page)
-    page.click("#undo")
-    until(page, "document.querySelector('#count').textContent === ''")
-    time_to_save(page)
-    assert [kept.label for kept in page.server.keeper.kept] == [first]
-    assert asked(page) == second
-
-
-def test_a_session_continues_in_its_own_data_set_only(browser, tmp_path):
-    """All servers of a machine have the same address, and with it the same storage in a browser."""
-    page, port = browser.new_page(), 0
-    for folder, goes_on in (("one", False), ("other", False), ("one", True)):
-        with served(tmp_path / folder, port=port) as server:
-            port = urlsplit(server.url).port
-            robot.opened(page, server.url)
-            page.wait_for_selector("#asking", state="visible" if goes_on else "hidden")
-            if folder == "one" and not goes_on:
-                start(page)
-            page.goto("about:blank")
-    page.close()
 
 
 @pytest.mark.parametrize("sensor", [Sensor(), OWN])
@@ -563,25 +431,6 @@ def test_no_part_is_too_wide_and_every_part_says_what_it_is(browser, tmp_path, s
                 " (b.offsetHeight < 40 || b.offsetWidth < 40)).map(b => b.id)"
             )
             assert small == []
-
-
-def test_the_verdict_and_its_number_are_one_and_stay(page):
-    robot.replay(page, digit(8))
-    settled(page)
-    last = messages(page, "answer")[-1]
-    verdict = last["verdict"]
-    assert verdict["early"] is True
-    assert page.inner_text("#decision") == str(verdict["label"])
-    shown = float(page.inner_text("#confidence").removesuffix(" %"))
-    assert shown == pytest.approx(100 * verdict["confidence"], abs=0.5)
-    assert float(page.locator("#decided").get_attribute("data-s")) == verdict["seconds"]
-    drawn = """() => {
-      const canvas = document.querySelector("#race"), context = canvas.getContext("2d");
-      return new Set(context.getImageData(0, 0, canvas.width, canvas.height).data).size;
-    }"""
-    assert page.evaluate(drawn) > 20
-    page.click("#clear")
-    until(page, "document.querySelector('#decided').dataset.s === ''")
 
 
 def test_a_sensor_and_classes_of_ones_own(browser, tmp_path):
@@ -656,31 +505,6 @@ def test_an_example_is_played_at_its_own_pace_and_kept_no_second_time(browser, t
         assert len(server.keeper) == 1
 
 
-def test_a_sensor_too_large_to_draw_on_shows_examples(browser, tmp_path):
-    line = Events(200_000_000 + 1000 * np.arange(300), np.arange(300), np.ones(300), np.ones(300))
-    with (
-        served(tmp_path / "k", sensor=Sensor(128, 128), tests=[Example(line, 3, "3/1")]) as server,
-        page_of(browser, server) as page,
-    ):
-        robot.replay(page, digit(1))
-        until(page, "!document.querySelector('#example').disabled")
-        assert messages(page, "events") == []
-        page.click("#example")
-        settled(page)
-        assert page.inner_text("#count") == "300 events"
-
-
-def test_other_devices_are_shown_the_way(browser, tmp_path):
-    with (
-        served(tmp_path / "kept", host="127.0.0.2") as server,
-        page_of(browser, server) as page,
-    ):
-        assert page.url.startswith("http://127.0.0.2:")
-        until(page, "document.querySelector('#qr').naturalWidth > 100")
-        robot.replay(page, digit(1))
-        settled(page)
-
-
 def test_the_page_says_when_the_server_has_gone(browser, tmp_path):
     with served(tmp_path / "kept") as server:
         context = browser.new_context()
@@ -690,111 +514,6 @@ def test_the_page_says_when_the_server_has_gone(browser, tmp_path):
         until(page, "document.querySelector('#status').textContent === 'Not connected.'")
         assert "recordings" in page.inner_text("#problem")
         context.close()
-
-
-def test_one_page_too_many_says_so(browser, tmp_path):
-    with served(tmp_path / "kept") as server:
-        context = browser.new_context()
-        first, last = context.new_page(), context.new_page()
-        robot.opened(first, server.url)
-        first.evaluate(
-            "n => Promise.all(Array.from({length: n}, () => new Promise(opened => {"
-            " const address = new URL('pen', location.href); address.protocol = 'ws:';"
-            " new WebSocket(address).onmessage = opened; })))",
-            PAGES - 1,
-        )
-        last.goto(server.url)
-        until(last, "document.querySelector('#status').textContent === 'Not connected.'")
-        assert f"{PAGES} pages" in last.inner_text("#problem")
-        first.close()
-        last.wait_for_selector("body[data-ready]")  # by itself
-        assert last.is_hidden("#problem")
-        context.close()
-
-
-def test_the_skin_does_not_move_when_a_message_comes_or_goes(page):
-    """It moved under the pen at the first touch, which is when a message goes."""
-    before = page.locator("#skin").bounding_box()
-    page.click("#label-3")
-    page.wait_for_selector("#problem:not([hidden])")
-    assert page.locator("#skin").bounding_box() == before
-    page.click("#dismiss")
-    page.wait_for_selector("#problem", state="hidden")
-
-
-def half_a_stroke(page):
-    page.evaluate(TELL, ["pointerdown", 0.5, 0.1])
-    for down in np.linspace(0.1, 0.5, 20).tolist():
-        page.evaluate(TELL, ["pointermove", 0.5, down])
-
-
-def other_half(page, end="pointerup"):
-    for down in np.linspace(0.5, 0.9, 20).tolist():
-        page.evaluate(TELL, ["pointermove", 0.5, down])
-    page.evaluate(TELL, [end, 0.5, 0.9])
-
-
-@pytest.mark.parametrize("key", ["c", "Escape", "4", "u"])
-def test_the_rest_of_a_stroke_is_no_other_recording(page, key):
-    half_a_stroke(page)
-    page.keyboard.press(key)
-    other_half(page)
-    page.click("#clear")
-    began = [1, None] if key == "4" else [1, None, None]
-    until(page, "document.querySelector('#count').textContent === ''")
-    end = time.monotonic() + 60
-    while len(messages(page, "cleared")) < len(began) and time.monotonic() < end:
-        page.wait_for_timeout(10)
-    assert [message["recording"] for message in messages(page, "cleared")] == began
-    assert len(page.server.keeper) == (key == "4")
-    robot.replay(page, digit(1))  # the pen writes again when it lands again
-    settled(page)
-    label(page, 1)
-
-
-def test_a_stroke_that_the_device_ends_is_not_saved_automatically(page):
-    start(page)
-    half_a_stroke(page)
-    other_half(page, "pointercancel")
-    page.wait_for_selector("#problem:not([hidden])")
-    assert "interrupted" in page.inner_text("#problem")
-    time_to_save(page)
-    assert sent(page, "label") == []
-    label(page, 1)
-
-
-def test_a_recording_that_was_cut_is_not_saved_automatically(page, monkeypatch):
-    monkeypatch.setattr("pipeline.live.session.LONGEST_S", 0.7)
-    start(page)
-    page.evaluate(TELL, ["pointerdown", 0.5, 0.1])
-    moves = itertools.cycle(np.linspace(0.1, 0.9, 20).tolist())
-    while page.is_hidden("#problem"):
-        page.evaluate(TELL, ["pointermove", 0.5, next(moves)])
-    assert "maximum duration" in page.inner_text("#problem")
-    page.evaluate(TELL, ["pointerup", 0.5, 0.9])
-    time_to_save(page)
-    assert sent(page, "label") == []
-    label(page, 1)
-
-
-def test_the_page_is_silent_after_clear(browser, tmp_path):
-    """It asked for the events of an example that was no longer played, for ever."""
-    line = Events(200_000_000 + 50_000_000 * np.arange(99), np.arange(99), [1] * 99, [1] * 99)
-    with (
-        served(tmp_path / "kept", tests=[Example(line, 3, "3/0007")]) as server,
-        page_of(browser, server) as page,
-    ):
-        until(page, "!document.querySelector('#example').disabled")
-        page.click("#example")
-        until(page, "document.querySelector('#count').textContent !== ''")
-        page.click("#clear")
-        until(page, "document.querySelector('#count').textContent === ''")
-        page.said.clear()
-        time_to_save(page)
-        assert len(sent(page, "pen")) <= 1
-        page.click("#example")
-        settled_at = "document.querySelector('#count').textContent === '99 events'"
-        until(page, settled_at)
 
 
 SOCKETS = """
@@ -835,139 +554,6 @@ def test_what_was_lost_with_the_connection_is_said(browser, server, saved):
         page.wait_for_selector("body[data-ready]")
         assert page.is_hidden("#problem")
     page.close()
-
-
-def test_a_server_that_does_not_answer_is_said(page, monkeypatch):
-    answers, save = threading.Event(), page.server.keeper.save
-
-    def slow(*given):
-        assert answers.wait(60)
-        return save(*given)
-
-    monkeypatch.setattr(page.server.keeper, "save", slow)
-    robot.replay(page, digit(1))
-    settled(page)
-    page.click("#label-1")
-    page.wait_for_selector("#problem:not([hidden])")
-    assert "does not answer" in page.inner_text("#problem")
-    answers.set()
-    page.wait_for_selector("#problem", state="hidden")
-    until(page, "document.querySelector('#saved').textContent === '1'")
-
-
-def test_a_connection_that_cannot_be_opened_is_tried_again(browser, server):
-    """The page was loaded again every two seconds, without a reason."""
-    page = with_sockets(browser, refused=1)
-    page.goto(server.url)
-    page.evaluate("window.before = true")
-    page.wait_for_selector("#problem:not([hidden])")
-    assert "WebSocket" in page.inner_text("#problem")
-    page.wait_for_selector("body[data-ready]")
-    assert page.is_hidden("#problem")
-    assert page.evaluate("window.before && sockets.length") == 2
-    page.close()
-
-
-def test_points_that_come_all_at_once_are_several_messages(page):
-    """The server accepts 512 in one, and ended the connection."""
-    page.evaluate(
-        """async () => {
-          const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
-          const event = (kind, share) => new PointerEvent(kind, {
-            pointerId: 7, pointerType: "pen", pressure: 0.5,
-            clientX: box.left + box.width / 2, clientY: box.top + share * box.height,
-          });
-          skin.dispatchEvent(event("pointerdown", 0.1));
-          const begun = performance.now();
-          while (performance.now() < begun + 800) await new Promise((done) => setTimeout(done, 10));
-          const now = performance.now(), move = event("pointermove", 0.9);
-          move.getCoalescedEvents = () => Array.from({ length: 700 }, (_, i) => ({
-            timeStamp: now - 700 + i, pointerType: "pen", pressure: 0.5,
-            clientX: move.clientX, clientY: box.top + (0.1 + 0.8 * i / 700) * box.height,
-          }));
-          skin.dispatchEvent(move);
-          skin.dispatchEvent(event("pointerup", 0.9));
-        }"""
-    )
-    settled(page)
-    label(page, 1)
-    assert max(len(message["points"]) for message in sent(page, "pen")) == 500
-    kept = read_recording(next(page.server.keeper.folder.rglob("w*.mat")).read_bytes())
-    assert len(kept.written.pen) > 700
-
-
-def test_a_browser_without_storage_connects_again(browser, tmp_path):
-    """If a browser blocks site data, reading ``window.localStorage`` raises an error."""
-    blocked = "get() { throw new DOMException('blocked', 'SecurityError'); }"
-    with served(tmp_path / "kept") as server, page_of(browser, server) as page:
-        for name in ("localStorage", "sessionStorage"):
-            page.add_init_script(f"Object.defineProperty(window, '{name}', {{ {blocked} }});")
-        errors = []
-        page.on("pageerror", lambda error: errors.append(error))
-        page.told.clear()
-        page.reload()
-        page.wait_for_selector("body[data-ready]")
-        robot.replay(page, digit(1))
-        settled(page)
-        label(page, 1)
-        assert errors == []
-
-
-def test_what_is_switched_off_is_off_after_a_reload(browser, tmp_path):
-    with (
-        served(tmp_path / "kept", make_learner=Counting) as server,
-        page_of(browser, server) as page,
-    ):
-        for loaded in range(2):
-            if loaded:
-                page.told.clear()
-                page.reload()
-                page.wait_for_selector("body[data-ready]")
-            for box in ("learn", "by-itself"):
-                assert page.is_checked(f"#{box}") is not bool(loaded)
-                page.uncheck(f"#{box}")
-        while not messages(page, "writer")[-1]["can_learn"]:
-            page.wait_for_timeout(10)
-        robot.replay(page, digit(1))
-        settled(page)
-        label(page, 1)
-        assert messages(page, "writer")[-1]["learns"] is False
-        assert all(message["digits"] == 0 for message in messages(page, "learned"))
-
-
-def test_enter_saves_the_class_that_was_typed_or_nothing(browser, tmp_path):
-    names = ("wildcat", "cat", "Cats", *(f"other {n}" for n in range(20)))
-    with (
-        served(tmp_path / "kept", sensor=Sensor(classes=names)) as server,
-        page_of(browser, server) as page,
-    ):
-        for typed in ("", "cat", "other", "CATS", "ild", "nothing", "other 1"):
-            page.fill("#search", typed)
-            page.press("#search", "Enter")
-        page.press("#search", "Enter")
-        assert [names[message["label"]] for message in sent(page, "label")] == [
-            "cat", "Cats", "wildcat", "other 1", "other 1"
-        ]  # fmt: skip
-
-
-@pytest.mark.parametrize("size", [(1280, 400), (844, 390)])
-def test_the_hint_is_on_the_skin(browser, server, size):
-    width, height = size
-    viewport = {"width": width, "height": height}
-    with page_of(browser, server, viewport=viewport) as page:
-        skin, hint = (page.locator(part).bounding_box() for part in ("#skin", "#hint"))
-        assert hint == pytest.approx(skin, abs=1)
-
-
-@pytest.mark.parametrize("part", ["by-itself", "example-from"])
-def test_keys_save_after_a_box_or_a_list_was_used(page, part):
-    page.locator(f"#{part}").focus()
-    robot.replay(page, digit(7))
-    settled(page)
-    if part == "by-itself":
-        page.locator(f"#{part}").focus()
-    page.keyboard.press("7")
-    until(page, "document.querySelector('#saved').textContent === '1'")
 
 
 def luminance(colour):

@@ -14,14 +14,10 @@ from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import (
     LONGEST_S,
-    PIECE_S,
     BadMessage,
     Session,
 )
 from pipeline.skin import parameters
-from pipeline.skin.simulate import STEP_S
-from pipeline.skin.writing import Writing
-from tests.command import missing
 from tests.pipeline.live.conftest import Parrot, stroke
 
 P = parameters.load()
@@ -127,33 +123,12 @@ def test_without_an_early_decision_the_verdict_is_the_answer_to_the_last_event(k
     assert answer["confidence"] == pytest.approx(0.2)
 
 
-def test_undo_acts_on_what_is_on_the_skin_only(session, keeper):
-    assert of(say(session, {"type": "undo"}), "problem")
-    written(session)
-    say(session, {"type": "label", "label": 7})
-    other = Session(2, keeper, P)
-    other.begin(Parrot())
-    assert of(say(other, {"type": "undo"}), "problem")
-    assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 7
-    assert of(say(session, {"type": "undo"}), "problem")
-    assert len(keeper) == 0
-
-
 def test_a_pause_begins_another_recording_and_a_short_one_does_not(session):
     first = of(written(session, start_ms=1000.0), "cleared")
     second = of(written(session, start_ms=1000 + 300 + 400.0, right=6.0), "cleared")
     third = of(written(session, start_ms=9000.0), "cleared")
     assert [len(first), len(second), len(third)] == [1, 0, 1]
     assert third[0]["recording"] == first[0]["recording"] + 1
-
-
-def test_a_kept_recording_is_not_written_on(session, keeper):
-    written(session)
-    say(session, {"type": "label", "label": 1})
-    again = say(session, {"type": "label", "label": 1})
-    assert len(of(again, "problem")) == 1
-    assert len(keeper) == 1
-    assert of(written(session, start_ms=1400.0), "cleared")
 
 
 def test_a_recording_ends_and_the_next_stroke_begins_another(session, keeper):
@@ -165,20 +140,6 @@ def test_a_recording_ends_and_the_next_stroke_begins_another(session, keeper):
     replies = written(session, start_ms=1000.0 * (LONGEST_S + 4))
     assert of(replies, "cleared")
     assert say(session, {"type": "label", "label": 2})[1]["type"] == "saved"
-
-
-def test_clear_forgets(session, keeper):
-    written(session)
-    assert say(session, {"type": "clear"}) == [{"type": "cleared", "recording": None}]
-    assert of(say(session, {"type": "label", "label": 1}), "problem")
-    assert len(keeper) == 0
-
-
-def test_what_is_said_while_the_pen_is_down_lifts_it(session, keeper):
-    for message in list(stroke())[:8]:
-        say(session, message)
-    assert of(say(session, {"type": "label", "label": 4}), "saved")
-    assert len(keeper) == 1
 
 
 def test_a_session_asks_for_every_digit_and_goes_on_after_a_break(session, keeper):
@@ -203,12 +164,6 @@ def test_a_session_asks_for_every_digit_and_goes_on_after_a_break(session, keepe
     assert (read.writer, read.written.handedness) == (3, "right")
 
 
-def test_somebody_new_is_the_next_number(session):
-    new = {"type": "writer", "number": None, "handedness": "", "each": 0}
-    assert say(session, new)[0]["number"] == 1
-    assert say(session, new)[0]["number"] == 2
-
-
 def test_new_writers_on_two_pages_have_two_numbers(session, keeper):
     """Also before they have saved anything, and after one of them has lost its connection."""
     new = {"type": "writer", "number": None, "handedness": "", "each": 0}
@@ -218,14 +173,6 @@ def test_new_writers_on_two_pages_have_two_numbers(session, keeper):
     again = Session(3, keeper, P)
     assert say(again, {**new, "number": 7})[0]["number"] == 7  # the browser has stored it
     assert say(other, new)[0]["number"] == 8
-
-
-def test_undo_of_a_drawing_that_is_not_saved_clears_it_only(session, keeper):
-    written(session)
-    say(session, {"type": "label", "label": 7})
-    written(session, start_ms=9000.0)
-    assert say(session, {"type": "undo"}) == [{"type": "cleared", "recording": None}]
-    assert len(keeper) == 1
 
 
 def test_a_mislabelled_recording_is_saved_again_after_an_undo(session, keeper):
@@ -239,22 +186,6 @@ def test_a_mislabelled_recording_is_saved_again_after_an_undo(session, keeper):
     assert of(say(session, {"type": "label", "label": 8}), "problem")
     say(session, {"type": "undo"})
     assert of(written(session, start_ms=1400.0), "cleared")  # it is not written on again
-
-
-def test_a_recording_is_of_who_has_written_it(session, keeper):
-    who = {"type": "writer", "number": 4, "handedness": "left", "each": 0}
-    say(session, who)
-    written(session)
-    say(session, {**who, "number": 5, "handedness": "right"})
-    (saved,) = of(say(session, {"type": "label", "label": 3}), "saved")
-    read = read_recording((keeper.folder / saved["name"]).read_bytes())
-    assert (saved["name"], read.writer) == ("3/w004-0001.mat", 4)
-    assert read.written.handedness == "left"
-
-
-def test_strokes_before_the_network_is_ready_are_left_out(keeper):
-    session = Session(1, keeper, P)
-    assert written(session) == []
 
 
 POINT = [1.0, 4.0, 4.0, 0.5, 1]
@@ -295,24 +226,6 @@ def test_malformed_messages_are_refused(session, keeper, text):
     assert session.recording is None
 
 
-def test_a_new_writer_has_a_number_of_their_own(session, keeper):
-    def number():
-        return of(say(session, {"type": "writer", "number": None, "each": 0}), "writer")[0][
-            "number"
-        ]
-
-    (keeper.folder / "3").mkdir()
-    (keeper.folder / "3" / "w007-0001.mat").write_text("")
-    assert number() == 8
-    (keeper.folder / "3" / "w999-0001.mat").write_text("")
-    assert number() == 1
-    assert number() == 2
-    for writer in range(1, 1000):
-        (keeper.folder / "3" / f"w{writer:03d}-0001.mat").write_text("")
-    refused = say(session, {"type": "writer", "number": None, "each": 0})
-    assert missing(of(refused, "problem")[0]["text"], "999", "--record") == []
-
-
 def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keeper, monkeypatch):
     written(session)
 
@@ -326,26 +239,6 @@ def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keep
         patched.setattr(Keeper, "save", lambda keeper, *given: fails("disk"))
         assert "disk: " in of(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
     assert of(say(session, {"type": "label", "label": 1}), "saved")
-
-
-def test_a_long_time_is_simulated_in_pieces(session, monkeypatch):
-    """The memory of a piece is limited, however long the page has said nothing."""
-    spans, advance = [], Writing.advance
-
-    def counted(writing, until_s):
-        begun_s = writing.time_s
-        events = advance(writing, until_s)
-        spans.append(writing.time_s - begun_s)
-        return events
-
-    monkeypatch.setattr(Writing, "advance", counted)
-    points = [[0.0, 4.0, 1.0, 0.5, 1], [9000.0, 4.0, 8.0, 0.5, 1]]
-    replies = session.handle(json.dumps({"type": "pen", "now": 9000.0, "points": points}))
-    (told,) = of(replies, "events")
-    assert sum(spans) == pytest.approx(9.0, abs=0.01)
-    assert max(spans) <= PIECE_S + STEP_S
-    assert len(told["ns"]) == len(session.recording.writing.events) > 100
-    assert told["ns"] == sorted(told["ns"])
 
 
 LINE = Events(205_000_000 + 20_000_000 * np.arange(40), np.arange(40), [1, -1] * 20, [1] * 40)
@@ -374,16 +267,6 @@ def test_an_example_goes_its_own_pace_and_is_kept_no_second_time(session, keeper
     assert of(say(session, {**ask, "label": 3}), "problem")
 
 
-@pytest.mark.parametrize(
-    "change", [{"origin": "../x"}, {"label": 10}, {"label": "7"}, {"now": None}]
-)
-def test_an_example_that_no_page_would_ask_for_is_refused(session, change):
-    session.show([Example(LINE, 7, "7/0001")])
-    ask = {"type": "example", "now": 5000.0, "origin": "test", "label": 7, **change}
-    with pytest.raises(BadMessage):
-        session.handle(json.dumps(ask))
-
-
 def test_a_sensor_of_ones_own(tmp_path):
     with closing(Keeper(tmp_path / "kept", Sensor(9, 12, 1, classes=("a", "b c")))) as keeper:
         session = Session(1, keeper, P)
@@ -400,11 +283,3 @@ def test_a_sensor_of_ones_own(tmp_path):
         ):
             with pytest.raises(BadMessage):
                 session.handle(json.dumps(message))
-
-
-def test_a_sensor_too_large_to_simulate_is_not_written_on(tmp_path):
-    with closing(Keeper(tmp_path / "kept", Sensor(65, 64))) as keeper:
-        session = Session(1, keeper, P)
-        session.begin(Parrot())
-        with pytest.raises(BadMessage, match="4096"):
-            written(session)

@@ -3,20 +3,17 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 
 import pytest
 
-from deploy.check.intervals import fisher, wilson_interval
+from deploy.check.intervals import fisher
 from deploy.errors import UserError
 from pipeline.data.dataset import dataset_origin
-from pipeline.data.source import write_zip
-from pipeline.results.compare import ORDER, Run, compare_runs, difference, read_runs, runs_text
+from pipeline.results.compare import Run, compare_runs, difference, read_runs, runs_text
 from pipeline.roads import road_of
 from pipeline.settings import Settings
-from pipeline.skin.simulate import simulate
 from tests.command import call, missing
-from tests.deploy.networks import events_spec, paper_spec, small_spec
+from tests.deploy.networks import events_spec, small_spec
 
 LABELS = (0, 1, 2, 3, 4, 5, 6, 7)
 
@@ -109,32 +106,6 @@ def test_settings_that_differ_and_no_others():
     assert "seed" not in runs_text(compare_runs([a, a]))
 
 
-def test_the_default_number_of_steps_is_that_number():
-    spec = small_spec().with_presentation(steps=Settings().steps)
-    steps = ({"presentation": {"steps": number}} for number in (0, Settings().steps, 40))
-    a, b, c = (
-        run(name, [result("fast", ALL)], replace(spec, provenance={}), changes)
-        for name, changes in zip("abc", steps, strict=True)
-    )
-    assert compare_runs([a, b])["settings"] == []
-    (found,) = compare_runs([a, c])["settings"]
-    assert found == {"name": "presentation.steps", "values": [Settings().steps, 40]}
-
-
-def test_stages_that_two_runs_have_and_every_pair():
-    runs = [
-        run("a", [result("cnn", ALL), result("nengo", ALL)]),
-        run("b", [result("trained", ALL), result("nengo", LAST_FOUR)]),
-        run("c", [result("cnn", FIVE_RIGHT), result("nengo", FIVE_RIGHT)]),
-    ]
-    cnn, nengo = compare_runs(runs)["stages"]
-    assert (cnn["stage"], nengo["stage"]) == ("cnn", "nengo")
-    assert cnn["accuracies"][1] is None
-    assert cnn["accuracies"][2]["accuracy_ci95"] == list(wilson_interval(5, 8))
-    assert [(d["a"], d["b"]) for d in cnn["differences"]] == [(0, 2)]
-    assert [(d["a"], d["b"]) for d in nengo["differences"]] == [(0, 1), (0, 2), (1, 2)]
-
-
 def test_what_an_inference_takes_by_hand():
     counts = {"operations": {"conv1": 600, "conv2": 200}, "stable_after_median": 25.0}
     images = run("a", [result("nengo", ALL), result("emulator", ALL, **counts)])
@@ -161,66 +132,12 @@ def test_time_to_decide_of_events():
     assert missing(text, "82%", "image", "events") == []
 
 
-def test_the_table():
-    a = run("runs/a", [result("cnn", FIVE_RIGHT)])
-    b = run("runs/b", [result("cnn", LAST_FOUR)], changes={"seed": 1}, cores=3, stale=("fast",))
-    text = runs_text(compare_runs([a, b]))
-    rows = [" ".join(line.split()) for line in text.splitlines()]
-    for row in (
-        *("A runs/a", "B runs/b", "seed 0 1"),
-        *("cnn A 0.625 0.306 to 0.863", "B 0.500 0.215 to 0.785 -0.125 3 4 1.000"),
-        *("input image image", "architecture 6x6-4c3-8c2-10o 6x6-4c3-8c2-10o"),
-        *("neurons 136 136", "cores 2 3", "chips 1 1"),
-    ):
-        assert row in rows
-    assert missing(text, "8 simulated samples", "McNemar") == []
-    assert re.fullmatch("B: .*: fast", rows[-1])
-
-
-def test_the_papers_cnn_is_a_measure_only_for_digits_on_its_sensor():
-    counts = {"operations": {"conv1": 8}}
-    for spec, applies in ((paper_spec(), True), (small_spec(), False)):
-        text = runs_text(compare_runs([run("a", [result("nengo", ALL, **counts)], spec=spec)] * 2))
-        assert ("CNN" in text) is applies
-
-
 def test_simulated_and_other_samples_are_told_apart():
     real = small_spec()
     real.provenance["simulated"] = False
     runs = [run("a", [result("cnn", ALL)]), run("b", [result("cnn", ALL)], spec=real)]
     assert "8 samples" in runs_text(compare_runs(runs))
     assert "simulated" not in runs_text(compare_runs([runs[1], runs[1]]))
-
-
-def test_the_same_recordings_in_another_place_are_no_difference():
-    """Their content is compared."""
-    for sha256, names in (("0", []), ("1", ["data.source"])):
-        runs = [
-            run("a", [], source="0", changes={"data": {"source": "here.zip"}}),
-            run("b", [], source=sha256, changes={"data": {"source": "there.zip"}}),
-        ]
-        assert [setting["name"] for setting in compare_runs(runs)["settings"]] == names
-
-
-@pytest.mark.parametrize("n", [2, 3, 4])
-def test_the_text_fits_80_columns(n):
-    long = {
-        "data": {"source": "/home/somebody/recordings of a very long name/" + "x" * 40 + ".zip"}
-    }
-    counts = {"operations": {"conv1": 10**9}, "stable_after_median": 99.5}
-    runs = [
-        run(f"runs/{i}", [result("spiking-lif", FIVE_RIGHT), result("nengo", ALL, **counts)],
-            spec=paper_spec(), source=str(i), changes={**long, "seed": i} if i else {})
-        for i in range(n)
-    ]  # fmt: skip
-    compared = compare_runs(runs)
-    text = runs_text(compared)
-    assert max(map(len, text.splitlines())) <= 80
-    source = text.split("data.source")[1].split("\nan inference")[0]
-    assert "x" * 8 in source
-    assert text.count("spiking-lif") == 1
-    assert "43,104" in text
-    assert json.loads(json.dumps(compared))["runs"] == compared["runs"]
 
 
 @pytest.fixture(scope="module")
@@ -258,29 +175,6 @@ def test_results_of_an_earlier_bundle_are_left_out(pair, tmp_path):
     assert "nengo" in found.stale
     assert "fast" not in found.stale
     assert "nengo" not in found.results
-
-
-def test_results_on_other_recordings_with_similar_names_and_of_an_earlier_bundle(pair, tmp_path):
-    runs = [shutil.copytree(run, tmp_path / run.name) for run in pair]
-    sources = [tmp_path / f"recordings-{who}.zip" for who in ("anna", "otto")]
-    for seed, source in enumerate(sources):
-        write_zip(source, simulate(seed, [2] * 10, 1))
-        check = ("--target", "fast", "--data", source)
-        assert call("check", "run", runs[0], *check) == 0
-        assert call("check", "run", runs[1], *check) == 0
-    first, second = (set(run.results) - set(ORDER) for run in read_runs(runs))
-    assert len(first) == 2
-    assert first == second  # which are compared
-    shutil.rmtree(runs[1] / "bundle")
-    shutil.copytree(pair[0] / "bundle", runs[1] / "bundle")
-    _, found = read_runs(runs)
-    assert first <= set(found.stale)
-    # The name is short if there are no others with it.
-    for run in runs:
-        for file in (run / "checks" / "other").glob("*otto*"):
-            file.unlink()
-    (name,) = set(read_runs(runs)[0].results) - set(ORDER)
-    assert name == "fast on recordi….zip, 20"
 
 
 def test_bad_input_is_one_clear_line_and_status_2(pair, tmp_path, capsys):

@@ -3,15 +3,11 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 
-import pytest
-
-from deploy.check.bundle import read_bundle, write_bundle
 from deploy.files import read_json
-from pipeline.results.status import outdated_note, remedies
+from pipeline.results.status import outdated_note
 from pipeline.run import RunFolder
-from tests.command import call, missing
+from tests.command import call
 
 ON_IMAGES = [
     *("dataset", "counts", "cnn", "rate-lif", "bundle"),
@@ -91,40 +87,6 @@ def test_an_answer_to_an_earlier_bundle_is_outdated(run, capsys):
     assert found["checks/emulator"]["state"] == "current"
 
 
-def test_the_remedy_makes_what_is_outdated(run, capsys):
-    """The ladder runs neither the target fast nor the whole test split."""
-    earlier = {**read_json(run / "checks" / "emulator.json", ""), "bundle": "0" * 64}
-    (run / "checks" / "whole").mkdir()
-    for file in ("fast.json", "whole/cnn.json"):
-        (run / "checks" / file).write_text(json.dumps(earlier))
-    check, whole = f"check run {run} --target fast", f"ladder {run} --whole"
-    assert call("status", run) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert missing(said, check, whole) == []
-    assert f"'stmnist ladder {run}'" not in said
-    assert check in outdated_note(run / "checks" / "fast.json")
-
-
-@pytest.mark.parametrize(("names", "commands"), [
-    (["bundle", "checks/nengo"], ["ladder R"]),
-    (["cnn", "checks/loihi"], ["ladder R", "check run R --target loihi"]),
-    (["checks/whole/fast", "ladder-whole"], ["ladder R --whole"]),
-    (["ladder", "checks/whole/nengo"], ["ladder R", "ladder R --whole --slow"]),
-    ([], []),
-])  # fmt: skip
-def test_the_command_for_each_artifact(names, commands):
-    assert remedies("R", names) == [f"stmnist {command}" for command in commands]
-
-
-def test_a_bundle_adapted_from_an_earlier_one_is_outdated(run):
-    bundle = read_bundle(run / "bundle")
-    for source, is_old in ((bundle.id, False), ("0" * 64, True)):
-        provenance = {**bundle.spec.provenance, "adapted": {"from": source}}
-        place = run / "adapted" / "7"
-        write_bundle(place, replace(bundle.spec, provenance=provenance), bundle.checks)
-        assert (outdated_note(place) is not None) == is_old
-
-
 def test_missing_artifacts_are_missing(run, capsys):
     (run / "snn" / "weights.npz").unlink()
     (run / "checks" / "nengo.json").unlink()
@@ -139,14 +101,6 @@ def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
     assert call("status", tmp_path) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert {path.name for path in tmp_path.iterdir()} == {"thesis.tex"}
-
-
-def test_a_run_of_an_earlier_version_says_why_it_is_made_again(run, capsys):
-    for record in (run / "cnn/metrics.json", run / "snn/metrics.json", run / "dataset.json"):
-        record.write_text(json.dumps({**read_json(record, ""), "made_from": "0" * 64}))
-    found = states(run, capsys)
-    assert found["cnn"]["because"]
-    assert found["dataset"]["state"] == found["rate-lif"]["state"] == "outdated"
 
 
 def test_moved_recordings_are_still_the_same(tmp_path, capsys):

@@ -60,11 +60,6 @@ def test_there_is_no_interval_of_fewer_than_three_splits(values):
     assert (found["ci95"], found["p"], found["sd"]) == (None, None, None)
 
 
-def test_p_of_no_difference_and_of_a_constant_one():
-    assert estimate([0.0, 0.0, 0.0], 80, 20)["p"] == 1
-    assert estimate([0.5, 0.5, 0.5], 80, 20)["p"] == 0
-
-
 def test_holm_by_hand():
     assert holm([0.01, 0.04, None, 0.03]) == pytest.approx([0.03, 0.06, None, 0.06])
     assert holm([0.9, 0.8]) == [1.0, 1.0]
@@ -97,18 +92,6 @@ def test_a_single_split_has_wilson_and_mcnemar():
     (compared,) = found["comparisons"]
     assert compared["p"] == pytest.approx(2 / 2**9)
     assert compared["ci95"] is None
-
-
-def test_splits_of_other_kinds_are_apart():
-    rows = [row("a", 0, [1, 0], "random"), row("a", 0, [1, 1], "writers")]
-    means = {entry["split"]: entry["mean"] for entry in table(rows)["rows"]}
-    assert means == {"random": 0.5, "writers": 1.0}
-
-
-def test_costs_are_averaged():
-    costs = [{"operations": n, "spikes": {"input": n}} for n in (1.0, 3.0)]
-    rows = [row("a", seed, [1], costs=cost) for seed, cost in enumerate(costs)]
-    assert table(rows)["rows"][0]["costs"] == {"operations": 2.0}
 
 
 def counting(case, networks):

@@ -10,17 +10,11 @@ from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.files import read_json
 from pipeline.roads.diagnosis import (
-    POINTS,
     activity,
     fastest_rate,
     fidelity,
     layers_json,
-    layers_text,
-    least_faithful,
-    rate_points,
-    training_lines,
 )
-from tests.command import missing
 from tests.deploy.networks import bundle_at, random_checks, small_spec
 
 
@@ -48,17 +42,6 @@ def test_fidelity_by_hand():
     # deviations (-.75, -.25, .25, .75) and (-1, 0, 0, 1): 1.5 / sqrt(1.25 * 2)
     assert found["correlation"] == pytest.approx(1.5 / np.sqrt(2.5))
     assert (found["chip"]["silent"], found["rate_network"]["saturated"]) == (0, 0)
-
-
-def test_a_layer_that_does_not_vary_is_the_least_faithful():
-    alive = fidelity("conv1", [[0.0, 50.0]], [[0.5, 0.0]], 100, 0.001)
-    dead = fidelity("conv2", [[0.0, 0.0]], [[0.5, 0.0]], 100, 0.001)
-    assert alive["correlation"] == pytest.approx(-1)
-    assert dead["correlation"] is None
-    assert least_faithful([alive, dead]) == "conv2"
-    layers = layers_text([alive, dead]).splitlines()
-    assert [line.split()[0] for line in layers if "conv" in line][:2] == ["conv1", "conv2"]
-    assert layers[4].endswith("conv2")
 
 
 def test_rates_of_the_readout_window_are_the_spikes_of_it():
@@ -99,25 +82,6 @@ def test_a_layer_against_its_own_rates_is_perfect():
         assert layer["chip"] == layer["rate_network"]
 
 
-def test_what_is_said_after_training():
-    dead, sparse, loud, sound = training_lines(
-        {
-            "a": {"silent": 1.0, "saturated": 0.0},
-            "b": {"silent": 0.6, "saturated": 0.0},
-            "c": {"silent": 0.0, "saturated": 0.2},
-            "d": {"silent": 0.04, "saturated": 0.01},
-        }
-    )
-    for line, *facts in (
-        (dead, "warning: a: ", "100.0%"),
-        (sparse, "warning: b: ", "60.0%"),
-        (loud, "warning: c: ", "20.0%", "max_rates"),
-        (sound, "d: ", "4.0%", "1.0%"),
-    ):
-        assert line.startswith(facts[0])
-        assert missing(line, *facts) == []
-
-
 def test_a_runs_metrics_and_ladder_hold_the_diagnosis(tiny_run):
     neurons = read_json(tiny_run / "snn" / "metrics.json", "")["neurons"]
     assert set(neurons) == {"conv1", "conv2"}
@@ -132,13 +96,3 @@ def test_a_runs_metrics_and_ladder_hold_the_diagnosis(tiny_run):
         assert len(points) > 100
         assert np.corrcoef(trained, chip)[0, 1] > 0.5, name
     assert ladder["bundle"] == read_result(tiny_run / "checks" / "emulator.json")["bundle"]
-
-
-def test_points_are_pairs_of_the_same_neuron_and_sample():
-    trained = {"conv1": np.array([[0.0, 10.0], [20.0, 0.0]])}
-    chip = {"conv1": np.array([[0.0, 11.0], [22.0, 3.0]]), "conv2": np.zeros((2, 3))}
-    points = rate_points(trained, chip)
-    assert sorted(points["conv1"]) == [[0.0, 3.0], [10.0, 11.0], [20.0, 22.0]]
-    many = {"conv1": np.full((100, 50), 2.0)}
-    assert len(rate_points(many, many)["conv1"]) == POINTS
-    assert rate_points({"conv2": np.zeros((2, 3))}, chip) == {"conv2": []}

@@ -1,23 +1,19 @@
 """Defaults that fit recordings of one's own, and everything that does not fit told at once."""
 
-import shutil
-
 import numpy as np
 import pytest
 
 from deploy.errors import SeveralErrors
-from deploy.preflight.plan import make_plan
 from models.architecture import parse
 from pipeline.data.eventfiles import write_recordings
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
 from pipeline.roads import road_of
-from pipeline.roads.architectures import architecture_for, untrained
+from pipeline.roads.architectures import architecture_for
 from pipeline.roads.fitting import fitted
 from pipeline.run import RunFolder
 from pipeline.settings import Settings
 from tests.command import missing
-from tests.deploy.networks import paper_spec
 from tests.own_sensor import CLASSES, gestures, write_folder
 
 
@@ -89,20 +85,6 @@ def test_an_architecture_is_chosen_again_for_other_classes(tmp_path, kind, secti
         fitted(own.with_values({section: {"architecture": mine}}, ""))
 
 
-def test_what_is_chosen_does_not_depend_on_earlier_choices(tmp_path):
-    """A refractory period that was chosen for long steps outlived them."""
-    slow = [((x, y, 20 * t, p), label) for (x, y, t, p), label in gestures(4)]
-    path = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
-    run, own = RunFolder(tmp_path / "run"), settings_of(path, input={"kind": "events"})
-    run.path.mkdir()
-    chosen = fitted(own)
-    assert chosen.input.step > 10
-    run.save_settings(chosen, own)
-    changes = {"input": {"step": 25.0}}
-    again = fitted(run.resolve_settings(None, changes))
-    assert again == fitted(own.with_values(changes))
-
-
 def test_a_budget_of_the_user_s_is_kept(tmp_path):
     items = [
         ([np.tile(part, 30) for part in (3 * x, 3 * y, t, p)], label)
@@ -112,21 +94,6 @@ def test_a_budget_of_the_user_s_is_kept(tmp_path):
     for given, kept in (({}, False), ({"events": {"budget": 0.5}}, True)):
         settings = settings_of(path, input={"kind": "events"}, **given)
         assert (fitted(settings).events.budget == settings.events.budget) is kept
-
-
-def test_more_rates_than_the_chosen_network_has_layers_are_a_problem(tmp_path):
-    """The rates were cut to one, and saved so, without a word."""
-    small = write_recordings(tmp_path / "small.zip", _in_rows_and_columns(4), CLASSES)
-    rates = {"snn": {"max_rates": [100, 200]}, "check": {"samples": 500}}
-    with pytest.raises(SeveralErrors) as caught:
-        fitted(settings_of(small, **rates))
-    of_rates, asked = caught.value.lines
-    assert missing(of_rates, "snn.max_rates", "4x4x16-256-4o") == []
-    assert "500" in asked
-
-
-def _in_rows_and_columns(n, each=10):
-    return [((x % n, y % n, t, p), label) for (x, y, t, p), label in gestures(each)]
 
 
 def test_events_of_a_sensor_of_one_s_own(own):
@@ -145,16 +112,6 @@ def test_long_recordings_get_long_steps(tmp_path):
     assert chosen.steps * chosen.input.step >= 1000 * 20
     given = settings_of(source, input={"kind": "events"}, presentation={"steps": 30})
     assert fitted(given).steps == 30
-
-
-def test_a_presentation_that_is_too_short_is_called_so(tmp_path):
-    """The user has chosen the step, of which there may be 400."""
-    slow = [((x, y, 2 * t, p), label) for (x, y, t, p), label in gestures(4)]
-    source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
-    settings = settings_of(source, input={"kind": "events", "step": 1.0})
-    assert fitted(settings).steps == 400
-    (line,) = [line for line in said_of(settings) if "400 steps of 1 ms" in line]
-    assert "first 0.4 s" in line
 
 
 def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
@@ -202,35 +159,3 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
         architecture = architecture_for(sensor, kind == "events")
         changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
         assert road_of(settings_of("own", **changes)).chip_problems() == ()
-
-
-def test_an_untrained_network_needs_what_the_trained_one_needs():
-    spec = untrained(Settings().cnn.architecture, False, Settings().deployment)
-    assert [core.used for core in make_plan(spec).cores] == [
-        core.used for core in make_plan(paper_spec()).cores
-    ]
-
-
-def test_the_sensor_s_and_the_chip_s_problems_come_together(own):
-    wrong = settings_of(own, cnn={"architecture": "9x12-100c4-40-4o"}, check={"samples": 50})
-    with pytest.raises(SeveralErrors) as caught:
-        fitted(wrong)
-    lines = caught.value.lines
-    assert any("50 samples" in line for line in lines)
-    assert any(not missing(line, "layer dense1", "5400 input axons") for line in lines)
-
-
-def test_the_network_on_simulated_recordings_must_fit_the_chip_too():
-    data, cnn = {"samples_per_digit": 5}, {"architecture": "10x10-100c4-40-10o"}
-    settings = Settings().with_values({"data": data, "cnn": cnn, "check": {"samples": 10}})
-    with pytest.raises(SeveralErrors, match=r"layer dense1 .* 4900 input axons"):
-        fitted(settings)
-
-
-def test_one_class_is_told_as_such(tmp_path):
-    folder = write_folder(tmp_path / "own", per_class=3)
-    for name in CLASSES[1:]:
-        shutil.rmtree(folder / name)
-    for kind in ("image", "events"):
-        with pytest.raises(SeveralErrors, match="one class"):
-            fitted(settings_of(folder, input={"kind": kind}))

@@ -6,30 +6,21 @@ import json
 import numpy as np
 import pytest
 
-from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
-from deploy.network.decision import Threshold
 from deploy.network.nir import nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import TARGETS, answer
+from deploy.targets.registry import answer
 from models.integers import chosen, fired, rounded
 from models.nir_chain import from_nir
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
-from pipeline.data.events import Sensor
-from pipeline.data.splits import Split
-from pipeline.data.steps import EventTable
-from pipeline.live.deciding import decider_of
 from pipeline.roads.conversion import spec_of_nir
-from pipeline.roads.events import FEWEST, trusted
 from pipeline.roads.nir_answers import graph_inputs
-from pipeline.roads.nir_import import decided_on, notes
 from pipeline.roads.nir_settings import Stepped, settings_of_nir
-from pipeline.settings import Image, Settings
-from pipeline.skin.simulate import simulate as simulated_skin
+from pipeline.settings import Settings
 from tests.command import call as stmnist
 from tests.command import missing
 from tests.deploy.networks import (
@@ -41,7 +32,6 @@ from tests.own_sensor import write_folder
 
 nir = pytest.importorskip("nir")
 
-SIMULATORS = tuple(name for name, target in TARGETS.items() if not target.hardware)
 FRESH = Presentation(steps=60, gap=0, readout_start=0, stream_length=1)
 STEPPED = Stepped(0.001, "euler")
 
@@ -138,17 +128,6 @@ def test_an_image_is_held():
     assert found[2] == found[3] == 0
 
 
-@pytest.mark.parametrize(("r", "seconds", "told"), [(1.0, 0.02, 1), (50.0, 0.02, 0), (1.0, 1.0, 0)])
-def test_a_step_that_may_be_another_packages_is_told(r, seconds, told):
-    """Norse adds the whole input to IF at each step, and NIR the step times it."""
-    network = network_of(
-        (2, 2, 2), ("Flatten", {}), affine(np.random.default_rng(0), 3, 8),
-        ("IF", {"r": r, "v_threshold": 1.0}),
-    )  # fmt: skip
-    lines = list(notes(network, from_nir(network, seconds), Stepped(seconds, "exact")))
-    assert sum("nir.step=1000" in line for line in lines) == told
-
-
 def test_an_exported_network_on_events_has_the_same_weights_again():
     """NIR has no integers: threshold and weights are rounded once more."""
     rng = np.random.default_rng(2)
@@ -241,18 +220,6 @@ def test_a_loop_that_runs_away_is_refused(tmp_path, capsys):
     assert missing(capsys.readouterr().err, "'lif'", "'w_rec'", "runs away") == []
 
 
-def test_early_decisions_are_chosen_on_every_class():
-    labels = np.repeat(np.arange(10), 500)
-    split = Split(np.arange(5000), np.arange(0), np.arange(0))
-    assert set(labels[decided_on(split, 0)]) == set(range(10))
-
-
-def test_a_confidence_chosen_on_few_samples_is_not_trusted():
-    chosen = Threshold(0.5, 0.9, 0.4)
-    assert trusted(chosen, FEWEST) == chosen
-    assert trusted(chosen, FEWEST - 1).confidence == 1
-
-
 @pytest.mark.slow
 def test_a_run_of_a_graph(tmp_path, capsys):
     """Convert, ladder, plan; then again, nothing is done anew."""
@@ -291,7 +258,6 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert stmnist("report", run) == 0
     assert stmnist("deploy", "energy", run / "bundle") == 0
     assert "emulator" in (run / "report.html").read_text()
-    decides_as_its_check(read_bundle(run / "bundle"))
     saved = (run / "experiment.toml").read_bytes()
     other = write_folder(tmp_path / "own", per_class=5)  # of another sensor
     assert stmnist("ladder", run, "--data", other, "--jobs", "1") == 2
@@ -308,21 +274,6 @@ def graph_of_ones():
         nir.Affine(np.ones((10, 200)), np.zeros(10)),
         nir.Output({"output": np.array([10])}),
     )
-
-
-def decides_as_its_check(bundle):
-    """The live page's decisions on whole recordings are those of ``fast``."""
-    recordings = simulated_skin(3, [1] * 10, jobs=1)
-    stimulus, steps = bundle.spec.stimulus, bundle.spec.presentation.steps
-    frames = EventTable.of(recordings).frames(
-        np.arange(10), 1000 * stimulus.seconds, steps, stimulus.refractory
-    )
-    expected = answer(bundle.spec, np.moveaxis(frames, 0, 1), "fast")
-    decider = decider_of(bundle, Image(), Sensor())
-    for index in range(10):
-        said = decider.begin().answer(recordings[index], 4.0)
-        np.testing.assert_array_equal(said.scores, expected.scores[index])
-        assert said.decision == expected.predictions[index]
 
 
 BAD = [

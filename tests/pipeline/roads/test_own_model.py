@@ -126,30 +126,6 @@ def test_it_goes_into_the_bundle_and_through_the_ladder(run):
     assert rows["emulator"] > 0.3
 
 
-def test_the_report_says_that_nothing_was_trained(run, files, tmp_path):
-    """It has no learning curves, which no training has written."""
-    out = tmp_path / "report.html"
-    assert call("report", run, "--out", out) == 0
-    page = out.read_text()
-    training = page.partition('<section id="training">')[2].partition("</section>")[0]
-    assert str(files / "good.keras") in page
-    assert "<figure>" not in training
-
-
-def test_again_is_up_to_date_even_without_the_file(run, files, tmp_path):
-    made = [file for name in ("cnn", "snn", "bundle") for file in (run / name).iterdir()]
-    before = [file.stat().st_mtime_ns for file in made]
-    away = tmp_path / "away.keras"
-    path = files / "good.keras"
-    content = path.read_bytes()
-    path.rename(away)
-    try:
-        assert call("convert", run) == 0
-    finally:
-        path.write_bytes(content)
-    assert [file.stat().st_mtime_ns for file in made] == before
-
-
 def test_a_later_version_and_another_split_are_reported(run, files, tmp_path, capsys):
     copy, path = tmp_path / "run", files / "good.keras"
     shutil.copytree(run, copy)
@@ -199,14 +175,6 @@ def test_what_cannot_stand_in_is_one_line(files, tmp_path, capsys, name, facts):
     assert not folder.exists()
 
 
-def test_a_refused_model_leaves_the_run_as_it_was(run, files):
-    """Its settings were saved, so that every later command of the run was refused too."""
-    before = (run / "experiment.toml").read_bytes()
-    assert call("convert", run, "--model", files / "other.keras") == 2
-    assert (run / "experiment.toml").read_bytes() == before
-    assert call("convert", run) == 0
-
-
 def test_a_file_that_is_no_model(tmp_path, capsys):
     folder, path = tmp_path / "run", tmp_path / "model.keras"
     path.write_bytes(b"no model")
@@ -218,17 +186,6 @@ def test_a_file_that_is_no_model(tmp_path, capsys):
         assert call("convert", folder, *arguments) == 2
         assert fact in capsys.readouterr().err
     assert not folder.exists()
-
-
-@pytest.mark.parametrize("how", [("--input", "events"), ("--set", "input.kind=events")])
-def test_events_are_not_for_a_model_of_images(files, tmp_path, capsys, monkeypatch, how):
-    monkeypatch.setattr(stages, "convert", lambda *_: pytest.fail("trained on events"))
-    folder = tmp_path / "run"
-    assert call("convert", folder, "--model", files / "good.keras", *SMALL, *how) == 2
-    error = capsys.readouterr().err
-    assert "--model" in error
-    assert "events" in error
-    assert not (folder / "experiment.toml").exists()
 
 
 def test_a_file_that_has_changed_since(files, tmp_path, capsys):

@@ -94,24 +94,6 @@ def test_the_film_is_a_filter_of_first_order():
     np.testing.assert_allclose(felt, expected, rtol=1e-5, atol=1e-6)
 
 
-def test_restlessness_is_scraping_and_noise_together():
-    p = replace(P, scrape=0.3, scrape_speed=2.0, noise=0.4)
-    signal = np.full((4, 50_000), 1.0, np.float32)
-    scrape(signal, np.array([0.0, 1.0, 2.0, 9.0]), np.random.default_rng(0), p)
-    rough = 0.3 * np.array([0, 0.5, 1, 1])  # up to the greatest speed
-    np.testing.assert_allclose(signal.std(axis=1), np.hypot(rough, 0.4), rtol=0.02)
-
-
-def test_a_film_of_which_a_part_has_ended():
-    felt = np.random.default_rng(0).standard_normal((50, 7)).astype(np.float32)
-    whole, parts = felt.copy(), felt.copy()
-    Creep(7, STEP, P).advance(whole)
-    film = Creep(7, STEP, P)
-    for rows, n in ((slice(20), 7), (slice(20, 45), 4), (slice(45, 50), 1)):
-        film.advance(parts[rows, :n])
-        np.testing.assert_array_equal(parts[rows, :n], whole[rows, :n])
-
-
 @pytest.mark.parametrize("strongest", [0.0, 1e-45, 1e-3, 40.0])
 def test_a_jolt_lasts_until_nothing_of_it_is_left(strongest):
     """To the last bit as if it never ended, on taxels that feel much, hardly anything, nothing."""

@@ -104,21 +104,6 @@ def test_bad_files(tmp_path, text, problem):
     assert str(path) in str(raised.value)
 
 
-def test_a_part_of_a_file_for_one_writer(tmp_path):
-    """The numbers of its strokes do not start at 0, and those of other writers are missing."""
-    strokes = ".PEN_DOWN\n 1 2\n 1 3\n.PEN_UP\n"
-    path = tmp_path / "one.unipen"
-    path.write_text(
-        f'.SEGMENT DIGIT 12 ? "3"\n{strokes}.SEGMENT DIGIT 40-41 ? "4"\n{strokes}{strokes}'
-    )
-    assert [(t.digit, len(t.strokes)) for t in unipen.read(path)] == [(3, 1), (4, 2)]
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(UserError, match=r"none: .*No such file"):
-        unipen.read(tmp_path / "none")
-
-
 def test_real_handwriting(shared_data):
     traces = unipen.read(shared_data / "pendigits-train.unipen")
     assert len(traces) == 7494

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
+from pipeline.data.events import EVENT_DTYPES
 from pipeline.skin import aces, parameters
 from pipeline.skin.contact import (
     Creep,
@@ -112,15 +112,6 @@ def test_events_follow_the_pen():
     assert early.mean() + 2 < late.mean()
 
 
-def test_events_are_such_as_the_decoder_makes():
-    events = written().events
-    times, taxel, polarity = expand_bursts(events)
-    assert (times % TICK_NS == 0).all()
-    assert (np.diff(times) > 0).all()
-    again = merge_bursts(times, taxel, polarity)
-    np.testing.assert_array_equal(again.columns, events.columns)
-
-
 def test_how_time_is_divided_changes_nothing_but_rounding():
     quiet = replace(P, skin=replace(P.skin, noise=0.0, scrape=0.0, jolt=0.0))
     once = written(p=quiet, pieces=[1.0]).events
@@ -132,17 +123,6 @@ def test_how_time_is_divided_changes_nothing_but_rounding():
         ).max()
         <= 1
     )
-
-
-def test_the_same_seed_and_points_give_the_same_events():
-    one, other = written(3).events, written(3).events
-    for name in EVENT_DTYPES:
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert len(written(4).events) != len(one)
-
-
-def test_more_pressure_gives_more_events():
-    assert len(written(pressure=0.9).events) > len(written(pressure=0.3).events)
 
 
 def test_a_rough_skin_scrapes_more_however_fast_the_pen_is():
@@ -179,12 +159,6 @@ def test_nothing_happens_before_the_pen_comes_or_when_time_goes_back():
     assert writing.time_s > now
 
 
-def test_what_no_later_moment_depends_on_is_forgotten():
-    writing = written(rate_s=0.001)
-    assert len(writing._points) < 5
-    assert len(writing._contacts) == 1
-
-
 @pytest.mark.parametrize(
     ("place", "why"),
     [((np.nan, 1), "finite"), ((1, np.inf), "finite"), ((-3, 1), "outside"), ((1, 12), "outside")],
@@ -192,19 +166,6 @@ def test_what_no_later_moment_depends_on_is_forgotten():
 def test_points_that_no_pen_makes_are_refused(place, why):
     with pytest.raises(ValueError, match=why):
         Writing([0], P).point(PenPoint(START_S, *place, 0.5, True))
-
-
-def test_two_strokes_leave_what_is_between_them_untouched():
-    writing = Writing([0], P)
-    for right, start in ((1.0, 0.0), (8.0, 0.4)):
-        for t in np.arange(0, 0.2, 0.01):
-            writing.point(PenPoint(START_S + start + t, 2 + 20 * t, right, 0.5, True))
-        writing.point(PenPoint(START_S + start + 0.2, 6, right, 0.5, False))
-    writing.advance(writing.settled_s)
-    column = writing.events.taxel // 10
-    assert (np.isin(column, (0, 1, 2))).sum() > 20
-    assert (np.isin(column, (7, 8, 9))).sum() > 20
-    assert (np.isin(column, (4, 5))).sum() < 6  # at most a jolt
 
 
 def drawn(size, polarities=2):
@@ -216,26 +177,3 @@ def drawn(size, polarities=2):
         writing.advance(START_S + 0.5 * share)
     writing.advance(START_S + 0.6)
     return writing
-
-
-@pytest.mark.parametrize("size", [(9, 12), (1, 30), (40, 3)])
-def test_a_skin_of_any_size_feels_the_whole_line(size):
-    events = drawn(size).events
-    columns, rows = np.divmod(events.taxel, size[0])
-    assert rows.max() < size[0]
-    assert columns.max() < size[1]
-    early, late = (events.time_ns * 1e-9 < START_S + 0.1), (events.time_ns * 1e-9 > START_S + 0.4)
-    for place, side in ((rows, size[0]), (columns, size[1])):
-        assert np.median(place[late]) - np.median(place[early]) >= 0.5 * (side - 1)
-
-
-def test_a_sensor_of_one_polarity_reports_no_fall():
-    assert set(drawn((9, 12)).events.polarity) == {1, -1}
-    assert set(drawn((9, 12), 1).events.polarity) == {1}
-
-
-def test_a_pen_beyond_a_small_skin_is_refused():
-    writing = Writing([1], P, (3, 12))
-    writing.point(PenPoint(0.3, 2.0, 11.0, 0.5, True))
-    with pytest.raises(ValueError, match="outside"):
-        writing.point(PenPoint(0.4, 8.0, 11.0, 0.5, True))

@@ -80,14 +80,6 @@ def test_the_spiking_network_in_nengodl_is_near_its_rate_version(images, weights
     assert np.corrcoef(spiking.ravel(), rates.ravel())[0, 1] > 0.98
 
 
-def test_the_number_of_samples_need_not_fill_the_batches(images, weights):
-    settings = settings_of("paper")
-    with untraced():
-        whole = nengodl.run(settings, weights, images, 1, spiking=False, batch=6)
-        parts = nengodl.run(settings, weights, images, 1, spiking=False, batch=4)
-    np.testing.assert_allclose(parts, whole, atol=1e-4)
-
-
 @pytest.mark.parametrize("recipe", ["loihi", "paper"])
 def test_shown_long_the_deployed_network_answers_as_the_rate_network(images, weights, recipe):
     settings = settings_of(recipe, steps=900, gap=0, readout_start=100, stream_length=1)
@@ -99,32 +91,12 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(images, wei
     assert np.corrcoef(responses.scores.ravel(), rates.ravel())[0, 1] > 0.97
 
 
-def test_the_longer_it_is_shown_the_nearer_it_gets(images, weights):
-    errors = []
-    for steps in (60, 200, 700):
-        settings = settings_of("loihi", steps=steps, readout_start=30, stream_length=1)
-        rates = training.TrainedRates(settings, weights).logits(images[:3])
-        scores = answer(to_spec(settings, weights, {}), images[:3], "nengo").scores
-        errors.append(np.abs(scores - rates).mean())
-    assert errors[0] > errors[1] > errors[2]
-
-
 def test_on_the_emulator_it_is_near_too(images, weights):
     settings = settings_of("loihi", steps=300, readout_start=50, stream_length=1)
     rates = training.TrainedRates(settings, weights).logits(images)
     parts = [answer(to_spec(settings, weights, {}), images[i : i + 2], "emulator") for i in (0, 2)]
     scores = join(parts).scores
     assert np.corrcoef(scores.ravel(), rates[:4].ravel())[0, 1] > 0.95
-
-
-def test_where_the_layers_are_is_a_setting(weights):
-    settings = settings_of("loihi")
-    spec = to_spec(settings, weights, {})
-    assert [layer.placement for layer in spec.layers] == ["chip", "chip", "host"]
-    chip = replace(settings, deployment=replace(settings.deployment, readout="chip"))
-    logits = np.random.default_rng(0).normal(size=(20, 10))
-    range_of = logits, np.arange(20) % 10
-    assert to_spec(chip, weights, {}, range_of).layers[-1].placement == "chip"
 
 
 def test_the_range_of_output_neurons_is_set_by_right_and_wrong_logits():

@@ -11,7 +11,6 @@ from models.cnn import activations
 from pipeline.settings import Settings, write_settings
 from pipeline.training import networks as training
 from tests.command import LEAVE_GARBAGE, users_environment
-from tests.untraced import untraced
 
 
 @pytest.fixture(scope="module")
@@ -95,22 +94,6 @@ np.savez("rates.npz", **train_rate_network(chosen, stripes, 0, cnn.weights).weig
 """
 
 
-def test_noise_does_not_depend_on_how_much_is_drawn_at_once(cnn, stripes, monkeypatch):
-    some = [column[:112] for column in stripes]
-
-    def weights(**snn):
-        chosen = settings(recipe="loihi", epochs=2, batch_size=48, **snn)  # the last has 16
-        with untraced():
-            return training.train_rate_network(chosen, some, 0, cnn.weights).weights
-
-    drawn_by_epochs, other = weights(), weights(noise=0.3)
-    monkeypatch.setattr(training, "NOISE_AHEAD", 1)  # less than a batch's, which is the least
-    drawn_by_batches = weights()
-    for name, array in drawn_by_epochs.items():
-        np.testing.assert_array_equal(drawn_by_batches[name], array)
-    assert not np.allclose(other["conv1.kernel"], drawn_by_epochs["conv1.kernel"], atol=1e-4)
-
-
 def test_noise_is_normal_with_the_settings_deviation():
     chosen = settings(recipe="loihi", epochs=2, batch_size=64, noise=0.3)
     model = training.build_rate_network(chosen)
@@ -136,18 +119,6 @@ def test_noise_is_normal_with_the_settings_deviation():
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.02
 
 
-def test_what_is_made_ahead_comes_in_order_and_fails_where_it_is_asked_for():
-    def values():
-        yield from range(5)
-        raise ZeroDivisionError
-
-    ahead = training._ahead(values())
-    assert [next(ahead) for _ in range(5)] == list(range(5))
-    with pytest.raises(ZeroDivisionError):
-        next(ahead)
-    assert list(training._ahead(iter([[], [1]]))) == [[], [1]]
-
-
 def test_a_price_on_spikes_saves_spikes(cnn, stripes):
     totals = []
     for penalty in (0.0, 5.0):
@@ -169,16 +140,6 @@ def test_scaling_to_unit_keeps_the_function(cnn, stripes):
         atol=1e-3,
     )
     assert not np.allclose(scaled["conv1.kernel"], cnn.weights["conv1.kernel"])
-
-
-def test_the_prices_add_up_to_the_operations():
-    """Every neuron at its full rate for 100 steps, by hand for the paper's network."""
-    chosen = settings(spike_penalty=1.0, max_rates=[100.0, 50.0])
-    conv1, conv2 = training._spike_costs(chosen, training.parse("10x10-6c4-24c3-10o"))
-    operations = 4704 + 32400 + 6000  # multiply-accumulates of the CNN
-    seconds = 0.1
-    assert conv1.sum() == pytest.approx(32400 * 100 * seconds / operations, rel=1e-5)
-    assert conv2.sum() == pytest.approx(6000 * 50 * seconds / operations, rel=1e-5)
 
 
 def test_validation_samples_are_watched_and_not_trained_on():

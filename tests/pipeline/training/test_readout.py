@@ -137,26 +137,6 @@ def test_folds_share_out_every_class(each):
         assert np.bincount(folds[labels == label]).max() <= -(-each // 5)
 
 
-@pytest.mark.parametrize(
-    ("change", "fact"),
-    [
-        ({"rehearsal.labels": None}, "labels"),
-        ({"rehearsal.labels": np.full(5, 10)}, "labels.* 0 to 9"),
-        ({"rehearsal.labels": np.zeros(5)}, "labels"),
-        ({"rehearsal.responses": np.zeros((5, 3))}, "responses.*readout"),
-        ({"rehearsal.responses": np.full((5, 4), np.nan)}, "responses.*NaN"),
-    ],
-)
-def test_a_rehearsal_that_cannot_be(change, fact):
-    kept = Rehearsal(np.zeros((5, 4), np.float32), np.arange(5).astype(np.uint16))
-    arrays = {n: a for n, a in {**kept.arrays(), **change}.items() if a is not None}
-    with pytest.raises(ValueError, match=fact):
-        Rehearsal.from_arrays(arrays, 4, 10)
-    again = Rehearsal.from_arrays(kept.arrays(), 4, 10)
-    np.testing.assert_array_equal(again.labels, kept.labels)
-    assert Rehearsal.from_arrays({}, 4, 10) is None
-
-
 def test_it_computes_in_one_thread(world, monkeypatch):
     """Several took twelve times as long: the page's fit has to be there within two seconds."""
     rng, centres, weights, bias, kept = world

@@ -18,7 +18,7 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from pipeline.results.report import page as report
 from pipeline.results.report.gather import gather
-from pipeline.results.report.samples import choose_samples, replay
+from pipeline.results.report.samples import replay
 from pipeline.run import RunFolder
 from tests.command import call
 
@@ -119,17 +119,6 @@ def test_recall_and_precision_are_those_of_the_answers(inputs):
     ]  # fmt: skip
 
 
-def test_the_layers_have_the_activity_of_one_sample(inputs):
-    rows = {row["name"]: row for row in report.layer_table(inputs.bundle, inputs.plan,
-                                                           inputs.results[-1])}  # fmt: skip
-    result, n = inputs.results[-1], inputs.results[-1]["n_samples"]
-    assert rows["conv1"]["spikes"] == result["spikes"]["conv1"] / n
-    assert rows["output"]["operations"] == result["synaptic_operations"]["output"] / n
-    assert rows["input"]["where"] == rows["output"]["where"] == "host"
-    assert rows["conv1"]["where"].endswith(("core", "cores"))
-    assert rows["output"]["neurons"] is None
-
-
 def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     bundle = read_bundle(tiny_run / "bundle")
     spec = bundle.spec.with_presentation(steps=12, gap=0, readout_start=3, stream_length=2)
@@ -145,18 +134,6 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
             assert steps.max(initial=0) < 12
 
 
-def test_wrong_answers_are_shown_first():
-    samples = [{"label": 1, "prediction": p} for p in (1, 1, 0, 1, 0, 1)]
-    assert choose_samples({"samples": samples}, wrong=1, right=2) == [2, 0, 1]
-
-
-@pytest.mark.parametrize("n", [1, 2, 99, 100, 199, 200, 203, 1000])
-def test_a_drawn_curve_ends_with_the_last_step(n):
-    drawn = report.drawn_steps(n)
-    assert (drawn[0], drawn[-1]) == (0, n - 1)
-    assert len(set(drawn.tolist())) == len(drawn) <= min(n, 201)
-
-
 def test_without_its_recordings_a_run_still_has_a_report(run, tmp_path, capsys):
     settings = run / "experiment.toml"
     gone = f'source = "{tmp_path / "gone.zip"}"'
@@ -167,13 +144,6 @@ def test_without_its_recordings_a_run_still_has_a_report(run, tmp_path, capsys):
     assert "are not there" in page
     assert 'class="event on"' not in page
     assert 'class="timeline"' in page
-
-
-def test_outdated_results_are_marked(run):
-    settings = run / "experiment.toml"
-    settings.write_text(settings.read_text().replace("seed = 0", "seed = 1", 1))
-    assert call("report", run) == 0
-    assert "Outdated results" in (run / "report.html").read_text()
 
 
 def test_a_run_without_results_is_one_line(tmp_path, refused, run):

@@ -1,11 +1,9 @@
 """Figures of recordings: what is drawn, and where."""
 
-import dataclasses
 import io
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
@@ -46,33 +44,6 @@ def test_recording(recordings):
         assert to_hex(marks.get_facecolor()[0]) == colour(name)
     assert "simulated" in figure.get_suptitle()
     assert drawn(figure).startswith(b"\x89PNG")
-
-
-def test_a_recording_longer_than_two_seconds(recordings):
-    """In the published layout, as written on the page."""
-    late = Events([1e9, 4e9], [3, 3], [1, 1], [4, 4])
-    long = collect([late], [4], ["4/0000"], [0], Source("written", "", True))
-    *frames, raster = data_figures.recording(long, 0).get_axes()
-    assert raster.get_xlim() == pytest.approx((0, 4))
-    assert np.asarray(frames[-1].images[0].get_array())[3, 0] == 1
-
-
-def rounded(line):
-    return tuple((round(x, 6), round(y, 6)) for x, y in line)
-
-
-def test_long_names_of_classes_are_beside_the_images_of_a_sheet(recordings):
-    names = tuple(f"{n}: quer über die ganze Fläche gestrichen" for n in range(10))
-    own = dataclasses.replace(recordings.sensor, classes=names)
-    figure = data_figures.sheet(dataclasses.replace(recordings, sensor=own), per_digit=3)
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    figure.draw(renderer)
-    named = [axes for axes in figure.get_axes() if axes.get_ylabel()]
-    assert len({axes.get_ylabel() for axes in named}) == 2
-    for axes in named:
-        box = axes.yaxis.label.get_window_extent(renderer)
-        assert box.x0 >= 0
-        assert box.x1 <= axes.get_window_extent(renderer).x0
 
 
 def test_sheet_has_a_row_for_each_digit(recordings):
