@@ -34,7 +34,7 @@ TINY = (
 )
 """Options of the small run: trained badly, but through every stage."""
 
-NOTHING_TO_DO = ("cnn", "rate-lif", "events", "bundle")
+NOTHING_TO_DO = ("counts", "cnn", "rate-lif", "events", "bundle")
 """Artifacts that a command may report as current before it refuses something else."""
 
 # TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
