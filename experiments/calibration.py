@@ -82,7 +82,7 @@ class Cell:
     ----------
     digit : int
     measure : str
-        One of :data:`pipeline.data.statistics.MEASURES`.
+        One of the measures of :func:`pipeline.data.statistics.per_sample`.
     part : str
         ``"mean"`` or ``"sd"``.
     simulated, paper : float

@@ -1,7 +1,6 @@
 """``python -m pipeline``, and the command ``stmnist``."""
 
 import gc
-import os
 import sys
 
 from deploy.terminal import INTERRUPTED, INTERRUPTION, remark
@@ -9,11 +8,6 @@ from deploy.terminal import INTERRUPTED, INTERRUPTION, remark
 
 def main():
     """Import the command, which takes up to a second, and run it."""
-    try:
-        os.getcwd()  # libraries need it while they are imported
-    except OSError:
-        remark("stmnist: the current folder does not exist any more; change to one that exists")
-        sys.exit(2)
     try:
         from pipeline.commands.main import main as command
 

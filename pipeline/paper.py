@@ -72,4 +72,4 @@ _TABLE1 = {
 
 TABLE1 = {digit: {name: row[digit] for name, row in _TABLE1.items()} for digit in range(10)}
 """Table 1: for each digit a pair (mean, SD) for each measure of
-:data:`pipeline.data.statistics.MEASURES`, and ``samples``."""
+the measures of :func:`pipeline.data.statistics.per_sample`, and ``samples``."""

@@ -160,36 +160,11 @@ LOCK = ".lock"
 DEEPEST = 3
 """Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``."""
 
-OF_RESULTS = ("rows", "networks", "sweep.json")
-"""Names of files and folders that experiments and sweeps write, and that runs do not have."""
-
 
 def run_around(path) -> Path | None:
     """The folder of the run that a file or bundle is in, or None."""
     above = list(Path(path).absolute().parents)[:DEEPEST]
     return next((folder for folder in above if (folder / "experiment.toml").is_file()), None)
-
-
-def refuse_results(path: Path):
-    """Make sure that a folder is not that of a benchmark or sweep.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    UserError
-        It has results of one, and no ``dataset.json``, which every run has.
-    """
-    if (path / "dataset.json").exists():
-        return
-    found = [entry.name for pattern in OF_RESULTS for entry in path.glob(pattern)]
-    if found:
-        raise UserError(
-            f"{path}: is the folder of a benchmark or sweep (it has {found[0]!r}), not of a run; "
-            "give another folder as RUN"
-        )
 
 
 def refuse_other_folders(path: Path, of_results: bool = False):
@@ -219,8 +194,6 @@ def refuse_other_folders(path: Path, of_results: bool = False):
             f"{path}: is a run, whose settings would be replaced; give another folder for "
             "the results"
         )
-    if not of_results:
-        refuse_results(path)
     if not path.is_dir() or (path / "experiment.toml").exists():
         return
     found = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))

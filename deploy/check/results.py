@@ -179,11 +179,6 @@ SHARES_OF_1 = Limit(lambda values: all(map(SHARE.holds, values)), "numbers from 
 COUNTS = Limit(lambda counts: all(n >= 0 for n in counts.values()), "counts of at least 0")
 
 
-def is_share(value) -> bool:
-    """True if a value is a number from 0 to 1."""
-    return type(value) in (int, float) and 0 <= value <= 1
-
-
 @dataclass(frozen=True)
 class _Sample:
     id: str

@@ -8,12 +8,13 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Iterator, Optional
+from typing import Dict, Iterator, List, Optional
 
 import numpy as np
 
 from ..errors import UserError
 from ..files import locked, write_json
+from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
@@ -21,8 +22,29 @@ from ..targets.registry import answer, refuse_unfit, target_named
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
-KEYS = {"id", "label", "prediction", "scores", "stable_after", "decisions", "spikes", "operations"}
-"""Fields of each sample in the partial file."""
+
+@dataclass(frozen=True)
+class _Answer:
+    """A sample in the partial file."""
+
+    id: str
+    label: int
+    prediction: int
+    scores: List[float]
+    stable_after: Optional[int]
+    decisions: List[int]
+    spikes: Dict[str, int]
+    operations: Dict[str, int]
+
+
+@dataclass(frozen=True)
+class _Record:
+    """A line of the partial file."""
+
+    of: dict
+    first: int
+    seconds: float
+    samples: List[_Answer]
 
 
 def run_check(
@@ -279,9 +301,8 @@ def _resume(file, check, streams):
     for line in file.read().decode("utf-8", "replace").split("\n"):
         try:
             record = json.loads(line)
-        except (ValueError, RecursionError):
-            continue
-        if not _is_record(record):
+            load(_Record, record, extra=True)
+        except (ValueError, RecursionError):  # cut short by an interruption
             continue
         if record["of"] != check:
             others = others or record["of"].get("bundle") == check["bundle"]
@@ -290,16 +311,3 @@ def _resume(file, check, streams):
     if not done and not others:
         file.truncate(0)
     return done
-
-
-def _is_record(value):
-    """True for a valid record of :func:`answered`."""
-    return (
-        isinstance(value, dict)
-        and isinstance(value.get("of"), dict)
-        and isinstance(value.get("first"), int)
-        and isinstance(value.get("seconds"), float)
-        and isinstance(value.get("samples"), list)
-        and all(isinstance(sample, dict) for sample in value["samples"])
-        and all(sample.keys() >= KEYS for sample in value["samples"])
-    )

@@ -15,7 +15,7 @@ from pipeline.commands import options
 from pipeline.data.events import GRID
 from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading
-from pipeline.data.source import export_zip, refuse_to_replace, write_zip
+from pipeline.data.source import refuse_to_replace, write_zip
 from pipeline.data.statistics import (
     facts_of_file,
     facts_with_events,
@@ -138,23 +138,6 @@ def _as_assignments(reading, skip_bad):
             yield from ("--set", f"{name}={str(value).lower()}")
 
 
-def export(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder of recordings, such as that of stmnist live.")
-    ],
-    out: Annotated[Path, typer.Argument(help="The zip to write, in the published layout.")],
-):
-    """Pack a folder of recordings into a zip for --data; the files are not changed.
-
-    An existing file is replaced only if it is a zip of recordings that stmnist has written.
-    """
-    if out.suffix != ".zip":
-        raise UserError(f"{out}: the name must end in .zip")
-    refuse_to_replace(out)
-    n = export_zip(out, folder, progress)
-    show(f"{n} recordings written to {out}")
-
-
 def inspect(
     file: Annotated[Path, typer.Argument(help="One recording: .mat, or a file of events.")],
     time_unit: TimeUnit = Unit.found,
@@ -189,7 +172,7 @@ def simulate_(
     """
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
-    refuse_to_replace(out, simulated=True)
+    refuse_to_replace(out)
     traces = None if handwriting is None else unipen.read(handwriting)
     recordings = load_recordings(
         *(SIMULATED, seed, samples_per_digit),
@@ -213,10 +196,6 @@ def simulate_(
 def stats(
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,
-    against_paper: Annotated[
-        bool,
-        typer.Option("--against-paper", help="Also print the paper's Table 1 and the differences."),
-    ] = False,
     skip_bad: SkipBad = False,
     *,
     reading: ReadingGiven,
@@ -231,8 +210,8 @@ def stats(
     recordings = load_recordings(
         data, seed, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
     )
-    value = table1_json(recordings, against_paper)
-    options.tell(value, lambda _: table1_text(recordings, against_paper), as_json)
+    value = table1_json(recordings)
+    options.tell(value, lambda _: table1_text(recordings), as_json)
 
 
 FIGURES = ("recording", "sheet")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Optional
@@ -11,7 +10,6 @@ import typer
 
 from deploy.check.bundle import read_bundle
 from deploy.check.energy import estimate_energy, estimate_text
-from deploy.check.rates import chip_rates, rate_warnings, rates_text
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import write_arrays
@@ -38,17 +36,7 @@ def plan(
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
     opened = _opened(bundle)
     made = make_plan(opened.spec, chips)
-    images = opened.checks.inputs[: opened.spec.presentation.stream_length]
-    rates = chip_rates(opened.spec, images) if not made.problems else {}
-    if as_json:
-        value = made.to_json()
-        value["firing_rates"] = rates
-        value["warnings"] = value["warnings"] + rate_warnings(rates)
-        show(json.dumps(value, indent=2))
-    else:
-        show(plan_text(made))
-        if rates:
-            show(rates_text(rates, len(images)))
+    options.tell(made.to_json(), lambda _: plan_text(made), as_json)
     if made.problems:
         raise UserError("the network does not fit: " + made.problems[0])
 

@@ -25,7 +25,6 @@ VERBS = {
         {
             "import": "data.import_",
             "inspect": "data.inspect",
-            "export": "data.export",
             "simulate": "data.simulate_",
             "stats": "data.stats",
             "plot": "data.plot",

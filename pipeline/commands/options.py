@@ -30,7 +30,6 @@ from pipeline.run import (
     RunFolder,
     nothing_left_of_a_failure,
     refuse_other_folders,
-    refuse_results,
 )
 
 KEYWORD = Parameter.KEYWORD_ONLY
@@ -285,7 +284,6 @@ def bundle_in(path: Path) -> Path:
     """
     if (path / "MANIFEST.json").exists() or not (path / "experiment.toml").exists():
         return path
-    refuse_results(path)
     if not (path / "bundle").is_dir():
         raise UserError(f"{path}: has no bundle yet; make it with 'stmnist convert {path}'")
     return path / "bundle"

@@ -47,9 +47,6 @@ NAMES = {
 """Names of fields and columns, in upper or lower case, the preferred one first; some include the
 unit."""
 
-ROW_ORDERS = ("xytp", "xypt", "txyp")
-"""Orders of columns in rows of four numbers: Tonic's, that of Tonic's DVS Gesture, DV's."""
-
 MAX_EVENTS = 5_000_000
 """Events of one recording."""
 
@@ -115,8 +112,8 @@ def recording_of(events) -> EventRecording:
     Parameters
     ----------
     events : structured array, array_like of shape (n, 4), dict, or sequence of four arrays
-        A dict has the arrays by name, a sequence in the order x, y, t, p.  The
-        order of rows of four numbers is inferred from the values, see :data:`ROW_ORDERS`.
+        A dict has the arrays by name; a sequence and rows of four numbers have the order x, y,
+        t, p.
 
     Raises
     ------
@@ -189,7 +186,7 @@ def _named(events):
         return dict(zip(ARRAYS, events, strict=True)), ""
     rows = np.asarray(events)
     if rows.ndim == 2 and rows.shape[1] == 4:
-        return dict(zip(_order_of(rows), rows.T, strict=True)), ""
+        return dict(zip(ARRAYS, rows.T, strict=True)), ""
     raise BadRecording(
         f"is an array of shape {rows.shape}, not four arrays x, y, t, p, a structured array or "
         "rows of four numbers"
@@ -206,18 +203,6 @@ def _by_name(names) -> dict:
             raise BadRecording(f"has no array {name!r}; expected x, y, t and p")
         chosen[name] = lower[key]
     return chosen
-
-
-def _order_of(rows):
-    """Determine the order of the columns: the first one that the numbers allow."""
-    if rows.dtype.kind not in "fiub" or rows.dtype.itemsize > 8 or not len(rows):
-        return "xytp"
-    flags = [set(np.unique(column[:1000]).tolist()) <= {-1, 0, 1} for column in rows.T]
-    rising = [bool((np.diff(column.astype(float)) >= 0).all()) for column in rows.T]
-    for order in ROW_ORDERS:
-        if flags[order.index("p")] and rising[order.index("t")]:
-            return order
-    return "xytp"
 
 
 def read_events(content: bytes, name: str = "recording.npz") -> EventRecording:
@@ -303,24 +288,10 @@ def _csv(content):
     if not len(table):
         raise BadRecording("is empty: no events")
     if not has_names:
-        return dict(zip(ARRAYS, table.T, strict=True)) if _in_order(table) else table
+        return table
     if len(words) != table.shape[1]:
         raise BadRecording(f"has {table.shape[1]} columns below {len(words)} names")
     return dict(zip(words, table.T, strict=True))
-
-
-def _in_order(table):
-    """True if four columns without names can be x, y, t and p, the documented order.
-
-    Another order is not inferred from times that are out of order, because x may increase in a
-    recording and the times in another one.
-    """
-    if table.shape[1] != len(ARRAYS):
-        return False
-    x, y, _, p = table.T
-    places = np.stack([x, y])
-    whole = (places >= 0) & (places <= MAX_PLACE) & (places == np.floor(places))
-    return bool(whole.all() and np.isin(p, (-1, 0, 1)).all())
 
 
 def _npz(content):

@@ -249,33 +249,6 @@ def load(path) -> Recordings | None:
             ),
             parts=tuple(arrays["parts"].tolist()),
         )
-        _require_sound(recordings)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise UserError(f"{path}: damaged cache ({error}); {DELETE}") from error
     return recordings
-
-
-def _require_sound(recordings):
-    """Raise a ValueError for indices outside their ranges, which would read other memory."""
-    events, n, offsets = recordings.events, len(recordings), recordings.offsets
-    lengths = {
-        len(recordings.ids),
-        len(recordings.writers),
-        len(recordings.parts),
-        len(offsets) - 1,
-    }
-    if (
-        lengths != {n}
-        or offsets[0] != 0
-        or offsets[-1] != len(events)
-        or (np.diff(offsets) < 0).any()
-    ):
-        raise ValueError("arrays of different lengths")
-    for name, values, most in (
-        ("labels", recordings.labels, len(recordings.sensor.classes)),
-        ("taxels", events.taxel, len(recordings.taxels)),
-        ("rows", recordings.taxels.row, recordings.sensor.rows),
-        ("columns", recordings.taxels.column, recordings.sensor.columns),
-    ):
-        if len(values) and not 0 <= values.min() <= values.max() < most:
-            raise ValueError(f"{name} out of range")

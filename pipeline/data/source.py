@@ -36,7 +36,7 @@ from deploy.terminal import WARNING, printable
 from pipeline.data import sensor
 from pipeline.data.eventfiles import SUFFIXES as EVENT_SUFFIXES
 from pipeline.data.eventfiles import ZIP_TIME, read_events
-from pipeline.data.events import Recordings, Source, TaxelMap, collect
+from pipeline.data.events import Recordings, Source, collect
 from pipeline.data.matfile import (
     LARGEST,
     BadRecording,
@@ -562,15 +562,13 @@ def fingerprint(listing: Listing) -> str:
 # Writing.
 
 
-def refuse_to_replace(path, simulated: bool = False):
-    """Refuse an existing file, unless it is a zip that this program has written.
+def refuse_to_replace(path):
+    """Refuse an existing file, unless it is a zip of simulated recordings written here.
 
     Parameters
     ----------
     path : path-like
         The file to be written.
-    simulated : bool
-        True to refuse also a zip whose recordings are not simulated.
 
     Raises
     ------
@@ -581,11 +579,10 @@ def refuse_to_replace(path, simulated: bool = False):
         return
     with contextlib.suppress(*READ_ERRORS), open_regular(path) as file:
         comment = zipfile.ZipFile(file).comment
-    if comment not in ([SIMULATED_HERE] if simulated else [SIMULATED_HERE, WRITTEN_HERE]):
-        kind = "a zip of simulated recordings" if simulated else "a zip"
+    if comment != SIMULATED_HERE:
         raise UserError(
-            f"{path}: exists and is not {kind} that stmnist has written; choose another name, or "
-            "move it away"
+            f"{path}: exists and is not a zip of simulated recordings that stmnist has written; "
+            "choose another name, or move it away"
         )
 
 
@@ -612,51 +609,6 @@ def write_zip(path, recordings: Recordings, progress=None):
             )
             add(f"{name}.mat", recording_bytes(recording))
             advance(1)
-
-
-def export_zip(path, folder, progress=None) -> int:
-    """Write the files of a folder as a zip in the published layout, without changing them.
-
-    Unlike :func:`write_zip` this preserves the other variables of the files.
-
-    Parameters
-    ----------
-    path : path-like
-        The zip; equal files give equal bytes.
-    folder : path-like
-        A folder or another zip.
-    progress : callable, optional
-        As in :func:`read_source`.
-
-    Returns
-    -------
-    int
-        Number of recordings.
-
-    Raises
-    ------
-    UserError
-        A file is not a recording, or the zip cannot be written.
-    """
-    listing = list_source(folder)
-    if listing.refused:
-        raise SeveralErrors(_refusals(folder, listing.refused, listing.total))
-    lookup, _ = _tables_of(listing)
-    reader, n = _reader(listing.path), len(listing.entries)
-    with _zip(path, simulated=False) as add, _shown(progress, "export", n) as advance:
-        if isinstance(lookup, TaxelMap):
-            add("LUT.mat", lookup_table_bytes(lookup))
-        if listing.positions is not None:
-            add(POSITIONS, reader.read(listing.positions))
-        for entry in listing.entries:
-            try:
-                content = reader.read(entry.member)
-                read_file(entry.member, content)
-            except BadRecording as error:
-                raise UserError(f"{folder}: {entry.member} {error}; move it away") from error
-            add(f"{entry.id}{PurePosixPath(entry.member).suffix}", content)
-            advance(1)
-    return n
 
 
 @contextlib.contextmanager

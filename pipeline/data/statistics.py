@@ -17,7 +17,6 @@ from pipeline.data.matfile import LATEST_S, BadRecording, read_limited
 from pipeline.data.sensor import UNIT_NAMES, recognised, to_ns
 from pipeline.data.source import read_file
 from pipeline.data.words import is_written, shortened_apart
-from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
 
 
 def facts_of(recordings: Recordings) -> dict:
@@ -184,9 +183,6 @@ def file_text(name: str, facts: dict) -> str:
 
 # The paper's Table 1.
 
-MEASURES = ("on", "off", "x_mean", "y_mean", "x_range", "y_range")
-"""Rows of the table, in the paper's order."""
-
 
 def per_sample(recordings) -> dict:
     """The measures of every recording.
@@ -271,37 +267,10 @@ LONGEST_HEAD = 20
 """Characters of a class's name above its column."""
 
 
-def _check(recordings, against_paper):
-    if against_paper and recordings.sensor.classes != DIGITS:
-        raise UserError("--against-paper: the paper's figures are of the digits; leave it out")
-
-
-def is_st_mnist(recordings) -> bool:
-    """True if recordings can be the paper's: not simulated, with its numbers of each digit."""
-    counts = np.bincount(recordings.labels, minlength=10).tolist()
-    return not recordings.source.simulated and counts == list(SAMPLES_PER_DIGIT)
-
-
-def table1_json(recordings, against_paper: bool = False) -> dict:
-    """The table as plain values.
-
-    Parameters
-    ----------
-    recordings : Recordings
-    against_paper : bool
-        Include the paper's figures and the differences relative to them.
-    """
-    _check(recordings, against_paper)
-    digits = {}
-    for digit, row in table(recordings).items():
-        name = recordings.sensor.classes[digit]
-        digits[name] = _plain(row)
-        if against_paper:
-            paper = TABLE1[digit]
-            digits[name]["paper"] = _plain(paper)
-            digits[name]["error"] = _plain(
-                {name: _relative(row[name], paper[name]) for name in MEASURES}
-            )
+def table1_json(recordings) -> dict:
+    """The table as plain values."""
+    names = recordings.sensor.classes
+    digits = {names[digit]: _plain(row) for digit, row in table(recordings).items()}
     return {
         "simulated": recordings.source.simulated,
         "samples": len(recordings),
@@ -309,9 +278,8 @@ def table1_json(recordings, against_paper: bool = False) -> dict:
     }
 
 
-def table1_text(recordings, against_paper: bool = False) -> str:
-    """The table as text; parameters as in :func:`table1_json`."""
-    _check(recordings, against_paper)
+def table1_text(recordings) -> str:
+    """The table as text."""
     ours = table(recordings)
     name = printable(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
@@ -322,18 +290,8 @@ def table1_text(recordings, against_paper: bool = False) -> str:
     for measure, label in (LABELS if written else OWN_LABELS).items():
         decimals = 2 if measure[0] in "xy" else 0
         rows.append([label, *(_cell(row[measure], decimals) for row in ours.values())])
-        if against_paper and measure in MEASURES:
-            paper = {digit: TABLE1[digit][measure] for digit in ours}
-            rows.append(["  paper", *(_cell(pair, decimals) for pair in paper.values())])
-            rows.append(["  error %", *(_error(ours[d][measure], paper[d]) for d in ours)])
     rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
-    if against_paper:
-        rows.append(["  paper", *(str(TABLE1[digit]["samples"]) for digit in ours)])
-    lines = [f"{name}, {len(recordings)} samples: mean (SD)", *in_blocks(rows)]
-    if against_paper and not is_st_mnist(recordings):
-        what = "simulated" if recordings.source.simulated else "others"
-        lines.append(f"The paper's figures are those of ST-MNIST; these recordings are {what}.")
-    return "\n".join(lines)
+    return "\n".join([f"{name}, {len(recordings)} samples: mean (SD)", *in_blocks(rows)])
 
 
 def _plain(row):
@@ -343,14 +301,5 @@ def _plain(row):
     }
 
 
-def _relative(pair, paper):
-    return tuple(value / target - 1 for value, target in zip(pair, paper, strict=True))
-
-
 def _cell(pair, decimals):
     return f"{pair[0]:.{decimals}f} ({pair[1]:.{decimals}f})"
-
-
-def _error(pair, paper):
-    mean, spread = (np.round(100 * error) + 0.0 for error in _relative(pair, paper))  # no -0
-    return f"{mean:+.0f} ({spread:+.0f})"

@@ -20,7 +20,7 @@ from pipeline.data.library import identity_of
 from pipeline.data.splits import RANDOM
 from pipeline.results.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
 from pipeline.roads import road_of
-from pipeline.run import RunFolder, refuse_other_folders, refuse_results, run_around
+from pipeline.run import RunFolder, refuse_other_folders, run_around
 from pipeline.settings import Settings, read_settings
 from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
 
@@ -73,7 +73,6 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
     UserError
         The folder has no run, or is that of a benchmark, or a file of it is damaged.
     """
-    refuse_results(run.path)
     if not run.experiment.is_file():
         refuse_other_folders(run.path)
         raise UserError(

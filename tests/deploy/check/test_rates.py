@@ -7,7 +7,6 @@ import pytest
 
 from deploy.check.rates import (
     firing_rates,
-    rate_summary,
 )
 from tests.deploy.networks import random_checks, small_spec
 
@@ -33,14 +32,3 @@ def test_all_layers_on_the_chip_and_all_samples():
         "conv2": (3, 72),
         "output": (3, 10),
     }
-
-
-def test_summary_by_hand():
-    summary = rate_summary({"a": np.array([[0.0, 100.0], [0.0, 300.0]])})["a"]
-    assert summary["silent"] == 0.5
-    assert summary["mean_hz"] == 200
-    assert summary["max_hz"] == 300
-    assert summary["coarse"] == 0.5
-    # at 1000 / k Hz the next rate down is 1000 / (k + 1): at 250 Hz (k = 4) a fifth lower
-    quarter = rate_summary({"a": np.array([[250.0]])})["a"]
-    assert quarter["step_at_p99"] == pytest.approx(0.2)

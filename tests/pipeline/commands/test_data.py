@@ -2,7 +2,6 @@
 
 import json
 import re
-import zipfile
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from pipeline.data.eventfiles import write_recordings
 from pipeline.data.source import read_source
 from pipeline.settings import Settings, parse_assignments
-from tests.command import call, missing
+from tests.command import call
 from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
@@ -79,18 +78,6 @@ def test_files_that_cannot_be_read_are_left_out_of_statistics_and_figures(tmp_pa
         assert "3/bad.mat" in capsys.readouterr().err
 
 
-def test_stats_against_the_paper(archive, capsys):
-    assert call("data", "stats", "--data", archive, "--against-paper", "--json", "--jobs", 1) == 0
-    row = json.loads(capsys.readouterr().out)["digits"]["8"]
-    assert row["paper"]["on"] == [1399.14, 898.56]
-    assert row["error"]["on"][0] == pytest.approx(row["on"][0] / 1399.14 - 1)
-    assert call("data", "stats", "--data", archive, "--against-paper", "--jobs", 1) == 0
-    text = capsys.readouterr().out
-    assert "simulated" in text
-    assert "1399 (899)" in text
-    assert "OFF" in text
-
-
 @pytest.mark.parametrize("what", ["recording", "sheet"])
 def test_plot(what, archive, tmp_path):
     out = tmp_path / f"{what}.png"
@@ -114,25 +101,3 @@ def test_recorded_handwriting(tmp_path, capsys):
     assert facts["simulated"] is True
     assert "handwriting" in facts["source"]
     assert len(read_source(out, jobs=1)) == 10
-
-
-def test_recordings_that_were_not_simulated_are_not_replaced(archive, tmp_path, capsys):
-    """Neither by simulated ones nor by an export, which replaces what stmnist has written."""
-    theirs, mine, other = (tmp_path / name for name in ("theirs.zip", "mine.zip", "other.zip"))
-    with zipfile.ZipFile(theirs, "w") as file:
-        for name, content in good_members().items():
-            info = zipfile.ZipInfo(name, (2020, 5, 4, 3, 2, 0))
-            file.writestr(info, content)
-    other.write_text("no zip")
-    assert call("data", "export", theirs, mine) == 0
-    few = ("--samples-per-digit", 1, "--jobs", 1)
-    for refused in (["simulate", "--out", theirs, *few], ["simulate", "--out", mine, *few],
-                    ["simulate", "--out", other, *few], ["export", mine, theirs],
-                    ["export", mine, other]):  # fmt: skip
-        before = {path: path.read_bytes() for path in (theirs, mine, other)}
-        assert call("data", *refused) == 2
-        assert missing(capsys.readouterr().err, ".zip: exists") == []
-        assert {path: path.read_bytes() for path in before} == before
-    assert call("data", "export", theirs, mine) == 0
-    assert call("data", "simulate", "--out", archive, *few) == 0
-    assert len(read_source(archive, jobs=1)) == 10

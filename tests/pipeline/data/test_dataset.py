@@ -64,7 +64,7 @@ def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_pat
 
 def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
     settings = dataset.settings
-    image = ("input.kind", "image.aggregation", "image.normalisation")
+    image = tuple(f"image.{name}" for name in vars(Settings().image)) + ("input.kind",)
     seen = dataset.seen_by(settings.only(image))
     assert seen.inputs is dataset.inputs
     signed = settings.with_values({"image": {"aggregation": "signed"}})

@@ -45,10 +45,9 @@ FILES = {
     "long names.npz": npz(x=X.astype(float), y=Y.astype(np.uint8), t=T.astype("f4"), p=P),
     "structured.npz": npz(events=structured()),
     "rows.npz": npz(np.stack([X, Y, T, P], 1)),
-    "rows of DV.npz": npz(np.stack([T, X, Y, P], 1)),
     "structured.npy": npy(structured()),
     "rows.npy": npy(np.stack([X, Y, T, P], 1).astype(float)),
-    "columns first.npy": npy(np.asfortranarray(np.stack([X, Y, P, T], 1))),
+    "columns first.npy": npy(np.asfortranarray(np.stack([X, Y, T, P], 1))),
     "lines.csv": CSV.encode(),
     "named.csv": NAMED_CSV.encode(),
 }
@@ -61,19 +60,6 @@ def test_a_format_is_read(name):
     np.testing.assert_array_equal(read.y, Y)
     np.testing.assert_array_equal(read.polarity, 2 * P - 1)
     np.testing.assert_array_equal(read.time, 1000 * T if read.unit == "us" else T)
-
-
-@pytest.mark.parametrize(("order", "scale"), [("xytp", 1), ("txyp", 1000)])
-def test_the_order_of_columns_without_names(order, scale):
-    """x increases and the times do not: they are no x, unless they are larger than any x."""
-    columns = {"x": [1, 2, 3, 3], "y": [2, 2, 1, 2], "t": [10, 30, 20, 40], "p": [1, 0, 1, 0]}
-    if order == "txyp":
-        columns["t"] = [10, 20, 30, 40]
-    columns["t"] = scale * np.array(columns["t"])
-    rows = np.stack([columns[name] for name in order], 1)
-    read = read_events("\n".join(",".join(map(str, row)) for row in rows).encode(), "a.csv")
-    assert sorted(read.x) == columns["x"]
-    assert sorted(read.time) == sorted(columns["t"])
 
 
 @pytest.mark.parametrize(("suffix", "version"), [

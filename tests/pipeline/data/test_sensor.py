@@ -78,14 +78,6 @@ def test_a_clock_that_runs_since_1970(tmp_path):
     assert read.sensor.duration_s < 2
 
 
-def test_mixed_units(tmp_path):
-    members = own()
-    name = min(members)
-    x, y, t, p = gestures(1)[0][0]
-    (line,) = refused(tmp_path, {**members, name: npz(x=x, y=y, t=t, p=p)})
-    assert missing(line, "1 of 16 ", name, "time") == []
-
-
 def test_a_sensor_with_too_many_pixels_is_downsampled(tmp_path):
     members = own(x=lambda x: 100 * x, y=lambda y: 40 * y)
     (line,) = refused(tmp_path, members)

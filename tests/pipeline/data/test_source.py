@@ -12,13 +12,12 @@ from deploy.files import sha256_of
 from pipeline.data import source
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
-from pipeline.data.matfile import MatRecording, lookup_table_bytes, read_recording, recording_bytes
-from pipeline.data.source import export_zip, list_source, read_source, refuse_to_replace, write_zip
+from pipeline.data.matfile import lookup_table_bytes
+from pipeline.data.source import list_source, read_source, refuse_to_replace, write_zip
 from tests.pipeline.handmade import (
     archive,
     assert_same,
     encrypt,
-    events,
     good_members,
     mat5,
     npz,
@@ -212,7 +211,6 @@ def test_a_published_split_with_something_else(tmp_path, more, fact):
     ("how", "fact"),
     [
         ({"taxels": 12}, "sensors: train has 1 x 7 taxels, test has 1 x 12 taxels"),
-        ({"signs": (1,)}, "polarities: train has ON and OFF events, test has ON events"),
         ({"t": 1000 * np.arange(7)}, "units of time"),
     ],
 )
@@ -246,8 +244,6 @@ def test_positions_of_taxels_in_one_row(tmp_path):
     cached = [load_recordings(str(tmp_path / "s.zip"), jobs=1) for _ in range(2)]
     assert_same(*cached)
     assert_same(cached[1], read)
-    assert export_zip(tmp_path / "out.zip", tmp_path / "s.zip") == 6
-    assert_same(read_source(tmp_path / "out.zip", jobs=1), read, source=False)
     inside = {f"data/{name}": content for name, content in files.items()}
     assert read_source(put(tmp_path / "in.zip", inside), jobs=1).taxels.positions is not None
     assert recordings([]).taxels.positions is None
@@ -295,30 +291,11 @@ def source_with_ids(made):
     return made
 
 
-def test_an_export_keeps_the_files(tmp_path):
-    content = recording_bytes(MatRecording(events(), writer=4))
-    put(tmp_path / "mine", {f"{digit}/{i}.mat": content for digit in "37" for i in (0, 1)})
-    assert export_zip(tmp_path / "out.zip", tmp_path / "mine") == 4
-    with zipfile.ZipFile(tmp_path / "out.zip") as file:
-        assert file.read("data_submission/7/1.mat") == content
-        assert "data_submission/LUT.mat" not in file.namelist()
-    assert read_recording(content).writer == 4
-    put(tmp_path / "mine", {"3/bad.mat": b"bad"})
-    with pytest.raises(UserError, match=r"mine: 3/bad\.mat .*move it away"):
-        export_zip(tmp_path / "other.zip", tmp_path / "mine")
-    assert not (tmp_path / "other.zip").exists()
-
-
 def test_only_what_was_written_here_is_replaced(tmp_path):
     path = tmp_path / "out.zip"
     refuse_to_replace(path)
     write_zip(path, recordings([(0, 1, 1, 1)], labels=[0]))
-    refuse_to_replace(path, simulated=True)
-    put(tmp_path / "mine", members())
-    export_zip(path, tmp_path / "mine")
     refuse_to_replace(path)
-    with pytest.raises(UserError, match=r"out\.zip: exists .*simulated"):
-        refuse_to_replace(path, simulated=True)
     for content in (b"mine", b""):
         path.write_bytes(content)
         with pytest.raises(UserError, match=r"out\.zip: exists"):

@@ -1,7 +1,6 @@
 """The paper's Table 1."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from scipy.io import loadmat
 from pipeline.data import statistics
 from pipeline.data.events import Events, Source, TaxelMap, collect
 from pipeline.data.matfile import read_recording
-from pipeline.paper import SAMPLES_PER_DIGIT, TABLE1
+from pipeline.paper import TABLE1
 
 SOURCE = Source("by hand", "", False)
 
@@ -59,15 +58,6 @@ def test_the_one_real_recording(real_recording):
     assert measures["y_range"] == np.ptp(rows // 10)
 
 
-def test_st_mnist_is_recorded_and_has_as_many_of_each_digit_as_published():
-    labels = np.repeat(np.arange(10), SAMPLES_PER_DIGIT)
-    simulated = Source("simulated", "", True)
-    assert statistics.is_st_mnist(SimpleNamespace(labels=labels, source=SOURCE))
-    assert not statistics.is_st_mnist(SimpleNamespace(labels=labels[1:], source=SOURCE))
-    assert not statistics.is_st_mnist(SimpleNamespace(labels=labels, source=simulated))
-
-
 def test_the_papers_table():
     assert sum(row["samples"] for row in TABLE1.values()) == 6953
     assert TABLE1[2]["x_mean"] == (6.57, 0.70)
-    assert all(set(row) == {*statistics.MEASURES, "samples"} for row in TABLE1.values())

@@ -14,7 +14,6 @@ from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.results import sweep
 from pipeline.roads import EventRoad, ImageRoad
-from pipeline.run import refuse_results
 from pipeline.settings import Settings, read_settings
 from tests.command import call
 
@@ -130,8 +129,6 @@ def test_a_small_sweep(tiny_sweep):
     assert (len(points), len(list((tiny_sweep / "rows").iterdir()))) == (4, 8)
     assert len(list((tiny_sweep / "networks" / "cnn").iterdir())) == 1
     assert len(list((tiny_sweep / "networks" / "snn").iterdir())) == 2
-    with pytest.raises(UserError, match="not of a run"):
-        refuse_results(tiny_sweep)
     assert all(p["simulated"] is True for p in points)
     assert {p["n_samples"] for p in points} == {48}  # 15 % of 320
     assert any(p["pareto"] for p in points)
