@@ -235,7 +235,6 @@ def train_events(
     validation=(),
     checkpoint: Checkpoint | None = None,
     advance=None,
-    start: dict | None = None,
 ) -> TrainedOnEvents:
     """Train a network on events.
 
@@ -256,9 +255,6 @@ def train_events(
         same result as without the interruption.
     advance : callable, optional
         ``advance(1, note)`` after each epoch, including those of an earlier session.
-    start : dict, optional
-        Weights to begin with, by the names of :meth:`models.spiking.SpikingNetwork.get_weights`;
-        default: random ones, drawn with the seed.
 
     Returns
     -------
@@ -273,7 +269,7 @@ def train_events(
     train = train[np.diff(table.offsets)[train] > 0]
     if not len(train):
         raise UserError("no training sample has an event; give other recordings")
-    trainer = _Trainer(recipe, table, np.asarray(labels), train, seed, start)
+    trainer = _Trainer(recipe, table, np.asarray(labels), train, seed)
     history = train_epochs(
         trainer.epoch,
         recipe.epochs,
@@ -380,7 +376,7 @@ def _now(variables):
 class _Trainer:
     """The network, the optimiser, the running mean of the weights, and the compiled steps."""
 
-    def __init__(self, recipe, table, labels, train, seed, start=None):
+    def __init__(self, recipe, table, labels, train, seed):
         make_deterministic(seed)
         self.recipe, self.table, self.labels, self.seed = recipe, table, labels, seed
         self.train = train
@@ -399,10 +395,7 @@ class _Trainer:
             global_clipnorm=5.0,
         )
         self.optimizer.build(self.variables)
-        if start is None:
-            self._calibrate()
-        else:
-            self.network.set_weights(start)
+        self._calibrate()
         self.mean = [tf.Variable(variable) for variable in self.variables]
         samples = recipe.batch_size
         given = (
