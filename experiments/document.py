@@ -4,10 +4,11 @@
 current.  Tables and figures come from the files in ``results/``:
 
 - ``<!-- NAME: written by python -m experiments document -->`` begins a table of ``results/NAME``,
-  or ``commands``, or ``settings``; ``<!-- end of NAME -->`` ends it;
+  or ``commands``, ``settings`` or ``api``; ``<!-- end of NAME -->`` ends it.  Tables of real touch
+  say how to measure them where there is no such file;
 - ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->`` has one value of a file: each word of
-  the path is a key of an object, or the name of an entry of a list (``name``, ``a``, ``network``);
-  the format is Python's, with ``100*`` before it for points.
+  the path (in quotes, if it has blanks) is a key of an object, or the name of an entry of a list
+  (``name``, ``a``, ``network``); the format is Python's, with ``100*`` before it for points.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import shlex
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Optional
@@ -42,7 +44,19 @@ def commands() -> str:
     """Every command with its arguments and options, as Markdown."""
     from pipeline.commands.main import with_every_verb
 
-    return "\n".join(_sections(with_every_verb(), "stmnist", 2))
+    command = with_every_verb()
+    seen = [_help_of(p) for p in _parameters(command)]
+    common = {one for one in seen if seen.count(one) > 3}
+    lines = ["\n## Options of several commands\n"]
+    lines += [f"- `{name}`: {text}" for name, text in dict.fromkeys(seen) if (name, text) in common]
+    return "\n".join([*lines, *_sections(command, "stmnist", 2, common)])
+
+
+def api() -> str:
+    """Every public name, for mkdocstrings, as Markdown: a heading for each module."""
+    return "\n\n".join(
+        f"::: {module}.{name}" for module, names in stmnist.PLACES.items() for name in sorted(names)
+    )
 
 
 def settings() -> str:
@@ -65,8 +79,10 @@ def part(name: str) -> str:
     UserError
         There is no such result.
     """
-    if name in ("commands", "settings"):
+    if name in ("commands", "settings", "api"):
         return globals()[name]()
+    if name.startswith("real-touch") and not (studies.RESULTS / f"{name}.json").exists():
+        return "Not measured yet."
     if name.endswith("-brief"):
         return brief(result(name.removesuffix("-brief")))
     content = result(name)
@@ -141,7 +157,7 @@ def figure(address: str) -> str:
     ValueError
         The result has no such value.
     """
-    name, *path, layout = address.split()
+    name, *path, layout = shlex.split(address)
     try:
         value = result(name)
         for word in path:
@@ -160,23 +176,41 @@ def _entry(value, word):
     return next(e for e in value if word in (e.get("name"), e.get("a"), e.get("network")))
 
 
-def _sections(command, words, depth):
+def _parameters(command):
+    if hasattr(command, "commands"):
+        for below in command.commands.values():
+            yield from _parameters(below)
+    else:
+        yield from command.params
+
+
+def _help_of(parameter):
+    """Name and meaning of an argument or an option."""
+    if parameter.param_type_name == "argument":
+        name = parameter.name.upper()
+    else:
+        name = ", ".join([*parameter.opts, *parameter.secondary_opts])
+    return name, " ".join((parameter.help or "").split())
+
+
+def _sections(command, words, depth, common):
     summary = _plain(command.help)
     if hasattr(command, "commands"):
         if depth > 2:  # the top command has its own title
             yield f"\n{'#' * (depth - 1)} {words}\n\n{summary}"
         for name, below in command.commands.items():
-            yield from _sections(below, f"{words} {name}", depth + 1)
+            yield from _sections(below, f"{words} {name}", depth + 1, common)
         return
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     usage = " ".join([words, *(p.name.upper() for p in arguments)])
     yield f"\n{'#' * (depth - 1)} {words}\n\n`{usage}`\n\n{summary}\n"
-    for parameter in command.params:
-        if parameter.param_type_name == "argument":
-            name = parameter.name.upper()
-        else:
-            name = ", ".join([*parameter.opts, *parameter.secondary_opts])
-        yield f"- `{name}`: {' '.join((parameter.help or '').split())}"
+    parameters = [_help_of(p) for p in command.params]
+    for name, text in parameters:
+        if (name, text) not in common:
+            yield f"- `{name}`: {text}"
+    also = [f"`{name}`" for name, text in parameters if (name, text) in common]
+    if also:
+        yield f"- also: {', '.join(also)}"
 
 
 def _plain(text):
