@@ -24,7 +24,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Install the versions pinned in constraints.txt into .venv (2.6 GB)
@@ -68,6 +68,9 @@ live: setup  ## Write digits in the browser (RUN: its network; PORT; RECORD: fol
 shipped-bundle: setup  ## Train the network that comes with the package, in pipeline/live/bundle, again
 	@$(STMNIST) convert runs/shipped --settings pipeline/live/shipped.toml --jobs $(JOBS)
 	@rm -rf pipeline/live/bundle && cp -r runs/shipped/bundle pipeline/live/bundle
+
+docs: setup  ## Build the documentation site, build/site, and fail on broken links
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 test: setup  ## Run the tests, on at most four cores
 	@$(BIN)/python -m pytest $(ON_ALL_CORES)

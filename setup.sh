@@ -74,5 +74,5 @@ install() { # only what needs no compiler; what pip said of a failure in one lin
 # it is built with the one that is pinned here.
 install setuptools wheel
 install --no-build-isolation -e ./fastloihi
-install --no-build-isolation -e '.[dev,nir,cluster,live,cameras]'
+install --no-build-isolation -e '.[dev,docs,cluster,live,cameras]'
 echo "$(version_of "$venv/bin/python") $pins" >"$venv/installed"

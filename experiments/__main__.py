@@ -14,6 +14,7 @@ OTHERS = {
     "recurrent": ("recurrent", "A recurrent network from snnTorch on the emulator", "15 min"),
     "calibration": ("calibration", "Fit the simulation to the paper's Table 1", "10 min"),
     "handwriting": ("handwriting", "Estimate the model of handwriting", "1 min"),
+    "tutorials": ("tutorials", "Execute the notebooks of the tutorials", "5 min"),
     "document": ("document", "Write commands, settings and results into README and docs", "5 s"),
 }
 """Experiments that are no list of cases: module, what it does, expected time."""

@@ -23,6 +23,7 @@ from typing import Annotated, Optional
 
 import typer
 
+import stmnist
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
 from experiments import adapt, speed, studies
@@ -208,7 +209,7 @@ def _sections(command, words, depth, common):
     for name, text in parameters:
         if (name, text) not in common:
             yield f"- `{name}`: {text}"
-    also = [f"`{name}`" for name, text in parameters if (name, text) in common]
+    also = [f"`{n}`" for n, text in parameters if (n, text) in common and n.startswith("-")]
     if also:
         yield f"- also: {', '.join(also)}"
 

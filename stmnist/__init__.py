@@ -24,7 +24,7 @@ import sys
 PACKAGES = ("deploy", "models", "pipeline")
 """Packages of this distribution, beside this one."""
 
-_PLACES = {
+PLACES = {
     "deploy.check.bundle": ("CheckSet", "read_bundle", "write_bundle"),
     "deploy.check.energy": ("estimate_energy", "estimate_text"),
     "deploy.check.results": ("compare_results", "read_result"),
@@ -57,7 +57,7 @@ _PLACES = {
 _BEFORE = {"fastloihi": "deploy.network.loihi_import"}
 """Modules to import before others: NengoLoihi is imported without TensorFlow."""
 
-_MODULE_OF = {name: module for module, names in _PLACES.items() for name in names}
+_MODULE_OF = {name: module for module, names in PLACES.items() for name in names}
 
 __all__ = sorted(_MODULE_OF)
 
