@@ -119,7 +119,7 @@ def markdown(cells) -> str:
     """A table of text, the heads first."""
     heads, *rows = cells
     lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return "\n".join(f"|{'|'.join(line)}|" for line in lines)
 
 
 def with_parts(text: str) -> str:
