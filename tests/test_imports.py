@@ -38,7 +38,7 @@ ALLOWED = {
     "models": {"models", "deploy"},
     "deploy": {"deploy"},
     "pipeline": {"pipeline", "models", "deploy"},
-    "experiments": {"experiments", "pipeline", "models", "deploy"},
+    "experiments": {"stmnist", "experiments", "pipeline", "models", "deploy"},
     "stmnist": {"stmnist"},  # and loads all others by their names, when it is asked for them
 }
 
