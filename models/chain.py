@@ -6,7 +6,7 @@ deployed network of any of them:
 
 ===================================  =============================================================
 :func:`from_rates`                   a network trained on images with rate-based neurons
-:func:`from_integers`                a network trained on events in the chip's integers
+:func:`~models.integers.from_integers`                a network trained on events in the chip's integers
 :func:`models.nir_chain.from_nir`    a NIR graph; :func:`models.integers.in_integers` rounds it
 ===================================  =============================================================
 
@@ -214,35 +214,6 @@ def from_rates(
         bias = 1 + gain * (output.bias - threshold)
         output = spiking(output, rate, gain * output.weights, bias)
     return (*chain, output)
-
-
-def from_integers(
-    architecture: Architecture, weights: dict, integers: dict, starts: tuple = (0,)
-) -> tuple:
-    """The chain of a network trained in the chip's integers, with a linear readout.
-
-    Parameters
-    ----------
-    architecture : Architecture
-    weights : dict
-        With ``"output.kernel"``; the output has no bias.
-    integers : dict of str to models.integers.Integers
-        The integers of each layer of neurons, by its name.
-    starts : tuple of int
-        First step of each part of a sample that has readout weights of its own, in the trained
-        network, where spikes reach the readout at once.
-
-    Returns
-    -------
-    tuple of Link
-    """
-    from models.integers import on_loihi
-
-    *hidden, output = links_of(architecture, {"output.kernel": weights["output.kernel"]})
-    # On the chip, the relay and each layer of neurons take a step.
-    arrive = (0, *(first + len(hidden) + 1 for first in starts[1:]))
-    output = replace(output, starts=arrive)
-    return (*(on_loihi(link, integers[link.name]) for link in hidden), output)
 
 
 def deployed(

@@ -17,7 +17,8 @@ from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.network.geometry import windows
 from deploy.network.spec import Neurons
-from models.chain import Link
+from models.architecture import Architecture
+from models.chain import Link, links_of
 
 WEIGHT_LEVELS = LOIHI.weight_levels
 """Largest magnitude of an 8-bit weight that may have either sign."""
@@ -133,6 +134,33 @@ def _sum_of_decays(keep):
     steps = -np.log1p(start * (1 - r) / lost) / np.log(r)
     geometric = (1 - r ** (steps + 1)) / (1 - r)
     return geometric - lost / ((1 - r) * start) * (steps + 1 - geometric)
+
+
+def from_integers(
+    architecture: Architecture, weights: dict, integers: dict, starts: tuple = (0,)
+) -> tuple:
+    """The chain of a network trained in the chip's integers, with a linear readout.
+
+    Parameters
+    ----------
+    architecture : Architecture
+    weights : dict
+        With ``"output.kernel"``; the output has no bias.
+    integers : dict of str to Integers
+        The integers of each layer of neurons, by its name.
+    starts : tuple of int
+        First step of each part of a sample that has readout weights of its own, in the trained
+        network, where spikes reach the readout at once.
+
+    Returns
+    -------
+    tuple of Link
+    """
+    *hidden, output = links_of(architecture, {"output.kernel": weights["output.kernel"]})
+    # On the chip, the relay and each layer of neurons take a step.
+    arrive = (0, *(first + len(hidden) + 1 for first in starts[1:]))
+    output = replace(output, starts=arrive)
+    return (*(on_loihi(link, integers[link.name]) for link in hidden), output)
 
 
 # --- simulation -----------------------------------------------------------------------------------

@@ -82,9 +82,9 @@ def measure_ladder(
         return state.record
     seen = opened.restricted(bundle.spec.provenance["made_from"]["settings"])
     with progress("compare layers", len(bundle.checks)) as advance:
-        layers, points = seen.road.rates(seen, bundle, advance)
-    table = ladder_json(results, layers, left_out, opened.dataset.recordings.sensor.classes)
-    return artifact.write({**table, "rates": points})
+        layers = seen.road.fidelity(seen, bundle, advance)
+    classes = opened.dataset.recordings.sensor.classes
+    return artifact.write(ladder_json(results, layers, left_out, classes))
 
 
 def ladder_artifact(run: RunFolder, results, whole: bool = False) -> Artifact:

@@ -12,7 +12,7 @@ from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, Stimulus
 from models import chain
 from models.architecture import parse
-from models.integers import in_integers
+from models.integers import from_integers, in_integers
 from models.nir_chain import from_nir
 from models.nir_graph import NirNetwork
 from pipeline.data.dataset import Dataset, require_images_fit
@@ -92,7 +92,7 @@ def spec_of_events(
 
     architecture = parse(recipe.architecture)
     integers = network_of(recipe, weights).integers()
-    links = chain.from_integers(architecture, weights, integers, recipe.starts)
+    links = from_integers(architecture, weights, integers, recipe.starts)
     estimator = Estimator.from_arrays(weights, architecture.outputs)
     stimulus = EventFrames(recipe.step_ms / 1000, recipe.rest)
     return chain.deployed(links, stimulus, presentation, provenance, estimator)

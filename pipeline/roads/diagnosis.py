@@ -102,33 +102,6 @@ def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
     ]
 
 
-POINTS = 300
-"""Number of pairs of rates that are stored for each layer."""
-
-
-def rate_points(trained: dict, chip: dict) -> dict:
-    """Rates in the trained network and on the chip, of neurons and samples drawn at random.
-
-    Parameters
-    ----------
-    trained, chip : dict of str to ndarray, shape (n_samples, n_neurons)
-        In spikes per second.
-
-    Returns
-    -------
-    dict of str to list of [float, float]
-        At most :data:`POINTS` pairs for each layer of ``trained``, of neurons that fire on the
-        sample in one of the networks.
-    """
-    points, rng = {}, np.random.default_rng(0)
-    for name, expected in trained.items():
-        pairs = np.stack([np.ravel(expected), np.ravel(chip[name])], axis=1)
-        firing = np.flatnonzero((pairs > 0).any(axis=1))
-        chosen = rng.choice(firing, min(POINTS, len(firing)), replace=False)
-        points[name] = pairs[chosen].round(2).tolist()
-    return points
-
-
 def least_faithful(layers: list) -> str:
     """Name of the layer with the lowest correlation, where a constant layer counts as lowest."""
     return min(

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.check.rates import firing_rates
 from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
@@ -28,7 +27,6 @@ from pipeline.roads.architectures import (
     operations_of_input,
 )
 from pipeline.roads.conversion import deployed_on_events
-from pipeline.roads.diagnosis import rate_points
 from pipeline.roads.image import training_versions
 from pipeline.roads.road import (
     Part,
@@ -176,18 +174,6 @@ class EventRoad(Road):
     def spec(self, opened, provenance):
         confidence = confidence_of(opened.artifact("threshold"))
         return deployed_on_events(self.settings, opened.weights("events"), confidence, provenance)
-
-    def rates(self, opened, bundle, advance=None):
-        from pipeline.training.events import TrainedOnEvents
-
-        spec, inputs = bundle.spec, bundle.checks.inputs
-        start = spec.presentation.readout_start
-        chip = firing_rates(spec, inputs, self.settings.seed, start, advance)
-        frames = inputs.astype(np.uint8)
-        spikes = TrainedOnEvents.of(self.settings, opened.weights("events")).answers(frames).spikes
-        seconds = frames.shape[1] * spec.stimulus.step_seconds
-        trained = {name: counts / seconds for name, counts in spikes.items()}
-        return None, rate_points(trained, chip)
 
     def choices(self, recordings):
         settings, default = self.settings, Settings().events

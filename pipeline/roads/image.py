@@ -20,7 +20,6 @@ from pipeline.roads.diagnosis import (
     activity,
     fastest_rate,
     layers_json,
-    rate_points,
     training_lines,
 )
 from pipeline.roads.imported import Imported
@@ -217,18 +216,14 @@ class ImageRoad(Road):
         weights = opened.weights("rate-lif")
         return deployed(self.settings, weights, provenance, opened.dataset.part("train"))
 
-    def rates(self, opened, bundle, advance=None):
+    def fidelity(self, opened, bundle, advance=None):
         from pipeline.training.networks import TrainedRates
 
         spec, inputs = bundle.spec, bundle.checks.inputs
         start = spec.presentation.readout_start
         rates = firing_rates(spec, inputs, self.settings.seed, start, advance)
         activations = TrainedRates(self.settings, opened.weights("rate-lif")).activations(inputs)
-        fastest = {
-            layer.name: 1 / layer.neurons.amplitude for layer in spec.layers if layer.neurons
-        }
-        trained = {name: values * fastest[name] for name, values in activations.items()}
-        return layers_json(spec, rates, activations), rate_points(trained, rates)
+        return layers_json(spec, rates, activations)
 
     def choices(self, recordings):
         settings, default = self.settings, Settings()

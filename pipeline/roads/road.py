@@ -211,17 +211,15 @@ class Road:
         """
         raise NotImplementedError
 
-    def rates(self, opened, bundle: Bundle, advance=None) -> tuple:
+    def fidelity(self, opened, bundle: Bundle, advance=None) -> list | None:
         """Compare the firing rates on the chip with those of the trained network.
 
         Returns
         -------
-        layers : list of dict or None
+        list of dict or None
             See :func:`pipeline.roads.diagnosis.layers_json`; None without a network with rates.
-        points : dict of str to list
-            See :func:`pipeline.roads.diagnosis.rate_points`.
         """
-        return None, {}
+        return None
 
     def choices(self, recordings: Recordings) -> tuple:
         """Choose settings that have their defaults, for the recordings.

@@ -91,8 +91,4 @@ def test_a_runs_metrics_and_ladder_hold_the_diagnosis(tiny_run):
     # Activations and firing rates are of the same neurons in the same order, or this is near 0.
     assert all(layer["correlation"] > 0.6 for layer in ladder["layers"])
     assert ladder["least_faithful_layer"] in neurons
-    for name, points in ladder["rates"].items():
-        trained, chip = np.transpose(points)
-        assert len(points) > 100
-        assert np.corrcoef(trained, chip)[0, 1] > 0.5, name
     assert ladder["bundle"] == read_result(tiny_run / "checks" / "emulator.json")["bundle"]
