@@ -4,11 +4,11 @@ A link is one linear map and the neurons after it, which the chip computes as on
 before the map is part of the link.  These functions make chains, and :func:`deployed` makes the
 deployed network of any of them:
 
-===================================  =============================================================
-:func:`from_rates`                   a network trained on images with rate-based neurons
-:func:`~models.integers.from_integers`                a network trained on events in the chip's integers
-:func:`models.nir_chain.from_nir`    a NIR graph; :func:`models.integers.in_integers` rounds it
-===================================  =============================================================
+=======================================  =========================================================
+:func:`from_rates`                       a network trained on images with rate-based neurons
+:func:`models.integers.from_integers`    a network trained on events in the chip's integers
+:func:`models.nir_chain.from_nir`        a NIR graph; :func:`models.integers.in_integers` rounds it
+=======================================  =========================================================
 
 A user's Keras model becomes an architecture and weights (:mod:`models.keras_model`), from which
 rate-based neurons are made.

@@ -249,7 +249,7 @@ class SNN(Section):
 
 @dataclass(frozen=True)
 class NIR(Section):
-    """A NIR graph that replaces the trained network; see :mod:`pipeline.roads.nir_import`."""
+    """A NIR graph that replaces the trained network; see :mod:`pipeline.roads.nir`."""
 
     file: str = ""
     """A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for

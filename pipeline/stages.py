@@ -39,8 +39,7 @@ from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.roads import Road, road_of
 from pipeline.roads.fitting import fitted, new_run_text, split_text
-from pipeline.roads.nir_import import refuse_early
-from pipeline.roads.nir_settings import settings_of_nir
+from pipeline.roads.nir import refuse_early, settings_of_nir
 from pipeline.roads.own_model import settings_of_model
 from pipeline.roads.road import read_weights
 from pipeline.run import RunFolder

@@ -45,7 +45,7 @@ PLACES = {
     "pipeline.results.report": ("write_report",),
     "pipeline": ("stages",),
     "pipeline.results.compare": ("compare_runs", "read_runs", "runs_text"),
-    "pipeline.roads.conversion": ("deployed",),
+    "pipeline.roads.image": ("deployed",),
     "pipeline.roads.fitting": ("fitted",),
     "pipeline.run": ("RunFolder",),
     "pipeline.results.ladder": ("ladder_text", "measure_ladder"),

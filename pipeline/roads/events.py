@@ -11,7 +11,11 @@ import numpy as np
 from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import EventFrames
+from models import chain
 from models.architecture import parse
+from models.integers import from_integers
 from pipeline.artifacts import DELETE_IT
 from pipeline.data.altering import augmentation_for, is_handwriting
 from pipeline.data.dataset import Dataset, event_warnings
@@ -26,7 +30,6 @@ from pipeline.roads.architectures import (
     is_for,
     operations_of_input,
 )
-from pipeline.roads.conversion import deployed_on_events
 from pipeline.roads.image import training_versions
 from pipeline.roads.road import (
     Part,
@@ -172,8 +175,11 @@ class EventRoad(Road):
         return metrics
 
     def spec(self, opened, provenance):
-        confidence = confidence_of(opened.artifact("threshold"))
-        return deployed_on_events(self.settings, opened.weights("events"), confidence, provenance)
+        from pipeline.training.events import EventRecipe
+
+        shown = self.settings.presented(confidence_of(opened.artifact("threshold")))
+        recipe = EventRecipe.of(self.settings)
+        return spec_of_events(recipe, opened.weights("events"), shown, provenance)
 
     def choices(self, recordings):
         settings, default = self.settings, Settings().events
@@ -217,6 +223,33 @@ class EventRoad(Road):
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings)
+
+
+def spec_of_events(
+    recipe, weights: dict, presentation: Presentation, provenance: dict
+) -> NetworkSpec:
+    """Describe the spiking network trained on events.
+
+    NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
+    recipe, independently of the recording time that it represents.
+
+    Parameters
+    ----------
+    recipe : pipeline.training.events.EventRecipe
+    weights : dict
+        Weights of a :class:`pipeline.training.events.TrainedOnEvents`.
+    presentation : Presentation
+    provenance : dict
+        Stored in the bundle.
+    """
+    from pipeline.training.events import network_of  # imports TensorFlow
+
+    architecture = parse(recipe.architecture)
+    integers = network_of(recipe, weights).integers()
+    links = from_integers(architecture, weights, integers, recipe.starts)
+    estimator = Estimator.from_arrays(weights, architecture.outputs)
+    stimulus = EventFrames(recipe.step_ms / 1000, recipe.rest)
+    return chain.deployed(links, stimulus, presentation, provenance, estimator)
 
 
 def event_samples(dataset: Dataset, seed: int) -> EventSamples:

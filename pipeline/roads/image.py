@@ -9,22 +9,23 @@ from dataclasses import asdict
 from deploy.check.rates import firing_rates
 from deploy.errors import UserError
 from deploy.files import copy_file
+from deploy.network.spec import NetworkSpec
+from models import chain
 from models.architecture import parse
 from pipeline.data.altering import augmentation_for
 from pipeline.data.dataset import require_images_fit
 from pipeline.data.images import AlteredImages, typical_duration_ms
 from pipeline.roads import counts
 from pipeline.roads.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
-from pipeline.roads.conversion import deployed
 from pipeline.roads.diagnosis import (
     activity,
     fastest_rate,
     layers_json,
     training_lines,
 )
-from pipeline.roads.imported import Imported
 from pipeline.roads.own_model import GIVE_MODEL_AGAIN, copy_of_model, take_over
 from pipeline.roads.road import (
+    Imported,
     Part,
     Reference,
     Road,
@@ -36,7 +37,6 @@ from pipeline.roads.road import (
     write_network,
 )
 from pipeline.settings import Image, Settings
-from pipeline.training.threads import one_thread_each
 
 
 def training_versions() -> dict:
@@ -164,7 +164,6 @@ class ImageRoad(Road):
     @staticmethod
     def _cnn(opened, artifact):
         """Train the CNN, or read the user's own."""
-        one_thread_each()
         settings, dataset = opened.settings, opened.dataset
         if settings.cnn.model:
             path, trained, notes = take_over(artifact.folder, settings, dataset)
@@ -190,7 +189,6 @@ class ImageRoad(Road):
     @staticmethod
     def _matched(opened, artifact):
         """Train the CNN further, as the rate-based network is trained."""
-        one_thread_each()
         from pipeline.training.networks import train_matched
 
         _, metrics = _trained_further("cnn-matched", train_matched, opened, artifact)
@@ -200,7 +198,6 @@ class ImageRoad(Road):
     @staticmethod
     def _rates(opened, artifact):
         """Train the rate-based LIF network, starting from the CNN."""
-        one_thread_each()
         from pipeline.training.networks import train_rate_network
 
         trained, metrics = _trained_further("rate-lif", train_rate_network, opened, artifact)
@@ -262,6 +259,41 @@ class ImageRoad(Road):
     def require_usable(self, opened):
         if self.settings.cnn.model and not opened.artifact("cnn").state().is_current:
             take_over(opened.artifact("cnn").folder, self.settings, opened.dataset)
+
+
+def deployed(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
+    """Describe the spiking network on images with the given weights.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        Weights of the rate-based network.
+    provenance : dict
+        Stored in the bundle.
+    data : (images, labels)
+        Training samples, which determine the range of a readout on the chip.
+
+    Raises
+    ------
+    UserError
+        The images cannot be presented to this network.
+    """
+    images, labels = data
+    require_images_fit(images, settings)
+    range_of = None
+    if settings.deployment.readout == "chip":
+        from pipeline.training.networks import TrainedRates
+
+        range_of = TrainedRates(settings, weights).logits(images), labels
+    return to_spec(settings, weights, provenance, range_of)
+
+
+def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:
+    """As :func:`deployed`; ``range_of`` is that of :func:`models.chain.from_rates`."""
+    architecture, synapse = parse(settings.cnn.architecture), settings.deployment.synapse
+    links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
+    return chain.deployed(links, settings.stimulus, settings.presented(), provenance)
 
 
 def _trained_further(name, function, opened, artifact):

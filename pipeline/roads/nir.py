@@ -1,18 +1,64 @@
-"""The road of networks that were trained elsewhere and come as a NIR graph."""
+"""The road of networks that were trained elsewhere and come as a NIR graph.
+
+The run has a copy of the graph, ``snn/network.nir``, from which everything else is made.
+"""
 
 from __future__ import annotations
 
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from models.nir_graph import read_nir
-from pipeline.data.dataset import event_warnings, require_images_fit
+from deploy.files import copy_file, sha256_of
+from deploy.network.chip import LOIHI
+from deploy.network.decision import choose_threshold, delayed
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import Stimulus, last_steps
+from models import chain
+from models.integers import in_integers, rounded
+from models.nir_chain import from_nir
+from models.nir_graph import NirNetwork, read_nir
+from pipeline import paper
+from pipeline.data.dataset import Dataset, event_warnings, require_images_fit
+from pipeline.data.splits import Split
+from pipeline.progress import progress
 from pipeline.roads import counts
-from pipeline.roads.conversion import deployed_nir
-from pipeline.roads.events import confidence_of, presentation_choices
-from pipeline.roads.imported import Imported, is_file
-from pipeline.roads.nir_answers import NUMPY, graph_responses
-from pipeline.roads.nir_import import graph_for, require_fit, take_over
-from pipeline.roads.nir_settings import GRAPH, give_again
-from pipeline.roads.road import Part, Reference, Road
+from pipeline.roads.events import confidence_of, presentation_choices, trusted
+from pipeline.roads.nir_answers import (
+    GRAPH,
+    NUMPY,
+    Stepped,
+    graph_in,
+    graph_responses,
+    input_spikes,
+    outputs_of,
+    predictions_of,
+)
+from pipeline.roads.road import Imported, Part, Reference, Road, imported_file, is_file
+from pipeline.settings import SIMULATED, Settings
+
+CALIBRATED_ON = 48
+"""Training samples on which the scales of a graph's weights are chosen."""
+
+DECIDED_ON = 300
+"""Maximum number of training samples on which the confidence for early decisions is chosen."""
+
+RESET_ON = 200
+"""Maximum number of training samples on which the two resets are compared."""
+
+RUNAWAY = 0.9
+"""Share of the steps with spikes from which a neuron counts as one that never rests."""
+
+FROM_REST = {"gap": 0, "stream_length": 1}
+"""Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
+start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
+Norse), so that this is what the network was trained for.  A board loads the network at the start of
+each stream, so that it is then loaded for each sample."""
 
 
 def _respond(stage, opened, bundle, advance):
@@ -68,9 +114,12 @@ class NirRoad(Road):
         return take_over(artifact.folder, opened.settings, opened.dataset, opened.say)
 
     def spec(self, opened, provenance):
-        graph = opened.artifact("nir")
-        confidence = confidence_of(graph)
-        return deployed_nir(graph.folder, confidence, self.settings, opened.dataset, provenance)
+        settings, dataset, graph = self.settings, opened.dataset, opened.artifact("nir")
+        network, shown = graph_in(graph.folder, settings), settings.presented(confidence_of(graph))
+        rng = np.random.default_rng([settings.seed, 0x41B])
+        samples = dataset.inputs[np.sort(rng.permutation(dataset.split.train)[:CALIBRATED_ON])]
+        stepped = Stepped.of(settings, network)
+        return spec_of_nir(network, stepped, settings.stimulus, shown, samples, provenance)
 
     def choices(self, recordings):
         if not self.settings.on_events:
@@ -96,3 +145,377 @@ class NirRoad(Road):
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings) if self.settings.on_events else []
+
+
+def settings_of_nir(
+    path,
+    step: float | None = None,
+    kind: str | None = None,
+    before: Settings | None = None,
+) -> dict:
+    """Changes of the settings with which a NIR graph replaces the trained network.
+
+    Parameters
+    ----------
+    path : path-like
+    step : float, optional
+        Milliseconds that a step of the chip represents.
+    kind : str, optional
+        ``"image"`` or ``"events"``; default: from the number of channels of the graph's input, two
+        for events and one for images.
+    before : Settings, optional
+        The run's present settings.  If they are of the same file, which may have changed, and have
+        the same kind of input, their presentation and steps are kept.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is not a NIR graph, or cannot be used.
+    """
+    path, before = Path(path), before or Settings()
+    network, sha256 = read_nir(path), sha256_of(path)
+    nir = {"file": str(path.absolute()), "sha256": sha256}
+    is_known = before.nir.sha256 == sha256
+    was_graph = is_known or before.nir.file == nir["file"]
+    if kind is None:
+        is_known = is_known or (was_graph and len(network.input_shape) == 1)
+        kind = before.input.kind if is_known else _kind_of(path, network.input_shape)
+    changes = {"input": {"kind": kind}, "nir": nir}
+    if not (was_graph and before.input.kind == kind):
+        changes["input"]["refractory"] = nir["step"] = 0.0
+        changes["presentation"] = FROM_REST
+    if step is not None:
+        changes["input" if kind == "events" else "nir"]["step"] = step
+    return changes
+
+
+def _kind_of(path, shape):
+    """The kind of input for this shape."""
+    if len(shape) == 3 and shape[0] in (1, 2):
+        return "image" if shape[0] == 1 else "events"
+    if len(shape) == 1:
+        for channels, kind in ((2, "events"), (1, "image")):
+            side = math.isqrt(shape[0] // channels)
+            if shape[0] == channels * side * side:
+                return kind
+        raise UserError(
+            f"{path}: {shape[0]} inputs are neither a square array of taxels nor two of them; "
+            "give its input with --input events or --input image"
+        )
+    raise UserError(
+        f"{path}: an input of {' x '.join(map(str, shape))}; the skin has two channels of events "
+        "(ON, OFF) or one of an image, (channels, rows, columns): train the network for those"
+    )
+
+
+def give_again(settings: Settings) -> str:
+    """The remedy for a graph that has changed since it was imported."""
+    return "give it again with 'stmnist convert RUN --nir FILE'"
+
+
+def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Copy the user's graph into a network's folder, and measure its accuracy.
+
+    Parameters
+    ----------
+    folder : Path
+    settings, dataset
+        With `settings.nir.file`.
+    say : callable
+
+    Returns
+    -------
+    dict
+        Metrics of the graph, for its record.
+
+    Raises
+    ------
+    UserError
+        As :func:`graph_for`.
+    """
+    begun = time.perf_counter()
+    source, network = graph_for(folder, settings, dataset)
+    stepped = Stepped.of(settings, network)
+    layers, cost = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset)), None
+    for line in notes(network, layers, stepped):
+        say(f"nir: {line}")
+    if settings.nir.reset != "value":
+        cost = reset_cost(network, stepped, settings, dataset)
+        say(f"nir: {_reset_text(cost)}")
+    part = "test" if len(dataset.split.test) else "validation"
+    index = getattr(dataset.split, part)
+    with progress("simulate nir", len(index)) as advance:
+        inputs, reset = dataset.inputs[index], settings.nir.reset
+        answers, spikes = outputs_of(network, stepped, inputs, settings, advance, reset)
+    _refuse_runaway(network, spikes, settings.steps)
+    right = predictions_of(answers, settings) == dataset.labels[index]
+    accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
+    metrics = {
+        "simulated": dataset.recordings.source.simulated,
+        "accuracy": {part: accuracy},
+        f"{part}_accuracy_ci95": list(interval),
+        f"n_{part}": len(index),
+        "epochs": 0,
+        "step_seconds": stepped.seconds,
+        "method": stepped.method,
+        "reset": cost,
+        "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
+        "versions": NUMPY,
+    }
+    if source != folder / GRAPH:
+        for record in ("metrics.json", "training.json", "history.csv"):  # of the previous network
+            (folder / record).unlink(missing_ok=True)
+        copy_file(source, folder / GRAPH)
+    metrics["seconds"] = time.perf_counter() - begun
+    say(
+        f"nir: {part} accuracy of the graph {accuracy:.3f} on {len(index)} samples, "
+        f"{metrics['seconds']:.0f} s"
+    )
+    likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
+    if interval[0] <= likeliest:
+        say(
+            "nir: hardly better than chance; was the graph trained on inputs in this order (ON and "
+            "OFF, rows from the top, columns), in steps of this duration (--step) and with the "
+            "classes in this order?"
+        )
+    return metrics
+
+
+def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
+    """The graph that was imported, from the user's file or else from the run's copy.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the copy.
+    settings, dataset
+
+    Returns
+    -------
+    Path, NirNetwork
+
+    Raises
+    ------
+    UserError
+        The file has changed or cannot be read, and the run has no copy; or the graph is for another
+        sensor or other classes.
+    """
+    source = imported_file(settings.nir.file, settings.nir.sha256, folder / GRAPH)
+    network = read_nir(source)
+    if not is_file(source, settings.nir.sha256):
+        raise UserError(f"{source}: has changed; {give_again(settings)}")
+    require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
+    return source, network
+
+
+def refuse_early(settings: Settings, strict: bool = False):
+    """Refuse a graph that cannot fit any recordings, before anything is written.
+
+    Parameters
+    ----------
+    settings : Settings
+        With ``nir.file``.
+    strict : bool
+        Also refuse a graph that was trained with another reset than the chip's.
+
+    Raises
+    ------
+    UserError
+        The message names the file, the node or nodes of a layer, and an alternative.
+    """
+    source = settings.nir.file
+    network = read_nir(source)
+    if strict and settings.nir.reset != "value":
+        raise UserError(
+            f"{source}: trained with a reset by subtraction ('nir.reset'), and the chip resets to "
+            "v_reset; train it with a reset to zero, or convert it without --strict"
+        )
+    if settings.data.source == SIMULATED:
+        skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
+        require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
+    stepped, area = Stepped.of(settings, network), settings.stimulus.area
+    try:
+        first, *others = from_nir(network, stepped.seconds, stepped.method)
+        height = area / LOIHI.dt
+        for layer in (replace(first, weights=first.weights * height), *others):
+            if layer.neuron is not None:
+                rounded(layer)
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from error
+
+
+def require_fit(network: NirNetwork, fed_shape, classes: int, source):
+    """Refuse a graph for another sensor or other classes.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    fed_shape : tuple of int
+        (rows, columns, channels) of the input in this run.
+    classes : int
+    source : path-like
+
+    Raises
+    ------
+    UserError
+        The message has the required sensor and classes.
+    """
+    (rows, columns, channels), shape = fed_shape, network.input_shape
+    fits = [(n, rows, columns) for n in {channels, 1}]  # one for both polarities
+    if shape not in (*fits, *((math.prod(fit),) for fit in fits)):
+        what = "events" if channels == 2 else "an image"
+        raise UserError(
+            f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
+            f"{columns} taxels would be {channels} x {rows} x {columns} (channels, rows, columns): "
+            "train it for that, or give recordings of its sensor (--data), or the other --input"
+        )
+    if network.outputs != classes:
+        raise UserError(
+            f"{source}: {network.nodes[-1]} puts out {network.outputs} values, and there are "
+            f"{classes} classes: train it for those, or give other recordings (--data)"
+        )
+
+
+def _fed_shape(dataset):
+    return dataset.inputs.shape[-3:]
+
+
+def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
+    """Yield what the conversion of a graph changes or may misread, one line each.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    layers : tuple of Link
+        As :func:`models.nir_chain.from_nir` gives them.
+    stepped : Stepped
+    """
+    by_snntorch = network.written_by_snntorch
+    yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
+    for layer in layers:
+        windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
+        if (
+            layer.neuron is not None
+            and layer.kind == "dense"
+            and windows
+            and len(windows[0].input_shape) > 1
+        ):
+            yield (
+                f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
+                "(square kernels, equal strides, no padding or 'same') or its neurons' parameters "
+                "differ within a channel"
+            )
+    for node in network.nodes:
+        if node.kind == "IF":
+            yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
+            if stepped.seconds < 1 and (node["r"] == 1).all():
+                yield (
+                    f"{node}: its input is multiplied by the step, as NIR says; Norse and others "
+                    "add the whole of it at each step: then give --set nir.step=1000"
+                )
+        if node.kind == "CubaLI":
+            yield f"{node}: only its longer time constant is kept"
+
+
+def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
+    """Effect of the chip's reset on the answers of a graph that was trained with another.
+
+    Returns
+    -------
+    dict
+        Training ``samples``; ``accuracy`` with the chip's reset and ``accuracy_as_trained``;
+        ``agreement``, the share of samples with the same prediction.
+    """
+    rng = np.random.default_rng([settings.seed, 0x5EB])
+    some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
+    inputs, labels = dataset.inputs[some], dataset.labels[some]
+    chip, trained = (
+        predictions_of(outputs_of(network, stepped, inputs, settings, reset=reset)[0], settings)
+        for reset in ("value", settings.nir.reset)
+    )
+    return {
+        "samples": len(some),
+        "accuracy": float((chip == labels).mean()),
+        "accuracy_as_trained": float((trained == labels).mean()),
+        "agreement": float((chip == trained).mean()),
+    }
+
+
+def _reset_text(cost):
+    return (
+        f"neurons reset to v_reset on the chip, not by subtraction: an accuracy of "
+        f"{cost['accuracy']:.3f} instead of {cost['accuracy_as_trained']:.3f} on "
+        f"{cost['samples']} training samples, {cost['agreement']:.1%} of their answers are the same"
+    )
+
+
+def _refuse_runaway(network, spikes, steps):
+    """Refuse a recurrent layer most of whose neurons spike at almost every step.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    spikes : dict of str to ndarray, shape (n_samples, neurons)
+        Number of spikes by the node's name.
+    steps : int
+    """
+    for node in network.nodes:
+        if node.loop is None:
+            continue
+        share = (spikes[node.name] > RUNAWAY * steps).mean()
+        if share > 0.5:
+            raise UserError(
+                f"{node}: its connection to itself through {node.loop.name!r} runs away: "
+                f"{share:.0%} of its neurons spike at almost every step of these recordings; "
+                "correct the step (--step), or train it on inputs of this density"
+            )
+
+
+def _threshold(network, stepped, layers, settings, dataset):
+    """The confidence for early decisions of networks on events."""
+    if not settings.on_events or network.outputs < 2:
+        return None
+    held_out = decided_on(dataset.split, settings.seed)
+    inputs = dataset.inputs[held_out]
+    outputs = outputs_of(network, stepped, inputs, settings, reset=settings.nir.reset)[0]
+    sums = delayed(np.cumsum(outputs, 1), len(layers))
+    found = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
+    return {**trusted(found, len(held_out))._asdict(), "samples": len(held_out)}
+
+
+def decided_on(split: Split, seed: int) -> np.ndarray:
+    """Indices of the held-out samples on which the confidence is chosen, of every class.
+
+    Held-out samples are in the order of the recordings, which is usually that of the classes, so
+    they are drawn at random.
+    """
+    held_out = split.held_out(seed)[1]
+    return np.random.default_rng([seed, 0xDEC]).permutation(held_out)[:DECIDED_ON]
+
+
+def spec_of_nir(
+    network: NirNetwork,
+    stepped: Stepped,
+    stimulus: Stimulus,
+    presentation: Presentation,
+    samples,
+    provenance: dict,
+) -> NetworkSpec:
+    """Describe the deployed network of a NIR graph.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    stepped : Stepped
+    stimulus : Stimulus
+    presentation : Presentation
+    samples : ndarray
+        Training samples in the format of the stimulus, on which the scales of weights are chosen.
+    provenance : dict
+        Stored in the bundle.
+    """
+    read = range(presentation.readout_start, presentation.steps)
+    links = from_nir(network, stepped.seconds, stepped.method, samples.shape[-3:], read)
+    spikes = input_spikes(stimulus, samples, presentation.steps)
+    links = in_integers(links, spikes, stimulus.area / LOIHI.dt)
+    return chain.deployed(links, stimulus, presentation, provenance)

@@ -2,23 +2,77 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from deploy.check.bundle import Bundle
+from deploy.errors import UserError
+from deploy.files import sha256_of
 from deploy.network.chip import LOIHI
 from deploy.network.responses import Responses, read_output
 from deploy.network.stimulus import EventFrames
 from models.nir_chain import merges_polarities
-from models.nir_graph import NirNetwork
+from models.nir_graph import NirNetwork, read_nir
 from models.nir_simulator import AT_ONCE, simulate
-from pipeline.roads.nir_settings import Stepped, graph_in
+from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
 
 NUMPY = {"numpy": np.__version__}
 """Versions of the packages that simulate a graph."""
+
+GRAPH = "network.nir"
+"""The run's copy of the graph, in the folder of its network."""
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """Division of a graph's time into the chip's steps.
+
+    Attributes
+    ----------
+    seconds : float
+        Seconds of the graph's time per step.
+    method : str
+        One of :data:`models.nir_simulator.METHODS`.
+    """
+
+    seconds: float
+    method: str
+
+    @classmethod
+    def of(cls, settings: Settings, network: NirNetwork) -> Stepped:
+        """The values of the settings, or those of the graph where the settings have none."""
+        nir, by_snntorch = settings.nir, network.written_by_snntorch
+        seconds = settings.input.step / 1000 if settings.on_events else LOIHI.dt
+        if nir.step:
+            seconds = nir.step / 1000
+        elif network.step is not None:
+            seconds = network.step
+        method = nir.method
+        if method == "auto":
+            method = "euler" if by_snntorch else "exact"
+        return cls(seconds, method)
+
+    def __str__(self):
+        how = "Euler steps" if self.method == "euler" else "exact steps"
+        return f"{how} of {1000 * self.seconds:g} ms of the graph's time"
+
+
+def graph_in(folder: Path, settings: Settings) -> NirNetwork:
+    """The run's copy of the graph, in the folder of its network.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or is not the graph that was imported.
+    """
+    path = folder / GRAPH
+    network = read_nir(path)
+    if sha256_of(path) != settings.nir.sha256:
+        raise UserError(f"{path}: has changed since it was imported; {DELETE_ITS_FOLDER}")
+    return network
 
 
 def outputs_of(network, stepped, inputs, settings, advance=None, reset="value"):

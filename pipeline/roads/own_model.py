@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.files import sha256_of
 from models.keras_model import read_keras
 from pipeline.data.dataset import Dataset
-from pipeline.roads.imported import imported_file
+from pipeline.roads.road import imported_file
 from pipeline.settings import Settings
 
 LEAST_KNOWN = 0.15
@@ -93,8 +93,9 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     imported = settings.cnn.model_sha256, settings.cnn.architecture
     if (sha256_of(path), str(model.architecture)) != imported:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
-    from pipeline.training.networks import TrainedCNN
+    from pipeline.training.networks import TrainedCNN, one_thread_each
 
+    one_thread_each()
     images, labels = dataset.part("train")
     weights, scale = _usual_scale(settings, model.weights, images)
     taken = TrainedCNN(settings, weights)

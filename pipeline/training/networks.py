@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -25,7 +26,6 @@ from models.cnn import (
 from models.keras2 import as_written, tf
 from models.lif import DT, RateLIF, gain_for
 from pipeline.settings import Settings
-from pipeline.training.threads import one_thread_each
 
 PERCENTILE = 99.9
 """Quantile of a layer's activations that is scaled to 1 when a CNN's weights are reused."""
@@ -95,6 +95,17 @@ RECIPES = {
 FEWEST_UPDATES = 2500
 """Updates of the weights in a training, at least: a small data set gets more epochs than a recipe
 has.  The paper's 20 epochs of ST-MNIST are 3,480."""
+
+
+def one_thread_each():
+    """Run each TensorFlow operation of this process in one thread.
+
+    A training step on images is a few hundred operations of some microseconds; distributing them
+    over threads takes longer than computing them.  It also changes the rounding of sums, so that
+    the trained weights would depend on the number of cores.  ``TF_NUM_INTRAOP_THREADS`` in the
+    environment overrides this.
+    """
+    os.environ.setdefault("TF_NUM_INTRAOP_THREADS", "1")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import pytest
 
 from deploy.errors import UserError
 from models.architecture import parse
-from pipeline.roads.conversion import deployed
+from pipeline.roads.image import deployed
 from pipeline.settings import Settings
 from tests.command import call, missing
 

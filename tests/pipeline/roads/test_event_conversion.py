@@ -11,7 +11,7 @@ from deploy.targets.registry import answer
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.data.steps import EventTable
-from pipeline.roads.conversion import spec_of_events
+from pipeline.roads.events import spec_of_events
 from pipeline.settings import Settings
 from pipeline.training.events import EventRecipe, answer_frames, network_of
 

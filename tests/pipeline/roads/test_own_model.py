@@ -213,7 +213,7 @@ def test_the_scale_of_a_layer_does_not_matter(run, files, dataset, tmp_path, fac
     """Each is the same function, or the same but for a factor of all its logits."""
     from models.keras_model import read_keras
     from pipeline.roads import own_model
-    from pipeline.roads.conversion import to_spec
+    from pipeline.roads.image import to_spec
     from pipeline.training.networks import TrainedRates, fit_to_rates, scale_to_unit
 
     settings = read_settings(run / "experiment.toml")

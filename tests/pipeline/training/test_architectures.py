@@ -12,7 +12,7 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
-from pipeline.roads.conversion import to_spec
+from pipeline.roads.image import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training import networks as training

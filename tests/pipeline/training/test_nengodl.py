@@ -10,7 +10,7 @@ from deploy.targets.registry import answer
 from models.architecture import parse
 from models.keras2 import tf
 from models.lif import gain_for
-from pipeline.roads.conversion import to_spec
+from pipeline.roads.image import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training import networks as training
