@@ -186,8 +186,8 @@ def from_rates(
     -------
     tuple of Link
     """
+    from models.cnn import eight_bits, twelve_bits
     from models.lif import gain_for  # imports TensorFlow
-    from models.quantised import eight_bits, twelve_bits
 
     def spiking(link, rate, weights, bias):
         neuron = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)

@@ -51,6 +51,7 @@ import numpy as np
 
 from deploy.network.chip import LOIHI
 from models.architecture import Architecture
+from models.cnn import straight_through, weight_scale
 from models.integers import (
     BIAS_MANTISSA,
     DECAY_UNIT,
@@ -60,7 +61,6 @@ from models.integers import (
     Integers,
 )
 from models.keras2 import quiet_compiler, tf
-from models.quantised import straight_through, weight_scale
 
 BIAS_EXPONENTS = 7
 Q_BITS, U_BITS = LOIHI.input_bits, LOIHI.current_bits

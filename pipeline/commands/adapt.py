@@ -11,9 +11,9 @@ import typer
 from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
 from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
+from deploy.tables import listed
 from pipeline.commands import options
 from pipeline.data.events import Recordings
-from pipeline.data.words import listed
 from pipeline.run import RunFolder
 
 

@@ -326,3 +326,13 @@ def expand_bursts(events: Events):
         np.repeat(events.taxel, repeats),
         np.repeat(events.polarity, repeats),
     )
+
+
+def are_digits(classes) -> bool:
+    """True if the classes are the ten digits."""
+    return tuple(classes) == DIGITS
+
+
+def is_written(rows: int, columns: int, classes) -> bool:
+    """True for digits on ST-MNIST's sensor, to which the paper's figures apply."""
+    return are_digits(classes) and rows == columns == GRID

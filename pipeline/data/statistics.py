@@ -9,14 +9,13 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import open_regular
-from deploy.tables import in_blocks
+from deploy.tables import in_blocks, shortened_apart
 from deploy.terminal import printable
 from pipeline.data.eventfiles import UNITS, EventRecording
-from pipeline.data.events import DIGITS, TICK_NS, Recordings, Sensor
+from pipeline.data.events import DIGITS, TICK_NS, Recordings, Sensor, is_written
 from pipeline.data.matfile import LATEST_S, BadRecording, read_limited
 from pipeline.data.sensor import UNIT_NAMES, recognised, to_ns
 from pipeline.data.source import read_file
-from pipeline.data.words import is_written, shortened_apart
 
 
 def facts_of(recordings: Recordings) -> dict:

@@ -9,8 +9,7 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
-from pipeline.data.events import Sensor
-from pipeline.data.words import are_digits, is_written
+from pipeline.data.events import Sensor, are_digits, is_written
 from pipeline.run import RunFolder
 from pipeline.settings import Image, read_settings
 

@@ -17,12 +17,12 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import SIGNIFICANCE, aligned, p_text, star
+from deploy.tables import SIGNIFICANCE, aligned, p_text, shortened, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import printable
 from pipeline.artifacts import DELETE_IT
 from pipeline.data.dataset import classes_of
-from pipeline.data.words import is_written, shortened
+from pipeline.data.events import is_written
 from pipeline.paper import CNN_MACS
 from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.status import outdated, remedy_text, status_of

@@ -12,6 +12,7 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
+from deploy.tables import listed
 from deploy.terminal import WARNING
 from pipeline.data.dataset import classes_of, cut_text, inputs_for, require_sensor_fits
 from pipeline.data.eventfiles import UNITS
@@ -20,7 +21,6 @@ from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading
 from pipeline.data.splits import draw_check_samples
 from pipeline.data.steps import EventTable
-from pipeline.data.words import listed
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.results.ladder import confusion_matrix
 from pipeline.run import checks_beside, run_around

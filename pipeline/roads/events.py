@@ -42,7 +42,7 @@ from pipeline.roads.road import (
 )
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
-from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.epochs import Checkpoint
 from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 
 FEWEST = 100

@@ -29,7 +29,7 @@ from pipeline.progress import progress
 from pipeline.roads.architectures import chip_problems, is_for
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
-from pipeline.training.history import write_history
+from pipeline.training.epochs import write_history
 
 MOST_WATCHED = 500
 """Maximum number of test samples for the learning curve."""

@@ -14,11 +14,11 @@ from deploy.network.rehearsal import Rehearsal
 from deploy.network.responses import decoded, running_sums
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, last_steps
+from deploy.tables import listed
 from deploy.targets.fast import Emulation
 from pipeline.data.altering import AUGMENTATIONS, altered_recordings, augmentation_for
 from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
 from pipeline.data.events import Recordings
-from pipeline.data.words import listed
 from pipeline.settings import Image
 from pipeline.training.readout import PULLS, REHEARSALS, Person, Refit, refit
 

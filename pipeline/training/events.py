@@ -18,7 +18,14 @@ from dataclasses import asdict, dataclass, field, fields, replace
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.network.decision import Estimator, Threshold, choose_threshold, delayed
+from deploy.network.decision import (
+    HIDDEN,
+    Estimator,
+    Threshold,
+    choose_threshold,
+    delayed,
+    estimator_inputs,
+)
 from deploy.network.stimulus import last_steps
 from models.architecture import parse
 from models.keras2 import tf
@@ -27,10 +34,12 @@ from pipeline.data.altering import AUGMENTATIONS, Alteration, alter
 from pipeline.data.steps import EventTable, spike_frames
 from pipeline.paper import CNN_MACS
 from pipeline.settings import EventTraining, Input, Settings
-from pipeline.training.checkpoint import Checkpoint, train_epochs
-from pipeline.training.estimator import train_estimator
+from pipeline.training.epochs import Checkpoint, train_epochs
 from pipeline.training.networks import make_deterministic
 from pipeline.training.recipe import epochs_for
+
+ESTIMATOR_EPOCHS, ESTIMATOR_BATCH, ESTIMATOR_LEARNING_RATE = 4, 512, 0.002
+"""Training of the confidence estimator; see :mod:`deploy.network.decision`."""
 
 TAIL = 3
 """Number of steps after a sample's last event in which its spikes still reach the outputs."""
@@ -552,3 +561,59 @@ class _Trainer:
 def _padded(last_step):
     """Number of steps of a batch whose last event is in ``last_step``."""
     return int(-(-(last_step + 1 + TAIL) // LENGTHS) * LENGTHS)
+
+
+def train_estimator(outputs, right, seed: int) -> Estimator:
+    """Train a confidence estimator on the outputs of a network.
+
+    The loss is the cross-entropy between its confidence and whether the largest output was right,
+    over all steps.
+
+    Parameters
+    ----------
+    outputs : list of ndarray, each of shape (steps, classes)
+        For each sample the accumulated readout, from its start to its last event.
+    right : list of ndarray of bool, each of shape (steps,)
+        True where the largest output is the label's.
+    seed : int
+        Seed of the initial weights and of the order of the training steps.
+
+    Returns
+    -------
+    Estimator
+    """
+    inputs = np.concatenate([estimator_inputs(sample) for sample in outputs])
+    right = np.concatenate(right).astype(np.float32)
+    middle, spread = inputs.mean(0), np.maximum(inputs.std(0), 1e-3)
+    inputs = ((inputs - middle) / spread).astype(np.float32)
+    model, untouched = _estimator_model(inputs.shape[1])
+    for variable, value in zip(model.optimizer.variables, untouched, strict=True):
+        variable.assign(value)
+    for index, layer in enumerate(model.layers):
+        draw = tf.keras.initializers.GlorotUniform(seed + index)
+        layer.kernel.assign(draw(layer.kernel.shape))
+        layer.bias.assign(tf.zeros_like(layer.bias))
+    rng = np.random.default_rng([seed, 0x10D6])
+    for _ in range(ESTIMATOR_EPOCHS):
+        order = rng.permutation(len(inputs))
+        model.fit(inputs[order], right[order], batch_size=ESTIMATOR_BATCH, shuffle=False, verbose=0)
+    kernels, biases = zip(*(layer.get_weights() for layer in model.layers), strict=True)
+    # Fold the scaling of the inputs into the first layer.
+    first = kernels[0] / spread[:, None]
+    return Estimator((first, *kernels[1:]), (biases[0] - middle @ first, *biases[1:]))
+
+
+@functools.lru_cache(maxsize=1)
+def _estimator_model(inputs):
+    """A model and the initial values of its optimiser, reused with new initial weights.
+
+    All trainings of a process share it because tracing its training step takes a second.
+    """
+    layers = [tf.keras.layers.Dense(n, activation="relu" if n > 1 else None) for n in (*HIDDEN, 1)]
+    model = tf.keras.Sequential([tf.keras.Input((inputs,)), *layers])
+    model.compile(
+        tf.keras.optimizers.Adam(ESTIMATOR_LEARNING_RATE),
+        tf.keras.losses.BinaryCrossentropy(from_logits=True),
+    )
+    model.optimizer.build(model.trainable_variables)
+    return model, [variable.numpy() for variable in model.optimizer.variables]

@@ -1,7 +1,6 @@
 """Tables in plain text."""
 
-from deploy.tables import aligned, in_blocks
-from pipeline.data.words import shortened, shortened_apart
+from deploy.tables import aligned, in_blocks, shortened, shortened_apart
 
 
 def test_a_table_that_is_too_wide_is_cut_into_blocks():

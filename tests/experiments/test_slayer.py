@@ -7,7 +7,7 @@ from experiments.slayer import Adam, Slayer, spike_response, train_slayer
 from experiments.slayer_network import SlayerNetwork
 from models.architecture import parse
 from models.keras2 import tf
-from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.epochs import Checkpoint
 from tests.untraced import untraced
 
 SETTINGS = Slayer(

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from models.cnn import OnChipConv2D, eight_bits, twelve_bits
 from models.keras2 import tf
-from models.quantised import OnChipConv2D, eight_bits, twelve_bits
 
 
 def test_rounding_by_hand():

@@ -19,7 +19,7 @@ from pipeline.results.status import outdated, status_of
 from pipeline.roads import road_of
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
-from pipeline.training.history import read_history
+from pipeline.training.epochs import read_history
 
 REMEDY = "delete it and make it again"
 

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.data.images import sliced_counts, typical_duration_ms
-from pipeline.training.baseline import fit_baseline
+from pipeline.roads.counts import fit_baseline
 
 
 def recordings():

@@ -11,7 +11,7 @@ from models.spiking import SpikingNetwork
 from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
 from pipeline.training import events
-from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.epochs import Checkpoint
 from pipeline.training.events import (
     TAIL,
     EventRecipe,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import replacing
-from pipeline.data.words import shortened
+from deploy.tables import shortened
 from pipeline.look import colour
 from pipeline.results.report.samples import replay
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from deploy.tables import shortened, shortened_apart
 from pipeline.data.events import DIGITS, Recordings
 from pipeline.data.images import aggregate, growing, normalise
-from pipeline.data.words import shortened, shortened_apart
 from pipeline.look import colour
 from pipeline.results.report.figures import plain
 
