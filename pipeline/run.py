@@ -183,25 +183,20 @@ def refuse_other_folders(path: Path, of_results: bool = False):
         The folder is a bundle or in one, has files that are not those of a run, or is a run where
         results of a benchmark are meant, or the other way round.
     """
-    for folder in path.absolute().parents:
-        if (folder / "MANIFEST.json").is_file() and (folder / "network.json").is_file():
+    for folder in (path.absolute(), *path.absolute().parents):
+        if (folder / "MANIFEST.json").is_file():
             raise UserError(
-                f"{path}: is in a bundle, {folder}, which may have no other files; "
-                "give another folder as RUN"
+                f"{path}: is a bundle, or in one, and not a run; give its run, or another folder"
             )
     if of_results and (path / "dataset.json").is_file():
         raise UserError(
             f"{path}: is a run, whose settings would be replaced; give another folder for "
             "the results"
         )
-    if not path.is_dir() or (path / "experiment.toml").exists():
+    if of_results or not path.is_dir() or (path / "experiment.toml").exists():
         return
     found = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
-    if "MANIFEST.json" in found:
-        run = path.absolute().parent
-        meant = f"give its run, {path.parent}" if (run / "experiment.toml").exists() else ""
-        raise UserError(f"{path}: is a bundle, not a run; {meant or 'give another folder as RUN'}")
-    if found and not of_results:
+    if found:
         raise UserError(
             f"{path}: is not a run (it has no experiment.toml) and not empty "
             f"(it has {found[0]!r}); give a new folder as RUN"
@@ -213,12 +208,11 @@ def nothing_left_of_a_failure(path: Path):
     """Remove the folder of a new run if the block fails before anything is saved."""
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     had_lock = (path / LOCK).exists()
-
     try:
         yield
     except BaseException:
         with contextlib.suppress(OSError):
-            if {entry.name for entry in path.iterdir()} <= {LOCK} and not had_lock:
+            if not had_lock:
                 (path / LOCK).unlink(missing_ok=True)
             for folder in made:
                 folder.rmdir()  # an OSError if something is in it

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -48,12 +47,6 @@ def convert(
         Optional[float],  # noqa: UP045
         typer.Option(help="With --nir: milliseconds of the graph's time in a step of the chip."),
     ] = None,
-    strict: Annotated[
-        bool,
-        typer.Option(
-            "--strict", help="With --nir: refuse a graph that was trained with another reset."
-        ),
-    ] = False,
     retrain: Annotated[
         bool,
         typer.Option(
@@ -74,8 +67,6 @@ def convert(
         raise UserError("--model and --nir: a run has one network; give only one of them")
     if step is not None and nir is None:
         raise UserError("--step: needs a NIR graph; give it with --nir FILE")
-    if strict and nir is None:
-        raise UserError("--strict: needs a NIR graph; give it with --nir FILE")
     from pipeline import stages
 
     changes, examine = {}, None
@@ -85,7 +76,7 @@ def convert(
         refuse_other_folders(run)
         before = RunFolder(run).resolve_settings(given.settings, {})
         changes = stages.settings_of_nir(nir, step, given.input, before)
-        examine = functools.partial(stages.refuse_early, strict=strict)
+        examine = stages.refuse_early
     with options.opened(run, given, jobs, changes, examine=examine) as opened:
         bundle, road = stages.convert(opened), opened.road
         for stage, reference in road.references.items():

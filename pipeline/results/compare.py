@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import itertools
-import re
 import string
 import textwrap
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from deploy.check.bundle import read_bundle
 from deploy.check.intervals import fisher, mcnemar, wilson_interval
@@ -42,6 +39,9 @@ first two have identical spikes; a board does not report the spikes of all layer
 
 LONGEST_SOURCE = 12
 """Characters of the name of other recordings in a stage's name."""
+
+LETTERS = string.ascii_uppercase
+"""Short names of runs in the text, by their order."""
 
 WIDTH = 80
 """Width of the text in columns."""
@@ -95,27 +95,15 @@ def read_runs(paths, whole: bool = False) -> list:
     Raises
     ------
     UserError
-        There are fewer than two runs, duplicates, or a folder without a run, bundle or results.
+        There are fewer than two runs, or a folder without a run, bundle or results.
     """
-    if isinstance(paths, (str, Path)):
-        paths = [paths]
     paths = [Path(path) for path in paths]
-    if len(paths) < 2:
-        raise UserError("one run alone cannot be compared; name at least two")
-    if len(paths) > len(string.ascii_uppercase):
-        raise UserError(f"{len(paths)} runs; name at most {len(string.ascii_uppercase)}")
-    for a, b in itertools.combinations(paths, 2):
-        if a.resolve() == b.resolve():
-            raise UserError(f"{a} and {b} are the same run; name two different ones")
-    others = [{} if whole else _on_other_recordings(RunFolder(path)) for path in paths]
-    names = _stage_names(set().union(*others))
-    return [
-        _read_run(path, whole, {names[stage]: result for stage, result in found.items()})
-        for path, found in zip(paths, others, strict=True)
-    ]
+    if not 2 <= len(paths) <= len(LETTERS):
+        raise UserError(f"{len(paths)} runs; name from two to {len(LETTERS)}")
+    return [_read_run(path, whole) for path in paths]
 
 
-def _read_run(path, whole, others):
+def _read_run(path, whole):
     folder = RunFolder(path)
     if not folder.experiment.is_file():
         raise UserError(f"{path}: not a run (it has no {folder.experiment.name}); check the path")
@@ -123,7 +111,9 @@ def _read_run(path, whole, others):
         raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
     bundle = read_bundle(folder.bundle)
     files = {stage: folder.check(stage, whole) for stage in ORDER}
-    found = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()} | others
+    found = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
+    if not whole:
+        found |= _on_other_recordings(folder)
     results = {stage: result for stage, result in found.items() if result["bundle"] == bundle.id}
     stale = [stage for stage in found if stage not in results]
     if not results:
@@ -145,36 +135,15 @@ def _read_run(path, whole, others):
     )
 
 
-class _OtherStage(NamedTuple):
-    """A target on other recordings, which are the same if their content is."""
-
-    target: str
-    source: str
-    sha256: str
-    n_samples: int
-
-
 def _on_other_recordings(folder):
-    """Results on other recordings; see :mod:`pipeline.results.elsewhere`."""
+    """Results on other recordings, by a name that is the same where their content is."""
     found = {}
     for file in sorted((folder.path / "checks" / OTHERS).glob("*.json")):
         result = read_result(file, DELETE_IT)
         if (data := result.get("data")) is not None:
-            name = shortened(Path(data["source"]).name, LONGEST_SOURCE)
-            stage = _OtherStage(result["target"], name, data["sha256"], result["n_samples"])
-            found[stage] = result
+            source = f"{shortened(Path(data['source']).name, LONGEST_SOURCE)} {data['sha256'][:4]}"
+            found[f"{result['target']} on {source}, {result['n_samples']}"] = result
     return found
-
-
-def _stage_names(stages):
-    """The names of such stages, with a part of the hash where they would be equal otherwise."""
-    count = Counter(stage._replace(sha256="") for stage in stages)
-    return {
-        stage: f"{stage.target} on {stage.source}"
-        + (f" {stage.sha256[:6]}" if count[stage._replace(sha256="")] > 1 else "")
-        + f", {stage.n_samples}"
-        for stage in stages
-    }
 
 
 def compare_runs(runs) -> dict:
@@ -191,8 +160,8 @@ def compare_runs(runs) -> dict:
         Ready for JSON: ``runs``, each with its ``name`` and the costs of an inference (see
         :func:`inference`); the ``settings`` that differ, each with its ``name`` and ``values`` in
         the order of the runs (None of a run that does not read it); the ``stages`` of at least two
-        runs, each with ``accuracies`` (None for a run without it) and ``differences``, one for
-        every pair (see :func:`difference`).
+        runs, each with ``accuracies`` and ``differences`` from the first run in the order of the
+        runs (see :func:`difference`), None for a run without it.
     """
     others = sorted(set().union(*(run.results for run in runs)) - set(ORDER))
     found = [s for s in (*ORDER, *others) if sum(s in run.results for run in runs) > 1]
@@ -266,14 +235,11 @@ def inference(run: Run) -> dict:
 
 
 def _stage(stage, runs):
-    have = [index for index, run in enumerate(runs) if stage in run.results]
+    first, *others = runs
     return {
         "stage": stage,
         "accuracies": [_accuracy(run.results.get(stage)) for run in runs],
-        "differences": [
-            {"a": a, "b": b, **difference(runs[a], runs[b], stage)}
-            for a, b in itertools.combinations(have, 2)
-        ],
+        "differences": [None, *(difference(first, run, stage) for run in others)],
     }
 
 
@@ -289,7 +255,7 @@ def _right(result):
     return sum(sample["prediction"] == sample["label"] for sample in result["samples"])
 
 
-def difference(a: Run, b: Run, stage: str) -> dict:
+def difference(a: Run, b: Run, stage: str) -> dict | None:
     """Difference in accuracy of a stage between two runs, B's minus A's.
 
     The comparison is paired if both have the same samples: the same ids and labels, in any order,
@@ -301,8 +267,10 @@ def difference(a: Run, b: Run, stage: str) -> dict:
     dict
         ``difference`` of the accuracies, B's minus A's; ``paired``; ``only_a`` and ``only_b``, the
         numbers of samples that only A or only B got right (None if not paired); ``p`` of McNemar's
-        exact test if paired, else of Fisher's.
+        exact test if paired, else of Fisher's.  None if a run does not have the stage.
     """
+    if stage not in a.results or stage not in b.results:
+        return None
     first, second = a.results[stage], b.results[stage]
     labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
     sources = [
@@ -324,24 +292,22 @@ def difference(a: Run, b: Run, stage: str) -> dict:
     }
 
 
-def runs_text(compared: dict, width: int = WIDTH) -> str:
+def runs_text(compared: dict) -> str:
     """Format a comparison as tables in which a letter stands for each run.
 
     Parameters
     ----------
     compared : dict
         From :func:`compare_runs`.
-    width : int
-        Width in columns; only a run's name may exceed it.
     """
     runs = compared["runs"]
-    letters = string.ascii_uppercase[: len(runs)]
+    letters = LETTERS[: len(runs)]
     lines = [
         f"{letter}  {printable(run['name'])}" for letter, run in zip(letters, runs, strict=True)
     ]
-    lines += ["", *_settings_lines(compared, letters, width)]
+    lines += ["", *_settings_lines(compared, letters)]
     lines += ["", *_accuracy_lines(compared, letters)]
-    lines += ["", *_inference_lines(runs, letters, width)]
+    lines += ["", *_inference_lines(runs, letters)]
     for letter, run in zip(letters, runs, strict=True):
         notes = []
         if stale := run["results_of_an_earlier_bundle"]:
@@ -354,17 +320,17 @@ def runs_text(compared: dict, width: int = WIDTH) -> str:
             )
         for note in notes:
             note = printable(f"{letter}: {note}")
-            lines += ["", *textwrap.wrap(note, width, break_on_hyphens=False)]
+            lines += ["", *textwrap.wrap(note, WIDTH, break_on_hyphens=False)]
     return "\n".join(lines)
 
 
-def _settings_lines(compared, letters, width):
+def _settings_lines(compared, letters):
     if not compared["settings"]:
         return ["no setting differs"]
     rows = [["setting that differs", *letters]]
     for setting in compared["settings"]:
         rows.append([setting["name"], *map(_plain, setting["values"])])
-    return _fitted(rows, width)
+    return _fitted(rows)
 
 
 def _accuracy_lines(compared, letters):
@@ -373,25 +339,25 @@ def _accuracy_lines(compared, letters):
     rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p"]]
     unpaired = False
     for stage in compared["stages"]:
-        against = {d["b"]: d for d in stage["differences"] if d["a"] == 0}
         name = stage["stage"]
-        for index, (letter, row) in enumerate(zip(letters, stage["accuracies"], strict=True)):
+        cells_of = zip(letters, stage["accuracies"], stage["differences"], strict=True)
+        for letter, row, against in cells_of:
             if row is None:
                 continue
             low, high = row["accuracy_ci95"]
             cells = [name, letter, f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
-            rows.append([*cells, *_difference_cells(against.get(index))])
-            unpaired |= index in against and not against[index]["paired"]
+            rows.append([*cells, *_difference_cells(against)])
+            unpaired |= against is not None and not against["paired"]
             name = ""
     simulated = [a for a, run in zip(letters, compared["runs"], strict=True) if run["simulated"]]
     what = "simulated samples" if len(simulated) == len(letters) else "samples"
-    of_some = f"; those of {', '.join(simulated)} are simulated"
+    if 0 < len(simulated) < len(letters):
+        what += f"; those of {', '.join(simulated)} are simulated"
     counts = sorted(
         {row["n_samples"] for s in compared["stages"] for row in s["accuracies"] if row}
     )
     lines = [
-        f"accuracy on {' and '.join(map(str, counts))} {what}"
-        + (of_some if 0 < len(simulated) < len(letters) else ""),
+        f"accuracy on {' and '.join(map(str, counts))} {what}",
         *aligned(rows, left=2),
         "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
     ]
@@ -413,7 +379,7 @@ def _difference_cells(value):
     ]
 
 
-def _inference_lines(runs, letters, width):
+def _inference_lines(runs, letters):
     def row(head, name, form="{}", part=lambda run: run):
         values = [part(run) and part(run)[name] for run in runs]
         return [head, *("" if value is None else form.format(value) for value in values)]
@@ -437,7 +403,7 @@ def _inference_lines(runs, letters, width):
         row("early decision after", "share", "{:.0%} of recording", early),
         row("its accuracy", "accuracy", "{:.3f}", early),
     ]
-    lines = _fitted([cells for cells in rows if any(cells[1:])], width)
+    lines = _fitted([cells for cells in rows if any(cells[1:])])
     if of_digits:
         lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
     if any(run["stable_after_median"] is not None for run in runs):
@@ -457,20 +423,13 @@ def _plain(value):
     return str(value) if value != "" else "-"
 
 
-def _fitted(rows, width):
+def _fitted(rows):
     """A table whose cells are wrapped if their columns would be too wide."""
     first, n = max(len(row[0]) for row in rows), len(rows[0]) - 1
-    room = max((width - first) // n - 2, 8)
+    room = max((WIDTH - first) // n - 2, 8)
     folded = []
     for head, *cells in rows:
-        parts = [_folded(cell, room) for cell in cells]
+        parts = [textwrap.wrap(cell, room) or [""] for cell in cells]
         for index, line in enumerate(itertools.zip_longest(*parts, fillvalue="")):
             folded.append(["" if index else head, *line])
     return aligned(folded)
-
-
-def _folded(text, room):
-    """The lines of a cell, broken at blanks and after ``-`` and ``/``, elsewhere if unavoidable."""
-    wrapper = textwrap.TextWrapper(room)
-    wrapper.wordsep_re = re.compile(r"(\s+|[^\s/-]*[/-])")
-    return wrapper.wrap(text) or [""]

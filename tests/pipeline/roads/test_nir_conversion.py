@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from deploy.files import read_json
 from deploy.network.nir import nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
@@ -235,13 +234,8 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     nir.write(file, graph)
     few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
     subtract = ["--set", "nir.reset=subtract"]
-    assert stmnist("convert", run, "--nir", file, *few, *subtract, "--strict") == 2
-    assert "--strict" in capsys.readouterr().err
     assert stmnist("convert", run, "--nir", file, *few, *subtract) == 0
-    assert missing(capsys.readouterr().err, "nir: ", "by subtraction", "same") == []
-    cost = read_json(run / "snn" / "metrics.json", "")["reset"]
-    assert cost["samples"] == 64
-    assert 0 <= cost["agreement"] <= 1
+    assert missing(capsys.readouterr().err, "nir: ", "by subtraction") == []
     nir.write(file, graph_of_ones())  # a later version; the run has its own copy
     changed = ["--set", "nir.method=euler"]  # for which the graph is read again
     assert stmnist("ladder", run, "--json", "--jobs", "1", *changed) == 0
@@ -280,7 +274,6 @@ BAD = [
     (["--nir", "text.nir"], ["text.nir: ", "NIR"]),
     (["--nir", "small.nir", "--model", "x.keras"], ["--model", "--nir"]),
     (["--step", "20"], ["--step", "--nir"]),
-    (["--strict"], ["--strict", "--nir"]),
     (["--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--step", "5000"], ["'input.step'"]),
