@@ -2,7 +2,7 @@
 
 The recordings are simulated here: four gestures on 9 rows of 12 taxels.  Replace them by your own
 events and labels, or by a data set of Tonic.  Run it as a script (``python
-examples/own_sensor.py``); examples/own_sensor.ipynb is the same as a notebook.
+examples/own_sensor.py``); docs/tutorials/2-own-sensor.ipynb explains the steps.
 """
 
 # %% The public names of this project

@@ -1,7 +1,4 @@
-"""examples/own_sensor runs as a user's own would; the notebook is the script, cell by cell."""
-
-import json
-import re
+"""examples/own_sensor.py runs as a user's own would."""
 
 import pytest
 
@@ -10,30 +7,13 @@ from tests.command import ROOT, call, printed_by, users_environment
 from tests.test_example import with_fewer
 
 SCRIPT = ROOT / "examples" / "own_sensor.py"
-NOTEBOOK = ROOT / "examples" / "own_sensor.ipynb"
-
-
-def cells():
-    """Source of the notebook's cells of code."""
-    notebook = json.loads(NOTEBOOK.read_text(encoding="utf-8"))
-    return ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
-
-
-def lines(code):
-    """Without marks of cells and empty lines."""
-    return [line for line in re.sub(r"(?m)^# %% ", "# ", code).splitlines() if line.strip()]
-
-
-def test_the_notebook_is_the_script():
-    _, _, code = SCRIPT.read_text(encoding="utf-8").split('"""', 2)
-    assert lines(code[: len(code)]) == lines("\n".join(cells()))
 
 
 @pytest.mark.slow
-def test_the_notebook_runs(tmp_path):
+def test_the_script_runs(tmp_path):
     """With fewer epochs and recordings than it shows; then the commands that it names."""
     code = with_fewer(
-        "\n\n".join(cells()),
+        SCRIPT.read_text(encoding="utf-8"),
         {
             "range(75)": "range(15)",
             '"input": {"kind": kind}}': '"input": {"kind": kind}, "cnn": {"epochs": 3}, '

@@ -1,0 +1,67 @@
+"""Tutorials run as they are shown, and their lessons hold."""
+
+import json
+
+import pytest
+
+from experiments.tutorials import FOLDER, executed
+from tests.command import printed_by, users_environment
+
+CODE = """
+import json, sys
+from experiments.tutorials import FOLDER, executed
+notebook = json.loads((FOLDER / f"{sys.argv[1]}.ipynb").read_text(encoding="utf-8"))
+executed(notebook, ".")
+"""
+
+
+def notebooks():
+    return {path.stem: json.loads(path.read_text("utf-8")) for path in FOLDER.glob("*.ipynb")}
+
+
+def accuracies(run):
+    ladder = json.loads((run / "ladder.json").read_text(encoding="utf-8"))
+    return {row["stage"]: row["accuracy"] for row in ladder["rows"]}
+
+
+@pytest.mark.parametrize("name", sorted(notebooks()))
+def test_outputs_are_stored_and_small(name):
+    cells = [c for c in notebooks()[name]["cells"] if c["cell_type"] == "code"]
+    assert (FOLDER / f"{name}.ipynb").stat().st_size < 300_000
+    assert [c["execution_count"] for c in cells] == list(range(1, len(cells) + 1))
+    outputs = [output for cell in cells for output in cell["outputs"]]
+    assert {"stream", "display_data"} <= {output["output_type"] for output in outputs}
+
+
+def test_a_notebook_gets_the_outputs_of_its_cells(tmp_path):
+    cell = {"cell_type": "code", "metadata": {}, "outputs": [], "execution_count": None}
+    code = ["import matplotlib.pyplot as plt\n", "print(1)\n", "plt.plot([1, 2])"]
+    text = {"cell_type": "markdown", "metadata": {}, "source": ["# title"]}
+    cells = [{**cell, "source": code}, text, {**cell, "source": ["x = 2"]}]
+    made, names = executed({"cells": cells}, tmp_path)
+    first, second, third = made["cells"]
+    assert [output["output_type"] for output in first["outputs"]] == ["stream", "display_data"]
+    assert first["outputs"][0]["text"] == ["1\n"]
+    assert second == text
+    assert third["outputs"] == []
+    assert (third["execution_count"], names["x"]) == (2, 2)
+
+
+@pytest.mark.slow
+def test_the_first_network(tmp_path):
+    printed_by(CODE, "1-first-network", env=users_environment(), cwd=tmp_path)
+    images, events = (accuracies(tmp_path / "runs" / name) for name in ("image", "events"))
+    assert 0.65 < images["emulator"] < 0.87
+    assert 0.80 < events["emulator"] < 0.97
+    assert events["emulator"] > images["emulator"]  # the lesson
+    assert abs(events["emulator"] - events["trained"]) < 0.03
+
+
+@pytest.mark.slow
+def test_your_own_sensor(tmp_path):
+    printed_by(CODE, "2-own-sensor", env=users_environment(), cwd=tmp_path)
+    events = accuracies(tmp_path / "runs" / "gestures")
+    images = accuracies(tmp_path / "runs" / "gestures-image")
+    assert events["emulator"] > 0.9
+    assert images["emulator"] < events["emulator"]
+    assert (tmp_path / "runs" / "gestures" / "report.html").is_file()
