@@ -26,47 +26,25 @@ def printable(text) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-ERRORS = ("stmnist: ", "deploy: ", "does not fit: ")
-"""Beginnings of lines that are printed in red at a terminal."""
-
 WARNING = "warning: "
-"""Beginning of a line that is printed in yellow; a name and a colon may precede it."""
+"""Beginning of a warning."""
 
 SIGNIFICANT = " *"
-"""End of a line with a statistically significant difference, which is printed in bold."""
+"""End of a line with a statistically significant difference."""
 
 
 def show(text="", flush=False):
     """Print a result on standard output, with :func:`printable` for each line."""
-    print(_lines(text, sys.stdout), flush=flush)
+    print(_lines(text), flush=flush)
 
 
 def remark(text):
     """Print a message on standard error, with :func:`printable` for each line."""
-    print(_lines(text, sys.stderr), file=sys.stderr)
+    print(_lines(text), file=sys.stderr)
 
 
-def has_colours(stream) -> bool:
-    """True if a stream is a terminal with colours that the user has not disabled.
-
-    ``NO_COLOR`` (https://no-color.org) and ``TERM=dumb`` disable them.
-    """
-    wanted = not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-    return wanted and stream.isatty()
-
-
-def _lines(text, stream):
-    lines = map(printable, str(text).split("\n"))
-    return "\n".join(map(_coloured, lines) if has_colours(stream) else lines)
-
-
-def _coloured(line):
-    """A line with escape sequences for its colour, which depends on its beginning and end."""
-    if line.startswith(ERRORS):
-        return f"\x1b[31m{line}\x1b[0m"
-    if line.startswith(WARNING) or f": {WARNING}" in line:
-        return f"\x1b[33m{line}\x1b[0m"
-    return f"\x1b[1m{line}\x1b[0m" if line.endswith(SIGNIFICANT) else line
+def _lines(text):
+    return "\n".join(map(printable, str(text).split("\n")))
 
 
 def prepare():

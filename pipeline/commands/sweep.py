@@ -29,7 +29,7 @@ def sweep(
 ):
     """Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.
 
-    Writes sweep.json, sweep.csv and pareto.png.  Existing points are not computed again.
+    Writes sweep.json and pareto.png.  Existing points are not computed again.
     """
     with options.resolved(out, given, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)

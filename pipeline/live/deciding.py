@@ -7,7 +7,7 @@ between two answers is in the object that :meth:`Decider.begin` returns.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax
@@ -134,15 +134,8 @@ class DrawnLayer:
     neurons: int
 
 
-class Deciding(Protocol):
-    """The state of a decider for one recording."""
-
-    def answer(self, events: Events, time_s: float) -> Answer | None:
-        """The answer for all events up to a time (infinity: to the end of the recording)."""
-
-
-class Decider(Protocol):
-    """A network that is ready to run.
+class Decider:
+    """A network on the target ``fast``, ready to run; the common part of both kinds.
 
     Attributes
     ----------
@@ -164,22 +157,6 @@ class Decider(Protocol):
     settles_s : float
         Seconds that a spike needs to the output.
     """
-
-    about: str
-    layers: tuple
-    steps: int
-    first_step: int
-    clocked: bool
-    threshold: float | None
-    window_s: float | None
-    settles_s: float
-
-    def begin(self) -> Deciding:
-        """Begin a recording; returns its state."""
-
-
-class _Fast:
-    """Common part of both deciders: a network on the target ``fast``, ready to run."""
 
     clocked = False
     window_s, settles_s = None, 0.0
@@ -236,7 +213,7 @@ class _Fast:
         return confidence(sums, self._spec.estimator, self._spec.presentation.readout_start)
 
 
-class ImageDecider(_Fast):
+class ImageDecider(Decider):
     """A decider for a bundle on images: each answer presents the image so far, from rest.
 
     Making a decider takes a few seconds, and about five more the first time on a machine, when the
@@ -287,7 +264,7 @@ class _ImageDeciding:
         self._decider, self._points = decider, []
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
-        """See :class:`Deciding`."""
+        """The answer for all events up to a time (infinity: to the end of the recording)."""
         if len(events) == 0:
             return None
         answered = self._decider._answer(events, time_s, self._points)
@@ -298,7 +275,7 @@ class _ImageDeciding:
         return answer
 
 
-class EventDecider(_Fast):
+class EventDecider(Decider):
     """A decider for a bundle on events, in the time steps of the network.
 
     A later event cannot change an earlier step.  Running all steps so far again therefore gives the
@@ -328,7 +305,7 @@ class EventDecider(_Fast):
         return self
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
-        """See :class:`Deciding`."""
+        """The answer for all events up to a time (infinity: to the end of the recording)."""
         if len(events) == 0:
             return None
         shown, seconds = self._spec.presentation, self._spec.stimulus.step_seconds

@@ -14,14 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.live.deciding import Decider, decider_of
 from pipeline.settings import Image
-from pipeline.training.adaptation import COPIES, Responder
+from pipeline.training.adaptation import Responder
 from pipeline.training.readout import Person, refit
 
 LATEST = 10
@@ -211,27 +210,15 @@ class Learner:
         """The digits in a file; none if they belong to another network or are damaged."""
         if not path.exists():
             return Learnt()
-        readout = self._bundle.spec.layers[-1]
         try:
             arrays = read_arrays(path, "", LARGEST)
             names, labels, right = arrays["names"], arrays["labels"], arrays["right"]
-            responses, weights = arrays["responses"], arrays.get("weights")
-            fits = (
-                str(arrays["bundle"]) == self._bundle.id
-                and names.ndim == labels.ndim == right.ndim == 1
-                and len(names) == len(labels) == len(right)
-                and responses.shape == (len(names), 1 + COPIES, readout.by_class.shape[1])
-                and (labels.dtype.kind, right.dtype.kind, names.dtype.kind) == ("i", "b", "U")
-                and np.isin(labels, np.arange(readout.size)).all()
-                and _are_numbers(responses)
-                and (weights is None or weights.shape == readout.by_class.shape)
-                and (weights is None or _are_numbers(weights))
-            )
-        except (UserError, KeyError, ValueError, AttributeError, TypeError):
+            responses, weights = arrays["responses"].astype(float), arrays.get("weights")
+        except (UserError, KeyError, ValueError):
             return Learnt()
-        if not fits:
+        if str(arrays.get("bundle")) != self._bundle.id:
             return Learnt()
-        return Learnt(tuple(names.tolist()), labels, responses.astype(float), right, weights)
+        return Learnt(tuple(names.tolist()), labels, responses, right, weights)
 
     def _keep(self, writer):
         """Write the data of a writer, if there are any."""
@@ -249,8 +236,3 @@ class Learner:
             right=np.asarray(known.right, bool),
             **own,
         )
-
-
-def _are_numbers(array):
-    """True if all values of an array are finite and of a usual size."""
-    return array.dtype.kind == "f" and bool((np.abs(array) <= limits.MAGNITUDE).all())

@@ -96,7 +96,8 @@ class OpenRecording:
     number : int
     begun_ms : float
         Time of the first touch on the page's clock.
-    deciding : Deciding
+    deciding : object
+        From ``Decider.begin``: answers for this recording.
     writing : Writing or Replayed
     writer : Writer, optional
         Who writes it, also if another writer is chosen before it is saved.

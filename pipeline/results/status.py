@@ -7,7 +7,6 @@ import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage, sha256_of
@@ -136,9 +135,6 @@ def remedy_text(run, names) -> str:
 def outdated_note(path) -> str | None:
     """A line for the user if a bundle or check result belongs to a run and is outdated.
 
-    A bundle that was fitted to a person is outdated if it was made from another bundle than the
-    run's present one.
-
     Parameters
     ----------
     path : path-like
@@ -155,8 +151,6 @@ def outdated_note(path) -> str | None:
         return None
     run = RunFolder(around)
     try:
-        if path.parent == around / "adapted":
-            return _note_on_adapted(run, path)
         reasons = outdated(status_of(run))
     except UserError:
         return None
@@ -165,18 +159,6 @@ def outdated_note(path) -> str | None:
         return None
     remedy = remedy_text(around, reasons.keys() & {"bundle", name})
     return f"{WARNING}{path}: outdated, {reasons[name]}; {remedy} makes it again"
-
-
-def _note_on_adapted(run, path):
-    """The line on a bundle that was made from another one than the run's."""
-    adapted = read_bundle(path).spec.provenance.get("adapted")
-    source = adapted.get("from") if isinstance(adapted, dict) else None
-    if source in (None, read_bundle(run.bundle).id):
-        return None
-    return (
-        f"{WARNING}{path}: outdated, made from an earlier bundle of {run.path}; "
-        f"'stmnist adapt {run.path} --data ... --out {path}' makes it again"
-    )
 
 
 def status_text(run: RunFolder, found) -> str:

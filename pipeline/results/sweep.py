@@ -6,9 +6,7 @@ samples without a held-out validation part, and tested on that part.
 
 from __future__ import annotations
 
-import csv
 import functools
-import io
 import itertools
 import re
 import textwrap
@@ -17,7 +15,7 @@ import numpy as np
 
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import replacing, write_json
+from deploy.files import write_json
 from deploy.tables import in_blocks
 from deploy.targets.registry import TARGETS
 from pipeline.data.library import recordings_of
@@ -98,7 +96,7 @@ def _axis(entry, base):
 
 
 def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers, say) -> tuple:
-    """Train and test the missing points of a sweep; write ``sweep.json`` and ``sweep.csv``.
+    """Train and test the missing points of a sweep; write ``sweep.json``.
 
     Parameters
     ----------
@@ -144,8 +142,6 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
         if (errors := [e for c, e in failed.items() if c.name.startswith(f"point-{number}-")])
     ]
     write_json(folder.path / "sweep.json", summary)
-    with replacing(folder.path / "sweep.csv", "w") as file:
-        file.write(sweep_csv(summary))
     n_failed = len(summary["failed"])
     return summary, f"{n_failed} of {len(points)} points failed" if n_failed else ""
 
@@ -202,24 +198,6 @@ def summarise(changes, rows) -> dict:
         point["pareto"] = bool(on_front)
     points.sort(key=lambda p: (-p["accuracy"], p["operations"], p["steps"]))
     return {"schema": SCHEMA, "part": "validation", "names": list(changes[0]), "points": points}
-
-
-FIGURES = ("pareto", "accuracy", "accuracy_low", "accuracy_high", "operations", "per_cnn", "cores",
-           "steps", "stable", "trained_accuracy", "n_samples", "simulated")  # fmt: skip
-"""Columns of ``sweep.csv`` after the settings."""
-
-
-def sweep_csv(sweep: dict) -> str:
-    """A table with one row per point, settings first."""
-    text = io.StringIO()
-    columns = [*sweep["names"], *FIGURES]
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    for point in sweep["points"]:
-        low, high = point["accuracy_ci95"]
-        changes = {name: _value(value) for name, value in point["changes"].items()}
-        writer.writerow({**point, **changes, "accuracy_low": low, "accuracy_high": high})
-    return text.getvalue()
 
 
 def sweep_text(sweep: dict) -> str:

@@ -1,6 +1,5 @@
 """What is printed: escaped, in any encoding, to streams that may be closed or full."""
 
-import io
 import os
 import subprocess
 import sys
@@ -55,13 +54,6 @@ def test_names_that_the_terminal_cannot_write(tmp_path):
     assert rb"\u4e2d\u6587.zip: " in done.stderr
 
 
-class Terminal(io.StringIO):
-    """A stream that says that it is a terminal."""
-
-    def isatty(self):
-        return True
-
-
 LINES = {
     "stmnist: own/: no such file": 31,
     "does not fit: layer dense1": 31,
@@ -70,23 +62,3 @@ LINES = {
     "emulator  0.700  0.600 to 0.800  -0.100  20  0.002  *": 1,
     "nengo     0.800  0.700 to 0.900  +0.000   0  1.000": None,
 }
-
-
-def terminals(monkeypatch):
-    """Standard output and error that are terminals; from within a test, which pytest captures."""
-    for name in ("NO_COLOR", "TERM"):
-        monkeypatch.delenv(name, raising=False)
-    streams = Terminal(), Terminal()
-    monkeypatch.setattr(sys, "stdout", streams[0])
-    monkeypatch.setattr(sys, "stderr", streams[1])
-    return streams
-
-
-def test_errors_warnings_and_significant_differences_have_colours(monkeypatch):
-    streams = terminals(monkeypatch)
-    for line, code in LINES.items():
-        expected = line if code is None else f"\x1b[{code}m{line}\x1b[0m"
-        for print_, stream in zip((show, remark), streams, strict=True):
-            stream.truncate(0), stream.seek(0)
-            print_(line)
-            assert stream.getvalue() == expected + "\n"

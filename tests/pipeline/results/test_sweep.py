@@ -141,7 +141,6 @@ def test_a_small_sweep(tiny_sweep):
         low, high = p["accuracy_ci95"]
         assert low <= p["accuracy"] <= high
         assert 1 <= p["stable"] <= p["steps"]
-    assert len((tiny_sweep / "sweep.csv").read_text().splitlines()) == 5
     assert imread(tiny_sweep / "pareto.png")[..., :3].std() > 0.05
 
 
