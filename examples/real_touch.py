@@ -35,7 +35,7 @@ def letters(folder):
     for letter, split in trial.items():
         for path in sorted((folder / "data" / letter).glob("*.csv")):
             lines = path.read_text().splitlines()[1:]
-            if lines:
+            if lines:  # two files are empty
                 table = np.loadtxt(lines, delimiter=",", ndmin=2)
                 table = table[np.lexsort((table[:, 0], table[:, 2]))]  # each taxel in order of time
                 time, taxel, value = table[:, 0], table[:, 2].astype(int), table[:, 3]
@@ -48,15 +48,12 @@ def letters(folder):
 
 
 if __name__ == "__main__":
-    what, folder = sys.argv[1], Path(sys.argv[2])
-    events, labels, parts = zip(
-        *{"objects": objects, "letters": letters}[what](folder), strict=True
-    )
+    what, read = sys.argv[1], {"objects": objects, "letters": letters}[sys.argv[1]]
+    events, labels, parts = zip(*read(Path(sys.argv[2])), strict=True)
     recordings = list(zip(events, labels, strict=True))
     data = stmnist.write_recordings(f"{what}.zip", recordings, time_unit="us", parts=parts)
     changes = {"data": {"source": str(data.absolute())}, "input": {"kind": "events"}}
-    run = stmnist.RunFolder(f"runs/{what}")
-    with run.locked():
+    with (run := stmnist.RunFolder(f"runs/{what}")).locked():
         opened = stmnist.stages.open_run(run, stmnist.Settings().with_values(changes))
         print(stmnist.ladder_text(stmnist.measure_ladder(opened)))
     print(stmnist.write_report(run.path))
