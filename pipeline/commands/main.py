@@ -52,11 +52,11 @@ VERBS = {
     ),
     "status": (
         "Show each artifact of a run: current, outdated and why, or missing.",
-        "status.status",
+        "results.status",
     ),
     "compare": (
         "Compare runs: settings, accuracy of each stage, operations, cores, time to decide.",
-        "compare.compare_",
+        "results.compare_",
     ),
     "deploy": (
         "Plan the placement on the chip, export, estimate the energy.",
@@ -68,11 +68,11 @@ VERBS = {
     ),
     "report": (
         "Write the run's results so far as one self-contained HTML file.",
-        "report.report",
+        "results.report",
     ),
     "animate": (
         "Write an animation of a sample: touch, spikes and probabilities over time.",
-        "report.animate",
+        "results.animate",
     ),
     "live": (
         "Draw on a sensor in the browser, watch the network decide, save the recordings.",

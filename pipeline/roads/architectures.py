@@ -16,36 +16,6 @@ from pipeline.data.events import Sensor
 from pipeline.data.statistics import size_text
 from pipeline.settings import Deployment
 
-
-def remedy(resource: str, is_conv: bool, on_events: bool) -> str:
-    """How a layer can need less of a resource.
-
-    Parameters
-    ----------
-    resource : str
-        One of :data:`deploy.preflight.resources.LIMITS`.
-    is_conv : bool
-        Whether the layer is a convolution, not dense.
-    on_events : bool
-        Whether the network's input is events, which no averaging may pass.
-    """
-    averaging = "" if on_events else ", or an averaging such as 4a,"
-    fewer_inputs = (
-        f"let the layer have fewer inputs: a convolution with a stride{averaging} before it"
-    )
-    size = "filters" if is_conv else "neurons"
-    outgoing = f"choose fewer {size}, or fewer neurons in the layer after it"
-    return {
-        "compartments": f"choose fewer {size}",
-        "input axons": fewer_inputs,
-        "output axons": outgoing,
-        "AxonCfg registers": outgoing,
-        "synapse words": "choose fewer filters, or a smaller kernel"
-        if is_conv
-        else f"choose fewer neurons, or {fewer_inputs}",
-    }[resource]
-
-
 LARGEST_MAP = 14
 """Rows and columns of the first convolution's output on images, at most, on average."""
 
@@ -134,14 +104,21 @@ def chip_problems(architecture: str, on_events: bool, deployment: Deployment) ->
     from deploy.preflight.plan import excesses  # imports NengoLoihi, which takes seconds
 
     layers = parse(architecture).spiking
-    convolutions = {name for name, layer in layers.items() if layer.kind == "conv"}
     return tuple(
         f"{architecture}: layer {excess.layer} needs {excess.used} {excess.resource} on "
         f"{excess.cores} of its {excess.of_cores} "
         f"core{'' if excess.of_cores == 1 else 's'}, a core "
-        f"has {excess.limit}; {remedy(excess.resource, excess.layer in convolutions, on_events)}"
+        f"has {excess.limit}; {_remedy(excess, layers[excess.layer], on_events)}"
         for excess in excesses(untrained(architecture, on_events, deployment))
     )
+
+
+def _remedy(excess, layer, on_events):
+    """How a layer can need less of a resource."""
+    if excess.resource == "input axons":
+        averaging = "" if on_events else "an averaging such as 4a, or "
+        return f"let it have fewer inputs: {averaging}a convolution with a stride before it"
+    return f"choose fewer {'filters' if layer.kind == 'conv' else 'neurons'}, there or after it"
 
 
 def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec:

@@ -48,9 +48,6 @@ CALIBRATED_ON = 48
 DECIDED_ON = 300
 """Maximum number of training samples on which the confidence for early decisions is chosen."""
 
-RUNAWAY = 0.9
-"""Share of the steps with spikes from which a neuron counts as one that never rests."""
-
 FROM_REST = {"gap": 0, "stream_length": 1}
 """Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
 start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
@@ -245,8 +242,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
         inputs, reset = dataset.inputs[index], settings.nir.reset
-        answers, spikes = outputs_of(network, stepped, inputs, settings, advance, reset)
-    _refuse_runaway(network, spikes, settings.steps)
+        answers, _ = outputs_of(network, stepped, inputs, settings, advance, reset)
     right = predictions_of(answers, settings) == dataset.labels[index]
     accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
     metrics = {
@@ -406,28 +402,6 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
                 )
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
-
-
-def _refuse_runaway(network, spikes, steps):
-    """Refuse a recurrent layer most of whose neurons spike at almost every step.
-
-    Parameters
-    ----------
-    network : NirNetwork
-    spikes : dict of str to ndarray, shape (n_samples, neurons)
-        Number of spikes by the node's name.
-    steps : int
-    """
-    for node in network.nodes:
-        if node.loop is None:
-            continue
-        share = (spikes[node.name] > RUNAWAY * steps).mean()
-        if share > 0.5:
-            raise UserError(
-                f"{node}: its connection to itself through {node.loop.name!r} runs away: "
-                f"{share:.0%} of its neurons spike at almost every step of these recordings; "
-                "correct the step (--step), or train it on inputs of this density"
-            )
 
 
 def _threshold(network, stepped, layers, settings, dataset):

@@ -41,10 +41,9 @@ def test_a_reader_that_has_seen_enough_is_no_error(unread, arguments):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
-@pytest.mark.parametrize("arguments", [("settings", "--json"), ("--version",)])
-def test_a_full_disk_is_one_line(arguments):
+def test_a_full_disk_is_one_line():
     with open("/dev/full", "w") as full:
-        done = run(*arguments, stdout=full)
+        done = run("settings", "--json", stdout=full)
     assert done.returncode == 2
     assert done.stderr.startswith(f"stmnist: {os.strerror(errno.ENOSPC)}")
     assert done.stderr.count("\n") == 1

@@ -210,15 +210,6 @@ def test_a_recurrent_graph_with_one_input_for_both_polarities():
 
 
 @pytest.mark.slow
-def test_a_loop_that_runs_away_is_refused(tmp_path, capsys):
-    few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
-    nir.write(tmp_path / "away.nir", merged_graph(5.0))
-    given = ("--nir", tmp_path / "away.nir", "--input", "events")
-    assert stmnist("convert", tmp_path / "run", *given, *few) == 2
-    assert missing(capsys.readouterr().err, "'lif'", "'w_rec'", "runs away") == []
-
-
-@pytest.mark.slow
 def test_a_run_of_a_graph(tmp_path, capsys):
     """Convert, ladder, plan; then again, nothing is done anew."""
     rng = np.random.default_rng(0)

@@ -1,0 +1,87 @@
+"""``stmnist status``, ``compare``, ``report`` and ``animate``: what runs have, for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from deploy.check.bundle import read_bundle
+from deploy.errors import UserError
+from pipeline.commands import options
+from pipeline.progress import progress
+from pipeline.results.compare import compare_runs, read_runs, runs_text
+from pipeline.results.report import write_report
+from pipeline.results.status import status_of, status_text
+from pipeline.roads import road_of
+from pipeline.run import RunFolder
+from pipeline.settings import read_settings
+
+
+def status(run: options.Run, as_json: options.Json = False):
+    """Show each artifact of a run: current, outdated and why, or missing.
+
+    Nothing is made or changed.
+    """
+    folder = RunFolder(run)
+    found = status_of(folder)
+    options.tell(
+        {"run": str(run), "artifacts": [status.to_json() for status in found]},
+        lambda _: status_text(folder, found),
+        as_json,
+    )
+    imported = road_of(read_settings(folder.experiment)).imported
+    if imported is not None and (note := imported.changed_note()) is not None:
+        options.say(note)
+
+
+def compare_(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of two or more runs.")],
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Use the complete test split, not the check's samples.")
+    ] = False,
+    as_json: options.Json = False,
+):
+    """Compare runs: settings, accuracy of each stage, operations, cores, time to decide.
+
+    Every run is compared with the first one.  If both have the same samples, the comparison is
+    paired, with McNemar's test.
+    """
+    options.tell(compare_runs(read_runs(runs, whole)), runs_text, as_json)
+
+
+def report(
+    run: options.Run,
+    out: Annotated[
+        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        typer.Option(help="The file to write (default: report.html in the run's folder)."),
+    ] = None,
+    jobs: options.Jobs = 2,
+):
+    """Write the run's results so far as one self-contained HTML file."""
+    path = write_report(run, out, jobs, options.say)
+    options.say(f"report: {path} ({path.stat().st_size // 1024} KiB)")
+    options.suggest("live", run)
+
+
+def animate(
+    run: options.Run,
+    out: Annotated[Path, typer.Option(help="The file to write: .gif, or .mp4 with ffmpeg.")],
+    sample: Annotated[
+        str, typer.Option(help="Id of a sample of the check (default: the first one).")
+    ] = "",
+):
+    """Write an animation of a sample: touch, spikes and probabilities over time."""
+    from pipeline.results.report.figures import animation
+
+    animation.writer_for(out)  # reports a wrong ending of the name before anything is computed
+    bundle = read_bundle(options.bundle_in(run))
+    options.warn_if_outdated(options.bundle_in(run))
+    ids = list(bundle.checks.ids)
+    if sample and sample not in ids:
+        raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
+    index = ids.index(sample) if sample else 0
+    with progress("animate", animation.FRAMES + animation.STILL) as advance:
+        animation.animate(out, bundle, index, advance)
+    options.say(f"animation: {out}")
