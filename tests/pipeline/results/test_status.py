@@ -10,7 +10,7 @@ from pipeline.run import RunFolder
 from tests.command import call
 
 ON_IMAGES = [
-    *("dataset", "counts", "cnn", "rate-lif", "bundle"),
+    *("dataset", "counts", "cnn", "cnn-matched", "rate-lif", "bundle"),
     *(
         f"checks/{s}"
         for s in (
