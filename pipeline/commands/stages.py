@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -47,6 +48,12 @@ def convert(
         Optional[float],  # noqa: UP045
         typer.Option(help="With --nir: milliseconds of the graph's time in a step of the chip."),
     ] = None,
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict", help="With --nir: refuse a graph that was trained with another reset."
+        ),
+    ] = False,
     retrain: Annotated[
         bool,
         typer.Option(
@@ -67,6 +74,8 @@ def convert(
         raise UserError("--model and --nir: a run has one network; give only one of them")
     if step is not None and nir is None:
         raise UserError("--step: needs a NIR graph; give it with --nir FILE")
+    if strict and nir is None:
+        raise UserError("--strict: needs a NIR graph; give it with --nir FILE")
     from pipeline import stages
 
     changes, examine = {}, None
@@ -76,7 +85,7 @@ def convert(
         refuse_other_folders(run)
         before = RunFolder(run).resolve_settings(given.settings, {})
         changes = stages.settings_of_nir(nir, step, given.input, before)
-        examine = stages.refuse_early
+        examine = functools.partial(stages.refuse_early, strict=strict)
     with options.opened(run, given, jobs, changes, examine=examine) as opened:
         bundle, road = stages.convert(opened), opened.road
         for stage, reference in road.references.items():

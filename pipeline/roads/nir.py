@@ -48,6 +48,12 @@ CALIBRATED_ON = 48
 DECIDED_ON = 300
 """Maximum number of training samples on which the confidence for early decisions is chosen."""
 
+RESET_ON = 200
+"""Maximum number of training samples on which the two resets are compared."""
+
+RUNAWAY = 0.9
+"""Share of the steps with spikes from which a neuron counts as one that never rests."""
+
 FROM_REST = {"gap": 0, "stream_length": 1}
 """Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
 start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
@@ -230,19 +236,18 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     begun = time.perf_counter()
     source, network = graph_for(folder, settings, dataset)
     stepped = Stepped.of(settings, network)
-    layers = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset))
+    layers, cost = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset)), None
     for line in notes(network, layers, stepped):
         say(f"nir: {line}")
     if settings.nir.reset != "value":
-        say(
-            "nir: neurons reset to v_reset on the chip, not by subtraction as in the stage nir; "
-            "'stmnist ladder' tells what that changes"
-        )
+        cost = reset_cost(network, stepped, settings, dataset)
+        say(f"nir: {_reset_text(cost)}")
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
         inputs, reset = dataset.inputs[index], settings.nir.reset
-        answers, _ = outputs_of(network, stepped, inputs, settings, advance, reset)
+        answers, spikes = outputs_of(network, stepped, inputs, settings, advance, reset)
+    _refuse_runaway(network, spikes, settings.steps)
     right = predictions_of(answers, settings) == dataset.labels[index]
     accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
     metrics = {
@@ -253,6 +258,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "epochs": 0,
         "step_seconds": stepped.seconds,
         "method": stepped.method,
+        "reset": cost,
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
         "versions": NUMPY,
     }
@@ -302,13 +308,15 @@ def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     return source, network
 
 
-def refuse_early(settings: Settings):
+def refuse_early(settings: Settings, strict: bool = False):
     """Refuse a graph that cannot fit any recordings, before anything is written.
 
     Parameters
     ----------
     settings : Settings
         With ``nir.file``.
+    strict : bool
+        Also refuse a graph that was trained with another reset than the chip's.
 
     Raises
     ------
@@ -317,6 +325,11 @@ def refuse_early(settings: Settings):
     """
     source = settings.nir.file
     network = read_nir(source)
+    if strict and settings.nir.reset != "value":
+        raise UserError(
+            f"{source}: trained with a reset by subtraction ('nir.reset'), and the chip resets to "
+            "v_reset; train it with a reset to zero, or convert it without --strict"
+        )
     if settings.data.source == SIMULATED:
         skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
         require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
@@ -402,6 +415,60 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
                 )
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
+
+
+def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
+    """Effect of the chip's reset on the answers of a graph that was trained with another.
+
+    Returns
+    -------
+    dict
+        Training ``samples``; ``accuracy`` with the chip's reset and ``accuracy_as_trained``;
+        ``agreement``, the share of samples with the same prediction.
+    """
+    rng = np.random.default_rng([settings.seed, 0x5EB])
+    some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
+    inputs, labels = dataset.inputs[some], dataset.labels[some]
+    chip, trained = (
+        predictions_of(outputs_of(network, stepped, inputs, settings, reset=reset)[0], settings)
+        for reset in ("value", settings.nir.reset)
+    )
+    return {
+        "samples": len(some),
+        "accuracy": float((chip == labels).mean()),
+        "accuracy_as_trained": float((trained == labels).mean()),
+        "agreement": float((chip == trained).mean()),
+    }
+
+
+def _reset_text(cost):
+    return (
+        f"neurons reset to v_reset on the chip, not by subtraction: an accuracy of "
+        f"{cost['accuracy']:.3f} instead of {cost['accuracy_as_trained']:.3f} on "
+        f"{cost['samples']} training samples, {cost['agreement']:.1%} of their answers are the same"
+    )
+
+
+def _refuse_runaway(network, spikes, steps):
+    """Refuse a recurrent layer most of whose neurons spike at almost every step.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    spikes : dict of str to ndarray, shape (n_samples, neurons)
+        Number of spikes by the node's name.
+    steps : int
+    """
+    for node in network.nodes:
+        if node.loop is None:
+            continue
+        share = (spikes[node.name] > RUNAWAY * steps).mean()
+        if share > 0.5:
+            raise UserError(
+                f"{node}: its connection to itself through {node.loop.name!r} runs away: "
+                f"{share:.0%} of its neurons spike at almost every step of these recordings; "
+                "correct the step (--step), or train it on inputs of this density"
+            )
 
 
 def _threshold(network, stepped, layers, settings, dataset):

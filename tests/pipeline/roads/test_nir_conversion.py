@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from deploy.files import read_json
 from deploy.network.nir import nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
@@ -210,6 +211,15 @@ def test_a_recurrent_graph_with_one_input_for_both_polarities():
 
 
 @pytest.mark.slow
+def test_a_loop_that_runs_away_is_refused(tmp_path, capsys):
+    few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
+    nir.write(tmp_path / "away.nir", merged_graph(5.0))
+    given = ("--nir", tmp_path / "away.nir", "--input", "events")
+    assert stmnist("convert", tmp_path / "run", *given, *few) == 2
+    assert missing(capsys.readouterr().err, "'lif'", "'w_rec'", "runs away") == []
+
+
+@pytest.mark.slow
 def test_a_run_of_a_graph(tmp_path, capsys):
     """Convert, ladder, plan; then again, nothing is done anew."""
     rng = np.random.default_rng(0)
@@ -225,8 +235,13 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     nir.write(file, graph)
     few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--step", "20", "--jobs", "1"]
     subtract = ["--set", "nir.reset=subtract"]
+    assert stmnist("convert", run, "--nir", file, *few, *subtract, "--strict") == 2
+    assert "--strict" in capsys.readouterr().err
     assert stmnist("convert", run, "--nir", file, *few, *subtract) == 0
-    assert missing(capsys.readouterr().err, "nir: ", "by subtraction") == []
+    assert missing(capsys.readouterr().err, "nir: ", "by subtraction", "same") == []
+    cost = read_json(run / "snn" / "metrics.json", "")["reset"]
+    assert cost["samples"] == 64
+    assert 0 <= cost["agreement"] <= 1
     nir.write(file, graph_of_ones())  # a later version; the run has its own copy
     changed = ["--set", "nir.method=euler"]  # for which the graph is read again
     assert stmnist("ladder", run, "--json", "--jobs", "1", *changed) == 0
@@ -265,6 +280,7 @@ BAD = [
     (["--nir", "text.nir"], ["text.nir: ", "NIR"]),
     (["--nir", "small.nir", "--model", "x.keras"], ["--model", "--nir"]),
     (["--step", "20"], ["--step", "--nir"]),
+    (["--strict"], ["--strict", "--nir"]),
     (["--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--step", "5000"], ["'input.step'"]),
