@@ -16,8 +16,7 @@ from pipeline.jobs import results_of
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.skin import aces, handwriting
 from pipeline.skin import parameters as settings
-from pipeline.skin.contact import Creep, press, scrape
-from pipeline.skin.receptors import Receptors
+from pipeline.skin.contact import Creep, Receptors, press, scrape
 
 VERSION = 6
 """Part of the hash of the recordings; increase it with any change of the simulation."""

@@ -4,7 +4,7 @@ The motion of a simulated writer is known completely before the skin is simulate
 of the pen arrive one by one.  Between two of them the tip moves in a straight line, after the last
 one it rests, and it lands and lifts like a simulated writer's
 (:func:`pipeline.skin.handwriting.on_skin`).  Contact, film, receptors and read-out are those of the
-simulation (:mod:`pipeline.skin.contact`, :mod:`~pipeline.skin.receptors`,
+simulation (:mod:`pipeline.skin.contact`, :mod:`~pipeline.skin.contact`,
 :mod:`~pipeline.skin.aces`).
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 
 from pipeline.data.events import Events
 from pipeline.skin import aces, contact
+from pipeline.skin.contact import Receptors
 from pipeline.skin.handwriting import on_skin
-from pipeline.skin.receptors import Receptors
 from pipeline.skin.simulate import ARRAY_SEED, SIZE, STEP_S, array_gain
 
 START_S = 0.2

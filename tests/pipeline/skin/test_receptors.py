@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pipeline.skin.receptors import Receptors
+from pipeline.skin.contact import Receptors
 
 STEP, REFRACTORY, POLL = 1e-3, 3.27e-3, 88e-6
 

@@ -9,6 +9,7 @@ from pipeline.data.events import EVENT_DTYPES
 from pipeline.skin import aces, parameters
 from pipeline.skin.contact import (
     Creep,
+    Receptors,
     Shaking,
     jolt,
     landings,
@@ -18,7 +19,6 @@ from pipeline.skin.contact import (
     strength,
 )
 from pipeline.skin.handwriting import Motion
-from pipeline.skin.receptors import Receptors
 from pipeline.skin.writing import START_S, PenPoint, Writing
 
 P = parameters.load()
