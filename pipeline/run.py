@@ -203,6 +203,22 @@ def refuse_other_folders(path: Path, of_results: bool = False):
         )
 
 
+def require_run(run: RunFolder):
+    """Make sure that a folder is that of a run.
+
+    Raises
+    ------
+    UserError
+        It has no settings of a run: it is a bundle, has other files, or is not there.
+    """
+    if not run.experiment.is_file():
+        refuse_other_folders(run.path)
+        raise UserError(
+            f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
+            f"with 'stmnist ladder {run.path}'"
+        )
+
+
 @contextlib.contextmanager
 def nothing_left_of_a_failure(path: Path):
     """Remove the folder of a new run if the block fails before anything is saved."""

@@ -31,7 +31,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact, Library, Origin
-from pipeline.data.dataset import Dataset
+from pipeline.data.dataset import TRAINED_ON, Dataset
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import PUBLISHED, in_both_parts
 from pipeline.data.statistics import facts_of
@@ -213,10 +213,7 @@ def open_run(
     if not artifact.state().is_current:
         parts = ("train", "validation", "test")
         sizes = {part: len(getattr(dataset.split, part)) for part in parts}
-        hashes, split = recordings.hashes(), dataset.split
-        trained_on = sorted(hashes[i] for i in (*split.train, *split.validation))
-        record = {**facts_of(recordings), **sizes, "split": split.kind}
-        artifact.write({**record, "training_recordings": trained_on})
+        artifact.write({**facts_of(recordings), **sizes, "split": dataset.split.kind})
     return opened
 
 
@@ -300,6 +297,7 @@ def convert(opened: Opened) -> Bundle:
         "package": __version__,
         **({"time_unit": source.time_unit} if source.time_unit else {}),
         **_downsample(view, dataset),
+        **_trained_on(dataset),
     }
     spec = seen.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
@@ -320,6 +318,14 @@ def _downsample(settings, dataset):
         return {}
     n = settings.data.downsample
     return {"downsample": n} if n > 1 else {}
+
+
+def _trained_on(dataset):
+    """Hashes of the recordings that the network was made with, so that they are recognised."""
+    if dataset.is_of_arrays:
+        return {}
+    split, hashes = dataset.split, dataset.recordings.hashes()
+    return {TRAINED_ON: sorted({hashes[i] for i in (*split.train, *split.validation)})}
 
 
 def bundle_artifact(run: RunFolder, road: Road, dataset: Origin) -> Artifact:

@@ -66,7 +66,8 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     assert call("adapt", run, "--data", person, "--json") == 0
     result = told(capsys)
     assert set(result) == {
-        "before", "after", "others_before", "others_after", "bundle", "samples"
+        "before", "after", "others_before", "others_after", "bundle", "samples", "trained_on",
+        "in_check",
     }  # fmt: skip
     assert result["samples"] == 50
     assert result["after"] > result["before"] + 0.1

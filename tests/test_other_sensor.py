@@ -1,6 +1,7 @@
 """Five gestures on a skin of 16 by 12, from event files to the report."""
 
 import io
+import shutil
 import zipfile
 
 import numpy as np
@@ -99,7 +100,8 @@ def checked(run, folder, capsys):
 
 def test_recordings_of_the_training_are_recognised_by_their_content(run, tmp_path, capsys):
     """Copies of single recordings with other names, in another folder and format."""
-    trained = read_json(run / "dataset.json", "")["training_recordings"]
+    bundle = read_bundle(run / "bundle")
+    trained = bundle.spec.provenance["training_recordings"]
     assert len(trained) == len(set(trained)) == 120
     same = load_recordings(str(part_of(run, tmp_path / "same")), jobs=1)
     expected = sum(content in trained for content in same.hashes())
@@ -108,6 +110,9 @@ def test_recordings_of_the_training_are_recognised_by_their_content(run, tmp_pat
     assert result["data"]["trained_on"] == expected
     assert f"{expected} of 8 recordings were used to make the network" in printed.err
     assert f"{expected} of them were used" in printed.out
+    copied = shutil.copytree(run / "bundle", tmp_path / "elsewhere" / "bundle")
+    _, result, printed = checked(copied, tmp_path / "same", capsys)
+    assert result["data"]["trained_on"] == expected
     later = part_of(run, tmp_path / "new", change=lambda a: {**a, "t": 1.01 * a["t"]})
     _, result, printed = checked(run, later, capsys)
     assert result["data"]["trained_on"] == 0

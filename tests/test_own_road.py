@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
 from pipeline.data.eventfiles import write_recordings
+from pipeline.results import elsewhere
 from tests.command import call, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -86,6 +88,37 @@ def test_the_own_recordings_are_said_to_be_known(folder, capsys):
     assert call("check", "run", folder / "image", *shown) == 0
     assert read_result(out)["n_samples"] == 100
     assert missing(capsys.readouterr().err, "warning", folder / "own") == []
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_a_readout_fitted_to_samples_of_the_check_is_said_to_be(folder, kind, tmp_path, capsys):
+    new, out = tmp_path / "new", tmp_path / "out.json"
+    command = ("adapt", folder / kind, "--data", folder / "own", "--out", new, "--json")
+    assert call(*command) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["trained_on"], told["in_check"]) == (80, 20)
+    assert told["others_before"] is told["others_after"] is None
+    if told["bundle"] is None:
+        pytest.skip("the fit of this network is no better")
+    check = ("check", "run", new, "--target", "fast", "--out", out)
+    assert call(*check) == 0
+    assert "fitted to 20 of the 20 samples" in capsys.readouterr().err
+    assert read_json(out, "")["trained_on"] == 20
+    assert call(*check, "--data", folder / "own") == 0
+    assert "100 of 100 recordings were used" in capsys.readouterr().err
+
+
+def test_ends_that_are_cut_and_polarities_that_are_new_are_said(folder, tmp_path):
+    slow = [((x, y, 2 * t, p), label) for (x, y, t, p), label in gestures(3, seed=5)]
+    ends = [events[2][-1] - events[2][0] for events, _ in slow]
+    source = write_recordings(tmp_path / "slow.zip", slow, CLASSES, "s")
+    bundle, said = read_bundle(folder / "events" / "bundle"), []
+    of_one = replace(bundle.spec, provenance={**bundle.spec.provenance, "polarities": 1})
+    settings = elsewhere.settings_around(bundle)
+    elsewhere.recordings_for(replace(bundle, spec=of_one), str(source), settings, warn=said.append)
+    cut = sum(end >= bundle.spec.presentation.steps * 0.01 for end in ends)
+    assert 0 < cut < len(ends)
+    assert missing(" ".join(said), f"{cut} of {len(ends)} recordings are longer", "OFF") == []
 
 
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):

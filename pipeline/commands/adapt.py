@@ -69,12 +69,19 @@ def adapt(
     told = {
         "before": float(adapted.fit.before.mean()),
         "after": float(adapted.fit.after.mean()),
-        "others_before": float(adapted.others_before.mean()),
-        "others_after": float(adapted.others_after.mean()),
+        "others_before": _mean(adapted.others_before),
+        "others_after": _mean(adapted.others_after),
         "bundle": None if place is None else str(place),
         "samples": len(recordings),
+        "trained_on": int(elsewhere.trained_on(bundle, recordings).sum()),
+        "in_check": adapted.fitted,
     }
     options.tell(told, lambda _: adaptation.text_of(adapted, place), as_json)
+
+
+def _mean(right):
+    """The share of right answers; None without samples."""
+    return float(right.mean()) if len(right) else None
 
 
 def _bundle_of(path):

@@ -19,6 +19,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.board import BoardOptions
 from deploy.targets.registry import TARGETS, options_for
+from deploy.terminal import WARNING
 from pipeline.commands import options
 from pipeline.progress import progress
 from pipeline.roads import COMPARED_WITH
@@ -135,9 +136,23 @@ def run(
         return
     path = out or checks_beside(opened.path) / f"{target}.json"
     result = check(opened, path)
+    if number := _fitted_to(opened.spec):
+        options.say(
+            f"{WARNING}{bundle}: was fitted to {number} of the {len(opened.checks)} samples of its "
+            "check; its accuracy on them says little about others"
+        )
+        result["trained_on"] = number
+        write_json(path, result)
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
     if loss := _loss(opened, result):
         options.say(f"check: {loss}")
+
+
+def _fitted_to(spec):
+    """Number of the check's samples that an adapted network was fitted to."""
+    adapted = spec.provenance.get("adapted")
+    number = adapted.get("in_check") if isinstance(adapted, dict) else None
+    return number if type(number) is int else 0
 
 
 def _checked(bundle, path, target, seed, chosen):

@@ -31,6 +31,9 @@ SPLIT_READS = ("seed", "split")
 ARRAYS = "arrays"
 """File of the images with which :meth:`Dataset.of_arrays` replaces recordings."""
 
+TRAINED_ON = "training_recordings"
+"""Entry of a bundle's provenance with the hashes of the recordings that it was made with."""
+
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 """Remedy for too few samples for the check."""
 
@@ -295,6 +298,12 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
 def classes_of(spec: NetworkSpec) -> tuple:
     """Names of the classes of a deployed network; numbers for a bundle without names."""
     return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
+
+
+def training_hashes(spec: NetworkSpec) -> set:
+    """Hashes of the recordings that a network was trained on or fitted to, if they are known."""
+    hashes = spec.provenance.get(TRAINED_ON)
+    return set(map(str, hashes)) if isinstance(hashes, list) else set()
 
 
 def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):

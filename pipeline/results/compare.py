@@ -225,8 +225,9 @@ def inference(run: Run) -> dict:
         "steps": spec.presentation.steps,
         "step_ms": step_ms,
         "stable_after_median": result.get("stable_after_median"),
-        "writing": early
-        and {
+        "writing": None
+        if not early or early["confidence"] >= 1  # which decides at the end
+        else {
             "share": early["share_of_writing_mean"],
             "accuracy": early["accuracy"],
             "accuracy_ci95": early["accuracy_ci95"],

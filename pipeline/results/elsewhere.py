@@ -10,11 +10,16 @@ import numpy as np
 from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
 from deploy.tables import listed
 from deploy.terminal import WARNING
-from pipeline.data.dataset import classes_of, cut_text, inputs_for, require_sensor_fits
+from pipeline.data.dataset import (
+    classes_of,
+    cut_text,
+    inputs_for,
+    require_sensor_fits,
+    training_hashes,
+)
 from pipeline.data.eventfiles import UNITS
 from pipeline.data.events import Recordings
 from pipeline.data.library import load_recordings
@@ -112,23 +117,13 @@ def recordings_for(
 def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
     """The recordings that were used to make a network, which are recognised by their content.
 
-    The run around the bundle has hashes of its training recordings, and an adapted bundle of those
-    it was fitted to.  A bundle without its run only has the hash of the whole source.
+    A bundle has hashes of the recordings that it was trained on or fitted to.
 
     Returns
     -------
     ndarray of bool, shape (n_samples,)
     """
-    run, recorded = run_around(bundle.path), bundle.spec.provenance
-    adapted = recorded.get("adapted")
-    adapted = adapted if isinstance(adapted, dict) else {}
-    used = set(map(str, adapted.get("recordings", ())))
-    if run is not None and (run / "dataset.json").is_file():
-        record = read_json(run / "dataset.json", "run 'stmnist train' again")
-        used |= set(map(str, record.get("training_recordings", ())))
-    elif recordings.source.sha256 == recorded.get("source_sha256"):
-        return np.ones(len(recordings), bool)
-    return np.isin(recordings.hashes(), list(used))
+    return np.isin(recordings.hashes(), list(training_hashes(bundle.spec)))
 
 
 def _warnings(bundle, recordings):

@@ -19,7 +19,7 @@ from pipeline.data.library import identity_of
 from pipeline.data.splits import RANDOM
 from pipeline.results.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
 from pipeline.roads import road_of
-from pipeline.run import RunFolder, refuse_other_folders, run_around
+from pipeline.run import RunFolder, require_run, run_around
 from pipeline.settings import Settings, read_settings
 from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
 
@@ -72,12 +72,7 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
     UserError
         The folder has no run, or is that of a benchmark, or a file of it is damaged.
     """
-    if not run.experiment.is_file():
-        refuse_other_folders(run.path)
-        raise UserError(
-            f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
-            f"with 'stmnist ladder {run.path}'"
-        )
+    require_run(run)
     settings = settings or read_settings(run.experiment)
     dataset = _dataset_origin(run, settings)
     road = road_of(settings)

@@ -17,7 +17,13 @@ from deploy.network.stimulus import EventFrames, last_steps
 from deploy.tables import listed
 from deploy.targets.fast import Emulation
 from pipeline.data.altering import AUGMENTATIONS, altered_recordings, augmentation_for
-from pipeline.data.dataset import classes_of, inputs_for, require_sensor_fits
+from pipeline.data.dataset import (
+    TRAINED_ON,
+    classes_of,
+    inputs_for,
+    require_sensor_fits,
+    training_hashes,
+)
 from pipeline.data.events import Recordings
 from pipeline.settings import Image
 from pipeline.training.readout import PULLS, REHEARSALS, Person, Refit, refit
@@ -171,13 +177,17 @@ class Adapted:
         The network with the new readout; None if the accuracy does not improve.
     fit : Refit
     others_before, others_after : ndarray of bool
-        True if the old and the new readout are right, for each sample of the bundle's check.
+        True if the old and the new readout are right, for each sample of the bundle's check that
+        is not among the person's recordings.
+    fitted : int
+        Number of the samples of the bundle's check that are among the person's recordings.
     """
 
     spec: NetworkSpec | None
     fit: Refit
     others_before: np.ndarray
     others_after: np.ndarray
+    fitted: int = 0
 
 
 def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) -> Adapted:
@@ -213,31 +223,47 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     person = responder.person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
     fit = refit(readout.by_class, readout.bias, person, spec.rehearsal, seed, responder.scale)
-    others = responder.responses(bundle.checks.inputs)
+    new = ~_in_check(bundle, responder, recordings)
+    others = responder.responses(bundle.checks.inputs)[new]
     others_before, others_after = (
-        (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels
+        (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels[new]
         for weights in (readout.by_class, fit.weights)
     )
+    fitted = int(np.sum(~new))
     if not fit.helps:
-        return Adapted(None, fit, others_before, others_before)
+        return Adapted(None, fit, others_before, others_before, fitted)
     about = {
         "from": bundle.id,
         "writer": writer,
         "source": recordings.source.name,
         "source_sha256": recordings.source.sha256,
         "samples": len(recordings),
-        "recordings": sorted(recordings.hashes()),
+        "in_check": fitted,
         "pull": fit.pull,
         "rehearsal": fit.rehearsal,
     }
     adapted = replace(
         spec,
         layers=(*spec.layers[:-1], readout.with_by_class(fit.weights)),
-        provenance={**spec.provenance, "adapted": about},
+        provenance={
+            **spec.provenance,
+            "adapted": about,
+            TRAINED_ON: sorted({*training_hashes(spec), *recordings.hashes()}),
+        },
     )
-    return Adapted(
-        _with_threshold(adapted, responder, recordings), fit, others_before, others_after
-    )
+    adapted = _with_threshold(adapted, responder, recordings)
+    return Adapted(adapted, fit, others_before, others_after, fitted)
+
+
+def _in_check(bundle, responder, recordings):
+    """Mark the samples of a bundle's check that are among some recordings, by their input."""
+    samples = bundle.checks.inputs
+    known = {
+        np.asarray(row, samples.dtype).tobytes()
+        for some in responder.inputs_in_parts(recordings)
+        for row in some
+    }
+    return np.array([row.tobytes() in known for row in samples], bool)
 
 
 def require_fit(spec: NetworkSpec, recordings: Recordings):
@@ -298,7 +324,13 @@ def text_of(adapted: Adapted, place) -> str:
         (f"this person, cross-validated{chosen}", fit.before, fit.after),
         ("the bundle's own check", adapted.others_before, adapted.others_after),
     ):
-        lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
+        if len(before):
+            lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
+    if adapted.fitted:
+        lines.append(
+            f"{adapted.fitted} of the {adapted.fitted + len(adapted.others_before)} samples of the "
+            "bundle's check are among these recordings and are not counted"
+        )
     if place is None:
         lines.append("no improvement: nothing was changed")
     else:

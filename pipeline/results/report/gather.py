@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.preflight.plan import make_plan
+from pipeline.data.dataset import inputs_for
 from pipeline.data.library import recordings_of
 from pipeline.progress import progress
 from pipeline.results.elsewhere import FOLDER as OTHERS
@@ -17,7 +20,7 @@ from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
 from pipeline.results.status import outdated, status_of
 from pipeline.roads import road_of
-from pipeline.run import RunFolder
+from pipeline.run import RunFolder, require_run
 from pipeline.settings import read_settings
 from pipeline.training.epochs import read_history
 
@@ -43,6 +46,7 @@ def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
     UserError
         There is no bundle or no check result, or a file is damaged.
     """
+    require_run(folder)
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
     road = road_of(settings)
@@ -104,10 +108,20 @@ def _recordings(settings, bundle, jobs, say):
     except UserError as error:
         say(f"report: without pictures of the events ({error})")
         return None
-    if not set(bundle.checks.ids) <= set(recordings.ids):
+    if not _has_samples(recordings, bundle, settings.image):
         say("report: without pictures of the events (the bundle was made from other recordings)")
         return None
     return recordings
+
+
+def _has_samples(recordings, bundle, image):
+    """True if the recordings have the samples of the bundle's check, with the same content."""
+    sensor, index = recordings.sensor, {name: i for i, name in enumerate(recordings.ids)}
+    chosen = [index.get(name) for name in bundle.checks.ids]
+    if None in chosen or (sensor.rows, sensor.columns) != bundle.spec.input_shape[:2]:
+        return False
+    inputs = inputs_for(bundle.spec, recordings.part(np.array(chosen)), image)
+    return np.array_equal(inputs, bundle.checks.inputs)
 
 
 def _others(folder, bundle):

@@ -120,7 +120,12 @@ def test_what_an_inference_takes_by_hand():
 
 
 def test_time_to_decide_of_events():
-    early = {"share_of_writing_mean": 0.82, "accuracy": 0.75, "accuracy_ci95": [0.4, 0.9]}
+    early = {
+        "confidence": 0.9,
+        "share_of_writing_mean": 0.82,
+        "accuracy": 0.75,
+        "accuracy_ci95": [0.4, 0.9],
+    }
     counts = {"operations": {"conv1": 8}, "stable_after_median": 12.0}
     answer = result("fast", ALL, **counts, while_written={"by_itself": early})
     changes = {"input": {"kind": "events"}}
@@ -130,6 +135,8 @@ def test_time_to_decide_of_events():
     assert compared["runs"][1]["writing"]["share"] == 0.82
     text = runs_text(compared)
     assert missing(text, "82%", "image", "events") == []
+    early["confidence"] = 1.0  # decides at the end
+    assert compare_runs([run("a", [answer]), events])["runs"][1]["writing"] is None
 
 
 def test_simulated_and_other_samples_are_told_apart():

@@ -16,6 +16,8 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
+from pipeline.data import library
+from pipeline.results.report import gather as gathering
 from pipeline.results.report import page as report
 from pipeline.results.report.gather import gather
 from pipeline.results.report.samples import replay
@@ -146,10 +148,23 @@ def test_without_its_recordings_a_run_still_has_a_report(run, tmp_path, capsys):
     assert 'class="timeline"' in page
 
 
+def test_other_recordings_with_the_same_names_are_not_shown(run, monkeypatch, capsys):
+    def others(*arguments):
+        recordings = library.recordings_of(*arguments)
+        turned = recordings.part(np.roll(np.arange(len(recordings)), 1))
+        return replace(turned, ids=recordings.ids, labels=recordings.labels)
+
+    monkeypatch.setattr(gathering, "recordings_of", others)
+    assert call("report", run) == 0
+    assert "other recordings" in capsys.readouterr().err
+    assert 'class="event on"' not in (run / "report.html").read_text()
+
+
 def test_a_run_without_results_is_one_line(tmp_path, refused, run):
     shutil.rmtree(run / "checks")
     assert "stmnist ladder" in refused("report", run)
     assert "nowhere" in refused("report", tmp_path / "nowhere")
+    assert "is a bundle" in refused("report", shutil.copytree(run / "bundle", tmp_path / "copy"))
 
 
 def test_an_animation_ends_with_the_answer(tiny_run, tmp_path, refused):
