@@ -34,6 +34,9 @@ from pipeline.settings import MOST_DOWNSAMPLED, Image, Settings, read_settings
 FOLDER = "other"
 """Name of the folder in a run's results."""
 
+REACHED = 0.8
+"""Share of a sensor's rows and columns that its recordings have events in, at least."""
+
 
 def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:
     """The settings of the run that a bundle is in, or the defaults if it is in none.
@@ -128,12 +131,21 @@ def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
 
 def _warnings(bundle, recordings):
     """What limits the meaning of the network's accuracy on other recordings."""
-    spec = bundle.spec
+    spec, events, taxels = bundle.spec, recordings.events, recordings.taxels
     if number := int(trained_on(bundle, recordings).sum()):
         yield (
             f"{number} of {len(recordings)} recordings were used to make the network; its accuracy "
             "on them says little about others"
         )
+    rows, columns = spec.input_shape[:2]
+    reached = [int(axis[events.taxel].max(initial=0)) + 1 for axis in (taxels.row, taxels.column)]
+    if reached[0] < REACHED * rows or reached[1] < REACHED * columns:
+        yield (
+            f"the events are in {reached[0]} of {rows} rows and {reached[1]} of {columns} columns; "
+            "if these are recordings of a smaller sensor, the network is not for them"
+        )
+    if spec.provenance.get("polarities") == 1 and (events.polarity < 0).any():
+        yield "there are OFF events, and the recordings of the training had none"
     if isinstance(spec.stimulus, EventFrames):
         step_ms, steps = 1000 * spec.stimulus.step_seconds, spec.presentation.steps
         if line := cut_text(EventTable.of(recordings), step_ms, steps):
