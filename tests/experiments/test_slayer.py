@@ -3,10 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments.slayer import Adam, Slayer, spike_response, train_slayer
+from experiments.slayer import Slayer, spike_response, train_slayer
 from experiments.slayer_network import SlayerNetwork
 from models.architecture import parse
-from models.keras2 import tf
 from pipeline.training.epochs import Checkpoint
 from tests.untraced import untraced
 
@@ -74,19 +73,6 @@ def test_time_is_that_of_the_recordings(trained, data):
         same, layer_spikes(SETTINGS, trained.kernels, data[0][:4]), strict=True
     ):
         np.testing.assert_array_equal(mine, expected)
-
-
-def test_the_optimiser_is_that_of_keras():
-    rng = np.random.default_rng(0)
-    weights = [rng.normal(size=shape).astype(np.float32) for shape in ((3, 2), (4,))]
-    variables = [tf.Variable(array) for array in weights]
-    ours, keras = Adam(weights, 0.05), tf.keras.optimizers.Adam(0.05, amsgrad=True)
-    for scale in (1.0, 100.0, 0.01, 1.0):  # the largest square is not the latest
-        gradients = [scale * rng.normal(size=w.shape).astype(np.float32) for w in weights]
-        ours.apply(gradients)
-        keras.apply_gradients(zip(map(tf.constant, gradients), variables, strict=True))
-    for array, variable in zip(weights, variables, strict=True):
-        np.testing.assert_allclose(array, variable.numpy(), rtol=1e-5, atol=1e-6)
 
 
 def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):

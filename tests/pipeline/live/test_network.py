@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from deploy.check.bundle import Bundle, read_bundle
@@ -38,13 +37,6 @@ def test_a_data_set_of_ones_own_has_its_words_and_a_folder_of_its_own():
     told = about(bundle, sensor, "x")
     assert (told["classes"], told["digits"], told["rows"]) == (names, False, 9)
     assert record_folder(changed(source="../.."), sensor) == "written-9x12"
-
-
-def test_polarities_are_those_of_the_check_where_no_run_says():
-    frames = np.zeros((3, 5, 9, 12, 2), np.uint8)
-    frames[..., 0] = 1
-    assert sensor_of(changed(inputs=frames), {}).polarities == 1
-    assert sensor_of(changed(), {}).polarities == 2
 
 
 @pytest.mark.parametrize("shape", [(100,), (10, 10, 1), (10, 10, 3)])

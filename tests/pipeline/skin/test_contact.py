@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from pipeline.skin import parameters
-from pipeline.skin.contact import Creep, Shaking, press, scrape
+from pipeline.skin.contact import Creep, press, scrape
 from pipeline.skin.handwriting import Motion
 
 P = parameters.load().skin
@@ -92,15 +92,3 @@ def test_the_film_is_a_filter_of_first_order():
     expected = felt + P.creep * (late - felt)
     Creep(7, STEP, P).advance(felt)
     np.testing.assert_allclose(felt, expected, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("strongest", [0.0, 1e-45, 1e-3, 40.0])
-def test_a_jolt_lasts_until_nothing_of_it_is_left(strongest):
-    """To the last bit as if it never ended, on taxels that feel much, hardly anything, nothing."""
-    pressure = np.zeros((2000, 4), np.float32)
-    pressure[:, 1:] = [1e-45, 1e-38, 0.3]
-    jolt = strongest * np.array([1, 0.5, 1, 0.1])
-    expected = pressure.copy()
-    expected[10:] += np.outer(np.exp(-np.arange(1990) * STEP / P.jolt_s), jolt)
-    Shaking(np.ones(4), STEP, P).advance(pressure, [(10, jolt)])
-    np.testing.assert_array_equal(pressure, expected)
