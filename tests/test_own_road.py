@@ -108,7 +108,7 @@ def test_a_readout_fitted_to_samples_of_the_check_is_said_to_be(folder, kind, tm
     assert "100 of 100 recordings were used" in capsys.readouterr().err
 
 
-def test_ends_that_are_cut_and_polarities_that_are_new_are_said(folder, tmp_path):
+def test_cut_ends_new_polarities_and_a_smaller_sensor_are_said(folder, tmp_path):
     slow = [((x, y, 2 * t, p), label) for (x, y, t, p), label in gestures(3, seed=5)]
     ends = [events[2][-1] - events[2][0] for events, _ in slow]
     source = write_recordings(tmp_path / "slow.zip", slow, CLASSES, "s")
@@ -119,6 +119,10 @@ def test_ends_that_are_cut_and_polarities_that_are_new_are_said(folder, tmp_path
     cut = sum(end >= bundle.spec.presentation.steps * 0.01 for end in ends)
     assert 0 < cut < len(ends)
     assert missing(" ".join(said), f"{cut} of {len(ends)} recordings are longer", "OFF") == []
+    small = [((x // 3, y // 3, t, p), label) for (x, y, t, p), label in gestures(3)]
+    source, said = write_recordings(tmp_path / "small.zip", small, CLASSES, "s"), []
+    elsewhere.recordings_for(bundle, str(source), settings, warn=said.append)
+    assert missing(" ".join(said), "3 of 9 rows and 4 of 12 columns") == []
 
 
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):
