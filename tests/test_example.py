@@ -9,12 +9,7 @@ from tests.test_documentation import DOCS, blocks, read
 SHOWN = """
 import atexit, gc, runpy, sys
 atexit.register(gc.freeze)  # Python would look through TensorFlow for garbage, a second long
-from matplotlib.figure import Figure
-shown = runpy.run_path(sys.argv[1])
-assert isinstance(shown["figure"], Figure)
-import matplotlib.pyplot  # which Keras brings in, where it finds it
-assert not matplotlib.pyplot.get_fignums()  # none is left for pyplot to show
-shown["figure"].savefig("figure.png")
+runpy.run_path(sys.argv[1])
 print("--- the page ---")
 runpy.run_path(sys.argv[2])
 """
@@ -64,7 +59,6 @@ def test_a_network_of_ones_own_and_the_page_on_python(tmp_path):
     assert accuracy["cnn"] > 0.8  # chance is 0.2
     assert accuracy["fast"] >= accuracy["cnn"] - 0.05
     assert ladder["classes"] == ["across", "along", "diagonal", "ring", "press"]
-    assert (tmp_path / "figure.png").stat().st_size > 1000
     assert (tmp_path / "runs" / "gestures" / "bundle" / "MANIFEST.json").is_file()
 
     for said in ("rate-lif: ", "nengo: ", "fast: ", "ESTIMATE", "2 cores on 1 chip"):
