@@ -144,6 +144,7 @@ def settle(path, recordings, parts, lookup=None, positions=None, reading=AS_FOUN
     settled = (_of_files_of_events if is_camera else _of_matrices)(
         path, recordings, parts, lookup, positions is not None, reading
     )
+    _require_equal_polarities(path, settled, parts)
     if positions is None:
         return settled
     return replace(settled, taxels=_with_positions(path, settled, positions))
@@ -201,6 +202,12 @@ def _of_files_of_events(path, recordings, parts, lookup, is_strip, reading):
         recordings = [replace(r, x=r.x // side, y=r.y // side) for r in recordings]
     unit = _unit_of(path, recordings, parts, reading)
     refused = _of_other_sensors(path, recordings, parts, reading)
+    for index in _of_other_units([recording.time for recording in recordings]):
+        refused.setdefault(
+            index,
+            f"has times more than {MIXED} times as long or as short as most have; if they are in "
+            "another unit, convert them to that of the others",
+        )
     for index, recording in enumerate(recordings):
         if (seconds := _span(recording.time) * UNITS[unit]) > LATEST_S:
             refused.setdefault(
@@ -296,6 +303,19 @@ def _refuse_parts(path, what, found):
     )
 
 
+def _require_equal_polarities(path, settled, parts):
+    found = {}
+    for index, events in zip(settled.kept, settled.events, strict=True):
+        if parts[index]:
+            found.setdefault(parts[index], set()).update(np.unique(events.polarity).tolist())
+    if len({tuple(sorted(values)) for values in found.values()}) > 1:
+        text = {
+            part: " and ".join(name for sign, name in ((1, "ON"), (-1, "OFF")) if sign in values)
+            for part, values in found.items()
+        }
+        _refuse_parts(path, "polarities", {p: f"{names} events" for p, names in text.items()})
+
+
 def _size_of(path, recordings, side, reading):
     """Rows and columns of files of events."""
     places = [(r.y, r.x) for r in recordings]
@@ -353,6 +373,19 @@ def recognised(times) -> str:
         if SHORTEST_S <= typical * seconds <= LATEST_S:
             return unit
     return "s" if not whole and typical <= LATEST_S else ""
+
+
+def _of_other_units(times) -> list:
+    """Indices of recordings whose times cannot be in the unit of the others.
+
+    Recordings with a single event have no duration, and fit any unit.
+    """
+    spans = np.array([_span(time) for time in times])
+    some = np.flatnonzero(spans > 0)
+    if len(some) < 2:
+        return []
+    ratio = spans[some] / np.median(spans[some])
+    return some[(ratio > MIXED) | (ratio < 1 / MIXED)].tolist()
 
 
 def _is_a_clock(times, unit: str) -> bool:

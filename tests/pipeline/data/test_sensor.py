@@ -78,6 +78,21 @@ def test_a_clock_that_runs_since_1970(tmp_path):
     assert read.sensor.duration_s < 2
 
 
+def test_mixed_units(tmp_path):
+    members = own()
+    name = min(members)
+    x, y, t, p = gestures(1)[0][0]
+    (line,) = refused(tmp_path, {**members, name: npz(x=x, y=y, t=t, p=p)})
+    assert missing(line, "1 of 16 ", name, "time") == []
+
+
+def test_parts_of_a_published_split_have_the_same_polarities(tmp_path):
+    train = {f"train/{name}": content for name, content in own(p=np.ones_like).items()}
+    both = {f"test/{name}": content for name, content in own().items()}
+    (line,) = refused(tmp_path, {**train, **both})
+    assert missing(line, "polarities", "train", "test", "ON and OFF") == []
+
+
 def test_a_sensor_with_too_many_pixels_is_downsampled(tmp_path):
     members = own(x=lambda x: 100 * x, y=lambda y: 40 * y)
     (line,) = refused(tmp_path, members)
