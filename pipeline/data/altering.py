@@ -49,16 +49,13 @@ def augmentation_for(recordings: Recordings) -> str:
 def is_handwriting(recordings: Recordings) -> bool:
     """True for handwriting on the skin.
 
-    This is what was simulated, what people wrote on the simulated skin, and recordings in
-    ST-MNIST's format of digits on its array.
+    This is what people wrote on the simulated skin, and digits that were simulated or are in
+    ST-MNIST's format on its array.
     """
     source, sensor = recordings.source, recordings.sensor
-    is_st_mnist = (
-        not source.time_unit
-        and (sensor.rows, sensor.columns) == (GRID, GRID)
-        and sensor.classes == DIGITS
-    )
-    return bool(source.simulated or source.written or is_st_mnist)
+    is_st_mnist = not source.time_unit and (sensor.rows, sensor.columns) == (GRID, GRID)
+    is_digits = sensor.classes == DIGITS
+    return bool(source.written or (is_digits and (source.simulated or is_st_mnist)))
 
 
 def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarity, size=(10, 10)):

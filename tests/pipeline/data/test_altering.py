@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data.altering import Alteration, alter, altered_recordings
-from pipeline.data.events import Events, Source, collect
+from pipeline.data.altering import Alteration, alter, altered_recordings, augmentation_for
+from pipeline.data.events import Events, Sensor, Source, collect
 
 STILL = Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -90,3 +90,20 @@ def test_events_of_altered_recordings_are_those_of_alter():
     np.testing.assert_allclose(
         np.sort(steps), (changed[0].time_ns - times[0]) / 1e7, rtol=0, atol=1e-6
     )
+
+
+@pytest.mark.parametrize(
+    ("source", "sensor", "how"),
+    [
+        (Source("simulated", "", True), Sensor(), "space"),
+        (Source("simulated", "", True), Sensor(16, 16), "space"),
+        (Source("st-mnist.zip", "", False), Sensor(), "space"),
+        (Source("written", "", True, True), Sensor(9, 12, classes=("a", "b")), "space"),
+        (Source("own", "", True), Sensor(9, 12, classes=("a", "b")), "time"),
+        (Source("strip", "", False, time_unit="us"), Sensor(1, 39), "time"),
+        (Source("camera", "", False, time_unit="us"), Sensor(), "time"),
+    ],
+)
+def test_only_handwriting_is_altered_in_space(source, sensor, how):
+    recordings = collect([Events([0], [0], [1], [1])], [0], ["0"], [-1], source, sensor=sensor)
+    assert augmentation_for(recordings) == how
