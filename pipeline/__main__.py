@@ -1,7 +1,7 @@
 """``python -m pipeline``, and the command ``stmnist``."""
 
 import gc
-import sys
+import os
 
 from deploy.terminal import INTERRUPTED, INTERRUPTION, remark
 
@@ -14,7 +14,8 @@ def main():
         command()
     except KeyboardInterrupt:
         remark("stmnist: " + INTERRUPTION)
-        sys.exit(INTERRUPTED)
+        # Not sys.exit: if a C extension was being imported, Python would end by the signal instead.
+        os._exit(INTERRUPTED)
     finally:
         # Skips the garbage collection when Python exits: with TensorFlow most of a second.
         gc.freeze()
