@@ -2,8 +2,8 @@
 
 from .terminal import printable
 
+# Maximum number of characters of an error message, which may quote the content of a file.
 LONGEST = 2400
-"""Maximum number of characters of an error message, which may quote the content of a file."""
 
 
 def one_line(message) -> str:

@@ -21,8 +21,8 @@ import numpy as np
 from . import limits
 from .errors import UserError
 
+# End of the names of temporary files and folders, which begin with a dot.
 TEMPORARY = ".tmp"
-"""End of the names of temporary files and folders, which begin with a dot."""
 
 
 @contextlib.contextmanager

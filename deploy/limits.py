@@ -4,42 +4,42 @@ They are far above useful values and far below values that cause problems for a 
 beyond them is reported as a mistake of the user.
 """
 
+# Steps of a sample, and of the gap before it.
 STEPS = 10_000
-"""Steps of a sample, and of the gap before it."""
 
+# Samples of a check, and recordings of a digit.
 SAMPLES = 1_000_000
-"""Samples of a check, and recordings of a digit."""
 
 EPOCHS = 10_000_000
 BATCH = 1_000_000
 
+# Neurons of a layer and values of an input: a whole chip, 128 cores of 1,024.
 NEURONS = 131_072
-"""Neurons of a layer and values of an input: a whole chip, 128 cores of 1,024."""
 
+# Weights of a network.
 WEIGHTS = 20_000_000
-"""Weights of a network."""
 
+# Largest time constant in seconds.
 SECONDS = 1_000.0
-"""Largest time constant in seconds."""
 
 REFRACTORY_S = 1.0
 
+# Largest voltage or amplitude in units of the threshold, weight and pixel value.
 MAGNITUDE = 1e9
-"""Largest voltage or amplitude in units of the threshold, weight and pixel value."""
 
 LAYERS = 100
 
+# Largest number of bytes of all arrays in a file.
 ARRAY_BYTES = 1 << 30
-"""Largest number of bytes of all arrays in a file."""
 
+# Largest number of bytes of a file that is hashed: its arrays, and what describes them.
 FILE_BYTES = ARRAY_BYTES + (1 << 24)
-"""Largest number of bytes of a file that is hashed: its arrays, and what describes them."""
 
+# Largest number of bytes of a JSON file.
 TEXT_BYTES = 1 << 28
-"""Largest number of bytes of a JSON file."""
 
+# Levels of a JSON file.
 NESTED = 50
-"""Levels of a JSON file."""
 
+# Largest number of bytes of a file of settings.
 SETTINGS_BYTES = 1 << 20
-"""Largest number of bytes of a file of settings."""

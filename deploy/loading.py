@@ -15,8 +15,8 @@ import numbers
 from dataclasses import MISSING, field, fields, is_dataclass
 from typing import Callable, NamedTuple, Union, get_type_hints
 
+# Largest magnitude of a number; NaN and infinite values are refused.
 LARGEST = 1e300
-"""Largest magnitude of a number; NaN and infinite values are refused."""
 
 
 class Limit(NamedTuple):

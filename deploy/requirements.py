@@ -15,13 +15,13 @@ except ImportError:  # Python 3.7 and earlier, refused below
     version = None
 
 OLDEST_PYTHON = (3, 8)
+# For each package: oldest supported version, first unsupported version, and the reason.
 PACKAGES = {
     "numpy": ((1, 17), (3,), ""),
     "scipy": ((1, 7), (2,), ""),
     "nengo": ((3, 1), (5,), "NengoLoihi 1.1 works with Nengo 3.1 to 4.1"),
     "nengo-loihi": ((1, 1), (1, 2), "the bundle was made with NengoLoihi 1.1"),
 }
-"""For each package: oldest supported version, first unsupported version, and the reason."""
 
 
 def complaint():

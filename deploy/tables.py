@@ -28,8 +28,8 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     ]
 
 
+# Maximum width of a table in characters.
 WIDTH = 80
-"""Maximum width of a table in characters."""
 
 
 def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
@@ -62,8 +62,8 @@ def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) 
     return lines
 
 
+# p-value below which a difference is significant.
 SIGNIFICANCE = 0.05
-"""p-value below which a difference is significant."""
 
 
 def star(p_value: float) -> str:

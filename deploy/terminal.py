@@ -11,11 +11,11 @@ import io
 import os
 import sys
 
+# Exit status after Ctrl-C, as shells have it.
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
 
+# The line that is printed after Ctrl-C.
 INTERRUPTION = "interrupted; the same command continues where it stopped"
-"""The line that is printed after Ctrl-C."""
 
 
 def printable(text) -> str:
@@ -26,11 +26,11 @@ def printable(text) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
+# Beginning of a warning.
 WARNING = "warning: "
-"""Beginning of a warning."""
 
+# End of a line with a statistically significant difference.
 SIGNIFICANT = " *"
-"""End of a line with a statistically significant difference."""
 
 
 def show(text="", flush=False):

@@ -8,6 +8,7 @@ from importlib import import_module
 from deploy.tables import aligned
 from deploy.terminal import remark, show
 
+# Experiments that are no list of cases: module, what it does, expected time.
 OTHERS = {
     "adapt": ("adapt", "The gain of fitting a network to a person", "30 min"),
     "speed": ("speed", "fast and FastSimulator beside NengoLoihi's emulator", "5 min"),
@@ -17,7 +18,6 @@ OTHERS = {
     "tutorials": ("tutorials", "Execute the notebooks of the tutorials", "5 min"),
     "document": ("document", "Write commands, settings and results into README and docs", "5 s"),
 }
-"""Experiments that are no list of cases: module, what it does, expected time."""
 
 
 def main(arguments=None):

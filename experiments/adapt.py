@@ -36,8 +36,8 @@ from pipeline.training.adaptation import Responder, require_fit, with_rehearsal
 from pipeline.training.readout import Person, refit
 
 FOLDS = 3
+# Numbers of recordings of each class to which a network is fitted.
 EACH = (1, 2, 5)
-"""Numbers of recordings of each class to which a network is fitted."""
 
 MEASURES = ("before", "after", "others_before", "others_after", "used")
 

@@ -45,6 +45,7 @@ from pipeline.progress import progress
 from pipeline.skin.parameters import CALIBRATION, Form, Parameters, load
 from pipeline.skin.simulate import simulate, source_of
 
+# Limits of the errors of mean and SD: relative for counts, in taxels for places and ranges.
 LIMITS = {
     "on": (0.10, 0.25),
     "off": (0.10, 0.25),
@@ -53,15 +54,12 @@ LIMITS = {
     "x_range": (0.5, None),
     "y_range": (0.5, None),
 }
-"""Limits of the errors of mean and SD: relative for counts, in taxels for places and ranges."""
 
+# Cells that are not fitted. An SD of 1403 OFF events at a mean of 810 (paper, Table 1, digit 3),
+# where the ON events have 673 at 1053, can only come from one or two faulty recordings.
 LEFT_OUT = frozenset({(3, "off", "sd")})
-"""Cells that are not fitted.
 
-An SD of 1403 OFF events at a mean of 810 (paper, Table 1, digit 3), where the ON events have 673 at
-1053, can only come from one or two faulty recordings.
-"""
-
+# Bounds of the parameters: a digit must be on the array, and the others must not diverge.
 BOUNDS = {
     "height": (6.5, 9.0),
     "width": (6.0, 13.0),
@@ -71,7 +69,6 @@ BOUNDS = {
     "spread": (0.3, 3.0),
     "off": (-1.2, 0.5),
 }
-"""Bounds of the parameters: a digit must be on the array, and the others must not diverge."""
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,8 @@ from pipeline.results.sweep import sweep_text
 from pipeline.settings import Settings, describe
 
 ROOT = Path(__file__).resolve().parent.parent
+# The documents, relative to the root of the repository.
 FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
-"""The documents, relative to the root of the repository."""
 
 
 def result(name: str) -> dict:

@@ -17,6 +17,7 @@ from pipeline.skin import shape_model, unipen
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
 
+# Source and licence of files from which a model may be estimated, by their hash.
 KNOWN_HANDWRITING = {
     "a66225d68d7d68591e62944df1ad33b3f5aa608e2df2505844b41f5568a80da4": {
         "source": "Pen-Based Recognition of Handwritten Digits, training writers; E. Alpaydin and "
@@ -24,17 +25,16 @@ KNOWN_HANDWRITING = {
         "licence": "CC BY 4.0",
     }
 }
-"""Source and licence of files from which a model may be estimated, by their hash."""
 
+# Initial maximum for each number of strokes; rare allographs are dissolved.
 MOST_ALLOGRAPHS = 10
-"""Initial maximum for each number of strokes; rare allographs are dissolved."""
 
+# Minimum of digits and writers for an allograph: fewer would describe individuals.
 LEAST_DIGITS, LEAST_WRITERS = 15, 3
-"""Minimum of digits and writers for an allograph: fewer would describe individuals."""
 
 MOST_COMPONENTS = 12
+# Share of the variance that an allograph's components explain, within their maximum number.
 EXPLAINED = 0.97
-"""Share of the variance that an allograph's components explain, within their maximum number."""
 
 
 def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+# Arrays that :func:`_dot` and :func:`_add` read together.
 BLOCK = 4
-"""Arrays that :func:`_dot` and :func:`_add` read together."""
 
 
 def _compiled(function):

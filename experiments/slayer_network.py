@@ -47,17 +47,17 @@ from deploy.network.geometry import unpooled
 from experiments import slayer_kernels as kernels
 from models.architecture import Architecture, Convolution, Dense
 
+# Time steps that all layers process in turn; their arrays then stay in a core's cache.
 PART = 100
-"""Time steps that all layers process in turn; their arrays then stay in a core's cache."""
 
+# Values of 4 bytes in a line of the cache.
 LINE = 16
-"""Values of 4 bytes in a line of the cache."""
 
+# Channels of a group whose spikes a convolution adds together, at most.
 BITS = 6
-"""Channels of a group whose spikes a convolution adds together, at most."""
 
+# Time steps of a matrix product in :func:`experiments.slayer_kernels.propagate`.
 TOGETHER = 10
-"""Time steps of a matrix product in :func:`experiments.slayer_kernels.propagate`."""
 
 
 @dataclass(frozen=True)
@@ -324,8 +324,8 @@ class _Layer:
         windows_from_1 = np.arange(1, self.n_pooled + 1).reshape(folded.pooled_shape)
         if folded.pool > 1:
             windows_from_1 = unpooled(windows_from_1, folded.input_shape, folded.pool)
+        # The pooling window of each neuron before it, or -1 where it is in none.
         self.window = windows_from_1.ravel() - 1
-        """The pooling window of each neuron before it, or -1 where it is in none."""
         self.share = np.float32(1 / folded.pool**2)
         lines = -(-self.n // LINE) * LINE
         self.traces, self.credit_traces = _aligned((4, lines)), _aligned((2, lines))

@@ -28,8 +28,8 @@ from pipeline.paper import TABLE2
 from pipeline.results import study
 from pipeline.results.study import Case
 
+# Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"
-"""Stored results, from which the documents take their figures."""
 
 PAPER, OWN = {"snn": {"recipe": "paper"}}, {"snn": {"recipe": "loihi"}}
 READOUT_ON_CHIP = {"deployment": {"readout": "chip"}}
@@ -142,6 +142,7 @@ ARCHITECTURES = (
 
 ON_EVENTS = {"input": "events"}
 
+# The experiments, by which ``python -m experiments`` finds them.
 EXPERIMENTS = (
     Experiment(
         "table2",
@@ -265,7 +266,6 @@ EXPERIMENTS = (
         note=INPUT_NOTE,
     ),
 )
-"""The experiments, by which ``python -m experiments`` finds them."""
 
 
 def measure(case: Case, networks: Library) -> dict:
@@ -394,12 +394,12 @@ def cells(experiment: Experiment, found: dict, split: str) -> list:
     return lines
 
 
+# Costs in a table, and their formats; the last two are the share of a recording until the early
+# decision and its accuracy.
 COSTS = (
     *(("per_cnn", "{:.2f}"), ("per_dense", "{:.2f}"), ("updates", "{:,.0f}")),
     *(("share", "{:.0%}"), ("early", "{:.3f}")),
 )
-"""Costs in a table, and their formats; the last two are the share of a recording until the early
-decision and its accuracy."""
 
 
 def text(experiment: Experiment, found: dict) -> str:

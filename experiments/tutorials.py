@@ -22,8 +22,8 @@ import typer
 from deploy.files import replacing
 from deploy.terminal import show
 
+# Folder of the notebooks.
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "tutorials"
-"""Folder of the notebooks."""
 
 
 def executed(notebook: dict, folder) -> tuple:

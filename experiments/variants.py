@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.data.dataset import Dataset
 from pipeline.data.events import EVENT_DTYPES, Events, Recordings
 
+# Description of the information that remains in the events, by name.
 VARIANTS = {
     "as-is": "the events as they were recorded",
     "no-polarity": "all events ON",
@@ -20,7 +21,6 @@ VARIANTS = {
     "shuffled": "times shuffled among a recording's events",
     "counts": "only how many events each taxel has of each polarity",
 }
-"""Description of the information that remains in the events, by name."""
 
 
 def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Recordings:

@@ -29,14 +29,14 @@ from deploy.network.geometry import (
     windows,
 )
 
+# Maximum number of layers in a text, including the output.
 MAX_LAYERS = 64
-"""Maximum number of layers in a text, including the output."""
 
+# Maximum number of values in the input or in the output of a layer.
 MAX_VALUES = 1_000_000
-"""Maximum number of values in the input or in the output of a layer."""
 
+# Maximum number of weights of a layer.
 MAX_WEIGHTS = 100_000_000
-"""Maximum number of weights of a layer."""
 
 
 class NotationError(UserError):

@@ -11,11 +11,11 @@ from deploy.network.chip import LOIHI
 from models.architecture import Architecture
 from models.keras2 import as_written, tf
 
+# Largest magnitude of a signed weight.
 WEIGHT_LEVELS = LOIHI.weight_levels
-"""Largest magnitude of a signed weight."""
 
+# Bits of a bias current's mantissa.
 BIAS_BITS = LOIHI.bias_bits
-"""Bits of a bias current's mantissa."""
 
 
 def straight_through(rounding, values):

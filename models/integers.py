@@ -20,39 +20,39 @@ from deploy.network.spec import Neurons
 from models.architecture import Architecture
 from models.chain import Link, links_of
 
+# Largest magnitude of an 8-bit weight that may have either sign.
 WEIGHT_LEVELS = LOIHI.weight_levels
-"""Largest magnitude of an 8-bit weight that may have either sign."""
 
+# Increase of q by a weight of 1: at exponent 0 NengoLoihi's weights are even, shifted by 6.
 WEIGHT_UNIT = 128
-"""Increase of q by a weight of 1: at exponent 0 NengoLoihi's weights are even, shifted by 6."""
 
 THRESHOLD_UNIT = 64
+# A unit below the chip's maximum: NengoLoihi may round that up, and then halves all values.
 MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
-"""A unit below the chip's maximum: NengoLoihi may round that up, and then halves all values."""
 
 DECAY_UNIT = LOIHI.decay_unit
 BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 MAX_BIAS = BIAS_MANTISSA * 2**7
 
+# In 4096ths.
 LEAST_KEEP_U, LEAST_KEEP_V, MOST_KEEP = 1, 2, DECAY_UNIT - 1
-"""In 4096ths."""
 
+# The chip's lowest voltage, for neurons without a lower bound.
 FLOOR = -(2**23) + 1
-"""The chip's lowest voltage, for neurons without a lower bound."""
 
 WEIGHT_EXPONENTS = 8
 
+# Shares of a layer's largest weight that may become 127; larger weights are clipped.
 CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-"""Shares of a layer's largest weight that may become 127; larger weights are clipped."""
 
+# Interval in steps at which inputs are sampled for the rounding of weights.
 MOMENTS_EVERY = 4
-"""Interval in steps at which inputs are sampled for the rounding of weights."""
 
+# Added to the diagonal of the moments, in units of its mean.
 DAMPING = 0.01
-"""Added to the diagonal of the moments, in units of its mean."""
 
+# Maximum number of inputs of a neuron for which the rounding of weights is compensated.
 MOST_MOMENTS = 2000
-"""Maximum number of inputs of a neuron for which the rounding of weights is compensated."""
 
 
 @dataclass(frozen=True)

@@ -43,9 +43,9 @@ if not _keras.startswith("tf_keras."):
 # Suppresses warnings about retracing: every network is traced anew.
 tf.get_logger().setLevel("ERROR")
 
+# Decorator for functions without branches or loops over tensors: it skips AutoGraph's conversion,
+# which takes longer than tracing.
 as_written = tf.autograph.experimental.do_not_convert
-"""Decorator for functions without branches or loops over tensors: it skips AutoGraph's conversion,
-which takes longer than tracing."""
 
 
 @contextlib.contextmanager

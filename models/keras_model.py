@@ -26,8 +26,8 @@ from deploy.errors import UserError
 from deploy.files import sha256_of
 from models.architecture import MAX_LAYERS, MAX_VALUES, Architecture, Convolution, Dense, Pooling
 
+# Random images on which the architecture is compared with the model.
 TRIED = 8
-"""Random images on which the architecture is compared with the model."""
 
 REMEDY = "give a .keras or .h5 file that model.save() wrote"
 
@@ -40,11 +40,11 @@ class KerasModel(NamedTuple):
     """A user's model as an architecture and its weights."""
 
     architecture: Architecture
+    # ``"conv1.kernel"``, ... as float32, with the shapes of ``architecture.weight_shapes``. With a
+    # ReLU after each convolution and hidden dense layer the network computes the model's logits.
     weights: dict
-    """``"conv1.kernel"``, ... as float32, with the shapes of ``architecture.weight_shapes``.  With
-    a ReLU after each convolution and hidden dense layer the network computes the model's logits."""
+    # One line for each layer that was folded or left out.
     notes: tuple
-    """One line for each layer that was folded or left out."""
 
 
 class _Layer(NamedTuple):
@@ -388,15 +388,16 @@ _HANDLERS = {
     "BatchNormalization": _Chain.normalisation,
     "Rescaling": _Chain.rescaling,
 }
+# Layers that only act in training.
 _IDLE = (
     *("Dropout", "SpatialDropout2D", "AlphaDropout", "GaussianDropout", "GaussianNoise"),
     *("ActivityRegularization",),
 )
-"""Layers that only act in training."""
 
 _NO_CHAIN = "is not one chain of layers, each called once and with its input only; build one"
 _USABLE = "use Conv2D (with a stride), AveragePooling2D, Dense, Flatten, ReLU, BatchNormalization"
 _USE_RELU = "use activation='relu' (in the output 'softmax' or None)"
+# Alternatives to layers that are not supported.
 _INSTEAD = {
     "MaxPooling2D": "use AveragePooling2D, or a stride in the convolution before it",
     "GlobalAveragePooling2D": "use AveragePooling2D over all rows and columns, and Flatten",
@@ -412,4 +413,3 @@ _INSTEAD = {
     "PReLU": _USE_RELU,
     "ELU": _USE_RELU,
 }
-"""Alternatives to layers that are not supported."""

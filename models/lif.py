@@ -25,14 +25,14 @@ import numpy as np
 from deploy.network.chip import LOIHI
 from models.keras2 import as_written, tf
 
+# Time step in seconds.
 DT = LOIHI.dt
-"""Time step in seconds."""
 
+# Lower bound for the excess over the threshold, which keeps the logarithm finite.
 LEAST_EXCESS = 1e-12
-"""Lower bound for the excess over the threshold, which keeps the logarithm finite."""
 
+# Largest decay value of a compartment.
 DECAY_LEVELS = LOIHI.decay_levels
-"""Largest decay value of a compartment."""
 
 
 def on_chip_time_constants(tau_rc: float, tau_ref: float):

@@ -24,18 +24,18 @@ import numpy as np
 from deploy import limits
 from deploy.errors import UserError
 
+# Nodes whose output is spikes.
 SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
-"""Nodes whose output is spikes."""
 
+# Nodes with a state whose output is not spikes.
 FILTERS = ("LI", "CubaLI")
-"""Nodes with a state whose output is not spikes."""
 
+# Maximum number of dimensions of an input that are read; more than 4 cannot be used.
 MAX_DIMENSIONS = 7
-"""Maximum number of dimensions of an input that are read; more than 4 cannot be used."""
 
+# Time step in seconds for which snnTorch's exporter writes time constants, independently of the
+# training.
 SNNTORCH_STEP = 1e-4
-"""Time step in seconds for which snnTorch's exporter writes time constants, independently of the
-training."""
 
 
 class NirError(UserError):
@@ -562,10 +562,10 @@ _HANDLERS = {
     "CubaLI": _neurons(("tau_syn", "tau_mem"), spikes=False, weighs=True),
 }
 
+# Possible replacement of an unsupported node.
 _INSTEAD = {
     "Delay": "the chip's axons have no delays here; train without",
     "I": "the chip has no integrator without a leak; use LI with a long time constant",
     "Input": "a chain has one input",
     "Output": "a chain has one output",
 }
-"""Possible replacement of an unsupported node."""

@@ -42,12 +42,12 @@ from models.nir_graph import FILTERS, SPIKING, NirError, NirNetwork, Node
 
 METHODS = ("exact", "euler")
 
+# Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; or subtract
+# it in the next step, after the leak, as snnTorch's ``subtract`` does by default.
 RESETS = ("value", "subtract", "subtract-late")
-"""Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; or subtract
-it in the next step, after the leak, as snnTorch's ``subtract`` does by default."""
 
+# Samples that are simulated together, which bounds the memory.
 AT_ONCE = 50
-"""Samples that are simulated together, which bounds the memory."""
 
 
 @dataclass(frozen=True)

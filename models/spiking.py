@@ -63,16 +63,16 @@ from models.integers import (
 from models.keras2 import quiet_compiler, tf
 
 BIAS_EXPONENTS = 7
+# Bits of the synaptic accumulator and of the current, without sign.
 Q_BITS, U_BITS = LOIHI.input_bits, LOIHI.current_bits
-"""Bits of the synaptic accumulator and of the current, without sign."""
 
+# Largest voltage that a bias alone may cause, as a share of the threshold.
 BIAS_CAP = 0.9
-"""Largest voltage that a bias alone may cause, as a share of the threshold."""
 
 
+# Ratio of the output's kernel to its trained variable, which makes the learning steps of the output
+# smaller than those of the other layers.
 OUTPUT_SCALE = 0.2
-"""Ratio of the output's kernel to its trained variable, which makes the learning steps of the
-output smaller than those of the other layers."""
 
 
 @dataclass(frozen=True)

@@ -34,17 +34,17 @@ from deploy import __version__
 from deploy.files import read_json, write_json
 from pipeline.settings import Settings, names_in
 
+# States of an artifact.
 CURRENT, OUTDATED, MISSING = "current", "outdated", "missing"
-"""States of an artifact."""
 
+# Remedy for a damaged file.
 DELETE_IT = "delete it and run the command again"
-"""Remedy for a damaged file."""
 
+# Characters of a value in a reason.
 LONGEST = 100
-"""Characters of a value in a reason."""
 
+# The entry of an origin's contents that changes with each release of this package.
 PACKAGE = "package version"
-"""The entry of an origin's contents that changes with each release of this package."""
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import UserError
 
+# Largest number of characters in a failure's line; the traceback has the whole message.
 MESSAGE_LENGTH = 160
-"""Largest number of characters in a failure's line; the traceback has the whole message."""
 
+# Seconds in which a scheduler must answer.
 PATIENCE = 5
-"""Seconds in which a scheduler must answer."""
 
 
 @dataclass(frozen=True)

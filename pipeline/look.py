@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from importlib import resources
 
+# The style sheet with the colours as custom properties, for light and dark.
 STYLE = resources.files("pipeline").joinpath("look.css").read_text(encoding="utf-8")
-"""The style sheet with the colours as custom properties, for light and dark."""
 
 _LIGHT = dict(re.findall(r"--([\w-]+): (#\w+);", STYLE.partition("@media")[0]))
 

@@ -5,34 +5,34 @@
 
 from __future__ import annotations
 
+# Rows and columns of taxels (Section 2.1).
 ROWS = COLUMNS = 10
-"""Rows and columns of taxels (Section 2.1)."""
 
+# Number of classes, the ten digits.
 CLASSES = 10
-"""Number of classes, the ten digits."""
 
+# Length of a recording in seconds (Section 2.2).
 DURATION_S = 2.0
-"""Length of a recording in seconds (Section 2.2)."""
 
+# Share of test samples in its random 80-20 splits (Section 3.2).
 TEST_FRACTION = 0.2
-"""Share of test samples in its random 80-20 splits (Section 3.2)."""
 
+# Multiply-accumulates of an inference of its CNN, 10x10-6c4-24c3-10o (Fig. 4).
 CNN_MACS = 43104
-"""Multiply-accumulates of an inference of its CNN, 10x10-6c4-24c3-10o (Fig. 4)."""
 
+# Test samples drawn at random for Loihi (Section 3.2.2).
 CHECK_SAMPLES = 200
-"""Test samples drawn at random for Loihi (Section 3.2.2)."""
 
+# Recordings of each digit, 6,953 in all (Table 1).
 SAMPLES_PER_DIGIT = (697, 690, 699, 690, 690, 693, 698, 704, 697, 695)
-"""Recordings of each digit, 6,953 in all (Table 1)."""
 
+# Accuracy of each model over the splits, mean and SD (Table 2).
 TABLE2 = {
     "cnn": (0.89, 0.01),
     "ann-snn": (0.87, 0.01),
     "loihi": (0.86, 0.02),
     "slayer": (0.81, 0.01),
 }
-"""Accuracy of each model over the splits, mean and SD (Table 2)."""
 
 
 def points_lost(model: str) -> float:
@@ -70,6 +70,6 @@ _TABLE1 = {
     "samples": SAMPLES_PER_DIGIT,
 }  # fmt: skip
 
+# Table 1: for each digit a pair (mean, SD) for each measure of the measures of
+# :func:`pipeline.data.statistics.per_sample`, and ``samples``.
 TABLE1 = {digit: {name: row[digit] for name, row in _TABLE1.items()} for digit in range(10)}
-"""Table 1: for each digit a pair (mean, SD) for each measure of
-the measures of :func:`pipeline.data.statistics.per_sample`, and ``samples``."""

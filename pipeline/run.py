@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from pipeline.artifacts import Origin
     from pipeline.settings import Settings
 
+# File name endings that no folder has: a missing file must not be created as a folder.
 FILES = {
     *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
     *(".py", ".pyz", ".pb", ".png", ".nir"),
 }
-"""File name endings that no folder has: a missing file must not be created as a folder."""
 
 
+# Remedy for a damaged file of a network.
 DELETE_ITS_FOLDER = "delete its folder and run the command again"
-"""Remedy for a damaged file of a network."""
 
 
 def _inside(name, meaning):
@@ -157,8 +157,8 @@ class RunFolder:
 
 
 LOCK = ".lock"
+# Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``.
 DEEPEST = 3
-"""Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``."""
 
 
 def run_around(path) -> Path | None:

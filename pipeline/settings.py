@@ -30,8 +30,8 @@ from pipeline import paper
 AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
 AUGMENTATIONS = ("auto", "time", "space", "none")
 RECIPES = ("loihi", "paper", "as-is")
+# The name of the built-in recordings.
 SIMULATED = "simulated"
-"""The name of the built-in recordings."""
 NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
 
 
@@ -49,9 +49,9 @@ class _Access(enum.Enum):
     DENIED = 0
 
 
+# Settings with the path of a file. The origin of an artifact has a hash of the file's content
+# instead of the path, so that every artifact may read these settings.
 PATHS = ("data.source", "cnn.model", "nir.file")
-"""Settings with the path of a file.  The origin of an artifact has a hash of the file's content
-instead of the path, so that every artifact may read these settings."""
 
 
 class Section:

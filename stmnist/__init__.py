@@ -21,9 +21,10 @@ import importlib.util
 import os
 import sys
 
+# Packages of this distribution, beside this one.
 PACKAGES = ("deploy", "models", "pipeline")
-"""Packages of this distribution, beside this one."""
 
+# Public names by the module that has them; ``stages`` is itself a module, in a package.
 PLACES = {
     "deploy.check.bundle": ("CheckSet", "read_bundle", "write_bundle"),
     "deploy.check.energy": ("estimate_energy", "estimate_text"),
@@ -52,10 +53,9 @@ PLACES = {
     "pipeline.settings": ("Settings", "read_settings", "write_settings"),
     "pipeline.training.networks": ("train_cnn", "train_rate_network"),
 }
-"""Public names by the module that has them; ``stages`` is itself a module, in a package."""
 
+# Modules to import before others: NengoLoihi is imported without TensorFlow.
 _BEFORE = {"fastloihi": "deploy.network.loihi_import"}
-"""Modules to import before others: NengoLoihi is imported without TensorFlow."""
 
 _MODULE_OF = {name: module for module, names in PLACES.items() for name in names}
 

@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+# The first line of a short script that imports TensorFlow, which is a million objects: Python looks
+# through them while it imports and, a second long, as it ends.
 LEAVE_GARBAGE = "import atexit, gc; gc.disable(); atexit.register(gc.freeze)\n"
-"""The first line of a short script that imports TensorFlow, which is a million objects: Python
-looks through them while it imports and, a second long, as it ends."""
 
 
 def call(*arguments, main=None) -> int:

@@ -28,14 +28,14 @@ from tests.command import call
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT.parent / "shared" / "data"
+# Options of the small run: trained badly, but through every stage.
 TINY = (
     *("--set", "data.samples_per_digit=60", "--set", "cnn.epochs=3", "--set", "snn.epochs=2"),
     *("--samples", "20", "--steps", "40"),
 )
-"""Options of the small run: trained badly, but through every stage."""
 
+# Artifacts that a command may report as current before it refuses something else.
 NOTHING_TO_DO = ("counts", "cnn", "rate-lif", "events", "bundle")
-"""Artifacts that a command may report as current before it refuses something else."""
 
 # TensorFlow's graphs are a million objects: looking through them for garbage every few hundred new
 # ones takes an eighth of the time of the tests that make them.

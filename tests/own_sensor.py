@@ -5,13 +5,13 @@ import numpy as np
 from tests.pipeline.handmade import npz
 
 ROWS, COLUMNS = 9, 12
+# Of 29 to 37 characters, with blanks and umlauts, in alphabetical order.
 CLASSES = (
     "diagonal über die ganze Fläche",
     "quer von links nach rechts gestrichen",
     "runder Kreis, einmal ganz herum",
     "senkrecht von oben nach unten",
 )
-"""Of 29 to 37 characters, with blanks and umlauts, in alphabetical order."""
 
 
 def gesture(label, rng, n=80):

@@ -23,8 +23,8 @@ ARGUMENTS = (
 )
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 RATE_HZ = 100
+# Force from which the pen counts as on the skin, as a share of a motion's greatest.
 TOUCH = 0.3
-"""Force from which the pen counts as on the skin, as a share of a motion's greatest."""
 
 
 @contextlib.contextmanager

@@ -21,8 +21,8 @@ from pipeline.skin.shape_model import boxed
 from pipeline.skin.simulate import simulate
 from tests.command import call
 
+# From (down, right) to that of a digit that leans to the left.
 LEANING = np.array([[1.0, 0.7], [0.0, 1.0]])
-"""From (down, right) to that of a digit that leans to the left."""
 
 
 def strange_hand(each, seed=5):

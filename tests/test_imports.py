@@ -59,6 +59,7 @@ def imported(path):
     return names
 
 
+# Of each package, from the ground up: a module imports from its own floor or from below.
 FLOORS = {
     "pipeline": [
         {"jobs", "look", "paper", "progress"},
@@ -86,7 +87,6 @@ FLOORS = {
         {"__main__"},
     ],
 }
-"""Of each package, from the ground up: a module imports from its own floor or from below."""
 
 
 def rooms_imported(path):

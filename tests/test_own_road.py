@@ -16,11 +16,11 @@ from pipeline.results import elsewhere
 from tests.command import call, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
 
+# What a user need not give: the test would take minutes without it.
 QUICK = {
     "image": ("--set", "cnn.epochs=6", "--set", "snn.epochs=2"),
     "events": ("--input", "events", "--set", "events.epochs=3"),
 }
-"""What a user need not give: the test would take minutes without it."""
 
 
 @pytest.fixture(scope="module")

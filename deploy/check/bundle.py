@@ -46,8 +46,8 @@ NETWORK_SCHEMA = "stmnist-bundle/3"
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
+# More bytes than the headers of the arrays of ``checks.npz``.
 HEADERS = 1 << 12
-"""More bytes than the headers of the arrays of ``checks.npz``."""
 _REMEDY = "delete the folder and make it again with 'stmnist convert', or copy it again"
 
 

@@ -34,14 +34,14 @@ from ..network.operations import multiply_accumulates
 from ..network.spec import NetworkSpec
 from ..tables import aligned
 
+# Joules (Davies et al. 2018).
 CHIP = {
     "synaptic operation": LOIHI.synaptic_operation_joules,
     "neuron update": LOIHI.neuron_update_joules,
 }
-"""Joules (Davies et al. 2018)."""
 
+# Joules per multiply-accumulate and per neuron (Degnan et al. 2016).
 MAC = {"cpu": 8.6e-9, "gpu": 0.3e-9}
-"""Joules per multiply-accumulate and per neuron (Degnan et al. 2016)."""
 
 
 @dataclass(frozen=True)

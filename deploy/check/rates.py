@@ -10,8 +10,8 @@ from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
 from ..targets.fast import Emulation
 
+# Number of streams whose spikes are in memory at a time.
 STREAMS_AT_ONCE = 8
-"""Number of streams whose spikes are in memory at a time."""
 
 
 def firing_rates(

@@ -22,12 +22,12 @@ from .intervals import mcnemar, wilson_interval
 
 SCHEMA = "stmnist-check/1"
 
+# Fields of a sample in a result. The last two only exist with a confidence for early decisions, and
+# for targets that record single spikes.
 PUBLISHED = ("id", "label", "prediction", "scores", "stable_after", "stopped_at", "spike_hash")
-"""Fields of a sample in a result.  The last two only exist with a confidence for early decisions,
-and for targets that record single spikes."""
 
+# Shares of the writing time at which the accuracy is computed.
 SHARES = tuple(tenths / 10 for tenths in range(1, 11))
-"""Shares of the writing time at which the accuracy is computed."""
 
 
 def versions() -> dict:
@@ -338,9 +338,9 @@ def compare_results(a: dict, b: dict) -> Comparison:
     )
 
 
+# McNemar's p below which a lower accuracy causes a warning. It is lower than the 0.05 of tables,
+# because every check of every target is compared.
 ALARMING = 0.01
-"""McNemar's p below which a lower accuracy causes a warning.  It is lower than the 0.05 of tables,
-because every check of every target is compared."""
 
 
 def loss_text(reference: dict, result: dict) -> Optional[str]:

@@ -20,17 +20,17 @@ import numpy as np
 from .chip import LOIHI
 from .geometry import windows
 
+# Maximum number of synapses of one list.
 LIST = 64
-"""Maximum number of synapses of one list."""
 
+# Possible widths of the index of a synapse's target.
 INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
-"""Possible widths of the index of a synapse's target."""
 
+# Output axons that one population spike takes (NengoLoihi's axons of 32 bits).
 POPULATION_SLOTS = 2
-"""Output axons that one population spike takes (NengoLoihi's axons of 32 bits)."""
 
+# Maximum offset of the targets of a shared list; a larger one needs a separate list.
 OFFSET = 256
-"""Maximum offset of the targets of a shared list; a larger one needs a separate list."""
 
 
 def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:

@@ -76,6 +76,8 @@ class Chip:
         return 2**self.refractory_bits - 2
 
 
+# Davies et al. 2018, IEEE Micro 38(1): cores and limits, bits, and Table 2 for energies (see
+# :mod:`deploy.check.energy`); NengoLoihi 1.1, ``block.py``, for the limits relevant to a network.
 LOIHI = Chip(
     name="Loihi 1",
     dt=0.001,
@@ -101,5 +103,3 @@ LOIHI = Chip(
     synaptic_operation_joules=(23.6 + 3.5) * 1e-12,
     neuron_update_joules=81e-12,
 )
-"""Davies et al. 2018, IEEE Micro 38(1): cores and limits, bits, and Table 2 for energies (see
-:mod:`deploy.check.energy`); NengoLoihi 1.1, ``block.py``, for the limits relevant to a network."""

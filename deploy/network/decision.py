@@ -13,19 +13,19 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
+# Units of the hidden layers of a confidence estimator.
 HIDDEN = (32, 32)
-"""Units of the hidden layers of a confidence estimator."""
 
+# Number of the largest softmax values that are inputs of an estimator, in sorted order.
 RANKS = 4
-"""Number of the largest softmax values that are inputs of an estimator, in sorted order."""
 
+# Numbers of steps over which changes of the outputs are inputs of an estimator. They indicate
+# whether writing continues, and which class gains evidence.
 LAGS = (2, 5)
-"""Numbers of steps over which changes of the outputs are inputs of an estimator.  They indicate
-whether writing continues, and which class gains evidence."""
 
+# Upper bound of the confidence. It is below 1, the threshold for deciding at the end only, which
+# floating-point confidences could otherwise reach.
 SUREST = np.nextafter(1.0, 0.0)
-"""Upper bound of the confidence.  It is below 1, the threshold for deciding at the end only, which
-floating-point confidences could otherwise reach."""
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from ..errors import UserError
 from .chip import LOIHI
 from .loihi_import import nengo_loihi
 
+# Errors that NengoLoihi raises for a network that it cannot build: some of its limits are
+# assertions, and one of their messages is itself mistaken (an AttributeError).
 BUILD_ERRORS = (nengo.exceptions.NengoException, AssertionError, AttributeError, OverflowError)
-"""Errors that NengoLoihi raises for a network that it cannot build: some of its limits are
-assertions, and one of their messages is itself mistaken (an AttributeError)."""
 
 HOLDS = "weights of 8 bits, a threshold of 17 bits times 64, a bias of 12 bits times up to 128"
 

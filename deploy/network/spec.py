@@ -40,8 +40,8 @@ RISING = Limit(
     f"rising from 0, to {limits.STEPS} at most",
 )
 
+# Time step in seconds, on which NengoLoihi's decays and the firing rates of training depend.
 DT = LOIHI.dt
-"""Time step in seconds, on which NengoLoihi's decays and the firing rates of training depend."""
 
 
 @dataclass(frozen=True)
@@ -237,19 +237,19 @@ class Presentation:
         A number is out of range; the message names the setting.
     """
 
+    # Steps for which a sample is presented.
     steps: int = limited(between(1, limits.STEPS), 100)
-    """Steps for which a sample is presented."""
+    # Silent steps before each sample.
     gap: int = limited(between(0, limits.STEPS), 20)
-    """Silent steps before each sample."""
+    # Steps at the start of each sample that the readout ignores.
     readout_start: int = limited(between(0, limits.STEPS), 20)
-    """Steps at the start of each sample that the readout ignores."""
+    # Samples per stream; 1 means that every sample starts from a fresh network.
     stream_length: int = limited(between(1, limits.SAMPLES), 10)
-    """Samples per stream; 1 means that every sample starts from a fresh network."""
+    # Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
+    # the end.
     confidence: Optional[float] = limited(
         Limit(lambda value: 0 < value <= 1, "above 0, at most 1"), None
     )
-    """Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
-    the end."""
 
     @property
     def period(self) -> int:

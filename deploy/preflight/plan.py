@@ -30,9 +30,11 @@ from .resources import (
 
 CORES_PER_CHIP = LOIHI.cores
 
+# Column titles of `LIMITS` in a table.
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
-"""Column titles of `LIMITS` in a table."""
 
+# The remedy for each exceeded limit. Layers are divided into blocks automatically. Therefore only a
+# layer whose ``block_shape`` was set from Python can have too many compartments.
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
     "input axons": "give the layer fewer inputs, by a larger stride or an averaging before it",
@@ -40,11 +42,6 @@ REMEDIES = {
     "AxonCfg registers": "use fewer filters or units in this layer or the next",
     "synapse words": "give the layer fewer filters or units, or a larger stride",
 }
-"""The remedy for each exceeded limit.
-
-Layers are divided into blocks automatically.  Therefore only a layer whose ``block_shape`` was set
-from Python can have too many compartments.
-"""
 
 
 @dataclass(frozen=True)

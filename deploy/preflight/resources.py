@@ -12,18 +12,18 @@ import numpy as np
 from ..network.blocks import list_words
 from ..network.chip import LOIHI
 
+# Limits of one core.
 LIMITS = LOIHI.limits
-"""Limits of one core."""
 
 CURRENT_LIMIT = 2**LOIHI.current_bits
+# Limits above which the current and one step's synaptic input wrap around.
 INPUT_LIMIT = 2**LOIHI.input_bits
-"""Limits above which the current and one step's synaptic input wrap around."""
 
+# Limit at which the membrane voltage is clipped; it should be well above the threshold.
 VOLTAGE_LIMIT = 2**LOIHI.voltage_bits - 1
-"""Limit at which the membrane voltage is clipped; it should be well above the threshold."""
 
+# By the type of axon: discrete, or a population's of 32 bits.
 AXON_CFGS_PER_AXON = {0: 1, 32: 2}
-"""By the type of axon: discrete, or a population's of 32 bits."""
 
 
 def used_by(block) -> Dict[str, int]:

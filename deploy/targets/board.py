@@ -25,11 +25,11 @@ from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
 from ..preflight.plan import REMEDIES, require_fit
 
+# Number of bins of the board's energy probe, spread over the steps of a stream.
 POWER_BINS = 1024
-"""Number of bins of the board's energy probe, spread over the steps of a stream."""
 
+# Seconds up to which the wait between two attempts is doubled.
 LONGEST_WAIT = 600.0
-"""Seconds up to which the wait between two attempts is doubled."""
 
 
 @dataclass(frozen=True)

@@ -25,11 +25,11 @@ from ..network.spec import DT
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
 
+# Maximum memory in bytes for the spikes of some steps of all streams that run together.
 MEMORY = 32 << 20
-"""Maximum memory in bytes for the spikes of some steps of all streams that run together."""
 
+# Sums that can overflow, by NengoLoihi's names: input, current, current and bias.
 OVERFLOWS = ("q0", "current", "u2")
-"""Sums that can overflow, by NengoLoihi's names: input, current, current and bias."""
 
 
 class StreamOutputs(NamedTuple):

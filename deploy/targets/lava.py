@@ -41,8 +41,8 @@ from ..network.spec import NetworkSpec
 from ..network.stream import streams_of
 from .fast import Emulation
 
+# Limit at which Lava and the chip clip voltages.
 LARGEST = 2**LOIHI.current_bits - 1
-"""Limit at which Lava and the chip clip voltages."""
 
 _BIAS_EXPONENTS = 8
 

@@ -80,6 +80,7 @@ def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
     return _run(spec, streams, seed, lambda network: _loihi_simulator(network, "sim"))
 
 
+# The targets by name, in the order of a ladder.
 TARGETS: Dict[str, Target] = {
     target.name: target
     for target in (
@@ -110,7 +111,6 @@ TARGETS: Dict[str, Target] = {
         ),
     )
 }
-"""The targets by name, in the order of a ladder."""
 
 
 def target_named(name: str) -> Target:

@@ -19,6 +19,9 @@ from pipeline.commands.options import for_typer
 UsageError = typer.BadParameter.__base__
 ClickException = UsageError.__base__
 
+# Each sub-command: its line in the list, and its function, as ``module.function`` of this package,
+# or its own sub-commands. A module is imported only when one of its commands is chosen, so that
+# ``--help`` and TAB do not wait for the second that importing all of them takes.
 VERBS = {
     "data": (
         "Recordings: import, inspect, simulate, count, draw.",
@@ -83,9 +86,6 @@ VERBS = {
         "settings.settings",
     ),
 }
-"""Each sub-command: its line in the list, and its function, as ``module.function`` of this package,
-or its own sub-commands.  A module is imported only when one of its commands is chosen, so that
-``--help`` and TAB do not wait for the second that importing all of them takes."""
 
 
 def _imported(name):

@@ -132,8 +132,8 @@ def _workers(jobs=2, scheduler=None):
     return Workers(jobs, scheduler)
 
 
+# The :class:`pipeline.results.study.Workers` of an experiment.
 Workers = group(_workers, jobs=Jobs, scheduler=Scheduler)
-"""The :class:`pipeline.results.study.Workers` of an experiment."""
 
 
 @dataclass(frozen=True)

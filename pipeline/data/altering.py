@@ -29,16 +29,16 @@ class Alteration:
     shear: float = 0.08
 
 
+# Alterations in time and dropped events, for sensors on which a position may have a meaning of its
+# own or neighbours in the grid are not neighbours on the sensor.
 TIME_ONLY = Alteration(turn=0.0, shift=0.0, scale=0.0, shear=0.0)
-"""Alterations in time and dropped events, for sensors on which a position may have a meaning of its
-own or neighbours in the grid are not neighbours on the sensor."""
 
+# The alterations of each value of ``events.augment`` but ``auto``.
 AUGMENTATIONS = {
     "none": Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     "time": TIME_ONLY,
     "space": Alteration(),
 }
-"""The alterations of each value of ``events.augment`` but ``auto``."""
 
 
 def augmentation_for(recordings: Recordings) -> str:

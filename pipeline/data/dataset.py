@@ -19,30 +19,30 @@ from pipeline.data.splits import Split, split_of, split_problem
 from pipeline.data.steps import EventTable
 from pipeline.settings import SIMULATED, Image, Settings
 
+# Recordings whose frames of events are made at once, which bounds the memory.
 AT_ONCE = 500
-"""Recordings whose frames of events are made at once, which bounds the memory."""
 
+# Share of merged events above which a warning is printed.
 MOST_LOST = 0.1
-"""Share of merged events above which a warning is printed."""
 
+# Settings that a split depends on.
 SPLIT_READS = ("seed", "split")
-"""Settings that a split depends on."""
 
+# File of the images with which :meth:`Dataset.of_arrays` replaces recordings.
 ARRAYS = "arrays"
-"""File of the images with which :meth:`Dataset.of_arrays` replaces recordings."""
 
+# Entry of a bundle's provenance with the hashes of the recordings that it was made with.
 TRAINED_ON = "training_recordings"
-"""Entry of a bundle's provenance with the hashes of the recordings that it was made with."""
 
+# Remedy for too few samples for the check.
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
-"""Remedy for too few samples for the check."""
 
+# Remedy for too few samples for the split.
 NO_SPLIT = "give more data, or another split.test_fraction or split.kind"
-"""Remedy for too few samples for the split."""
 
+# Version of the rules by which files become recordings; to be raised if they change, because files
+# that are read differently have the same hash.
 READING = "3"
-"""Version of the rules by which files become recordings; to be raised if they change, because files
-that are read differently have the same hash."""
 
 
 @dataclass(frozen=True)

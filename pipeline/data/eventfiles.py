@@ -30,34 +30,34 @@ from pipeline.data.events import Events
 from pipeline.data.matfile import BadRecording, writer_of
 
 CAMERA_SUFFIXES = (".aedat4", ".raw", ".dat")
+# File name endings of files of events.
 SUFFIXES = (".npz", ".npy", ".csv", *CAMERA_SUFFIXES)
-"""File name endings of files of events."""
 
+# Duration of each unit of time in seconds.
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Duration of each unit of time in seconds."""
 
 ARRAYS = ("x", "y", "t", "p")
 
+# Names of fields and columns, in upper or lower case, the preferred one first; some include the
+# unit.
 NAMES = {
     "x": ("x", "column", "col"),
     "y": ("y", "row"),
     "t": (*(f"t_{unit}" for unit in UNITS), "t", "time", "timestamp", "ts"),
     "p": ("p", "polarity", "pol", "on"),
 }
-"""Names of fields and columns, in upper or lower case, the preferred one first; some include the
-unit."""
 
+# Events of one recording.
 MAX_EVENTS = 5_000_000
-"""Events of one recording."""
 
+# Highest coordinate of any sensor; the input of a network is smaller.
 MAX_PLACE = 16_383
-"""Highest coordinate of any sensor; the input of a network is smaller."""
 
+# Bytes of an event in an array: eight fields of eight bytes.
 LARGEST_EVENT = 64
-"""Bytes of an event in an array: eight fields of eight bytes."""
 
+# Time of the members of a zip that this program writes, so that equal files give equal bytes.
 ZIP_TIME = (1980, 1, 1, 0, 0, 0)
-"""Time of the members of a zip that this program writes, so that equal files give equal bytes."""
 
 
 @dataclass(frozen=True)
@@ -344,8 +344,8 @@ def _array(content, name):
         raise BadRecording(f"{name!r} is damaged") from error
 
 
+# Number of reasons that are listed individually.
 LISTED = 10
-"""Number of reasons that are listed individually."""
 
 
 def write_recordings(

@@ -14,17 +14,17 @@ import numpy as np
 
 from pipeline.paper import DURATION_S
 
+# Taxels of the array, 10 x 10 (paper, Section 2.1).
 N_TAXELS = 100
-"""Taxels of the array, 10 x 10 (paper, Section 2.1)."""
 
+# Period of the decoder's time grid in nanoseconds: 62.5 MHz, which the paper rounds to 63 MHz.
 TICK_NS = 16
-"""Period of the decoder's time grid in nanoseconds: 62.5 MHz, which the paper rounds to 63 MHz."""
 
+# Taxels along each side of the array.
 GRID = 10
-"""Taxels along each side of the array."""
 
+# Classes of the published recordings.
 DIGITS = tuple("0123456789")
-"""Classes of the published recordings."""
 
 
 @dataclass(frozen=True)

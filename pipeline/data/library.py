@@ -25,11 +25,11 @@ from pipeline.progress import progress
 from pipeline.settings import SIMULATED, Settings
 from pipeline.skin.simulate import simulate, source_of
 
+# Version of the cache; increase it with any change of the stored data or of the reading.
 FORMAT = 6
-"""Version of the cache; increase it with any change of the stored data or of the reading."""
 
+# Maximum number of bytes of a set of recordings, a hundred times that of the published one.
 LARGEST_CACHE = 1 << 34
-"""Maximum number of bytes of a set of recordings, a hundred times that of the published one."""
 
 DELETE = "delete it and run the command again to make it again"
 

@@ -27,27 +27,27 @@ from pipeline.paper import DURATION_S
 
 VARIABLE = "spiketrain"
 _WRITTEN = ("source", "time", "handedness", "seed", "pen")
+# A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
+# milliseconds.
 LATEST_S = 60.0
-"""A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
-milliseconds."""
 
+# Bytes of one variable, and of a file: 101 rows of 200,000 columns in double precision, which is a
+# hundred taxels that each report an event every 5 ms for 2 s, in five columns each.
 LARGEST = 170_000_000
-"""Bytes of one variable, and of a file: 101 rows of 200,000 columns in double precision, which is a
-hundred taxels that each report an event every 5 ms for 2 s, in five columns each."""
 
 HEADER = b"MATLAB 5.0 MAT-file"
 
+# Bytes of an element of each MATLAB class that a recording may have.
 ITEM_SIZES = {
     **{f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)},
     **{"double": 8, "single": 4, "logical": 1, "char": 4},
 }
-"""Bytes of an element of each MATLAB class that a recording may have."""
 
+# Largest number of taxels of any array, since events cannot address more.
 MAX_TAXELS = 65536
-"""Largest number of taxels of any array, since events cannot address more."""
 
+# Rows and columns of any array.
 MAX_SIDE = 256
-"""Rows and columns of any array."""
 
 
 class BadRecording(ValueError):

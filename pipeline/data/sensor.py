@@ -23,15 +23,15 @@ from pipeline.data.matfile import LATEST_S, MAX_SIDE, BadRecording
 
 UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 
+# Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
+# recordings would be shorter is excluded.
 SHORTEST_S = 0.02
-"""Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
-recordings would be shorter is excluded."""
 
+# Factor between durations above which their units differ; units differ by a factor of 1,000.
 MIXED = 100
-"""Factor between durations above which their units differ; units differ by a factor of 1,000."""
 
+# Number of rows or columns below which the largest coordinates do not identify a sensor.
 SMALLEST_SENSOR = 6
-"""Number of rows or columns below which the largest coordinates do not identify a sensor."""
 
 GIVE_UNIT = "--time-unit of 'stmnist data', else --set data.time_unit=..."
 GIVE_SIZE = (

@@ -52,36 +52,36 @@ from pipeline.jobs import results_of
 SUFFIXES = (".mat", *EVENT_SUFFIXES)
 LOOKUP_TABLE, POSITIONS = "lut.mat", "taxels.csv"
 IGNORED = ("readme*", "license*", "*.txt", "*.md")
+# Part of a published split, by the name of a folder in lower case.
 PARTS = {"train": "train", "training": "train", "test": "test", "testing": "test"}
-"""Part of a published split, by the name of a folder in lower case."""
 
 VALIDATION = ("validation", "valid", "val", "dev")
 
+# Events of a source. The published recordings have 20 million columns, and a quarter as many
+# events; a million events take up to 75 MB and a tenth of a second.
 MOST_EVENTS = 22_000_000
-"""Events of a source.  The published recordings have 20 million columns, and a quarter as many
-events; a million events take up to 75 MB and a tenth of a second."""
 
+# Recordings of a source.
 MOST_FILES = 100_000
-"""Recordings of a source."""
 
+# Bytes of a zip. The published recordings have 16 GB when unpacked.
 MOST_BYTES = 24_000_000_000
-"""Bytes of a zip.  The published recordings have 16 GB when unpacked."""
 
+# Number of files that a worker reads at a time: a compromise of overhead and progress bar.
 CHUNK = 32
-"""Number of files that a worker reads at a time: a compromise of overhead and progress bar."""
 
+# Number of reasons, and of files that were left out, that are listed individually.
 LISTED = 10
-"""Number of reasons, and of files that were left out, that are listed individually."""
 
 WRITTEN_HERE = b"recordings written by stmnist-loihi"
+# Comments of the zips that this program writes.
 SIMULATED_HERE = b"simulated " + WRITTEN_HERE
-"""Comments of the zips that this program writes."""
 
+# Errors that reading a member of a damaged zip raises.
 READ_ERRORS = (
     *(OSError, EOFError, RuntimeError, ValueError, KeyError, zipfile.BadZipFile),
     *(zlib.error, lzma.LZMAError),
 )
-"""Errors that reading a member of a damaged zip raises."""
 
 
 @dataclass(frozen=True)

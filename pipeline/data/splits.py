@@ -8,12 +8,12 @@ import numpy as np
 
 from pipeline.data.events import Recordings
 
+# Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
+# samples in both parts.
 RANDOM, PUBLISHED, WRITERS = "random", "published", "writers"
-"""Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
-samples in both parts."""
 
+# Share of the training samples that is held out if there are no validation samples.
 HELD_OUT = 0.1
-"""Share of the training samples that is held out if there are no validation samples."""
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,8 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     return text
 
 
+# Maximum number of classes whose recordings are counted separately in a line.
 MOST_NAMED = 12
-"""Maximum number of classes whose recordings are counted separately in a line."""
 
 
 def _of_classes(counts):
@@ -255,15 +255,15 @@ LABELS = {
 }
 
 
+# The table of recordings other than digits, whose positions are not the paper's X and Y.
 OWN_LABELS = {
     name: label.replace("X", "row").replace("Y", "column").replace("physical ", "")
     for name, label in LABELS.items()
     if name not in ("on", "off")
 }
-"""The table of recordings other than digits, whose positions are not the paper's X and Y."""
 
+# Characters of a class's name above its column.
 LONGEST_HEAD = 20
-"""Characters of a class's name above its column."""
 
 
 def table1_json(recordings) -> dict:

@@ -22,9 +22,9 @@ from pipeline.data.images import tactile_images
 from pipeline.data.steps import EventTable
 from pipeline.settings import Image
 
+# Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
+# screen.
 MOST_DRAWN = 4096
-"""Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
-screen."""
 
 
 @dataclass(frozen=True)

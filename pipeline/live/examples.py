@@ -19,11 +19,11 @@ from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 from pipeline.skin.writing import START_S
 
+# Sources of examples: the network's check, or the page's folder.
 TEST, KEPT = "test", "kept"
-"""Sources of examples: the network's check, or the page's folder."""
 
+# Time from an example's last event to its end.
 AFTERWARDS_S = 0.05
-"""Time from an example's last event to its end."""
 
 
 @dataclass(frozen=True)

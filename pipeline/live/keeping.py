@@ -38,19 +38,19 @@ from pipeline.data.matfile import (
     recording_bytes,
 )
 
+# Writers are numbered from 1 to one less than this.
 WRITERS = 1000
-"""Writers are numbered from 1 to one less than this."""
 
+# Number with which every page begins, until a writer is chosen there.
 FIRST_WRITER = 1
-"""Number with which every page begins, until a writer is chosen there."""
 
+# Place of each taxel, beside the classes' folders.
 TABLE = "LUT.mat"
-"""Place of each taxel, beside the classes' folders."""
 
 LOCK = ".lock"
 
+# Bytes of a folder's name, at most, on the usual file systems.
 LONGEST_NAME = 255
-"""Bytes of a folder's name, at most, on the usual file systems."""
 
 _NAME = re.compile(r"w([0-9]{3})-([0-9]{4,9})\.mat")
 

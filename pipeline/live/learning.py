@@ -23,14 +23,14 @@ from pipeline.settings import Image
 from pipeline.training.adaptation import Responder
 from pipeline.training.readout import Person, refit
 
+# Number of the last digits for which the page counts correct answers.
 LATEST = 10
-"""Number of the last digits for which the page counts correct answers."""
 
+# Maximum number of bytes of the data of a writer.
 LARGEST = 256 << 20
-"""Maximum number of bytes of the data of a writer."""
 
+# Minimum number of digits for fitting a readout, which cross-validation needs.
 FEWEST = 2
-"""Minimum number of digits for fitting a readout, which cross-validation needs."""
 
 
 @dataclass(frozen=True)

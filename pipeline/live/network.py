@@ -13,12 +13,12 @@ from pipeline.data.events import Sensor, are_digits, is_written
 from pipeline.run import RunFolder
 from pipeline.settings import Image, read_settings
 
+# The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
+# settings of ``shipped.toml``.
 SHIPPED = Path(__file__).with_name("bundle")
-"""The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
-settings of ``shipped.toml``."""
 
+# Folder for recordings of digits; of other data the start of its name.
 RECORD = "written"
-"""Folder for recordings of digits; of other data the start of its name."""
 
 
 def network_of_bundle(folder: Path) -> tuple | None:

@@ -43,27 +43,27 @@ from pipeline.live.session import (
 )
 from pipeline.skin.writing import START_S
 
+# Default address of the page, which other machines cannot reach.
 HOST = "127.0.0.1"
-"""Default address of the page, which other machines cannot reach."""
 
+# Bytes of a message.
 LARGEST = 64 * 1024
-"""Bytes of a message."""
 
+# Minimum seconds between two answers, because a screen cannot display more.
 APART_S = 0.012
-"""Minimum seconds between two answers, because a screen cannot display more."""
 
+# Minimum seconds between two messages with the spikes of the network, which are large and slow to
+# draw; more of them would not be visible.
 SPIKES_APART_S = 0.06
-"""Minimum seconds between two messages with the spikes of the network, which are large and slow to
-draw; more of them would not be visible."""
 
+# Pages that may be open at a time.
 PAGES = 8
-"""Pages that may be open at a time."""
 
+# Connections that wait to be accepted.
 WAITING = 128
-"""Connections that wait to be accepted."""
 
+# Name of the QR code of the page's address.
 PICTURE = "qr.svg"
-"""Name of the QR code of the page's address."""
 
 PAGE = Path(__file__).with_name("page")
 LOOK = Path(__file__).parents[1] / "look.css"

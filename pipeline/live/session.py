@@ -44,30 +44,30 @@ from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 if TYPE_CHECKING:
     from pipeline.live.learning import Learner  # Nengo takes a second to import
 
+# Maximum duration of a recording. The published ones last 2 s; some people write more slowly, and a
+# network on events receives the first 2 s only.
 LONGEST_S = 10.0
-"""Maximum duration of a recording.  The published ones last 2 s; some people write
-more slowly, and a network on events receives the first 2 s only."""
 
+# Pause in seconds after which a touch of the pen begins another recording.
 PAUSE_S = 1.5
-"""Pause in seconds after which a touch of the pen begins another recording."""
 
+# Seconds without a message after which the pen is taken to rest; before, messages may be delayed by
+# a busy machine.
 REST_S = 0.25
-"""Seconds without a message after which the pen is taken to rest; before, messages
-may be delayed by a busy machine."""
 
+# Maximum number of points in a message.
 POINTS = 512
-"""Maximum number of points in a message."""
 
+# Maximum number of taxels of a skin to write on: with more, the simulation would take too long
+# beside the page and its network (0.15 s of processor time per second for this number).
 MOST_TAXELS = 4096
-"""Maximum number of taxels of a skin to write on: with more, the simulation would take too long
-beside the page and its network (0.15 s of processor time per second for this number)."""
 
+# Seconds of the skin that are simulated in one piece, so that little memory is needed: an
+# intermediate result of a piece takes 8 MB on the largest skin.
 PIECE_S = 0.5
-"""Seconds of the skin that are simulated in one piece, so that little memory is needed: an
-intermediate result of a piece takes 8 MB on the largest skin."""
 
+# Maximum number of recordings of each class in a session.
 EACH = 1000
-"""Maximum number of recordings of each class in a session."""
 
 
 class BadMessage(ValueError):

@@ -30,21 +30,21 @@ from pipeline.stages import settings_read
 
 SCHEMA = "stmnist-runs/1"
 
+# Order of the stages in a comparison.
 ORDER = (*REFERENCES, *TARGETS)
-"""Order of the stages in a comparison."""
 
+# Stages whose spikes give the operations and decision times; the first available one is used. The
+# first two have identical spikes; a board does not report the spikes of all layers.
 COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
-"""Stages whose spikes give the operations and decision times; the first available one is used.  The
-first two have identical spikes; a board does not report the spikes of all layers."""
 
+# Characters of the name of other recordings in a stage's name.
 LONGEST_SOURCE = 12
-"""Characters of the name of other recordings in a stage's name."""
 
+# Short names of runs in the text, by their order.
 LETTERS = string.ascii_uppercase
-"""Short names of runs in the text, by their order."""
 
+# Width of the text in columns.
 WIDTH = 80
-"""Width of the text in columns."""
 
 
 @dataclass(frozen=True)

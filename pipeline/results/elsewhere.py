@@ -31,11 +31,11 @@ from pipeline.results.ladder import confusion_matrix
 from pipeline.run import checks_beside, run_around
 from pipeline.settings import MOST_DOWNSAMPLED, Image, Settings, read_settings
 
+# Name of the folder in a run's results.
 FOLDER = "other"
-"""Name of the folder in a run's results."""
 
+# Share of a sensor's rows and columns that its recordings have events in, at least.
 REACHED = 0.8
-"""Share of a sensor's rows and columns that its recordings have events in, at least."""
 
 
 def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:

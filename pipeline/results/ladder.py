@@ -20,14 +20,14 @@ from pipeline.roads.diagnosis import layers_text, least_faithful
 from pipeline.run import RunFolder
 from pipeline.stages import Opened, answer_all, convert, on_test_split
 
+# Targets whose existing results are included, but which the ladder does not run.
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
-"""Targets whose existing results are included, but which the ladder does not run."""
 
+# Stages of the ladder on the whole test split that take minutes.
 SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
-"""Stages of the ladder on the whole test split that take minutes."""
 
+# The network from which the bundle is made; later losses are caused by the conversion.
 TRAINED = ("rate-lif", "trained")
-"""The network from which the bundle is made; later losses are caused by the conversion."""
 
 
 def ladder_stages(road: Road, whole: bool = False) -> list:

@@ -23,11 +23,11 @@ from pipeline.run import RunFolder, require_run, run_around
 from pipeline.settings import Settings, read_settings
 from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
 
+# Width of the text in columns.
 WIDTH = 80
-"""Width of the text in columns."""
 
+# Targets of the check that the ladder does not run.
 CHECKED_ALONE = ("fast", *BOARDS)
-"""Targets of the check that the ladder does not run."""
 
 
 @dataclass(frozen=True)

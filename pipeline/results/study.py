@@ -45,8 +45,8 @@ from pipeline.settings import Settings
 from pipeline.stages import opened_in
 
 SCHEMA = "stmnist-row/1"
+# Minimum number of splits for an interval over them; with two it would be 12.7 standard errors.
 FEWEST = 3
-"""Minimum number of splits for an interval over them; with two it would be 12.7 standard errors."""
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,14 @@ from pipeline.run import RunFolder
 from pipeline.settings import Settings, parse_assignments, put
 
 SCHEMA = "stmnist-sweep/3"
+# Share of the training samples held out for the evaluation, if the settings have none.
 VALIDATION = 0.15
-"""Share of the training samples held out for the evaluation, if the settings have none."""
 
+# Stages of a point: the trained network of either input, and the chip's integers.
 STAGES = ("rate-lif", "trained", "fast")
-"""Stages of a point: the trained network of either input, and the chip's integers."""
 
+# Settings that change which samples there are; points on different ones cannot be compared.
 SAMPLES_APART = ("seed", "data", "split", "check")
-"""Settings that change which samples there are; points on different ones cannot be compared."""
 
 
 def points_of(base: Settings, grid) -> list:

@@ -10,12 +10,12 @@ from pipeline.settings import Settings
 
 ROADS = (ImageRoad, EventRoad, NirRoad)
 
+# Title and note of the reference stages of all roads.
 REFERENCES = {stage: texts for road in ROADS for stage, texts in road.references.items()}
-"""Title and note of the reference stages of all roads."""
 
 
+# The stages that a deployed network is compared with: the first of them that there is.
 COMPARED_WITH = ("cnn-matched", "trained", "nir", "cnn", "rate-lif")
-"""The stages that a deployed network is compared with: the first of them that there is."""
 
 
 def compared_with(stages) -> str:

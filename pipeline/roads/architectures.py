@@ -16,14 +16,14 @@ from pipeline.data.events import Sensor
 from pipeline.data.statistics import size_text
 from pipeline.settings import Deployment
 
+# Rows and columns of the first convolution's output on images, at most, on average.
 LARGEST_MAP = 14
-"""Rows and columns of the first convolution's output on images, at most, on average."""
 
+# Rows and columns that an image needs for the paper's convolutions.
 SMALLEST_GRID = 6
-"""Rows and columns that an image needs for the paper's convolutions."""
 
+# The same for a network on events, as in the first layer of the default network.
 EVENT_MAP = 5
-"""The same for a network on events, as in the first layer of the default network."""
 
 
 def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels: int = 1) -> str:

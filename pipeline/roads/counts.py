@@ -21,22 +21,22 @@ from pipeline.data.images import sliced_counts, typical_duration_ms
 from pipeline.roads.road import Part, Reference, accuracies, accuracy_text, responses_of
 from pipeline.run import DELETE_ITS_FOLDER
 
+# Event counts of a sample, at most; a sensor with more has them in one slice of time.
 MOST_FEATURES = 20_000
-"""Event counts of a sample, at most; a sensor with more has them in one slice of time."""
 
+# Scores of the test samples, by their ids.
 SCORES = "scores.npz"
-"""Scores of the test samples, by their ids."""
 
+# Numbers of slices of time among which cross-validation chooses.
 SLICES = (1, 4, 8)
-"""Numbers of slices of time among which cross-validation chooses."""
 
+# Inverse strengths of the regularisation (scikit-learn's ``C``) among which it chooses.
 STRENGTHS = (0.003, 0.02, 0.1)
-"""Inverse strengths of the regularisation (scikit-learn's ``C``) among which it chooses."""
 
 FOLDS = 3
 
+# Maximum number of samples of the cross-validation, so that it takes a few seconds.
 MOST_SAMPLES = 2400
-"""Maximum number of samples of the cross-validation, so that it takes a few seconds."""
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ def _respond(stage, opened, bundle, advance):
     return responses_of(logits, bundle.spec.presentation)
 
 
+# The classifier has no settings of its own.
 PART = Part("counts", "counts", ("metrics.json", SCORES), (), _fit, action="fitting")
-"""The classifier has no settings of its own."""
 
 REFERENCE = Reference(
     "Event counts",

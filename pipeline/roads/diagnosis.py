@@ -16,11 +16,11 @@ from deploy.check.rates import silent_share
 from deploy.network.spec import DT, NetworkSpec
 from deploy.tables import aligned
 
+# Share of the fastest rate from which a neuron counts as saturated on a sample.
 NEAR_FASTEST = 0.9
-"""Share of the fastest rate from which a neuron counts as saturated on a sample."""
 
+# Minimum share of the samples on which a saturated neuron is at its limit.
 SATURATED_SAMPLES = 0.01
-"""Minimum share of the samples on which a saturated neuron is at its limit."""
 
 
 def fastest_rate(tau_ref: float) -> float:

@@ -45,20 +45,20 @@ from pipeline.settings import Settings
 from pipeline.training.epochs import Checkpoint
 from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 
+# Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
+# percentage point, is less than half a sample.
 FEWEST = 100
-"""Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
-percentage point, is less than half a sample."""
 
+# Minimum and maximum number of steps of a presentation of events; longer recordings get longer
+# steps.
 FEWEST_STEPS, MOST_STEPS = 50, 400
-"""Minimum and maximum number of steps of a presentation of events; longer recordings get longer
-steps."""
 
+# Synaptic operations that a network on events may take, in multiples of what its first layer takes
+# to receive the events: with many classes, the readout takes as many as the first layer.
 OPERATIONS_AN_EVENT = 4
-"""Synaptic operations that a network on events may take, in multiples of what its first layer takes
-to receive the events: with many classes, the readout takes as many as the first layer."""
 
+# State of a training that is not complete.
 CHECKPOINT = "checkpoint.npz"
-"""State of a training that is not complete."""
 
 
 class EventSamples(NamedTuple):

@@ -45,10 +45,10 @@ def training_versions() -> dict:
     return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
 
 
+# Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
+# chosen by cross-validation within the training parts of two published data sets of real touch,
+# with 39 and 80 taxels. Its image has the square roots of the counts of each polarity and slice.
 SLICES, WIDTH, DROPOUT = 8, 256, 0.5
-"""Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
-chosen by cross-validation within the training parts of two published data sets of real touch, with
-39 and 80 taxels.  Its image has the square roots of the counts of each polarity and slice."""
 
 
 def _respond(stage, opened, bundle, advance):

@@ -42,23 +42,23 @@ from pipeline.roads.nir_answers import (
 from pipeline.roads.road import Imported, Part, Reference, Road, imported_file, is_file
 from pipeline.settings import SIMULATED, Settings
 
+# Training samples on which the scales of a graph's weights are chosen.
 CALIBRATED_ON = 48
-"""Training samples on which the scales of a graph's weights are chosen."""
 
+# Maximum number of training samples on which the confidence for early decisions is chosen.
 DECIDED_ON = 300
-"""Maximum number of training samples on which the confidence for early decisions is chosen."""
 
+# Maximum number of training samples on which the two resets are compared.
 RESET_ON = 200
-"""Maximum number of training samples on which the two resets are compared."""
 
+# Share of the steps with spikes from which a neuron counts as one that never rests.
 RUNAWAY = 0.9
-"""Share of the steps with spikes from which a neuron counts as one that never rests."""
 
+# Default presentation of samples to an imported network: each from rest. Trainings in PyTorch start
+# every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
+# Norse), so that this is what the network was trained for. A board loads the network at the start
+# of each stream, so that it is then loaded for each sample.
 FROM_REST = {"gap": 0, "stream_length": 1}
-"""Default presentation of samples to an imported network: each from rest.  Trainings in PyTorch
-start every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
-Norse), so that this is what the network was trained for.  A board loads the network at the start of
-each stream, so that it is then loaded for each sample."""
 
 
 def _respond(stage, opened, bundle, advance):

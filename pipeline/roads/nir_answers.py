@@ -19,11 +19,11 @@ from models.nir_simulator import AT_ONCE, simulate
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
 
+# Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}
-"""Versions of the packages that simulate a graph."""
 
+# The run's copy of the graph, in the folder of its network.
 GRAPH = "network.nir"
-"""The run's copy of the graph, in the folder of its network."""
 
 
 @dataclass(frozen=True)

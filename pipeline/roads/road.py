@@ -31,14 +31,14 @@ from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
 from pipeline.training.epochs import write_history
 
+# Maximum number of test samples for the learning curve.
 MOST_WATCHED = 500
-"""Maximum number of test samples for the learning curve."""
 
+# Settings that change if another file is imported.
 FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
-"""Settings that change if another file is imported."""
 
+# Beginnings of the changes after which other samples are in the test split.
 SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
-"""Beginnings of the changes after which other samples are in the test split."""
 
 
 class Part(NamedTuple):
@@ -160,20 +160,20 @@ class Road:
     settings : Settings
     """
 
+    # Name of the road.
     kind: ClassVar[str]
-    """Name of the road."""
+    # The :class:`Reference` stages of the ladder by their names, in order.
     references: ClassVar[dict] = {}
-    """The :class:`Reference` stages of the ladder by their names, in order."""
+    # Name of the part from which the bundle is made.
     deployed: ClassVar[str]
-    """Name of the part from which the bundle is made."""
+    # Settings of the deployed network that the bundle depends on, besides the presentation.
     placement: ClassVar[tuple] = ()
-    """Settings of the deployed network that the bundle depends on, besides the presentation."""
+    # Section of the settings that has its architecture; empty if the network has its own.
     section: ClassVar[str] = ""
-    """Section of the settings that has its architecture; empty if the network has its own."""
+    # Channels of its input.
     channels: ClassVar[int]
-    """Channels of its input."""
+    # Values of settings that a sweep tries unless the user names others.
     grid: ClassVar[tuple] = ()
-    """Values of settings that a sweep tries unless the user names others."""
 
     def __init__(self, settings: Settings):
         self.settings = settings

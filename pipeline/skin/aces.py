@@ -21,14 +21,14 @@ import numpy as np
 
 from pipeline.data.events import N_TAXELS, TICK_NS, Events
 
+# Seed of the random search for signatures: a property of the hardware, not of a data set.
 SIGNATURE_SEED = 2020
-"""Seed of the random search for signatures: a property of the hardware, not of a data set."""
 
+# Ticks after which a taxel's reports can no longer belong to the same event.
 LONGEST_BURST = 6
-"""Ticks after which a taxel's reports can no longer belong to the same event."""
 
+# Number of pulses that are correlated at every tick; the others only where these are found.
 FIRST_LOOK = 4
-"""Number of pulses that are correlated at every tick; the others only where these are found."""
 
 
 @functools.cache

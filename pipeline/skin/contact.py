@@ -16,11 +16,11 @@ import numpy as np
 
 from pipeline.data.events import GRID, TaxelMap
 
+# Share of the greatest force at which the pen counts as on the skin.
 LANDED = 0.1
-"""Share of the greatest force at which the pen counts as on the skin."""
 
+# Half of float32's smallest number, which has no effect when it is added.
 NOTHING = 2.0**-150
-"""Half of float32's smallest number, which has no effect when it is added."""
 
 
 def press(motion, gain, least, rng, p, size=(GRID, GRID)):

@@ -95,6 +95,7 @@ class Writer:
     sloppiness: float
 
 
+# A writer without any traits, for recorded handwriting.
 NOBODY = Writer(
     allographs=(),
     offsets=(),
@@ -108,7 +109,6 @@ NOBODY = Writer(
     scrape=0.0,
     sloppiness=1.0,
 )
-"""A writer without any traits, for recorded handwriting."""
 
 
 def writers(rng, p, shapes: ShapeModel) -> tuple:

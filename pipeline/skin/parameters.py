@@ -156,8 +156,8 @@ class Parameters:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
+# File of the fitted parameters; ``parameters.toml`` has those that were set by hand.
 CALIBRATION = Path(__file__).with_name("calibration.json")
-"""File of the fitted parameters; ``parameters.toml`` has those that were set by hand."""
 
 
 @functools.cache

@@ -32,11 +32,11 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import read_arrays, write_arrays
 
+# The built-in model.
 MODEL = Path(__file__).with_name("handwriting.npz")
-"""The built-in model."""
 
+# Positions of a trajectory, all of its strokes together.
 POINTS = 32
-"""Positions of a trajectory, all of its strokes together."""
 
 DIGITS = 10
 
@@ -169,8 +169,8 @@ class ShapeModel:
         return digest.hexdigest()
 
 
+# Arrays that a digit's allographs are stored as, those of all of them stacked.
 PARTS = ("share", "points", "rank", "mean", "components", "between", "within")
-"""Arrays that a digit's allographs are stored as, those of all of them stacked."""
 
 
 def _packed(ways) -> dict:

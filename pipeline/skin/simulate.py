@@ -18,23 +18,21 @@ from pipeline.skin import aces, handwriting
 from pipeline.skin import parameters as settings
 from pipeline.skin.contact import Creep, Receptors, press, scrape
 
+# Part of the hash of the recordings; increase it with any change of the simulation.
 VERSION = 6
-"""Part of the hash of the recordings; increase it with any change of the simulation."""
 
+# Rows and columns of the paper's array.
 SIZE = (GRID, GRID)
-"""Rows and columns of the paper's array."""
 
+# Time step of motion and contact; events have a finer grid.
 STEP_S = 3.27e-3 / 3
-"""Time step of motion and contact; events have a finer grid."""
 
+# Seed of the taxels' gains: as in the paper, one array records every data set.
 ARRAY_SEED = 2020
-"""Seed of the taxels' gains: as in the paper, one array records every data set."""
 
+# Recordings whose film and receptors are simulated together. Fixed, so that the bytes do not depend
+# on the processes.
 BATCH = 128
-"""Recordings whose film and receptors are simulated together.
-
-Fixed, so that the bytes do not depend on the processes.
-"""
 
 
 @dataclass(frozen=True)

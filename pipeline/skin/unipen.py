@@ -19,11 +19,11 @@ from deploy.files import open_regular
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import boxed
 
+# Characters that are read of a file; a thousand writers take a tenth of it.
 MOST_TEXT = 1 << 26
-"""Characters that are read of a file; a thousand writers take a tenth of it."""
 
+# Largest coordinate; all integers up to it are exact.
 LARGEST = 2**53
-"""Largest coordinate; all integers up to it are exact."""
 
 _COMPONENTS = re.compile(r"(\d+)(?:-(\d+))?")
 _SEGMENT = re.compile(r'\.SEGMENT\s+\S+\s+(\S+)\s+\S+\s+"(.*)"')

@@ -21,17 +21,17 @@ from pipeline.skin.contact import Receptors
 from pipeline.skin.handwriting import on_skin
 from pipeline.skin.simulate import ARRAY_SEED, SIZE, STEP_S, array_gain
 
+# Time at which the pen first touches the skin; 0.197 s in the one available real recording.
 START_S = 0.2
-"""Time at which the pen first touches the skin; 0.197 s in the one available real recording."""
 
+# Pressure that a pointer without a pressure sensor reports (W3C, Pointer Events, ``pressure``).
 USUAL_PRESSURE = 0.5
-"""Pressure that a pointer without a pressure sensor reports (W3C, Pointer Events, ``pressure``)."""
 
+# Bounds of a pen's force, as multiples of the usual one.
 WEAKEST, STRONGEST = 0.3, 2.0
-"""Bounds of a pen's force, as multiples of the usual one."""
 
+# Taxels beyond the first and the last ones' centres within which a pen may be.
 MARGIN = 2.0
-"""Taxels beyond the first and the last ones' centres within which a pen may be."""
 
 
 class PenPoint(NamedTuple):

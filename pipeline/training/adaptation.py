@@ -28,14 +28,14 @@ from pipeline.data.events import Recordings
 from pipeline.settings import Image
 from pipeline.training.readout import PULLS, REHEARSALS, Person, Refit, refit
 
+# Number of training samples whose responses are in a bundle.
 KEPT = 500
-"""Number of training samples whose responses are in a bundle."""
 
+# Number of augmented copies of each sample of a person.
 COPIES = 10
-"""Number of augmented copies of each sample of a person."""
 
+# Number of samples that are run in parallel, which limits the memory.
 AT_ONCE = 32
-"""Number of samples that are run in parallel, which limits the memory."""
 
 
 class Responder:

@@ -38,24 +38,24 @@ from pipeline.training.epochs import Checkpoint, train_epochs
 from pipeline.training.networks import make_deterministic
 from pipeline.training.recipe import epochs_for
 
+# Training of the confidence estimator; see :mod:`deploy.network.decision`.
 ESTIMATOR_EPOCHS, ESTIMATOR_BATCH, ESTIMATOR_LEARNING_RATE = 4, 512, 0.002
-"""Training of the confidence estimator; see :mod:`deploy.network.decision`."""
 
+# Number of steps after a sample's last event in which its spikes still reach the outputs.
 TAIL = 3
-"""Number of steps after a sample's last event in which its spikes still reach the outputs."""
 
+# Number of augmented copies of each held-out sample that are used, with the sample itself, to
+# choose the confidence for an early decision. Half a percentage point of a few hundred samples is
+# two or three samples, so a choice on these alone would overestimate the accuracy.
 ALTERED = 4
-"""Number of augmented copies of each held-out sample that are used, with the sample itself, to
-choose the confidence for an early decision.  Half a percentage point of a few hundred samples is
-two or three samples, so a choice on these alone would overestimate the accuracy."""
 
+# The number of steps of a batch is rounded up to a multiple of this, since each length is compiled
+# separately.
 LENGTHS = 16
-"""The number of steps of a batch is rounded up to a multiple of this, since each length is compiled
-separately."""
 
+# Initial mean firing rate of the neurons, in spikes per second of recording time. Silent neurons
+# have no gradient.
 FIRST_RATE = 5.0
-"""Initial mean firing rate of the neurons, in spikes per second of recording time.  Silent neurons
-have no gradient."""
 
 
 @dataclass(frozen=True)

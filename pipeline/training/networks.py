@@ -27,19 +27,19 @@ from models.keras2 import as_written, tf
 from models.lif import DT, RateLIF, gain_for
 from pipeline.settings import Settings
 
+# Quantile of a layer's activations that is scaled to 1 when a CNN's weights are reused.
 PERCENTILE = 99.9
-"""Quantile of a layer's activations that is scaled to 1 when a CNN's weights are reused."""
 
 
+# Candidate threshold shifts for weights that are reused without training.
 SHIFTS = tuple(np.arange(0, 1.01, 0.02).tolist())
-"""Candidate threshold shifts for weights that are reused without training."""
 
+# Maximum number of noise values, of 4 bytes each, drawn in advance.
 NOISE_AHEAD = 1 << 23
-"""Maximum number of noise values, of 4 bytes each, drawn in advance."""
 
+# Number of steps whose synaptic operations ``snn.spike_penalty`` penalises. It is independent of
+# the presentation, so that the same weights can be used with any number of steps.
 PRICED_STEPS = 100
-"""Number of steps whose synaptic operations ``snn.spike_penalty`` penalises.  It is independent of
-the presentation, so that the same weights can be used with any number of steps."""
 
 
 @dataclass(frozen=True)
@@ -85,16 +85,16 @@ class Recipe:
         return replace(own, epochs=section.epochs or max(own.epochs, fewest))
 
 
+# Defaults of the networks, where a setting is 0.
 RECIPES = {
     "paper": Recipe(epochs=20, batch_size=32, learning_rate=0.001),
     "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.002, annealed=True),
     "as-is": Recipe(epochs=0, batch_size=0, learning_rate=0.0),
 }
-"""Defaults of the networks, where a setting is 0."""
 
+# Updates of the weights in a training, at least: a small data set gets more epochs than a recipe
+# has. The paper's 20 epochs of ST-MNIST are 3,480.
 FEWEST_UPDATES = 2500
-"""Updates of the weights in a training, at least: a small data set gets more epochs than a recipe
-has.  The paper's 20 epochs of ST-MNIST are 3,480."""
 
 
 def one_thread_each():

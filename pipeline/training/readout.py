@@ -26,21 +26,21 @@ from threadpoolctl import threadpool_limits
 from deploy.network.rehearsal import Rehearsal
 
 PULLS = (3e-4, 3e-3)
+# Strengths of regularisation and of rehearsal among which cross-validation chooses.
 REHEARSALS = (0.3, 1.0, 3.0)
-"""Strengths of regularisation and of rehearsal among which cross-validation chooses."""
 
 FOLDS = 5
 
+# Directions of the responses in which the weights may change, those of the largest variance: a
+# layer of many neurons would take minutes without a gain.
 MOST_DIRECTIONS = 96
-"""Directions of the responses in which the weights may change, those of the largest variance: a
-layer of many neurons would take minutes without a gain."""
 
+# The largest weight in integers: 8 bits with the sign.
 LEVELS = 127
-"""The largest weight in integers: 8 bits with the sign."""
 
+# Maximum loss of accuracy on the kept samples in cross-validation, similar to the loss of other
+# people.
 MOST_LOST = 0.015
-"""Maximum loss of accuracy on the kept samples in cross-validation, similar to the loss of other
-people."""
 
 
 @dataclass(frozen=True)

@@ -23,35 +23,35 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.data.steps import EventTable
 
+# Minimum number of updates of the weights in a training on events.
 UPDATES = 1440
-"""Minimum number of updates of the weights in a training on events."""
 
+# Updates by the square root of the number of training samples.
 UPDATES_BY_ROOT = 60
-"""Updates by the square root of the number of training samples."""
 
+# Minimum number of passes over the training samples for handwriting.
 HANDWRITING_EPOCHS = 80
-"""Minimum number of passes over the training samples for handwriting."""
 
+# Number of training samples below which spikes are left out of training with this probability.
 FEW, FEW_DROPOUT = 2000, 0.3
-"""Number of training samples below which spikes are left out of training with this probability."""
 
+# Neurons of the hidden layer for few samples or more than this many classes.
 WIDE, MANY_CLASSES = 128, 10
-"""Neurons of the hidden layer for few samples or more than this many classes."""
 
+# Refractory periods, in steps, and numbers of parts of a recording, among which is chosen.
 RESTS, PARTS = (0, 1, 3, 7), (1, 4, 8)
-"""Refractory periods, in steps, and numbers of parts of a recording, among which is chosen."""
 
+# Maximum refractory period in milliseconds.
 LONGEST_MS = 1000
-"""Maximum refractory period in milliseconds."""
 
+# Difference of accuracies that does not matter.
 NEARLY = 0.005
-"""Difference of accuracies that does not matter."""
 
+# Strengths of the regularisation of the linear classifier, among which the best is taken.
 RIDGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-"""Strengths of the regularisation of the linear classifier, among which the best is taken."""
 
+# Maximum number of training samples that the linear classifier is fitted to.
 MOST_COMPARED = 800
-"""Maximum number of training samples that the linear classifier is fitted to."""
 
 
 class Reading(NamedTuple):

@@ -17,9 +17,9 @@ import torch
 from norse.torch.utils.export_nir import to_nir
 from snntorch.export_nir import export_to_nir
 
+# H: seconds of a step in Norse. Its importer keeps parameters in 32 bits, so that these are sums of
+# few powers of two.
 SAMPLES, STEPS, H = 3, 200, 2.0**-9
-"""H: seconds of a step in Norse.  Its importer keeps parameters in 32 bits, so that these are sums
-of few powers of two."""
 
 
 def by_snntorch():

@@ -11,8 +11,8 @@ from models.nir_simulator import simulate
 from tests.command import ROOT
 
 PYTHON = ROOT / ".venv-nir" / "bin" / "python"
+# Of Norse, as in ``nodes.py``.
 STEP = 2.0**-9
-"""Of Norse, as in ``nodes.py``."""
 
 CASES = {
     "snntorch-leaky": ("Affine LIF Linear LIF", SNNTORCH_STEP),

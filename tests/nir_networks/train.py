@@ -18,8 +18,8 @@ import nir
 import numpy as np
 import torch
 
+# Of Norse's time: a frame of events.
 STEP_S = 0.02
-"""Of Norse's time: a frame of events."""
 
 
 def snntorch_network(reset):

@@ -24,12 +24,12 @@ nengo.networks.Oscillator = old.oscillator
 logging.getLogger("nengo_dl").setLevel(logging.NOTSET)  # some tests read its messages
 
 SETUP = "looks for setup.py, which the package does not ship"
+# Tests that fail on current versions.
 KNOWN = {
     "test_setup::test_setup_compat[feature_version0]": SETUP,
     "test_setup::test_setup_compat[feature_version1]": SETUP,
     "test_version::test_nengo_version_check": "NengoDL 3.6 knows no Nengo after 3.2",
 }
-"""Tests that fail on current versions."""
 
 OPTIONS = {"--dtype": "float32", "--unroll-simulation": 1, "--device": None}
 

@@ -22,6 +22,7 @@ import nengo_loihi.simulator  # isort: skip
 
 FILT = "Lowpass.filt of Nengo 4.1 on data of one dimension, which NumPy 2.4 refuses"
 IMAGE = "bounds that were chosen for an image of MNIST, which the package does not ship"
+# Tests that fail here on NengoLoihi's own emulator too.
 KNOWN = {
     "test_conv::test_conv2d_weights[valid-True]": IMAGE,
     "test_conv::test_conv2d_weights[valid-False]": IMAGE,
@@ -31,7 +32,6 @@ KNOWN = {
     "test_connection::test_neurons_to_ensemble_transform[True-False]": FILT,
     "test_connection::test_neurons_to_ensemble_transform[False-True]": FILT,
 }
-"""Tests that fail here on NengoLoihi's own emulator too."""
 
 EMULATORS = ("nengo-loihi", "fast", "both")
 

@@ -11,8 +11,8 @@ from pipeline.data.events import Events, Source, collect
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 
+# Time in ns, taxel, polarity, columns.
 GOOD = [(0, 5, 1, 4), (100_000, 17, -1, 2), (2_000_000, 5, -1, 1), (3_000_000, 99, 1, 5)]
-"""Time in ns, taxel, polarity, columns."""
 
 
 def events(rows=GOOD):

@@ -100,6 +100,7 @@ def convolutions(size=28):
         return network, nengo.Probe(source)
 
 
+# Title, function that makes the network and its probe, and steps of each network to measure.
 CASES = (
     ("channel, 2 ensembles of 1,000", channel, 4000),
     ("integrator of 1,000", integrator, 4000),
@@ -108,7 +109,6 @@ CASES = (
     ("PES, 100 neurons", lambda: learning(100), 1000),
     ("3 convolutions, 3,488 neurons", convolutions, 400),
 )
-"""Title, function that makes the network and its probe, and steps of each network to measure."""
 
 
 class _Timed:

@@ -19,8 +19,8 @@ from pipeline.look import colour
 
 WIDTH, HEIGHT = 360, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
+# Points of a line that have a tooltip of their own.
 MOST_TOOLTIPS = 60
-"""Points of a line that have a tooltip of their own."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from pipeline.training.epochs import read_history
 
 REMEDY = "delete it and make it again"
 
+# More chips than any system has: the report says how many a network needs.
 MANY_CHIPS = 10_000
-"""More chips than any system has: the report says how many a network needs."""
 
 
 def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:

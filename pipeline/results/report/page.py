@@ -28,11 +28,11 @@ from pipeline.roads import COMPARED_WITH, REFERENCES
 from pipeline.settings import PATHS, Settings
 from pipeline.stages import settings_read
 
+# Largest number of classes for which a confusion matrix is drawn.
 MOST_IN_A_MATRIX = 40
-"""Largest number of classes for which a confusion matrix is drawn."""
 
+# Number of classes whose probability is drawn: the most likely at the end, and the right one.
 SHOWN_CLASSES = 4
-"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
 
 
 @dataclass(frozen=True)

@@ -135,8 +135,8 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
         answer(spec, np.zeros((1, 6, 6, 1)), "emulator")
 
 
+# The targets that need no board.
 ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.hardware)
-"""The targets that need no board."""
 
 
 @pytest.mark.parametrize(

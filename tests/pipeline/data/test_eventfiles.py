@@ -17,8 +17,8 @@ from pipeline.data.sensor import to_ns
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import npz
 
+# Four events in order of time, in milliseconds; 12 columns, 9 rows.
 X, Y, T, P = (np.array(a) for a in ([3, 0, 11, 5], [0, 8, 2, 2], [50, 300, 300, 838], [1, 0, 1, 0]))
-"""Four events in order of time, in milliseconds; 12 columns, 9 rows."""
 
 
 def npy(array) -> bytes:

@@ -25,8 +25,8 @@ from tests.pipeline.handmade import (
     spiketrain,
 )
 
+# Real recordings, which are not part of the project.
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
-"""Real recordings, which are not part of the project."""
 
 
 def strip(index=0, taxels=7, signs=(1, -1), **named):

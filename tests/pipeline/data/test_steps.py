@@ -5,8 +5,8 @@ from pipeline.data.steps import EventTable, spike_frames
 from tests.pipeline.handmade import recordings
 
 MS = 1_000_000
+# Taxel 12 is row 2, column 1; 99 is row 9, column 9.
 ROWS = [(5 * MS, 12, 1, 4), (14 * MS, 12, 1, 4), (16 * MS, 12, -1, 2), (47 * MS, 99, 1, 1)]
-"""Taxel 12 is row 2, column 1; 99 is row 9, column 9."""
 
 
 @pytest.fixture

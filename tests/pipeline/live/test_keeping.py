@@ -133,8 +133,8 @@ def test_what_is_there_already_is_not_asked_for():
     assert asked_next(counts, 3, 0) is None
 
 
+# Of classes; all but the first are no names of folders.
 NAMES = ("über die ganze Fläche", "a/b", "..", "x" * 300, "x" * 301, "")
-"""Of classes; all but the first are no names of folders."""
 
 
 def test_classes_of_any_name_have_folders_of_their_own(tmp_path):

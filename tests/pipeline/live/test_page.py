@@ -228,8 +228,8 @@ def test_twenty_digits_of_real_hands(browser, shared_data, tmp_path):
     assert right / len(chosen) > 0.4  # on a machine so busy that strokes are torn, too
 
 
+# A sensor of somebody's own.
 OWN = Sensor(9, 12, classes=CLASSES)
-"""A sensor of somebody's own."""
 
 
 @pytest.fixture
@@ -516,6 +516,7 @@ def test_the_page_says_when_the_server_has_gone(browser, tmp_path):
         context.close()
 
 
+# Notes the page's connections; the first REFUSED of them cannot be opened.
 SOCKETS = """
 const Real = WebSocket;
 window.sockets = [];
@@ -526,7 +527,6 @@ window.WebSocket = class extends Real {
   }
 };
 """
-"""Notes the page's connections; the first REFUSED of them cannot be opened."""
 
 
 def with_sockets(browser, refused=0):

@@ -19,8 +19,8 @@ from pipeline.training import networks as training
 from pipeline.training.nengodl import nengo_dl
 from tests.untraced import untraced
 
+# To merge operations of ten networks takes longer than to run them.
 noop_planner = nengo_dl.graph_optimizer.noop_planner
-"""To merge operations of ten networks takes longer than to run them."""
 
 ARCHITECTURES = [
     "10x10-4c3s2p-2a-12-10o",
@@ -88,8 +88,8 @@ def test_the_network_in_nengodl_is_the_keras_one(architecture):
     np.testing.assert_allclose(ours[:, 0], trained, atol=5e-4)
 
 
+# An architecture, and a seed of its weights.
 ANY = st.tuples(notations().filter(has_neurons), st.integers(0, 2**16))
-"""An architecture, and a seed of its weights."""
 
 
 @pytest.mark.slow

@@ -17,11 +17,11 @@ from deploy.tables import shortened
 from pipeline.look import colour
 from pipeline.results.report.samples import replay
 
+# Number of frames in total, per second, and at the end, where nothing moves.
 FRAMES, FRAMES_A_SECOND, STILL = 48, 16, 16
-"""Number of frames in total, per second, and at the end, where nothing moves."""
 
+# Number of classes whose probability is drawn: the most likely at the end, and the right one.
 SHOWN_CLASSES = 4
-"""Number of classes whose probability is drawn: the most likely at the end, and the right one."""
 
 LONGEST_NAME = 32
 

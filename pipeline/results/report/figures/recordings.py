@@ -11,17 +11,17 @@ from pipeline.data.images import aggregate, growing, normalise
 from pipeline.look import colour
 from pipeline.results.report.figures import plain
 
+# Tactile images above the raster.
 FRAMES = 8
-"""Tactile images above the raster."""
 
+# Intervals of time of a recording of a strip on a sheet.
 BINS = 40
-"""Intervals of time of a recording of a strip on a sheet."""
 
+# Width of a recording on a sheet in points.
 TILE = 43.0
-"""Width of a recording on a sheet in points."""
 
+# Largest number of characters of a class on a sheet, and the width of one in inches.
 NAME, CHARACTER = 24, 0.085
-"""Largest number of characters of a class on a sheet, and the width of one in inches."""
 
 
 def recording(recordings: Recordings, index: int) -> Figure:
