@@ -4,8 +4,7 @@
 current.  Tables and figures come from the files in ``results/``:
 
 - ``<!-- NAME: written by python -m experiments document -->`` begins a table of ``results/NAME``,
-  or ``commands``, ``settings`` or ``api``; ``<!-- end of NAME -->`` ends it.  Tables of real touch
-  say how to measure them where there is no such file;
+  or ``commands``, ``settings`` or ``api``; ``<!-- end of NAME -->`` ends it;
 - ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->`` has one value of a file: each word of
   the path (in quotes, if it has blanks) is a key of an object, or the name of an entry of a list
   (``name``, ``a``, ``network``); the format is Python's, with ``100*`` before it for points.
@@ -34,6 +33,13 @@ from pipeline.settings import Settings, describe
 ROOT = Path(__file__).resolve().parent.parent
 # The documents, relative to the root of the repository.
 FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+
+# The rows of the tables in the README, by experiment.
+BRIEF = {
+    "table2": ("cnn", "loihi", "slayer", "cnn-matched", "own-loihi", "events-loihi"),
+    "real-touch": ("counts", "cnn", "chip", "events-chip"),
+}
+REAL_TOUCH = {"objects": "Ev-Objects, 36 classes", "letters": "Braille letters, 27 classes"}
 
 
 def result(name: str) -> dict:
@@ -82,10 +88,10 @@ def part(name: str) -> str:
     """
     if name in ("commands", "settings", "api"):
         return globals()[name]()
-    if name.startswith("real-touch") and not (studies.RESULTS / f"{name}.json").exists():
-        return "Not measured yet."
+    if name == "real-touch-brief":
+        return brief({title: result(f"real-touch-{file}") for file, title in REAL_TOUCH.items()})
     if name.endswith("-brief"):
-        return brief(result(name.removesuffix("-brief")))
+        return brief(by_split(result(name.removesuffix("-brief"))))
     content = result(name)
     kind = content.get("experiment", "sweep")
     if kind == "sweep":
@@ -102,17 +108,25 @@ def part(name: str) -> str:
     return "\n\n".join([*parts, experiment.note])
 
 
-def brief(content: dict) -> str:
-    """A study's accuracies: a row for each line, a column for each kind of split."""
-    experiment = next(one for one in studies.EXPERIMENTS if one.name == content["experiment"])
-    splits = list(dict.fromkeys(row["split"] for row in content["rows"]))
-    rows = {(row["split"], row["name"]): row for row in content["rows"]}
-    lines = [["accuracy, mean (SD) over splits", *(f"{split} splits" for split in splits)]]
+def brief(contents: dict) -> str:
+    """Accuracies of results of one experiment: a row for each line, a column for each result."""
+    first = next(iter(contents.values()))
+    experiment = next(one for one in studies.EXPERIMENTS if one.name == first["experiment"])
+    lines = [["accuracy, mean (SD)", *contents]]
     for line in experiment.lines:
-        found = [rows.get((split, line.name)) for split in splits]
-        texts = [f"{r['mean']:.3f} ({r['sd']:.3f})" if r else "" for r in found]
-        lines += [[line.title, *texts]] if any(texts) else []
-    return f"{markdown(lines)}\n\n{experiment.note}"
+        if line.name in BRIEF[experiment.name]:
+            rows = [_entry(content["rows"], line.name) for content in contents.values()]
+            lines.append([line.title, *(f"{row['mean']:.3f} ({row['sd']:.3f})" for row in rows)])
+    return markdown(lines)
+
+
+def by_split(content: dict) -> dict:
+    """A result divided by kind of split."""
+    splits = dict.fromkeys(row["split"] for row in content["rows"])
+    return {
+        f"{split} splits": {**content, "rows": [r for r in content["rows"] if r["split"] == split]}
+        for split in splits
+    }
 
 
 def markdown(cells) -> str:

@@ -141,6 +141,13 @@ ARCHITECTURES = (
 )
 
 ON_EVENTS = {"input": "events"}
+# The networks on events have augmentation; this is the CNN with as much of it.
+CNN_AUGMENTED = Line(
+    "cnn-augmented",
+    "CNN, own training with augmentation",
+    "cnn-matched",
+    {"cnn": {"augment": "space"}},
+)
 
 # The experiments, by which ``python -m experiments`` finds them.
 EXPERIMENTS = (
@@ -160,6 +167,7 @@ EXPERIMENTS = (
                 on_request=True,
             ),
             Line("cnn-matched", "CNN, own training", "cnn-matched"),
+            CNN_AUGMENTED,
             Line("own-ann-snn", "ANN-SNN (NengoDL), own training", "spiking-lif", OWN),
             *_chip("own-loihi", "ANN-SNN, own training", OWN),
             Line("events", "SNN on events", "trained", on_request=True, **ON_EVENTS),
@@ -174,8 +182,8 @@ EXPERIMENTS = (
         (
             *(("ann-snn", "cnn"), ("loihi", "cnn"), ("loihi", "ann-snn"), ("slayer", "cnn")),
             *(("cnn-matched", "cnn"), ("own-ann-snn", "cnn-matched"), ("own-loihi", "cnn-matched")),
-            *(("own-loihi-chip", "own-loihi"), ("events-loihi", "events")),
-            ("events-loihi", "cnn-matched"),
+            *(("cnn-augmented", "cnn-matched"), ("own-loihi-chip", "own-loihi")),
+            *(("events-loihi", "events"), ("events-loihi", "cnn-augmented")),
         ),
         writers=True,
         note=f"{INPUT_NOTE} {EMULATED_NOTE}",
@@ -222,8 +230,11 @@ EXPERIMENTS = (
         "events",
         "The value of timing: networks trained and tested on reduced events",
         "20 min a seed",
-        tuple(Line(name, text, "fast", alter=name, **ON_EVENTS) for name, text in VARIANTS.items()),
-        tuple((name, "as-is") for name in VARIANTS if name != "as-is"),
+        (
+            *(Line(n, text, "fast", alter=n, **ON_EVENTS) for n, text in VARIANTS.items()),
+            CNN_AUGMENTED,
+        ),
+        tuple((name, "as-is") for name in (*VARIANTS, CNN_AUGMENTED.name) if name != "as-is"),
         seeds=1,
         note=EMULATED_NOTE,
     ),
