@@ -32,8 +32,7 @@ from pipeline.results.study import Case, interval_text, study
 from pipeline.settings import SIMULATED
 from pipeline.skin import parameters, unipen
 from pipeline.stages import opened_in
-from pipeline.training.adaptation import Responder, require_fit, with_rehearsal
-from pipeline.training.readout import Person, refit
+from pipeline.training.adaptation import Person, Responder, refit, require_fit, with_rehearsal
 
 FOLDS = 3
 # Numbers of recordings of each class to which a network is fitted.

@@ -21,8 +21,7 @@ from deploy.terminal import show
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
 from pipeline.data.dataset import Dataset
-from pipeline.roads.nir import FROM_REST, spec_of_nir
-from pipeline.roads.nir_answers import Stepped, graph_inputs
+from pipeline.roads.nir import FROM_REST, Stepped, graph_inputs, spec_of_nir
 from pipeline.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -14,7 +14,7 @@ from experiments.slayer_network import SlayerNetwork, SpikeResponse
 from models.architecture import parse
 from pipeline.data.events import Recordings
 from pipeline.paper import DURATION_S
-from pipeline.training.epochs import Checkpoint, train_epochs
+from pipeline.training.events import Checkpoint, train_epochs
 
 
 @dataclass(frozen=True)

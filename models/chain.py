@@ -186,8 +186,11 @@ def from_rates(
     -------
     tuple of Link
     """
-    from models.cnn import eight_bits, twelve_bits
-    from models.lif import gain_for  # imports TensorFlow
+    from models.cnn import (
+        eight_bits,
+        gain_for,  # imports TensorFlow
+        twelve_bits,
+    )
 
     def spiking(link, rate, weights, bias):
         neuron = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)

@@ -49,7 +49,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.chip import LOIHI
 from models.architecture import Architecture
 from models.cnn import straight_through, weight_scale
 from models.integers import (
@@ -63,8 +62,6 @@ from models.integers import (
 from models.keras2 import quiet_compiler, tf
 
 BIAS_EXPONENTS = 7
-# Bits of the synaptic accumulator and of the current, without sign.
-Q_BITS, U_BITS = LOIHI.input_bits, LOIHI.current_bits
 
 # Largest voltage that a bias alone may cause, as a share of the threshold.
 BIAS_CAP = 0.9
@@ -288,37 +285,6 @@ class SpikingNetwork(tf.Module):
             }
             layers[name] = Integers(weights, chip["bias"].numpy().astype(np.int32), **scalars)
         return layers
-
-    def peaks(self, frames, values=None) -> dict:
-        """Largest magnitudes that occur, to be compared with ``Q_BITS`` and ``U_BITS``.
-
-        Parameters
-        ----------
-        frames : tensor
-            As in :func:`__call__`.
-        values : dict of str to tensor, optional
-            Used instead of the variables.
-
-        Returns
-        -------
-        dict of str to (float, float)
-            By layer: the largest magnitude of q, and of u plus the bias.
-        """
-        values = self.variables_by_name if values is None else values
-        _, spikes = self(frames, dtype=tf.float64, values=values)
-        senders = [tf.reshape(tf.cast(frames, tf.float64), (*frames.shape[:2], -1)), *spikes]
-        peaks = {}
-        layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
-        for (name, layer, before), signal in zip(layers, senders, strict=False):
-            chip = self._on_chip(name, values, tf.float64)
-            signal = tf.reshape(signal, (*signal.shape[:2], *before))
-            q = weighted_sums(layer, chip["kernel"], signal)
-            q = tf.reshape(q, (*signal.shape[:2], -1))
-            spread = _spread(chip, q.shape[2])
-            _, u, _ = _run(q, *(spread[part] for part in _PARTS))
-            both = tf.abs(u + spread["bias"])
-            peaks[name] = (float(tf.reduce_max(tf.abs(q))), float(tf.reduce_max(both)))
-        return peaks
 
 
 def scan(step, like, state, outputs: int, backwards: bool = False):

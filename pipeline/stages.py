@@ -37,10 +37,9 @@ from pipeline.data.splits import PUBLISHED, in_both_parts
 from pipeline.data.statistics import facts_of
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
-from pipeline.roads import Road, road_of
-from pipeline.roads.fitting import fitted, new_run_text, split_text
+from pipeline.roads import Road, fitted, new_run_text, road_of, split_text
+from pipeline.roads.image import settings_of_model
 from pipeline.roads.nir import refuse_early, settings_of_nir
-from pipeline.roads.own_model import settings_of_model
 from pipeline.roads.road import read_weights
 from pipeline.run import RunFolder
 from pipeline.settings import SIMULATED, Settings, read_settings

@@ -47,7 +47,7 @@ PLACES = {
     "pipeline": ("stages",),
     "pipeline.results.compare": ("compare_runs", "read_runs", "runs_text"),
     "pipeline.roads.image": ("deployed",),
-    "pipeline.roads.fitting": ("fitted",),
+    "pipeline.roads": ("fitted",),
     "pipeline.run": ("RunFolder",),
     "pipeline.results.ladder": ("ladder_text", "measure_ladder"),
     "pipeline.settings": ("Settings", "read_settings", "write_settings"),

@@ -1,9 +1,9 @@
 """Learning the handwriting of the person who writes on the page.
 
 After each labelled digit the readout is fitted again to all labelled digits of this writer
-(:mod:`pipeline.training.readout`).  Each digit is first scored with the previous readout, so that
-the page's count of right answers is for digits that were not yet learned.  A fit that is not better
-in cross-validation is not used.  Recordings are never changed.
+(:mod:`pipeline.training.adaptation`). Each digit is first scored with the previous readout, so that
+the page's count of right answers is for digits that were not yet learned. A fit that is not better
+in cross-validation is not used. Recordings are never changed.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from deploy.files import read_arrays, write_arrays
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.live.deciding import Decider, decider_of
 from pipeline.settings import Image
-from pipeline.training.adaptation import Responder
-from pipeline.training.readout import Person, refit
+from pipeline.training.adaptation import Person, Responder, refit
 
 # Number of the last digits for which the page counts correct answers.
 LATEST = 10

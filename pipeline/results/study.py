@@ -40,7 +40,7 @@ from pipeline.data.dataset import Dataset
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden, progress
-from pipeline.roads.fitting import fitted
+from pipeline.roads import fitted
 from pipeline.settings import Settings
 from pipeline.stages import opened_in
 

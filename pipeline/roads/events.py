@@ -42,7 +42,6 @@ from pipeline.roads.road import (
 )
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
-from pipeline.training.epochs import Checkpoint
 from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
@@ -144,7 +143,7 @@ class EventRoad(Road):
         opened.say(
             f"events: {recipe.epochs} epochs, {updates:,} updates, on {len(indices):,} samples"
         )
-        checkpoint = Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
+        checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
         arguments = recipe, table, labels, indices, settings.seed
         trained, seconds = timed(
             "events", recipe.epochs, events.train_events, *arguments, checkpoint=checkpoint

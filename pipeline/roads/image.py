@@ -5,15 +5,20 @@ from __future__ import annotations
 import importlib.metadata
 import math
 from dataclasses import asdict
+from pathlib import Path
 
+import numpy as np
+
+from deploy.check.intervals import wilson_interval
 from deploy.check.rates import firing_rates
 from deploy.errors import UserError
-from deploy.files import copy_file
+from deploy.files import copy_file, sha256_of
 from deploy.network.spec import NetworkSpec
 from models import chain
 from models.architecture import parse
+from models.keras_model import read_keras
 from pipeline.data.altering import augmentation_for
-from pipeline.data.dataset import require_images_fit
+from pipeline.data.dataset import Dataset, require_images_fit
 from pipeline.data.images import AlteredImages, typical_duration_ms
 from pipeline.roads import counts
 from pipeline.roads.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
@@ -23,13 +28,13 @@ from pipeline.roads.diagnosis import (
     layers_json,
     training_lines,
 )
-from pipeline.roads.own_model import GIVE_MODEL_AGAIN, copy_of_model, take_over
 from pipeline.roads.road import (
     Imported,
     Part,
     Reference,
     Road,
     accuracy_text,
+    imported_file,
     metrics_of,
     responses_of,
     timed,
@@ -332,3 +337,96 @@ def _neurons(settings, trained, inputs):
         name: activity(output * settings.snn.max_rate(index), fastest)
         for index, (name, output) in enumerate(outputs.items())
     }
+
+
+# Minimum accuracy of a user's model, as a share of the range from chance to 1. The best of 30
+# networks of three layers with Keras's initial weights had 0.06 by chance, on ten classes.
+LEAST_KNOWN = 0.15
+
+
+# The remedy for a model that has changed since it was imported.
+GIVE_MODEL_AGAIN = (
+    "give it again with 'stmnist convert RUN --model FILE' (--retrain too if you gave it)"
+)
+
+
+def settings_of_model(path: Path, retrain: bool = False) -> dict:
+    """Changes of the settings with which a user's Keras model replaces the CNN.
+
+    Parameters
+    ----------
+    path : path-like
+    retrain : bool
+        Train the model further with rate-based LIF neurons.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is not a Keras model, or does not fit any chip.
+    """
+    path = Path(path)
+    model, sha256 = read_keras(path), sha256_of(path)
+    rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
+    return {
+        "input": {"kind": "image"},
+        "nir": {"file": "", "sha256": ""},
+        "cnn": {
+            "model": str(path.absolute()),
+            "model_sha256": sha256,
+            "architecture": str(model.architecture),
+        },
+        "snn": {"recipe": "loihi" if retrain else "as-is", "max_rates": rates},
+    }
+
+
+def copy_of_model(folder: Path, settings: Settings) -> Path:
+    """The run's copy of the user's model, in the folder of the CNN."""
+    return folder / f"model{Path(settings.cnn.model).suffix.lower()}"
+
+
+def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
+    """Use the user's model instead of the CNN; it must be better than chance.
+
+    The run's copy is used if the user's file has changed or cannot be read, for example on another
+    machine.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the CNN.
+    settings : Settings
+        Settings from :func:`settings_of_model`.
+    dataset : Dataset
+
+    Returns
+    -------
+    Path, TrainedCNN, sequence of str
+        The file that was read, the network, and messages about it.
+
+    Raises
+    ------
+    UserError
+        The model cannot be read or has changed, and the run has no copy; or it is not better than
+        chance.
+    """
+    copy = copy_of_model(folder, settings)
+    path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
+    model = read_keras(path)
+    imported = settings.cnn.model_sha256, settings.cnn.architecture
+    if (sha256_of(path), str(model.architecture)) != imported:
+        raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
+    from pipeline.training.networks import TrainedCNN, one_thread_each
+
+    one_thread_each()
+    images, labels = dataset.part("train")
+    taken = TrainedCNN(settings, model.weights)
+    right = int((taken.logits(images).argmax(1) == labels).sum())
+    likeliest = np.bincount(labels).max() / len(labels)
+    if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
+        raise UserError(
+            f"{path}: hardly better than chance on this run's training samples (accuracy "
+            f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same); "
+            "train it on tactile images as [image] in the settings makes them, with the classes in "
+            "the same order"
+        )
+    return path, taken, model.notes

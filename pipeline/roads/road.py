@@ -7,6 +7,9 @@ recordings.  Nothing outside of this package asks what kind of network a run has
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,10 +17,11 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import read_arrays, sha256_of, write_arrays
+from deploy.files import open_regular, read_arrays, replacing, sha256_of, write_arrays
 from deploy.network.responses import Responses
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
@@ -29,7 +33,6 @@ from pipeline.progress import progress
 from pipeline.roads.architectures import chip_problems, is_for
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
-from pipeline.training.epochs import write_history
 
 # Maximum number of test samples for the learning curve.
 MOST_WATCHED = 500
@@ -400,6 +403,52 @@ def write_network(folder: Path, trained, dataset: Dataset):
     if not len(dataset.split.validation):  # the learning curve is of test samples
         history = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in history]
     write_history(folder / "history.csv", history)
+
+
+def write_history(path, history: list):
+    """Write the history of a training.
+
+    Parameters
+    ----------
+    path : path-like
+    history : list of dict
+        One dict per epoch, all with the same keys.  If it is empty, as for a network that was not
+        trained here, an existing file is deleted.
+    """
+    if not history:
+        Path(path).unlink(missing_ok=True)
+        return
+    with replacing(path, "w") as file:
+        writer = csv.DictWriter(file, fieldnames=list(history[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(history)
+
+
+def read_history(path) -> list:
+    """Read the file of :func:`write_history`; all values are floats.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or is not a table of numbers with an accuracy and at least one row.
+    """
+    try:
+        with open_regular(path, "r", newline="", encoding="utf-8") as file:
+            text = file.read(limits.SETTINGS_BYTES * 16)
+        rows = [
+            {key: float(value) for key, value in row.items()}
+            for row in csv.DictReader(io.StringIO(text, newline=""), strict=True)
+        ]
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot read ({error.strerror or error}); {DELETE_ITS_FOLDER}"
+        ) from error
+    except (ValueError, TypeError, csv.Error) as error:
+        raise UserError(f"{path}: not a learning curve ({error}); {DELETE_ITS_FOLDER}") from error
+    finite = all(math.isfinite(value) for row in rows for value in row.values())
+    if not (rows and finite and {"epoch", "accuracy"} <= set(rows[0])):
+        raise UserError(f"{path}: not a learning curve, or one with gaps; {DELETE_ITS_FOLDER}")
+    return rows
 
 
 def read_weights(folder: Path, shapes: dict) -> dict:

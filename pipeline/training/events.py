@@ -13,11 +13,15 @@ batch, keeps the synaptic operations within the budget.
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, field, fields, replace
+import json
+import time
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.files import read_arrays, reporting_damage, write_arrays
 from deploy.network.decision import (
     HIDDEN,
     Estimator,
@@ -34,7 +38,6 @@ from pipeline.data.altering import AUGMENTATIONS, Alteration, alter
 from pipeline.data.steps import EventTable, spike_frames
 from pipeline.paper import CNN_MACS
 from pipeline.settings import EventTraining, Input, Settings
-from pipeline.training.epochs import Checkpoint, train_epochs
 from pipeline.training.networks import make_deterministic
 from pipeline.training.recipe import epochs_for
 
@@ -56,6 +59,10 @@ LENGTHS = 16
 # Initial mean firing rate of the neurons, in spikes per second of recording time. Silent neurons
 # have no gradient.
 FIRST_RATE = 5.0
+
+
+# The remedy for a damaged checkpoint.
+FROM_THE_START = "delete it to train from the start"
 
 
 @dataclass(frozen=True)
@@ -87,9 +94,8 @@ class EventRecipe:
         Share of a layer's neurons whose spikes are dropped in a sample.
     early, price, budget : float
         See the module's docstring.
-    stretch, drop, turn, shift, scale, shear : float
-        Augmentation of training samples, drawn again in each epoch; see
-        :class:`pipeline.data.altering.Alteration`.
+    alteration : Alteration
+        Augmentation of training samples, drawn again in each epoch.
     """
 
     architecture: str = EventTraining.architecture
@@ -108,17 +114,7 @@ class EventRecipe:
     early: float = EventTraining.early
     price: float = 3.0
     budget: float = EventTraining.budget
-    stretch: float = Alteration.stretch
-    drop: float = Alteration.drop
-    turn: float = Alteration.turn
-    shift: float = Alteration.shift
-    scale: float = Alteration.scale
-    shear: float = Alteration.shear
-
-    @property
-    def alteration(self) -> Alteration:
-        """The augmentation of training samples."""
-        return Alteration(*(getattr(self, entry.name) for entry in fields(Alteration)))
+    alteration: Alteration = AUGMENTATIONS["space"]
 
     def altered(self, rng, table: EventTable, indices) -> tuple:
         """Some samples altered: sample, step (a fraction), row, column, polarity of each event."""
@@ -134,13 +130,16 @@ class EventRecipe:
         how = values.pop("augment")
         how = AUGMENTATIONS["space" if how == "auto" else how]  # auto: not fitted, so simulated
         values |= {"step_ms": shown.step, "rest": shown.rest, "starts": settings.part_starts}
-        return cls(**{n: v for n, v in values.items() if n not in ("parts", "part")}, **asdict(how))
+        del values["parts"], values["part"]
+        return cls(**values, alteration=how)
 
     def for_samples(self, samples: int) -> EventRecipe:
         """The recipe with its number of epochs, for some number of training samples."""
         if self.epochs:
             return self
-        return replace(self, epochs=epochs_for(samples, self.batch_size, bool(self.turn)))
+        return replace(
+            self, epochs=epochs_for(samples, self.batch_size, bool(self.alteration.turn))
+        )
 
 
 @dataclass(frozen=True)
@@ -617,3 +616,102 @@ def _estimator_model(inputs):
     )
     model.optimizer.build(model.trainable_variables)
     return model, [variable.numpy() for variable in model.optimizer.variables]
+
+
+# --- epoch by epoch -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The file that stores the state of a training after each epoch.
+
+    Attributes
+    ----------
+    path : Path
+    key : str
+        Identifies the training, such as the key of the origin of the network that is trained.  A
+        checkpoint with another key is overwritten.
+    """
+
+    path: Path
+    key: str
+
+
+def train_epochs(
+    train,
+    epochs: int,
+    state: dict,
+    checkpoint: Checkpoint | None = None,
+    watch=None,
+    advance=None,
+) -> list:
+    """Train, and store the state after each epoch.
+
+    Parameters
+    ----------
+    train : callable
+        ``train(epoch) -> dict``, ``loss`` and ``accuracy`` of an epoch, counted from 0.
+    epochs : int
+    state : dict of str to tf.Variable or ndarray
+        All values that the next epoch depends on.
+    checkpoint : Checkpoint, optional
+        If it has the state of this training, the training resumes from it; the result is the same
+        as without the interruption.
+    watch : callable, optional
+        ``watch() -> dict``, further values of the epoch, on samples that are not trained on.
+    advance : callable, optional
+        ``advance(1, note)`` after each epoch, including those of an earlier session.
+
+    Returns
+    -------
+    list of dict
+        The history, one row per epoch: ``epoch``, the values of ``train``, ``seconds``, the values
+        of ``watch``.
+
+    Raises
+    ------
+    UserError
+        The checkpoint is damaged.
+    """
+    history = [] if checkpoint is None else _resumed(checkpoint, state, epochs)
+    if advance is not None and history:
+        advance(len(history), _note(history))
+    for epoch in range(len(history), epochs):
+        begun = time.perf_counter()
+        row = {"epoch": epoch + 1, **train(epoch), "seconds": time.perf_counter() - begun}
+        history.append(row | (watch() if watch else {}))
+        if checkpoint is not None:
+            arrays = {name: np.asarray(variable) for name, variable in state.items()}
+            text = {"key": checkpoint.key, "history": json.dumps(history)}
+            texts = {name: np.array(value) for name, value in text.items()}
+            write_arrays(checkpoint.path, **texts, **arrays)
+        if advance is not None:
+            advance(1, _note(history))
+    return history
+
+
+def _resumed(checkpoint, state, epochs):
+    """The history of an earlier session, after restoring its state."""
+    path = checkpoint.path
+    if not path.exists():
+        return []
+    kept = read_arrays(path, FROM_THE_START)
+    with reporting_damage(path, FROM_THE_START):
+        if "key" not in kept or str(kept["key"]) != checkpoint.key:
+            return []
+        history = json.loads(str(kept["history"]))
+        if len(history) > epochs:
+            return []
+        if [row["epoch"] for row in history] != list(range(1, len(history) + 1)):
+            raise ValueError("epochs that do not follow each other")
+        _note(history)
+        for name, variable in state.items():
+            if isinstance(variable, np.ndarray):
+                variable[...] = kept[name]
+            else:
+                variable.assign(kept[name])
+        return history
+
+
+def _note(history):
+    return f"accuracy {history[-1]['accuracy']:.3f}" if history else ""

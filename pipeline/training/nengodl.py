@@ -20,9 +20,8 @@ import numpy as np
 
 import deploy.network.loihi_import  # noqa: F401  (puts back what Nengo needs of NumPy 1)
 from models.architecture import parse
-from models.cnn import build_cnn, on_chip, set_weights
+from models.cnn import build_cnn, gain_for, on_chip, set_weights
 from models.keras2 import tf
-from models.lif import gain_for
 from pipeline.settings import Settings
 
 

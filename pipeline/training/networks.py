@@ -13,9 +13,12 @@ from deploy.errors import UserError
 from models.architecture import parse
 from models.chain import links_of
 from models.cnn import (
+    DT,
+    RateLIF,
     activations,
     build_cnn,
     dropped_layers,
+    gain_for,
     get_weights,
     noisy_layers,
     predict,
@@ -24,7 +27,6 @@ from models.cnn import (
     with_noise,
 )
 from models.keras2 import as_written, tf
-from models.lif import DT, RateLIF, gain_for
 from pipeline.settings import Settings
 
 # Quantile of a layer's activations that is scaled to 1 when a CNN's weights are reused.

@@ -6,7 +6,7 @@ import pytest
 from experiments.slayer import Slayer, spike_response, train_slayer
 from experiments.slayer_network import SlayerNetwork
 from models.architecture import parse
-from pipeline.training.epochs import Checkpoint
+from pipeline.training.events import Checkpoint
 from tests.untraced import untraced
 
 SETTINGS = Slayer(

@@ -3,6 +3,7 @@ import pytest
 
 from models.architecture import parse
 from models.cnn import (
+    RateLIF,
     activations,
     build_cnn,
     get_weights,
@@ -11,7 +12,6 @@ from models.cnn import (
     set_weights,
     with_noise,
 )
-from models.lif import RateLIF
 
 PAPER = parse("10x10-6c4-24c3-10o")
 

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from deploy.network.loihi_import import nengo_loihi
+from models.cnn import RateLIF, gain_for, on_chip_time_constants
 from models.keras2 import tf
-from models.lif import RateLIF, gain_for, on_chip_time_constants
 
 RATE = 150.0
 

@@ -187,18 +187,6 @@ def test_operations_are_counted_as_the_deployed_networks():
         np.testing.assert_allclose(counted[:, layer], per_sample, rtol=1e-6)
 
 
-def test_peaks_by_hand():
-    # Two spikes at once onto weights 127 and 127, no decay of the current to speak of.
-    network = SpikingNetwork(parse("1x1x2-1-2o"), Neuron(tau_u=(1e6,), tau_v=(1.0,)))
-    weights = network.get_weights()
-    weights["dense1.kernel"] = np.ones((2, 1))
-    network.set_weights(weights)
-    frames = np.ones((3, 1, 1, 1, 2), np.uint8)
-    q = 2 * 127 * 128
-    u = q * 4095 // 4096 + q
-    assert network.peaks(tf.constant(frames)) == {"dense1": (q, u * 4095 // 4096 + q)}
-
-
 def test_rounding_of_biases_and_floors_is_nengoloihis():
     from nengo_loihi.builder.discretize import bias_to_manexp
 

@@ -18,7 +18,7 @@ from deploy.targets.registry import answer
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
 from pipeline.data.dataset import Dataset
-from pipeline.roads.nir_answers import Stepped, graph_inputs
+from pipeline.roads.nir import Stepped, graph_inputs
 from pipeline.settings import read_settings
 
 

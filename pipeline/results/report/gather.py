@@ -20,9 +20,9 @@ from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
 from pipeline.results.status import outdated, status_of
 from pipeline.roads import road_of
+from pipeline.roads.road import read_history
 from pipeline.run import RunFolder, require_run
 from pipeline.settings import read_settings
-from pipeline.training.epochs import read_history
 
 REMEDY = "delete it and make it again"
 

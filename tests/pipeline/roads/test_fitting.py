@@ -8,9 +8,8 @@ from models.architecture import parse
 from pipeline.data.eventfiles import write_recordings
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
-from pipeline.roads import road_of
+from pipeline.roads import fitted, road_of
 from pipeline.roads.architectures import architecture_for
-from pipeline.roads.fitting import fitted
 from pipeline.run import RunFolder
 from pipeline.settings import Settings
 from tests.command import missing

@@ -17,8 +17,7 @@ from models.integers import chosen, fired, rounded
 from models.nir_chain import from_nir
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
-from pipeline.roads.nir import settings_of_nir, spec_of_nir
-from pipeline.roads.nir_answers import Stepped, graph_inputs
+from pipeline.roads.nir import Stepped, graph_inputs, settings_of_nir, spec_of_nir
 from pipeline.settings import Settings
 from tests.command import call as stmnist
 from tests.command import missing

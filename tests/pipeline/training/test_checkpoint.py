@@ -4,7 +4,7 @@ import pytest
 
 from deploy.errors import UserError
 from models.keras2 import tf
-from pipeline.training.epochs import Checkpoint, train_epochs
+from pipeline.training.events import Checkpoint, train_epochs
 
 
 class Training:

@@ -8,12 +8,13 @@ from deploy.network.decision import Estimator, choose_threshold
 from models.architecture import parse
 from models.keras2 import tf
 from models.spiking import SpikingNetwork
+from pipeline.data.altering import AUGMENTATIONS, Alteration
 from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
 from pipeline.training import events
-from pipeline.training.epochs import Checkpoint
 from pipeline.training.events import (
     TAIL,
+    Checkpoint,
     EventRecipe,
     answer_frames,
     arriving,
@@ -23,10 +24,9 @@ from tests.models import spiking_in_numpy
 
 RECIPE = EventRecipe(
     architecture="10x10x2-6c4s3-16-3o", epochs=6, batch_size=8, learning_rate=0.02, average=0.9,
-    dropout=0.0, budget=0.5, turn=0.02, shift=0.1, scale=0.02, shear=0.02,
+    dropout=0.0, budget=0.5,
+    alteration=Alteration(turn=0.02, shift=0.1, scale=0.02, shear=0.02),
 )  # fmt: skip
-
-ALTERATIONS = ("stretch", "drop", "turn", "shift", "scale", "shear")
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_outputs_arrive_a_step_later_for_the_relay_and_each_layer():
 
 def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altered(trained, data):
     table, labels, _ = data
-    none = replace(trained, recipe=replace(RECIPE, **dict.fromkeys(ALTERATIONS, 0.0)))
+    none = replace(trained, recipe=replace(RECIPE, alteration=AUGMENTATIONS["none"]))
     # Not altered but for where in its first step a sample begins.
     whole = replace(table, time_ms=np.floor(table.time_ms / RECIPE.step_ms) * RECIPE.step_ms)
     plain = answers_to(trained.weights, whole, VALIDATION, 40)

@@ -8,8 +8,8 @@ import pytest
 from deploy.network.responses import join
 from deploy.targets.registry import answer
 from models.architecture import parse
+from models.cnn import gain_for
 from models.keras2 import tf
-from models.lif import gain_for
 from pipeline.roads.image import to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl

@@ -162,7 +162,7 @@ def test_validation_samples_are_watched_and_not_trained_on():
 
 def test_the_best_shift_brings_a_lif_neuron_near_a_rectified_unit():
     """By hand: at z = 1 the rate is max_rate whatever the shift, and it beats no shift."""
-    from models.lif import RateLIF
+    from models.cnn import RateLIF
     from pipeline.training.networks import _best_shift
 
     neurons = RateLIF(150.0, on_chip=True)

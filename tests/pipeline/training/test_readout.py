@@ -5,8 +5,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from deploy.network.rehearsal import Rehearsal
-from pipeline.training import readout
-from pipeline.training.readout import Person, in_8_bits, refit
+from pipeline.training import adaptation
+from pipeline.training.adaptation import Person, in_8_bits, refit
 
 CLASSES, INPUTS = 4, 12
 
@@ -90,9 +90,9 @@ def test_the_gradient_is_of_the_loss(world, monkeypatch):
             seen[index] = ((loss(point + step)[0] - loss(point - step)[0]) / 2e-5, slope[index])
         return type("Found", (), {"x": start})
 
-    monkeypatch.setattr(readout, "minimize", check)
+    monkeypatch.setattr(adaptation, "minimize", check)
     nobody = Person(kept.responses[:3], kept.labels[:3], np.empty((3, 0, INPUTS)))
-    problem = readout._Problem(weights, bias, nobody, kept, 2.0)
+    problem = adaptation._Problem(weights, bias, nobody, kept, 2.0)
     everything = np.ones(len(kept), bool)
     problem.solve(kept.responses[:9], kept.labels[:9], everything, 0.01, 0.5)
     assert len(seen) == 3
@@ -130,7 +130,7 @@ def test_eight_bits():
 @pytest.mark.parametrize("each", [1, 2, 7])
 def test_folds_share_out_every_class(each):
     labels = np.repeat(np.arange(10), each)
-    folds = readout._folds(labels, 0)
+    folds = adaptation._folds(labels, 0)
     assert folds.max() + 1 == 5
     assert set(np.bincount(folds)) <= {2 * each, 2 * each + 1, 2 * each - 1}
     for label in range(10):
@@ -141,7 +141,7 @@ def test_it_computes_in_one_thread(world, monkeypatch):
     """Several took twelve times as long: the page's fit has to be there within two seconds."""
     rng, centres, weights, bias, kept = world
     threads = []
-    minimize = readout.minimize
+    minimize = adaptation.minimize
 
     def watched(*given, **options):
         threads.append(
@@ -149,7 +149,7 @@ def test_it_computes_in_one_thread(world, monkeypatch):
         )
         return minimize(*given, **options)
 
-    monkeypatch.setattr(readout, "minimize", watched)
+    monkeypatch.setattr(adaptation, "minimize", watched)
     with threadpool_limits(2, user_api="blas"):
         refit(weights, bias, person_of(rng, centres, 2), kept)
     assert threads
