@@ -6,10 +6,10 @@ import importlib.metadata
 import math
 from dataclasses import asdict
 
-from deploy.check.rates import firing_rates
 from deploy.errors import UserError
 from deploy.files import copy_file
 from deploy.network.spec import NetworkSpec
+from deploy.targets.fast import firing_rates
 from models import chain
 from models.architecture import parse
 from pipeline.data.altering import augmentation_for
