@@ -1,5 +1,6 @@
 """``python deploy.pyz`` or ``python -m deploy``: look at the host, then run the command."""
 
+import os
 import sys
 
 from .requirements import complaint
@@ -14,5 +15,6 @@ if __name__ == "__main__":
         from .cli import main
     except KeyboardInterrupt:
         remark("deploy: " + INTERRUPTION)
-        sys.exit(INTERRUPTED)
+        # Not sys.exit: if a C extension was being imported, Python would end by the signal instead.
+        os._exit(INTERRUPTED)
     sys.exit(main())

@@ -21,7 +21,6 @@ from deploy.files import write_json
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import respond
-from deploy.network.stream import streams_of
 from deploy.tables import aligned
 from deploy.targets.fast import Emulation
 from deploy.targets.registry import answer
@@ -56,7 +55,7 @@ def of_bundle(bundle, samples: int | None = None) -> dict:
         of the samples a second of both.  ``fast`` runs all streams of equal length at once.
     """
     spec, inputs = bundle.spec, bundle.checks.inputs[:samples]
-    parts = streams_of(len(inputs), spec.presentation.stream_length)
+    parts = spec.presentation.streams(len(inputs))
     found, emulation = answer(spec, inputs, "fast", SEED), Emulation(spec, SEED)
     whole = [part for part in parts if part.stop - part.start == parts[0].stop]
     streams = np.stack([spec.fed(inputs[part]) for part in whole])

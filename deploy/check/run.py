@@ -17,7 +17,6 @@ from ..files import locked, write_json
 from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
-from ..network.stream import streams_of
 from ..targets.registry import answer, refuse_unfit, target_named
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
@@ -214,7 +213,7 @@ class OpenCheck:
 
 
 def _streams(bundle):
-    return streams_of(len(bundle.checks), bundle.spec.presentation.stream_length)
+    return bundle.spec.presentation.streams(len(bundle.checks))
 
 
 @contextlib.contextmanager

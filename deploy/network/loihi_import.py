@@ -1,14 +1,21 @@
-"""Import NengoLoihi without TensorFlow and other packages that it does not need here.
+"""NengoLoihi: its import without packages that it does not need here, and its builder's errors.
 
 NengoLoihi imports TensorFlow and NengoDL if they are installed, only to register its neuron types
 with NengoDL; nengo-extras imports Keras, Numba and parts of SciPy, only to test for them.  Neither
 is needed here, and they take about ten seconds and one second at every start.
+
+NengoLoihi gives each block one scale, with which its largest weight becomes 255.  It asserts,
+mostly without a message, that threshold and bias fit with this scale; :func:`cannot_build` gives
+the reason.
 """
 
 import sys
 import warnings
 
 import nengo
+
+from ..errors import UserError
+from .chip import LOIHI
 
 # None in sys.modules makes an import of that name raise ImportError.
 _PROBED = ("tensorflow", "nengo_dl", "keras", "numba", "scipy.cluster")
@@ -34,4 +41,73 @@ warnings.filterwarnings("ignore", "(invalid value|divide by zero) .* log1p", mod
 # NengoLoihi's emulator fills integer arrays with NaN before it writes to them.
 warnings.filterwarnings("ignore", "invalid value encountered in cast", module="numpy")
 
-__all__ = ["nengo_loihi"]
+# Errors that NengoLoihi raises for a network that it cannot build: some of its limits are
+# assertions, and one of their messages is itself mistaken (an AttributeError).
+BUILD_ERRORS = (nengo.exceptions.NengoException, AssertionError, AttributeError, OverflowError)
+
+HOLDS = "weights of 8 bits, a threshold of 17 bits times 64, a bias of 12 bits times up to 128"
+
+
+def require_integers(network: nengo.Network):
+    """Refuse a network that the chip cannot run, before any target, also a simulator, runs it.
+
+    Raises
+    ------
+    UserError
+        From :func:`cannot_build`: the same for every target.
+    """
+    try:
+        nengo_loihi.builder.Model(dt=LOIHI.dt).build(network, precompute=True, discretize=True)
+    except BUILD_ERRORS as error:
+        raise cannot_build(network, error) from error
+
+
+def cannot_build(network: nengo.Network, error: Exception) -> UserError:
+    """The error of every target for a network that NengoLoihi cannot build.
+
+    Parameters
+    ----------
+    network : nengo.Network
+    error : Exception
+        Error that NengoLoihi raised, one of `BUILD_ERRORS`.
+
+    Returns
+    -------
+    UserError
+        Names the layer and the limit where the chip's integers are the reason.
+    """
+    problem = _unfit_layer(network) or str(error)
+    if not problem or isinstance(error, AttributeError):
+        problem = f"{problem or 'one of its internal limits is not met'}; 'stmnist deploy plan' "
+        problem += "says what does not fit a core"
+    return UserError(f"NengoLoihi cannot build this network: {problem}")
+
+
+def _unfit_layer(network):
+    """The value that does not fit the integers, or None if that is not the reason."""
+    model = nengo_loihi.builder.Model(dt=LOIHI.dt)
+    model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE
+    try:
+        model.build(network, precompute=None, discretize=False)
+    except BUILD_ERRORS:
+        return None
+    labels = {
+        block: ensemble.label
+        for ensemble in network.all_ensembles
+        if ensemble in model.params and ensemble.neurons in model.objs
+        for block in model.objs[ensemble.neurons]["in"]
+    }
+    for block in model.blocks:
+        compartment = block.compartment
+        weight = max((float(synapse.max_abs_weight()) for synapse in block.synapses), default=0.0)
+        threshold, bias = float(compartment.vth.min()), float(abs(compartment.bias).max())
+        try:
+            nengo_loihi.builder.discretize.discretize_block(block)
+        except BUILD_ERRORS:
+            return (
+                f"layer {labels.get(block, block.label)}: no scale puts its numbers into the "
+                f"chip's integers ({HOLDS}): its largest weight, times the size of the spikes that "
+                f"arrive, is {weight:.3g}, its threshold {threshold:.3g}, its largest bias "
+                f"{bias:.3g}; bring them closer together"
+            )
+    return None

@@ -31,8 +31,8 @@ from ..errors import UserError
 from ..files import replacing
 from .build import build
 from .geometry import windows
+from .responses import show
 from .spec import DT, Layer, NetworkSpec
-from .stream import show, streams_of
 
 
 def nir_graph(spec: NetworkSpec):
@@ -129,7 +129,7 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
         weights=np.zeros((1, size)), bias=np.zeros(1),
     )  # fmt: skip
     spikes = []
-    for part in streams_of(len(flat), spec.presentation.stream_length):
+    for part in spec.presentation.streams(len(flat)):
         built = build(replace(spec, layers=(nothing,)))
         with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
             spikes.append([one.spikes["input"] for one in show(built, sim, flat[part])])

@@ -1,4 +1,4 @@
-"""Scores and decisions from the output at each step.
+"""Presentation of a stream to a simulator or board, and scores and decisions from its output.
 
 A run of a target over samples gives, for each sample, the output at each of its steps.  The score
 of a class at a step is the mean of its output from ``readout_start`` up to that step (plus the
@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, fields, replace
-from typing import Dict, Optional
+from typing import Dict, Iterator, NamedTuple, Optional
 
 import numpy as np
 
+from .chip import LOIHI
 from .decision import decide
 from .operations import synaptic_operations
 from .spec import NetworkSpec
-from .stream import show
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,60 @@ class Responses:
         """Median of `stable_after` over the samples with a decision; None if there are none."""
         after = self.stable_after[~np.isnan(self.stable_after)]
         return float(np.median(after)) if len(after) else None
+
+
+class ShortOfSteps(Exception):
+    """A simulator or board returned an impossible number of steps or spikes."""
+
+
+class Shown(NamedTuple):
+    """Output and spikes of one sample, including the gap before it.
+
+    Attributes
+    ----------
+    output : ndarray, shape (period, n_outputs)
+        The readout at each step.
+    spikes : dict of str to ndarray of bool, shape (period, n_neurons)
+        Spikes of each spiking layer, in order.
+    """
+
+    output: np.ndarray
+    spikes: Dict[str, np.ndarray]
+
+
+def show(built, sim, samples) -> Iterator[Shown]:
+    """Present one stream, sample by sample, so that the probes only store one sample's steps.
+
+    Parameters
+    ----------
+    built : deploy.network.build.Built
+        The network that ``sim`` runs.
+    sim : nengo.Simulator or nengo_loihi.Simulator
+        A simulator at its first step; its probes are cleared after each sample.
+    samples : ndarray
+        Samples in the format of ``built.feed``.
+
+    Raises
+    ------
+    ShortOfSteps
+        The simulator returned an impossible number of steps or spikes.
+    """
+    built.feed.samples = samples
+    period = built.feed.period
+    for _ in samples:
+        sim.run_steps(period)
+        spikes = {}
+        for name, probe in built.spikes.items():
+            rows = sim.data[probe]
+            if len(rows) != period:
+                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} were returned")
+            spikes[name] = np.asarray(rows) != 0
+            one = probe.target.ensemble.neuron_type.amplitude / LOIHI.dt
+            if not np.allclose(np.asarray(rows)[spikes[name]], one, rtol=1e-6):
+                raise ShortOfSteps(f"layer {name} had more than one spike per step and neuron")
+        output = np.array(sim.data[built.output])
+        sim.clear_probes()
+        yield Shown(output, spikes)
 
 
 def respond(spec: NetworkSpec, built, sim, samples) -> Responses:

@@ -256,6 +256,13 @@ class Presentation:
         """Steps from one sample to the next, including the gap."""
         return self.gap + self.steps
 
+    def streams(self, n_samples: int) -> list:
+        """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
+        return [
+            slice(start, min(start + self.stream_length, n_samples))
+            for start in range(0, n_samples, self.stream_length)
+        ]
+
     def __post_init__(self):
         check(self)
         if self.readout_start >= self.steps:

@@ -14,8 +14,7 @@ from typing import Dict, List, Tuple
 from ..errors import UserError
 from ..network.build import build
 from ..network.chip import LOIHI
-from ..network.discretisation import BUILD_ERRORS, cannot_build
-from ..network.loihi_import import nengo_loihi
+from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
 from ..network.spec import DT, NetworkSpec
 from ..tables import in_blocks
 from .resources import (

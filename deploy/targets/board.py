@@ -19,8 +19,7 @@ import numpy as np
 
 from ..errors import UserError, one_line
 from ..network.build import build
-from ..network.discretisation import BUILD_ERRORS
-from ..network.loihi_import import nengo_loihi
+from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
 from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
 from ..preflight.plan import REMEDIES, require_fit

@@ -11,17 +11,16 @@ import threading
 import warnings
 from collections import defaultdict
 from dataclasses import replace
-from typing import Iterator, NamedTuple
+from typing import Dict, Iterator, NamedTuple
 
 import nengo
 import numpy as np
 
 from ..errors import UserError
 from ..network.build import EvenSpikes, build
-from ..network.discretisation import BUILD_ERRORS, cannot_build
-from ..network.loihi_import import nengo_loihi
+from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
 from ..network.responses import Responses, decoded, read_output, spike_hash
-from ..network.spec import DT
+from ..network.spec import DT, NetworkSpec
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
 
@@ -390,3 +389,62 @@ def _warn_of(overflows):
             places = ", ".join(f"{n} in {place}" for n, place in zip(counts, OVERFLOWS) if n)
             message = f"layer {name!r}: overflows of the chip's integers: {places}"
             warnings.warn(message, RuntimeWarning, stacklevel=3)
+
+
+# Number of streams whose spikes are in memory at a time.
+STREAMS_AT_ONCE = 8
+
+
+def firing_rates(
+    spec: NetworkSpec, samples, seed: int = 0, start: int = 0, advance=None
+) -> Dict[str, np.ndarray]:
+    """Firing rates of all neurons, computed by the fast emulator.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    samples : ndarray
+        Samples in the format of the network's stimulus, in the network's presentation.
+    seed : int
+    start : int
+        Number of steps at the start of each sample that are ignored.
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n_samples, n_neurons)
+        In spikes per second, from ``start`` to the end of the sample.  A second is one of the
+        stimulus (``step_seconds`` per step): with events, a second of the recording.
+    """
+    emulation = Emulation(spec, seed)
+    presentation = spec.presentation
+    sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}
+    window = presentation.steps - start
+    counts = {name: [] for name in sizes}
+    for batch in _equal_streams(spec.stimulus.flat(samples), presentation):
+        of_batch = {name: [] for name in sizes}
+
+        def watch(spikes, of_batch=of_batch):
+            """Unpack and count the spikes of one sample of each stream."""
+            for name, size in sizes.items():
+                read = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
+                of_batch[name].append(read.sum(axis=1))
+
+        emulation.run(batch, watch)
+        for name, of_samples in of_batch.items():
+            counts[name].append(np.stack(of_samples, axis=1).reshape(-1, sizes[name]))
+        if advance is not None:
+            advance(batch.shape[0] * batch.shape[1])
+    seconds = window * spec.stimulus.step_seconds
+    return {name: np.concatenate(parts) / seconds for name, parts in counts.items()}
+
+
+def _equal_streams(samples, presentation):
+    """Arrays of streams of equal length, shape (n_streams, n_samples, ...), in order."""
+    whole = presentation.streams(len(samples))
+    shorter = [whole.pop()] if len(samples) % presentation.stream_length else []
+    for first in range(0, len(whole), STREAMS_AT_ONCE):
+        yield np.stack([samples[part] for part in whole[first : first + STREAMS_AT_ONCE]])
+    for part in shorter:
+        yield samples[part][None]

@@ -38,7 +38,6 @@ from ..errors import UserError
 from ..files import write_arrays
 from ..network.chip import LOIHI
 from ..network.spec import NetworkSpec
-from ..network.stream import streams_of
 from .fast import Emulation
 
 # Limit at which Lava and the chip clip voltages.
@@ -132,7 +131,7 @@ def spikes_of(emulation: Emulation, images) -> dict:
     """
     spec, samples = emulation.spec, []
     images = spec.stimulus.flat(images)
-    for part in streams_of(len(images), spec.presentation.stream_length):
+    for part in spec.presentation.streams(len(images)):
         emulation.run(images[part][None], samples.append)
     return {name: np.concatenate([sample[name] for sample in samples]) for name in samples[0]}
 

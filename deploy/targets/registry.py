@@ -12,11 +12,9 @@ import nengo
 
 from ..errors import UserError
 from ..network.build import build
-from ..network.discretisation import BUILD_ERRORS, cannot_build, require_integers
-from ..network.loihi_import import nengo_loihi
+from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi, require_integers
 from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
-from ..network.stream import streams_of
 from .board import BoardOptions, describe, run_loihi
 from .fast import run_fast
 
@@ -203,7 +201,7 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
     """
     flat = spec.fed(samples)
     refuse_unfit(spec, target, seed)
-    streams = [flat[part] for part in streams_of(len(flat), spec.presentation.stream_length)]
+    streams = [flat[part] for part in spec.presentation.streams(len(flat))]
     parts = []
     for responses in target_named(target).run(spec, streams, seed, **options):
         parts.append(responses)

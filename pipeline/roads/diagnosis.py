@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from deploy.check.rates import silent_share
 from deploy.network.spec import DT, NetworkSpec
 from deploy.tables import aligned
 
@@ -41,7 +40,7 @@ def activity(rates, fastest: float) -> dict:
     rates = np.asarray(rates)
     at_limit = np.mean(rates >= NEAR_FASTEST * fastest, axis=0)
     saturated = float(np.mean(at_limit >= SATURATED_SAMPLES))
-    return {"silent": silent_share(rates), "saturated": saturated}
+    return {"silent": float(np.mean(np.all(rates <= 0, axis=0))), "saturated": saturated}
 
 
 def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) -> dict:
@@ -91,7 +90,7 @@ def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
     ----------
     spec : NetworkSpec
     rates : dict of str to ndarray, shape (n_samples, n_neurons)
-        On the chip in the readout window, from :func:`deploy.check.rates.firing_rates`.
+        On the chip in the readout window, from :func:`deploy.targets.fast.firing_rates`.
     activations : dict of str to ndarray, shape (n_samples, n_neurons)
         Activations of the rate-based network on the same images.
     """

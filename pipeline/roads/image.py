@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from deploy.check.intervals import wilson_interval
-from deploy.check.rates import firing_rates
 from deploy.errors import UserError
 from deploy.files import copy_file, sha256_of
 from deploy.network.spec import NetworkSpec
+from deploy.targets.fast import firing_rates
 from models import chain
 from models.architecture import parse
 from models.keras_model import read_keras

@@ -10,9 +10,9 @@ import numpy as np
 from deploy.network.build import build
 from deploy.network.geometry import convolution_shape, pooled_shape
 from deploy.network.loihi_import import nengo_loihi
+from deploy.network.responses import show
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
-from deploy.network.stream import show
 
 LOUD = 300.0
 

@@ -18,7 +18,6 @@ from deploy.check.run import records_of
 from deploy.errors import CheckFailed, UserError
 from deploy.files import read_arrays, write_json
 from deploy.network.responses import join, read_output, spike_hash
-from deploy.network.stream import streams_of
 from deploy.targets.fast import Emulation, Readout
 from deploy.targets.lava import spikes_of, without_refractory_and_floor
 
@@ -61,7 +60,7 @@ def responses_of(emulation, spikes):
     sizes = {"input": int(np.prod(spec.input_shape))}
     sizes.update({name: len(position) for name, position in emulation.positions.items()})
     plain = {n: np.unpackbits(spikes[n], axis=2)[:, :, :size] for n, size in sizes.items()}
-    for part in streams_of(len(next(iter(plain.values()))), spec.presentation.stream_length):
+    for part in spec.presentation.streams(len(next(iter(plain.values())))):
         readout = Readout(spec.layers[-1], 1, emulation.decoders.shape[1])
         rows, output = {name: values[part] for name, values in plain.items()}, []
         for index in range(part.stop - part.start):

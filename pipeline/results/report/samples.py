@@ -8,7 +8,6 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.network.responses import decoded, running_sums
-from deploy.network.stream import streams_of
 from deploy.targets.fast import Emulation
 
 
@@ -78,7 +77,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
     emulation, shown = Emulation(spec, seed), spec.presentation
     sizes = {"input": int(np.prod(spec.input_shape))}
     sizes |= {layer.name: layer.size for layer in spec.layers}
-    for part in streams_of(len(bundle.checks), shown.stream_length):
+    for part in shown.streams(len(bundle.checks)):
         here = sorted(wanted & set(range(part.start, part.stop)))
         if not here:
             continue

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from nengo.builder import transforms
 
-from deploy.network.padding import pad, pad_only_where_needed
+from deploy.network.build import pad, pad_only_where_needed
 from deploy.targets.registry import answer
 from tests.deploy.networks import mixed_spec, random_checks, small_spec
 

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.network.responses import Responses, decoded, read_output, seconds_per_sample
+from deploy.network.spec import Presentation
 from deploy.network.stimulus import Feed
-from deploy.network.stream import streams_of
 from tests.deploy.networks import events_spec, small_spec
 
 
 @given(st.integers(0, 300), st.integers(1, 50))
 def test_streams_cut_the_samples_in_order(n, length):
-    streams = streams_of(n, length)
+    streams = Presentation(stream_length=length).streams(n)
     assert [i for s in streams for i in range(n)[s]] == list(range(n))
     assert all(s.stop - s.start == length for s in streams[:-1])
 

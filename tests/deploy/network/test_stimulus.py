@@ -11,9 +11,9 @@ from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.operations import synaptic_operations
+from deploy.network.responses import show
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, last_steps
-from deploy.network.stream import show
 from deploy.preflight.plan import make_plan
 from tests.deploy.check.test_bundle import with_arrays
 from tests.deploy.networks import events_spec, random_frames

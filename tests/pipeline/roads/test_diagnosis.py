@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.check.rates import firing_rates
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.files import read_json
+from deploy.targets.fast import firing_rates
 from pipeline.roads.diagnosis import (
     activity,
     fastest_rate,
