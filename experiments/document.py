@@ -36,7 +36,15 @@ FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").gl
 
 # The rows of the tables in the README, by experiment.
 BRIEF = {
-    "table2": ("cnn", "loihi", "slayer", "cnn-matched", "own-loihi", "events-loihi"),
+    "table2": (
+        "cnn",
+        "loihi",
+        "slayer",
+        "cnn-matched",
+        "cnn-augmented",
+        "own-loihi",
+        "events-loihi",
+    ),
     "real-touch": ("counts", "cnn", "chip", "events-chip"),
 }
 REAL_TOUCH = {"objects": "Ev-Objects, 36 classes", "letters": "Braille letters, 27 classes"}
@@ -114,7 +122,9 @@ def brief(contents: dict) -> str:
     experiment = next(one for one in studies.EXPERIMENTS if one.name == first["experiment"])
     lines = [["accuracy, mean (SD)", *contents]]
     for line in experiment.lines:
-        if line.name in BRIEF[experiment.name]:
+        if line.name in BRIEF[experiment.name] and any(
+            row["name"] == line.name for row in first["rows"]
+        ):
             rows = [_entry(content["rows"], line.name) for content in contents.values()]
             lines.append([line.title, *(f"{row['mean']:.3f} ({row['sd']:.3f})" for row in rows)])
     return markdown(lines)
