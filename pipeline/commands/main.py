@@ -87,6 +87,14 @@ VERBS = {
     ),
 }
 
+# The groups of the list of sub-commands.
+PANELS = {
+    "Start here": ("data", "train", "convert", "ladder"),
+    "Look": ("report", "live", "animate", "status", "settings"),
+    "Measure": ("check", "compare", "sweep"),
+    "Deploy": ("deploy", "adapt"),
+}
+
 
 def _imported(name):
     """The functions of one of the :data:`VERBS`, or of the verbs below it, each with its name."""
@@ -138,8 +146,9 @@ def command_line() -> TyperGroup:
     made = _typer(root.__doc__)
     made.callback(invoke_without_command=True)(root)
     group = typer.main.get_command(made)
-    for name, (summary, _) in VERBS.items():
-        group.add_command(_Deferred(name, help=summary))
+    for panel, names in PANELS.items():
+        for name in names:
+            group.add_command(_Deferred(name, help=VERBS[name][0], rich_help_panel=panel))
     return group
 
 
