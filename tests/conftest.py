@@ -34,6 +34,12 @@ TINY = (
     *("--samples", "20", "--steps", "40"),
 )
 
+
+def pytest_collection_modifyitems(items):
+    """Begin with the tutorials, so that no core waits for the longest tests at the end."""
+    items.sort(key=lambda item: "test_tutorials" not in item.nodeid)
+
+
 # Artifacts that a command may report as current before it refuses something else.
 NOTHING_TO_DO = ("counts", "cnn", "rate-lif", "events", "bundle")
 
