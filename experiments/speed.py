@@ -12,6 +12,7 @@ import warnings
 from pathlib import Path
 from typing import Annotated, Optional
 
+import nengo
 import numpy as np
 import typer
 
@@ -25,11 +26,14 @@ from deploy.tables import aligned
 from deploy.targets.fast import Emulation
 from deploy.targets.registry import answer
 from experiments.studies import RESULTS, Store, processor
-from fastloihi import speed as networks
+from fastloihi import FastSimulator
 from pipeline.commands import options
 from pipeline.progress import progress
 
 SEED = 5
+
+# Parts into which the steps of a network are divided; ratios are medians over them.
+TURNS = 4
 
 
 def _spent(function, *arguments):
@@ -83,6 +87,152 @@ def of_bundle(bundle, samples: int | None = None) -> dict:
     }
 
 
+def channel(n=1000):
+    """Two ensembles of n neurons; the first is connected to the second."""
+    with nengo.Network(seed=1) as network:
+        wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
+        first, second = nengo.Ensemble(n, 1), nengo.Ensemble(n, 1)
+        nengo.Connection(wave, first)
+        nengo.Connection(first, second)
+        return network, nengo.Probe(second, synapse=0.01)
+
+
+def integrator(n=1000):
+    """An ensemble of n neurons that is connected to itself."""
+    with nengo.Network(seed=1) as network:
+        pulse = nengo.Node(lambda t: float(t < 0.1))
+        ensemble = nengo.Ensemble(n, 1)
+        nengo.Connection(pulse, ensemble, transform=0.1, synapse=0.1)
+        nengo.Connection(ensemble, ensemble, synapse=0.1)
+        return network, nengo.Probe(ensemble, synapse=0.01)
+
+
+def recurrent(n=1000):
+    """n neurons with all-to-all connections."""
+    weights = np.random.RandomState(3).normal(size=(n, n), scale=1e-3)
+    with nengo.Network(seed=1) as network:
+        neurons = nengo.Ensemble(
+            n,
+            1,
+            max_rates=nengo.dists.Uniform(50, 100),
+            intercepts=nengo.dists.Uniform(-0.9, 0),
+        ).neurons
+        nengo.Connection(neurons, neurons, transform=weights, synapse=0.005)
+        return network, nengo.Probe(neurons)
+
+
+def learning(n=1000):
+    """PES on the chip from n neurons; the host computes the error at every step."""
+    with nengo.Network(seed=1) as network:
+        wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
+        error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
+        ensemble = nengo.Ensemble(n, 1)
+        nengo.Connection(wave, ensemble)
+        learned = nengo.Connection(
+            ensemble, result, function=lambda x: 0, learning_rule_type=nengo.PES(1e-3)
+        )
+        nengo.Connection(result, error)
+        nengo.Connection(wave, error, transform=-1)
+        nengo.Connection(error, learned.learning_rule)
+        return network, nengo.Probe(result, synapse=0.02)
+
+
+def convolutions(size=28):
+    """Three convolutions on the chip, 3,488 compartments, after one on the host."""
+    image = np.random.RandomState(0).uniform(-1, 1, size=size * size)
+    with nengo.Network(seed=1) as network:
+        nengo_loihi.add_params(network)
+        ensembles = network.config[nengo.Ensemble]
+        ensembles.neuron_type = nengo.SpikingRectifiedLinear(amplitude=1e-2)
+        ensembles.max_rates = nengo.dists.Choice([100])
+        ensembles.intercepts = nengo.dists.Choice([0])
+        network.config[nengo.Connection].synapse = 0.005
+        source, shape = nengo.Node(image), (size, size, 1)
+        for filters, kernel, stride in ((4, 1, 1), (8, 3, 2), (16, 3, 1), (8, 3, 2)):
+            transform = nengo.Convolution(
+                filters, shape, kernel_size=(kernel, kernel), strides=(stride, stride),
+                init=nengo.dists.Uniform(-1, 1),
+            )  # fmt: skip
+            layer = nengo.Ensemble(transform.output_shape.size, 1)
+            if kernel == 1:
+                network.config[layer].on_chip = False
+            else:
+                network.config[layer].block_shape = nengo_loihi.BlockShape(
+                    (7, 7, 8), transform.output_shape.shape
+                )
+            nengo.Connection(source, layer.neurons, transform=transform)
+            source, shape = layer.neurons, transform.output_shape
+        return network, nengo.Probe(source)
+
+
+# Title, function that makes the network and its probe, and steps of each network to measure.
+CASES = (
+    ("channel, 2 ensembles of 1,000", channel, 4000),
+    ("integrator of 1,000", integrator, 4000),
+    ("recurrent, 1,000 x 1,000", recurrent, 1000),
+    ("PES, 1,000 neurons", learning, 400),
+    ("PES, 100 neurons", lambda: learning(100), 1000),
+    ("3 convolutions, 3,488 neurons", convolutions, 400),
+)
+
+
+class _Timed:
+    """A simulator, and the processor time of its emulator."""
+
+    def __init__(self, kind, make):
+        network, self.probe = make()
+        self.simulator = kind(network, target="sim", seed=SEED)
+        self.seconds = 0.0
+        self.emulator = self.simulator.sims["emulator"]
+        # As NengoLoihi calls it: one step after the other if the chip needs the host.
+        alone = self.simulator.precompute or set(self.simulator.sims) == {"emulator"}
+        method = "run_steps" if alone else "step"
+        setattr(self.emulator, method, self._counted(getattr(self.emulator, method)))
+        simulator = self.simulator
+        simulator._runner = type(simulator._runner)(
+            simulator.model, simulator.sims, simulator.precompute, simulator.timers
+        )
+
+    def _counted(self, method):
+        def call(*arguments):
+            begun = time.thread_time()
+            method(*arguments)
+            self.seconds += time.thread_time() - begun
+
+        return call
+
+    def run(self, steps):
+        """Processor time of the emulator, and the probed values."""
+        self.seconds = 0.0
+        self.simulator.run_steps(steps)
+        return self.seconds, self.simulator.data[self.probe]
+
+    def state(self):
+        """Voltages, currents and spike counts of all compartments."""
+        compartments = self.emulator.compartment
+        return [compartments.voltage, compartments.current, compartments.spike_count]
+
+
+def of_network(title, make, steps) -> dict:
+    """Run NengoLoihi's simulator and FastSimulator on a network in turns."""
+    pair = [_Timed(kind, make) for kind in (nengo_loihi.Simulator, FastSimulator)]
+    ratios, identical = [], True
+    for simulator in pair:
+        simulator.run(20)  # compiles, and fills caches
+    for _ in range(TURNS):
+        (slow, expected), (quick, values) = (one.run(steps // TURNS) for one in pair)
+        identical &= np.array_equal(expected, values)
+        ratios.append(slow / quick)
+    identical &= all(map(np.array_equal, *(one.state() for one in pair)))
+    for one in pair:
+        one.simulator.close()
+    return {
+        "network": title,
+        "identical": bool(identical),
+        "ratio_emulator": float(np.median(ratios)),
+    }
+
+
 def cells(found: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     lines = [["", "times as fast", "identical", "samples a second"]]
@@ -115,7 +265,9 @@ def main(
     for path in bundles or ():
         bundle = read_bundle(options.bundle_in(path))
         found["bundles"][bundle.spec.stimulus.kind] = of_bundle(bundle, samples)
-    found["networks"] = networks.measure()["rows"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found["networks"] = [of_network(*case) for case in CASES]
     if store:
         write_json(RESULTS / f"{store}.json", found)
     title = "Processor time relative to NengoLoihi's emulator, medians of turns"

@@ -27,7 +27,7 @@ class Responses:
     Attributes
     ----------
     scores : ndarray, shape (n_samples, n_classes)
-        Scores at the last step.
+        Scores at the last step, see `settled`.
     decisions : ndarray of int, shape (n_samples, steps)
         Decision at each step; -1 before the readout starts and while its output is empty.
     spikes : dict of str to ndarray of int, shape (n_samples,)
@@ -224,7 +224,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     if limit is not None:
         stopped = start + 1 + decide(_sums(spec, scores), limit, spec.estimator, start)[0]
     return Responses(
-        scores=scores[:, -1],
+        scores=settled(scores[:, -1], score_unit(spec)),
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
         operations=synaptic_operations(spec, spikes),
@@ -273,7 +273,7 @@ def score_unit(spec: NetworkSpec) -> float:
 
 
 def settled(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
-    """Round away the last bits, so that ties of scores are resolved equally on every target.
+    """Round away the last bits, so that the same spikes give the same scores on every target.
 
     Targets add the same spikes in different orders, which must not resolve a tie.
 

@@ -6,8 +6,6 @@ import nengo
 import nengo_loihi
 import numpy as np
 
-from fastloihi import speed
-
 
 def channel(n=40):
     """A communication channel: two ensembles on the chip, the first driven from the host."""
@@ -39,9 +37,19 @@ def recurrent(n=40):
 
 
 def learning(n=40):
-    """PES on the chip: the error is worked out on the host at every step."""
-    network, probe = speed.learning(n)
-    return network, [probe]
+    """PES on the chip from n neurons; the host computes the error at every step."""
+    with nengo.Network(seed=1) as network:
+        wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
+        error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
+        ensemble = nengo.Ensemble(n, 1)
+        nengo.Connection(wave, ensemble)
+        learned = nengo.Connection(
+            ensemble, result, function=lambda x: 0, learning_rule_type=nengo.PES(1e-3)
+        )
+        nengo.Connection(result, error)
+        nengo.Connection(wave, error, transform=-1)
+        nengo.Connection(error, learned.learning_rule)
+        return network, [nengo.Probe(result, synapse=0.02)]
 
 
 def feedback(n=40):

@@ -23,7 +23,7 @@ from networks import (
 )
 
 import fastloihi
-from fastloihi import FastEmulator, FastSimulator, NotAccelerated, accelerate, speed
+from fastloihi import FastEmulator, FastSimulator, NotAccelerated, accelerate
 
 
 def run(kind, make, calls=(30, 1, 50), target="sim", after_first=None, **options):
@@ -223,11 +223,3 @@ print(kind, len(ours))
         capture_output=True, text=True,
     )  # fmt: skip
     assert done.stdout.split() == ["FastEmulator", "0"], done.stderr
-
-
-def test_the_speed_is_measured_on_identical_results():
-    cases = [("a channel", lambda: speed.channel(20), 8)]
-    result = speed.measure(cases, turns=2)
-    assert result["identical"]
-    assert result["rows"][0]["steps"] == 8
-    assert "a channel" in speed.text_of(result)

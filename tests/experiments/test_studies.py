@@ -159,6 +159,12 @@ def test_fast_is_compared_with_the_emulator_in_turns(tiny_run):
     assert min(slow, fast) > 0
 
 
+def test_fast_simulator_is_compared_with_nengoloihis_in_turns():
+    found = speed.of_network("a channel", lambda: speed.channel(20), 8)
+    assert found["identical"]
+    assert found["ratio_emulator"] > 0
+
+
 def test_a_figure_of_a_document(tmp_path, monkeypatch):
     monkeypatch.setattr(studies, "RESULTS", tmp_path)
     result = {"rows": [{"name": "a", "mean": 0.1234}], "n": 7}
