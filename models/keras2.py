@@ -16,6 +16,10 @@ os.environ["TF_USE_LEGACY_KERAS"] = "1"
 # No plug-ins for HDF5, which TensorFlow before 2.21 searches for (CVE-2026-2492).
 os.environ["HDF5_PLUGIN_PRELOAD"] = "::"
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # no messages about missing GPUs
+# Each operation in one thread.  The operations of these networks take microseconds, and to share
+# them takes longer.  It also changes the rounding of sums, so that trained weights would depend on
+# the number of cores.
+os.environ.setdefault("TF_NUM_INTRAOP_THREADS", "1")
 # The scheduler of XLA 2.20 optimises for concurrency, which makes the small steps of these networks
 # 10 % slower than with 2.12.  The trained weights are bit-identical.
 os.environ["XLA_FLAGS"] = (

@@ -10,7 +10,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # Every core has a worker already; what the worker starts inherits this.
     for library in ("OMP_NUM", "OPENBLAS_NUM", "TF_NUM_INTEROP"):
         os.environ.setdefault(f"{library}_THREADS", "1")
-os.environ["TF_NUM_INTRAOP_THREADS"] = "1"  # as a run on images has it
 # A training takes less time with oneDNN, but to look into each new graph for what oneDNN could do
 # takes TensorFlow a fifth of the time of the tests that make one.
 os.environ["TF_ENABLE_ONEDNN_OPTS"] = "0"

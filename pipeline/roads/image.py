@@ -415,9 +415,8 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     imported = settings.cnn.model_sha256, settings.cnn.architecture
     if (sha256_of(path), str(model.architecture)) != imported:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
-    from pipeline.training.networks import TrainedCNN, one_thread_each
+    from pipeline.training.networks import TrainedCNN
 
-    one_thread_each()
     images, labels = dataset.part("train")
     taken = TrainedCNN(settings, model.weights)
     right = int((taken.logits(images).argmax(1) == labels).sum())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -99,17 +98,6 @@ RECIPES = {
 FEWEST_UPDATES = 2500
 
 
-def one_thread_each():
-    """Run each TensorFlow operation of this process in one thread.
-
-    A training step on images is a few hundred operations of some microseconds; distributing them
-    over threads takes longer than computing them.  It also changes the rounding of sums, so that
-    the trained weights would depend on the number of cores.  ``TF_NUM_INTRAOP_THREADS`` in the
-    environment overrides this.
-    """
-    os.environ.setdefault("TF_NUM_INTRAOP_THREADS", "1")
-
-
 @dataclass(frozen=True)
 class Trained:
     """A trained network, with methods to run it.
@@ -187,7 +175,6 @@ def train_cnn(
     -------
     TrainedCNN
     """
-    one_thread_each()
     model = new_cnn(settings, seed)
     recipe = cnn_recipe(settings.cnn, len(data[0]))
     history = fit(model, recipe, data, seed, validation, advance, altered)
@@ -212,7 +199,6 @@ def train_matched(
     -------
     TrainedCNN
     """
-    one_thread_each()
     make_deterministic(seed)
     snn = settings.snn
     model = build_cnn(parse(settings.cnn.architecture), lambda index: relu(snn.noise, snn.dropout))
@@ -309,7 +295,6 @@ def train_rate_network(
     """
     if settings.snn.recipe == "as-is":
         return TrainedRates(settings, fit_to_rates(settings, cnn_weights, data[0]))
-    one_thread_each()
     model = new_rate_network(settings, seed, data[0], cnn_weights)
     recipe = snn_recipe(settings.snn, len(data[0]))
     history = fit(model, recipe, data, seed, validation, advance, altered)
