@@ -1,16 +1,14 @@
-"""Every setting of an experiment: its default, its limits, and below it its meaning.
+"""Every setting of an experiment: its default, its limits, and above it its meaning.
 
 A run stores its settings in ``experiment.toml``; ``stmnist settings`` prints their meanings.
 """
 
 from __future__ import annotations
 
-import ast
 import difflib
 import enum
 import functools
 import inspect
-import itertools
 import json
 import math
 import textwrap
@@ -93,33 +91,33 @@ SIDE = between(0, 256)
 class Data(Section):
     """The recordings."""
 
+    #: ``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's.
     source: str = "simulated"
-    """``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's."""
+    #: Seed of simulated recordings; the experiment's own seed does not change them.
     simulation_seed: Annotated[int, SEED] = 0
-    """Seed of simulated recordings; the experiment's own seed does not change them."""
+    #: Simulated recordings of each digit; 0 for the published numbers, 6,953 in all.
     samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = 0
-    """Simulated recordings of each digit; 0 for the published numbers, 6,953 in all."""
+    #: Leave out files that cannot be read instead of stopping.
     skip_bad: bool = False
-    """Leave out files that cannot be read instead of stopping."""
+    #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
+    #: duration of the recordings.
     time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
-    """Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
-    duration of the recordings."""
+    #: Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels.
     downsample: Annotated[int, between(1, MOST_DOWNSAMPLED)] = 1
-    """Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels."""
 
 
 @dataclass(frozen=True)
 class Input(Section):
     """The input of the network on the chip."""
 
+    #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
+    #: the sensor's events, one spike each.
     kind: Annotated[str, one_of("image", "events")] = "image"
-    """``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
-    the sensor's events, one spike each."""
+    #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
     step: Annotated[float, STEP] = 10.0
-    """Recording time in milliseconds that one step of the chip represents; for ``events`` only."""
+    #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
+    #: whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only.
     refractory: Annotated[float, AT_LEAST_0] = 10.0
-    """Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
-    whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only."""
 
     @property
     def rest(self) -> int:
@@ -131,31 +129,31 @@ class Input(Section):
 class SkinSize(Section):
     """The array of taxels."""
 
+    #: Rows of taxels; 0: ten for the simulated skin, and for recordings the number in their
+    #: look-up table or their largest coordinate.
     rows: Annotated[int, SIDE] = 0
-    """Rows of taxels; 0: ten for the simulated skin, and for recordings the number in their look-up
-    table or their largest coordinate."""
+    #: Columns of taxels; 0 has the same meaning as for the rows.
     columns: Annotated[int, SIDE] = 0
-    """Columns of taxels; 0 has the same meaning as for the rows."""
 
 
 @dataclass(frozen=True)
 class Image(Section):
     """Conversion of events to a tactile image; see :mod:`pipeline.data.images`."""
 
+    #: Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
+    #: the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only;
+    #: ``polarities``, ON and OFF events as two channels.
     aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
-    """Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
-    the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only;
-    ``polarities``, ON and OFF events as two channels."""
+    #: Number of equal slices of time whose events are counted separately, each as channels of the
+    #: image.
     slices: Annotated[int, between(1, 64)] = 1
-    """Number of equal slices of time whose events are counted separately, each as channels of the
-    image."""
+    #: Time from the first event that is divided into slices, in milliseconds; later events are
+    #: counted in the last slice.  0 for two seconds.
     duration: Annotated[float, between(0, 1e7, " milliseconds")] = 0.0
-    """Time from the first event that is divided into slices, in milliseconds; later events are
-    counted in the last slice.  0 for two seconds."""
+    #: Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
+    #: ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, undivided
+    #: counts, which need a low ``deployment.input_rate``.
     normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
-    """Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
-    ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``,
-    undivided counts, which need a low ``deployment.input_rate``."""
 
     @property
     def channels(self) -> int:
@@ -172,70 +170,70 @@ class Image(Section):
 class SplitShares(Section):
     """The test and validation samples."""
 
+    #: ``published``, the split of a source with the folders ``train`` and ``test``; ``random``,
+    #: over all samples, as in the paper; ``writers``, people with test samples have no training
+    #: samples; ``auto``, the published one if there is one, otherwise random.
     kind: Annotated[str, one_of("auto", "random", "published", "writers")] = "auto"
-    """``published``, the split of a source with the folders ``train`` and ``test``; ``random``,
-    over all samples, as in the paper; ``writers``, people with test samples have no training
-    samples; ``auto``, the published one if there is one, otherwise random."""
 
+    #: Share of all samples that is used for testing (paper: 80-20 splits).
     test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
-    """Share of all samples that is used for testing (paper: 80-20 splits)."""
+    #: Share of the training samples that is held out for choosing settings.
     validation_fraction: Annotated[float, FROM_0_BELOW_1] = 0.0
-    """Share of the training samples that is held out for choosing settings."""
 
 
 @dataclass(frozen=True)
 class CNN(Section):
     """The convolutional network and its training (paper, Section 3.2.1)."""
 
+    #: Input, convolutions (``6c4``: six filters of 4x4) and outputs.
     architecture: str = "10x10-6c4-24c3-10o"
-    """Input, convolutions (``6c4``: six filters of 4x4) and outputs."""
+    #: Passes over the training samples; 0 for the paper's 20, or more on few samples.
     epochs: Annotated[int, OWN_EPOCHS] = 0
-    """Passes over the training samples; 0 for the paper's 20, or more on few samples."""
+    #: Samples per training step.  Not given in the paper; Keras's default.
     batch_size: Annotated[int, BATCH] = 32
-    """Samples per training step.  Not given in the paper; Keras's default."""
+    #: Learning rate of RMSProp.  Not given in the paper; Keras's default.
     learning_rate: Annotated[float, ABOVE_0] = 0.001
-    """Learning rate of RMSProp.  Not given in the paper; Keras's default."""
+    #: Alterations of the events of training samples, before the image is made: ``time``, dropped
+    #: events; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels;
+    #: ``none``; ``auto``, ``none`` for the paper's CNN and for handwriting on the simulated skin
+    #: or ST-MNIST's, and ``time`` in the spiking network's training on other recordings.
     augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
-    """Alterations of the events of training samples, before the image is made: ``time``, dropped
-    events; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels; ``none``;
-    ``auto``, ``none`` for the paper's CNN and for handwriting on the simulated skin or ST-MNIST's,
-    and ``time`` in the spiking network's training on other recordings."""
+    #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.
     model: str = ""
-    """A Keras model file whose weights replace trained ones; ``convert --model`` sets it."""
+    #: SHA-256 of that file's content.
     model_sha256: str = ""
-    """SHA-256 of that file's content."""
 
 
 @dataclass(frozen=True)
 class SNN(Section):
     """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
 
+    #: ``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
+    #: fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-based
+    #: LIF, from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled
+    #: to the neurons' range and response curve without further training.
     recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
-    """``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
-    fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-based LIF,
-    from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled to the
-    neurons' range and response curve without further training."""
+    #: Passes over the training samples; 0 for the default of the recipe, or more on few samples.
     epochs: Annotated[int, OWN_EPOCHS] = 0
-    """Passes over the training samples; 0 for the default of the recipe, or more on few samples."""
+    #: Samples per training step; 0 for the default of the recipe.
     batch_size: Annotated[int, OWN_BATCH] = 0
-    """Samples per training step; 0 for the default of the recipe."""
+    #: Initial learning rate; 0 for the default of the recipe.
     learning_rate: Annotated[float, AT_LEAST_0] = 0.0
-    """Initial learning rate; 0 for the default of the recipe."""
+    #: Standard deviation of the noise on each neuron's input while training, relative to the
+    #: activation at ``max_rates``; recipe ``loihi`` only.
     noise: Annotated[float, AT_LEAST_0] = 0.1
-    """Standard deviation of the noise on each neuron's input while training, relative to the
-    activation at ``max_rates``; recipe ``loihi`` only."""
+    #: Share of the neurons that are left out at random while training; recipe ``loihi`` only.
     dropout: Annotated[float, FROM_0_BELOW_1] = 0.0
-    """Share of the neurons that are left out at random while training; recipe ``loihi`` only."""
+    #: Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps,
+    #: in multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only.
     spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
-    """Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps, in
-    multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only."""
+    #: Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
+    #: the last entry also applies to all layers after it.
     max_rates: tuple[float, ...] = (150.0,)
-    """Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
-    the last entry also applies to all layers after it."""
+    #: Membrane time constant in seconds.
     tau_rc: Annotated[float, TAU] = 0.02
-    """Membrane time constant in seconds."""
+    #: Refractory period in seconds.
     tau_ref: Annotated[float, REFRACTORY] = 0.001
-    """Refractory period in seconds."""
 
     @property
     def is_on_chip(self) -> bool:
@@ -251,94 +249,95 @@ class SNN(Section):
 class NIR(Section):
     """A NIR graph that replaces the trained network; see :mod:`pipeline.roads.nir`."""
 
+    #: A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for
+    #: networks that are trained here.
     file: str = ""
-    """A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for
-    networks that are trained here."""
+    #: SHA-256 of that file's content.
     sha256: str = ""
-    """SHA-256 of that file's content."""
+    #: Milliseconds of the graph's time in a step of the chip; 0: 0.1 if snnTorch's exporter wrote
+    #: the graph, otherwise the value of ``input.step``, or 1 with images.
     step: Annotated[float, STEP_OR_NONE] = 0.0
-    """Milliseconds of the graph's time in a step of the chip; 0: 0.1 if snnTorch's exporter wrote
-    the graph, otherwise the value of ``input.step``, or 1 with images."""
+    #: Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
+    #: Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote
+    #: the graph, otherwise ``exact``.
     method: Annotated[str, one_of("auto", "exact", "euler")] = "auto"
-    """Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
-    Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote the
-    graph, otherwise ``exact``."""
+    #: The reset with which the graph was trained, which NIR does not record: ``value``, to
+    #: ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
+    #: step, as snnTorch does unless ``reset_delay=False``.
     reset: Annotated[str, one_of("value", "subtract", "subtract-late")] = "value"
-    """The reset with which the graph was trained, which NIR does not record: ``value``, to
-    ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
-    step, as snnTorch does unless ``reset_delay=False``."""
 
 
 @dataclass(frozen=True)
 class EventTraining(Section):
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
+    #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
     architecture: str = "10x10x2-24c4s3-64-10o"
-    """Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling."""
+    #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
+    #: which is one for handwriting.
     parts: Annotated[int, between(0, MOST_PARTS)] = 0
-    """Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
-    which is one for handwriting."""
+    #: Length of each part in milliseconds, the last one is open; 0: the time of the longest
+    #: recording, divided among the parts.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
-    """Length of each part in milliseconds, the last one is open; 0: the time of the longest
-    recording, divided among the parts."""
+    #: Passes over the training samples; 0: of the recipe, which fixes the number of updates.
     epochs: Annotated[int, OWN_EPOCHS] = 0
-    """Passes over the training samples; 0: of the recipe, which fixes the number of updates."""
+    #: Samples per training step.
     batch_size: Annotated[int, BATCH] = 32
-    """Samples per training step."""
+    #: Share of a layer's neurons whose spikes are left out of a training sample.
     dropout: Annotated[float, FROM_0_BELOW_1] = 0.1
-    """Share of a layer's neurons whose spikes are left out of a training sample."""
+    #: Initial learning rate of Adam; it falls to 0 along a half cosine.
     learning_rate: Annotated[float, ABOVE_0] = 0.003
-    """Initial learning rate of Adam; it falls to 0 along a half cosine."""
+    #: Weight of the loss term for early decisions, while the digit is still being written.
     early: Annotated[float, AT_LEAST_0] = 1.0
-    """Weight of the loss term for early decisions, while the digit is still being written."""
+    #: Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
+    #: also rotated, shifted, scaled and sheared on the grid of taxels; ``none``; ``auto``,
+    #: ``space`` for handwriting on the simulated skin or ST-MNIST's, and ``time`` for other
+    #: recordings.
     augment: Annotated[str, one_of("auto", "time", "space", "none")] = "auto"
-    """Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
-    also rotated, shifted, scaled and sheared on the grid of taxels; ``none``; ``auto``, ``space``
-    for handwriting on the simulated skin or ST-MNIST's, and ``time`` for other recordings."""
+    #: Synaptic operations per inference above which the loss has a penalty, in multiples of the
+    #: multiply-accumulates of the paper's CNN.
     budget: Annotated[float, ABOVE_0] = 0.8
-    """Synaptic operations per inference above which the loss has a penalty, in multiples of the
-    multiply-accumulates of the paper's CNN."""
 
 
 @dataclass(frozen=True)
 class Deployment(Section):
     """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
 
+    #: ``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
+    #: for each class.
     readout: Annotated[str, one_of("chip", "host")] = "host"
-    """``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
-    for each class."""
+    #: Spikes per second of a pixel of value 1.
     input_rate: Annotated[float, RATE] = 500.0
-    """Spikes per second of a pixel of value 1."""
+    #: Initial voltage of an input neuron in a sample, as a share of its threshold.  Its number of
+    #: spikes is the expected number, rounded to the nearest with 0.5 and down with 0.
     input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
-    """Initial voltage of an input neuron in a sample, as a share of its threshold.  Its number of
-    spikes is the expected number, rounded to the nearest with 0.5 and down with 0."""
+    #: Time constant in seconds of the low-pass on every spiking connection; 0 for none.
     synapse: Annotated[float, TAU_OR_NONE] = 0.008
-    """Time constant in seconds of the low-pass on every spiking connection; 0 for none."""
 
 
 @dataclass(frozen=True)
 class PresentationSettings(Section):
     """Presentation of the samples; see :class:`deploy.network.spec.Presentation`."""
 
+    #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
+    #: ``input.step``.  0 for 100 steps, or with events for the two seconds of a recording.
     steps: Annotated[int, STEPS_OR_NONE] = 0
-    """Number of steps for which a sample is presented: steps of 1 ms, or with events of
-    ``input.step``.  0 for 100 steps, or with events for the two seconds of a recording."""
+    #: Blank steps before each sample.
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
-    """Blank steps before each sample."""
+    #: First step of the readout window, over which the output is averaged for the decision; with
+    #: events always the first step of the presentation.
     readout_start: Annotated[int, STEPS_OR_NONE] = Presentation.readout_start
-    """First step of the readout window, over which the output is averaged for the decision; with
-    events always the first step of the presentation."""
+    #: Number of samples that are presented before the network is reset.
     stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
-    """Number of samples that are presented before the network is reset."""
 
 
 @dataclass(frozen=True)
 class Check(Section):
     """The check that is run on every target."""
 
+    #: Number of samples, drawn at random from the test split, as in the paper; all test samples if
+    #: there are fewer and the number is the default.
     samples: Annotated[int, SAMPLES] = paper.CHECK_SAMPLES
-    """Number of samples, drawn at random from the test split, as in the paper; all test samples if
-    there are fewer and the number is the default."""
 
     def drawn(self, available: int) -> int:
         """Number of samples to draw.
@@ -357,8 +356,8 @@ class Check(Section):
 class Settings(Section):
     """All settings of an experiment."""
 
+    #: Seed of the split, the training and the choice of the check's samples.
     seed: Annotated[int, SEED] = 0
-    """Seed of the split, the training and the choice of the check's samples."""
     data: Data = field(default_factory=Data)
     input: Input = field(default_factory=Input)
     skin: SkinSize = field(default_factory=SkinSize)
@@ -676,13 +675,15 @@ def _entries(settings, prefix=""):
 
 @functools.cache
 def _meanings(section):
-    """The text below each entry of a section, in one line and without its markup."""
-    (body,) = ast.parse(textwrap.dedent(inspect.getsource(section))).body
-    return {
-        entry.target.id: inspect.cleandoc(text.value.value).replace("\n", " ").replace("``", "")
-        for entry, text in itertools.pairwise(body.body)
-        if isinstance(entry, ast.AnnAssign) and isinstance(text, ast.Expr)
-    }
+    """The comment above each entry of a section, in one line and without its markup."""
+    meanings, words = {}, []
+    for line in map(str.strip, inspect.getsource(section).splitlines()):
+        if line.startswith("#:"):
+            words.append(line[2:].strip())
+        elif words:
+            meanings[line.partition(":")[0]] = " ".join(words).replace("``", "")
+            words = []
+    return meanings
 
 
 def _check_relations(s: Settings):
