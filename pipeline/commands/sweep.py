@@ -29,13 +29,8 @@ def sweep(
 ):
     """Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.
 
-    Writes sweep.json and pareto.png.  Existing points are not computed again.
+    Writes sweep.json.  Existing points are not computed again.
     """
     with options.resolved(out, given, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
-        if summary["points"]:
-            from pipeline.results.report import figures  # imports Matplotlib
-            from pipeline.results.report.figures.pareto import pareto
-
-            figures.save(pareto(summary), out / "pareto.png")
     options.conclude(summary, failed, sweep_text, as_json)

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from matplotlib.image import imread
 
 from deploy.errors import UserError
 from deploy.files import read_json
@@ -141,7 +140,6 @@ def test_a_small_sweep(tiny_sweep):
         low, high = p["accuracy_ci95"]
         assert low <= p["accuracy"] <= high
         assert 1 <= p["stable"] <= p["steps"]
-    assert imread(tiny_sweep / "pareto.png")[..., :3].std() > 0.05
 
 
 def test_its_networks_were_never_shown_the_test_split(tiny_sweep):
@@ -191,4 +189,3 @@ def test_a_sweep_on_events(tmp_path, capsys):
     for p in points:
         assert p["n_samples"] == 48
     assert not (folder / "networks" / "cnn").exists()
-    assert imread(folder / "pareto.png")[..., :3].std() > 0.05
