@@ -296,6 +296,7 @@ def convert(opened: Opened) -> Bundle:
         "package": __version__,
         **({"time_unit": source.time_unit} if source.time_unit else {}),
         **_downsample(view, dataset),
+        **_positions(dataset.recordings.taxels),
         **_trained_on(dataset),
     }
     spec = seen.spec(provenance)
@@ -317,6 +318,11 @@ def _downsample(settings, dataset):
         return {}
     n = settings.data.downsample
     return {"downsample": n} if n > 1 else {}
+
+
+def _positions(taxels):
+    """Positions of the taxels, so that the sensor can be drawn as it is."""
+    return {} if taxels.positions is None else {"positions": taxels.positions.tolist()}
 
 
 def _trained_on(dataset):

@@ -300,6 +300,23 @@ def classes_of(spec: NetworkSpec) -> tuple:
     return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
 
 
+def positions_of(spec: NetworkSpec) -> np.ndarray | None:
+    """Where a deployed network's taxels are on the sensor.
+
+    Returns
+    -------
+    ndarray of float, shape (n_taxels, 2), or None
+        To the right and down; the larger extent is 1, the origin is the upper left corner.  None if
+        the positions are not known.
+    """
+    known = spec.provenance.get("positions")
+    if known is None:
+        return None
+    positions = np.asarray(known, float)
+    positions = positions - positions.min(axis=0)
+    return positions / (positions.max() or 1.0)
+
+
 def training_hashes(spec: NetworkSpec) -> set:
     """Hashes of the recordings that a network was trained on or fitted to, if they are known."""
     hashes = spec.provenance.get(TRAINED_ON)

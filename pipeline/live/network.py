@@ -9,6 +9,7 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
+from pipeline.data.dataset import positions_of
 from pipeline.data.events import Sensor, are_digits, is_written
 from pipeline.run import RunFolder
 from pipeline.settings import Image, read_settings
@@ -135,6 +136,7 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
     outdated : str, optional
         The reason if the bundle is outdated.
     """
+    positions = positions_of(bundle.spec)
     return {
         "folder": str(folder),
         "architecture": bundle.spec.architecture,
@@ -147,4 +149,5 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
         "polarities": sensor.polarities,
         "classes": list(sensor.classes),
         "digits": are_digits(sensor.classes),
+        "positions": None if positions is None else positions.tolist(),
     }

@@ -34,8 +34,9 @@ function fitted(canvas) {
 // The sensor: taxels are counted down the columns.
 let rows = 10;
 let columns = 10;
+let positions = null; // where the taxels are on the sensor, if that is known; the larger extent is 1
 export function setSensor(sensor) {
-  ({ rows, columns } = sensor);
+  ({ rows, columns, positions } = sensor);
 }
 const row = (taxel) => taxel % rows;
 const column = (taxel) => Math.floor(taxel / rows);
@@ -45,10 +46,17 @@ const DOTS = 4096; // maximum number of taxels that are drawn at rest; more woul
 export function drawSkin(canvas, strokes, counts, flashes, now) {
   const { context, width, height } = fitted(canvas);
   const [wide, high] = [width / columns, height / rows];
-  const cell = Math.min(wide, high);
-  const place = (taxel) => [(column(taxel) + 0.5) * wide, (row(taxel) + 0.5) * high];
+  const asItIs = positions && !strokes.length; // an example has no strokes
+  const size = 0.88 * Math.min(width, height);
+  const cell = asItIs ? size / Math.sqrt(positions.length) : Math.min(wide, high);
+  const middle = (axis) => Math.max(...positions.map((position) => position[axis])) / 2;
+  const [right, down] = asItIs ? [width / 2 - size * middle(0), height / 2 - size * middle(1)] : [0, 0];
+  const place = asItIs
+    ? (taxel) => [right + size * positions[taxel][0], down + size * positions[taxel][1]]
+    : (taxel) => [(column(taxel) + 0.5) * wide, (row(taxel) + 0.5) * high];
   let moves = false;
-  if (!strokes.length) fillTaxels(context, counts, wide, high, 0.3); // an example has no strokes
+  if (asItIs) fillDots(context, counts, place, cell * 0.3);
+  else if (!strokes.length) fillTaxels(context, counts, wide, high, 0.3);
   context.fillStyle = colour("--soft");
   if (flashes.length <= DOTS)
     for (let taxel = 0; taxel < flashes.length; taxel++) {
@@ -103,6 +111,18 @@ function fillTaxels(context, counts, wide, high, opacity) {
     if (count === 0) return;
     context.globalAlpha = (opacity * count) / most;
     context.fillRect(column(taxel) * wide, row(taxel) * high, wide + 0.5, high + 0.5);
+  });
+  context.globalAlpha = 1;
+}
+
+function fillDots(context, counts, place, radius) {
+  const most = counts.reduce((a, b) => Math.max(a, b), 1);
+  context.fillStyle = colour("--on");
+  counts.forEach((count, taxel) => {
+    context.globalAlpha = (0.6 * count) / most;
+    context.beginPath();
+    context.arc(...place(taxel), radius, 0, 7);
+    context.fill();
   });
   context.globalAlpha = 1;
 }

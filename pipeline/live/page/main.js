@@ -74,7 +74,8 @@ function describe() {
   document.body.classList.toggle("long", long);
   document.body.classList.toggle("many", classes.length > BUTTONS);
   const style = document.documentElement.style;
-  style.setProperty("--rows", rows);
+  // A strip is drawn high enough to be seen; a sensor whose taxels' places are known is in a square.
+  style.setProperty("--rows", about.positions ? columns : Math.max(rows, columns / 8));
   style.setProperty("--columns", columns);
   style.setProperty("--buttons", Math.min(classes.length, 10));
   $("search").hidden = classes.length <= BUTTONS;

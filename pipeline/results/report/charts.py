@@ -171,16 +171,20 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
     return _svg(width, end + 42, marks, description, "timeline")
 
 
-def thumbnail(values, description: str = "") -> Markup:
-    """A tactile image as a small picture, one pixel for each taxel.
+def thumbnail(values, description: str = "", positions=None) -> Markup:
+    """A tactile image as a small picture, one pixel or dot for each taxel.
 
     Parameters
     ----------
     values : ndarray, shape (rows, columns)
         A negative value has the colour of OFF events.
     description : str
+    positions : ndarray, shape (columns, 2), optional
+        Where the taxels of one row are, from :func:`pipeline.data.dataset.positions_of`.
     """
     values = np.asarray(values, float)
+    if positions is not None:
+        return _dots(values[0] / (np.abs(values).max(initial=0) or 1), positions, description)
     pixels = np.zeros((*values.shape, 4), np.uint8)
     for sign, name in ((1, "on"), (-1, "off")):
         pixels[np.sign(values) == sign, :3] = [int(colour(name)[i : i + 2], 16) for i in (1, 3, 5)]
@@ -190,6 +194,21 @@ def thumbnail(values, description: str = "") -> Markup:
     content = base64.b64encode(buffer.getvalue()).decode()
     return Markup(
         f'<img class="thumb" alt="{escape(description)}" src="data:image/png;base64,{content}">'
+    )
+
+
+def _dots(shades, positions, description):
+    """Taxels where they are, a dot for each, with shades from -1 to 1."""
+    radius = 0.45 / len(positions) ** 0.5
+    marks = [
+        f'<circle class="{"on" if shade >= 0 else "off"}" cx="{x:.2f}" cy="{y:.2f}" '
+        f'r="{radius:.2f}" fill-opacity="{max(abs(shade), 0.08):.2f}"/>'
+        for (x, y), shade in zip(positions, shades, strict=True)
+    ]
+    width, height = positions.max(axis=0) + 2 * radius
+    return Markup(
+        f'<svg class="thumb" viewBox="{-radius:.3f} {-radius:.3f} {width:.3f} {height:.3f}" '
+        f'role="img" aria-label="{escape(description)}">{"".join(marks)}</svg>'
     )
 
 

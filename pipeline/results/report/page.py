@@ -20,6 +20,7 @@ from deploy.network.responses import seconds_per_sample
 from deploy.tables import SIGNIFICANCE, p_text
 from deploy.targets.registry import TARGETS
 from pipeline import look
+from pipeline.data.dataset import positions_of
 from pipeline.data.events import Recordings
 from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts
@@ -318,7 +319,7 @@ def _matrix(inputs):
 
 def _groups(inputs):
     """Thumbnails of all samples by class and answer, wrong answers first, frequent ones first."""
-    groups = defaultdict(list)
+    groups, positions = defaultdict(list), positions_of(inputs.bundle.spec)
     images = inputs.bundle.checks.inputs
     images = images.sum(-1) if images.ndim == 4 else images.sum((1, -1))
     for index, (label, answer) in enumerate(zip(*_answers(inputs), strict=True)):
@@ -335,7 +336,9 @@ def _groups(inputs):
                     "index": index,
                     "id": inputs.bundle.checks.ids[index],
                     "has_story": index in inputs.replays,
-                    "picture": charts.thumbnail(images[index], inputs.bundle.checks.ids[index]),
+                    "picture": charts.thumbnail(
+                        images[index], inputs.bundle.checks.ids[index], positions
+                    ),
                 }
                 for index in groups[label, answer]
             ],

@@ -14,6 +14,7 @@ from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.tables import shortened
+from pipeline.data.dataset import positions_of
 from pipeline.look import colour
 from pipeline.results.report.samples import replay
 
@@ -100,7 +101,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     shown = f"{kind}sample {bundle.checks.ids[index]}"
     figure.suptitle(shown)
     growing = _growing(bundle.checks.inputs[index])
-    image = picture.imshow(np.zeros(growing.shape[1:3]), "Blues", vmin=0, vmax=growing[-1].max())
+    draw = _picture(picture, growing, positions_of(spec))
     picture.set(xticks=[], yticks=[])
     marks = []
     for axes, (name, size, steps, neurons) in zip(panels, played.layers, strict=False):
@@ -125,7 +126,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         with writer.saving(figure, written, dpi=90):
             for number in range(FRAMES + STILL):
                 now = seconds * min(1.0, number / (FRAMES - 1))
-                image.set_data(growing[min(int(now / step), len(growing) - 1)])
+                draw(growing[min(int(now / step), len(growing) - 1)])
                 for mark, at, neurons in marks:
                     mark.set_data(at[at <= now], neurons[at <= now])
                 for c, line in lines.items():
@@ -138,6 +139,22 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         content = written.read_bytes()
     with replacing(path) as file:
         file.write(content)
+
+
+def _picture(axes, growing, positions):
+    """Draw an empty picture of the sensor; return the function that draws values on it."""
+    shades = {"cmap": "Blues", "vmin": 0, "vmax": growing[-1].max()}
+    if positions is None:
+        rows, columns = growing.shape[1:3]
+        image = axes.imshow(
+            growing[0] * 0, aspect="auto" if 1 in (rows, columns) else "equal", **shades
+        )
+        return image.set_data
+    dots = axes.scatter(*positions.T, 120, 0 * positions[:, 0], edgecolors="0.7", **shades)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.invert_yaxis()
+    axes.margins(0.1)
+    return lambda values: dots.set_array(values[0])
 
 
 def _growing(sample):
