@@ -59,6 +59,9 @@ OPERATIONS_AN_EVENT = 4
 # State of a training that is not complete.
 CHECKPOINT = "checkpoint.npz"
 
+# Maximum number of held-out samples for the learning curve.
+MOST_WATCHED = 200
+
 
 class EventSamples(NamedTuple):
     """Training samples, and held-out samples for choosing the confidence.
@@ -137,7 +140,7 @@ class EventRoad(Road):
         from pipeline.training import events  # TensorFlow takes seconds to import
 
         settings, dataset = opened.settings, opened.dataset
-        table, labels, indices, _ = event_samples(dataset, settings.seed)
+        table, labels, indices, held_out = event_samples(dataset, settings.seed)
         recipe = events.EventRecipe.of(settings).for_samples(len(indices))
         updates = recipe.epochs * -(-len(indices) // recipe.batch_size)
         opened.say(
@@ -145,10 +148,12 @@ class EventRoad(Road):
         )
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
         arguments = recipe, table, labels, indices, settings.seed
+        curve = held_out[:: -(-len(held_out) // MOST_WATCHED) or 1]
         trained, seconds = timed(
-            "events", recipe.epochs, events.train_events, *arguments, checkpoint=checkpoint
-        )
-        write_network(artifact.folder, trained, dataset)
+            *("events", recipe.epochs, events.train_events, *arguments),
+            validation=curve, checkpoint=checkpoint,
+        )  # fmt: skip
+        write_network(artifact.folder, trained, on_test=False)
         epochs = len(trained.history)
         return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
 

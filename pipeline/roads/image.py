@@ -186,7 +186,7 @@ class ImageRoad(Road):
             epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
             arguments = settings, data, settings.seed, watched(dataset)
             trained, seconds = timed("cnn", epochs, train_cnn, *arguments, altered=altered)
-        write_network(artifact.folder, trained, dataset)
+        write_network(artifact.folder, trained, not len(dataset.split.validation))
         metrics = metrics_of(trained, dataset, seconds, training_versions())
         opened.say(accuracy_text("cnn", metrics))
         return metrics
@@ -317,7 +317,7 @@ def _trained_further(name, function, opened, artifact):
     altered = _altered(how, settings, dataset)
     arguments = settings, data, settings.seed, opened.weights("cnn"), altered, watched(dataset)
     trained, seconds = timed(name, epochs, function, *arguments)
-    write_network(artifact.folder, trained, dataset)
+    write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = metrics_of(trained, dataset, seconds, training_versions())
     return trained, {**metrics, "augment": how}
 

@@ -394,13 +394,21 @@ def watched(dataset: Dataset):
     return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
 
 
-def write_network(folder: Path, trained, dataset: Dataset):
-    """Write weights and history; delete the records first, because they mark them as complete."""
+def write_network(folder: Path, trained, on_test: bool):
+    """Write weights and history; delete the records first, because they mark them as complete.
+
+    Parameters
+    ----------
+    folder : Path
+    trained : pipeline.training.networks.Trained or pipeline.training.events.TrainedOnEvents
+    on_test : bool
+        True if the learning curve is that of test samples, not of held-out training samples.
+    """
     for record in ("metrics.json", "training.json"):
         (folder / record).unlink(missing_ok=True)
     write_arrays(folder / "weights.npz", **trained.weights)
     history = trained.history
-    if not len(dataset.split.validation):  # the learning curve is of test samples
+    if on_test:
         history = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in history]
     write_history(folder / "history.csv", history)
 

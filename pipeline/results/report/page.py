@@ -438,7 +438,7 @@ def drawn_steps(n: int) -> np.ndarray:
 
 def _learning_curves(histories):
     """Accuracy of each network on training and held-out samples."""
-    parts = {"": "training", "val_": "validation", "test_": "test, not used in training"}
+    parts = {"": "training", "val_": "held out", "test_": "test, not used in training"}
     curves = []
     for name, rows in histories.items():
         series = [

@@ -189,3 +189,5 @@ def test_a_sweep_on_events(tmp_path, capsys):
     for p in points:
         assert p["n_samples"] == 48
     assert not (folder / "networks" / "cnn").exists()
+    for curve in folder.rglob("history.csv"):
+        assert "val_accuracy" in curve.read_text().splitlines()[0].split(",")  # of held-out samples
