@@ -113,6 +113,7 @@ def test_the_range_of_output_neurons_is_set_by_right_and_wrong_logits():
     logits[0, [3, 5]], logits[1, [3, 5]], logits[2, [3, 5]] = (4, 1), (4, 2), (0, 3)
     output = to_spec(settings, weights, {}, (logits, np.array([3, 3, 3]))).layers[-1]
     full = np.percentile([4, 4, 0], 99)
-    gain = gain_for(150.0, 0.02, 0.001) / (full - 2)  # best wrong ones: 1, 2 and 3
+    threshold = 1.4  # a fifth of the way from the first to the last of the best wrong ones, 1, 2, 3
+    gain = gain_for(500.0, 0.02, 0.001) / (full - threshold)
     assert output.weights[0, 0] == pytest.approx(gain)
-    assert output.bias[0] == pytest.approx(1 - gain * 2)
+    assert output.bias[0] == pytest.approx(1 - gain * threshold)
