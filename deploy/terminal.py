@@ -33,9 +33,20 @@ WARNING = "warning: "
 SIGNIFICANT = " *"
 
 
-def show(text="", flush=False):
-    """Print a result on standard output, with :func:`printable` for each line."""
-    print(_lines(text), flush=flush)
+def show(text="", flush=False, marked=""):
+    """Print a result on standard output, with :func:`printable` for each line.
+
+    Parameters
+    ----------
+    text : str
+    flush : bool
+    marked : str
+        A word that a terminal shows in colour, unless ``NO_COLOR`` is set.
+    """
+    text = _lines(text)
+    if marked and sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
+        text = text.replace(marked, f"\x1b[33m{marked}\x1b[0m")
+    print(text, flush=flush)
 
 
 def remark(text):

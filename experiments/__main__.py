@@ -16,6 +16,7 @@ OTHERS = {
     "calibration": ("calibration", "Fit the simulation to the paper's Table 1", "10 min"),
     "handwriting": ("handwriting", "Estimate the model of handwriting", "1 min"),
     "tutorials": ("tutorials", "Execute the notebooks of the tutorials", "5 min"),
+    "pictures": ("pictures", "Make the pictures of the documents", "1 min"),
     "document": ("document", "Write commands, settings and results into README and docs", "5 s"),
 }
 

@@ -531,7 +531,7 @@ def write_settings(path, settings: Settings, own: Settings | None = None):
 
 
 def describe(settings: Settings) -> list:
-    """Every setting: a dict of its ``name``, ``value``, ``default`` and ``meaning``."""
+    """Every setting: a dict of ``name``, ``value``, ``default``, ``meaning`` and ``section``."""
     defaults = Settings().flat()
     return [
         {
@@ -539,6 +539,10 @@ def describe(settings: Settings) -> list:
             "value": getattr(section, entry),
             "default": defaults[name],
             "meaning": _meanings(type(section))[entry],
+            "section": inspect.getdoc(type(section))
+            .partition("\n")[0]
+            .partition(";")[0]
+            .rstrip("."),
         }
         for name, section, entry in _entries(settings)
     ]
@@ -546,8 +550,11 @@ def describe(settings: Settings) -> list:
 
 def settings_text(described: list, width: int = 80) -> str:
     """The result of :func:`describe` as text; a star marks values that are not the default."""
-    lines = []
+    lines, section = [], None
     for row in described:
+        if row["section"] != section:
+            section = row["section"]
+            lines += ["", f"# {section}"]
         value, default = _toml(row["value"]), _toml(row["default"])
         star, otherwise = ("*", f"  (default {default})") if value != default else (" ", "")
         lines.append(_middle_cut(f"{star} {row['name']} = {value}{otherwise}", width))
@@ -555,7 +562,7 @@ def settings_text(described: list, width: int = 80) -> str:
             f"      {part}"
             for part in textwrap.wrap(row["meaning"], width - 6, break_on_hyphens=False)
         ]
-    return "\n".join(lines)
+    return "\n".join(lines[1:])
 
 
 def _middle_cut(line, width):

@@ -11,6 +11,8 @@ import sys
 import pytest
 
 import stmnist
+from deploy.files import read_json
+from experiments import pictures
 from experiments.document import FILES, with_parts
 from pipeline.commands.main import with_every_verb
 from pipeline.settings import Settings
@@ -329,3 +331,8 @@ def test_an_audit_leaves_out_what_security_explains():
     explained = re.findall(r"^- \*\*(CVE-\d+-\d+)\*\*", read(ROOT / "SECURITY.md"), re.MULTILINE)
     assert explained
     assert re.findall(r"--ignore-vuln (\S+)", make("-n", "audit").stdout) == explained
+
+
+def test_pictures_show_what_there_is():
+    """Otherwise: ``python -m experiments pictures``."""
+    assert read_json(ROOT / "results" / "pictures.json", "") == pictures.stamps()

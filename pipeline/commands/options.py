@@ -318,9 +318,12 @@ def warn_if_outdated(*paths: Path):
             say(note)
 
 
-def tell(value, as_text, as_json: bool):
-    """Print a result as JSON, or as text made by ``as_text``."""
-    show(json.dumps(value, indent=2) if as_json else as_text(value))
+def tell(value, as_text, as_json: bool, marked: str = ""):
+    """Print a result as JSON, or as text made by ``as_text`` with a word marked by colour."""
+    if as_json:
+        show(json.dumps(value, indent=2))
+    else:
+        show(as_text(value), marked=marked)
 
 
 def conclude(summary: dict, failed: str, as_text, as_json: bool):

@@ -9,6 +9,7 @@ import typer
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
+from pipeline.artifacts import OUTDATED
 from pipeline.commands import options
 from pipeline.progress import progress
 from pipeline.results.compare import compare_runs, read_runs, runs_text
@@ -30,6 +31,7 @@ def status(run: options.Run, as_json: options.Json = False):
         {"run": str(run), "artifacts": [status.to_json() for status in found]},
         lambda _: status_text(folder, found),
         as_json,
+        marked=OUTDATED,
     )
     imported = road_of(read_settings(folder.experiment)).imported
     if imported is not None and (note := imported.changed_note()) is not None:

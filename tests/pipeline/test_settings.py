@@ -176,7 +176,8 @@ def test_every_setting_is_listed_with_its_meaning():
 def test_the_listing_marks_what_a_run_has_otherwise(tmp_path, capsys):
     write_settings(tmp_path / "experiment.toml", Settings().with_values({"seed": 3}, ""))
     assert call("settings", tmp_path) == 0
-    first, meaning, *rest = capsys.readouterr().out.splitlines()
+    heading, first, meaning, *rest = capsys.readouterr().out.splitlines()
+    assert heading.startswith("# ")
     assert first == "* seed = 3  (default 0)"
     assert max(map(len, rest)) <= 80
     assert meaning.startswith("      ")

@@ -65,7 +65,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
 
 
 def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
-    """Tactile images of samples drawn at random, a row for each class.
+    """Tactile images of samples drawn at random, a row for each class with its number of samples.
 
     Without known positions, recordings of taxels in one row are drawn as taxels (down) over time
     (to the right).
@@ -81,12 +81,19 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     digits = np.unique(recordings.labels)
     images = normalise(aggregate(recordings))
     classes = recordings.sensor.classes
-    names = dict(zip(digits, shortened_apart([classes[d] for d in digits], NAME), strict=True))
+    numbers = np.bincount(recordings.labels)
+    names = {
+        digit: f"{name} ({numbers[digit]})"
+        for digit, name in zip(
+            digits, shortened_apart([classes[d] for d in digits], NAME), strict=True
+        )
+    }
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
     width = 0.6 * per_digit + 0.1 + margin
     height = 0.6 * len(digits) + 0.5
     figure = Figure(figsize=(width, height))
     figure.suptitle(_source(recordings), y=1 - 0.1 / height, va="top")
+    _scale(figure, width, height)
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
     figure.subplots_adjust(margin / width, 0.01, 0.99, 1 - 0.45 / height, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
@@ -101,6 +108,15 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
     return figure
+
+
+def _scale(figure, width, height):
+    """The scale of the shades, in the upper right corner."""
+    axes = figure.add_axes((1 - 2.05 / width, 1 - 0.22 / height, 0.7 / width, 0.12 / height))
+    axes.imshow(np.linspace(0, 1, 64)[None], cmap="Blues", aspect="auto")
+    axes.set(xticks=[], yticks=[])
+    axes.text(-0.06, 0.5, "no event", transform=axes.transAxes, ha="right", va="center", size=8)
+    axes.text(1.06, 0.5, "most of a recording", transform=axes.transAxes, va="center", size=8)
 
 
 def _duration_s(recordings, events):
