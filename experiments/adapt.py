@@ -22,7 +22,7 @@ from deploy.errors import UserError
 from deploy.files import sha256_of, write_json
 from deploy.tables import aligned
 from experiments import handwriting
-from experiments.studies import RESULTS, Store
+from experiments.studies import RESULTS, Store, measured
 from pipeline.commands import options
 from pipeline.data.dataset import Dataset, dataset_origin, split_of
 from pipeline.data.library import simulated
@@ -227,7 +227,7 @@ def main(
         rows, failed = study(cases, folder.path, sha256_of(pen), workers, options.say, by)
     people = [person for row in rows for person in row["people"]]
     found = {"experiment": name, "simulated": True, "pen": sha256_of(pen), "draws": draws}
-    found["rows"] = summarise(people)
+    found |= {"rows": summarise(people), "measured": measured()}
     write_json(out / f"{name}.json", found)
     if store and not failed:
         write_json(RESULTS / f"{store}.json", found)

@@ -346,14 +346,19 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
     sha256 = recordings.source.sha256
     rows, failed = study.study(cases, folder.path, sha256, workers, say, measure)
     result = {"experiment": experiment.name, **study.table(rows, against=experiment.pairs)}
-    result["measured"] = {
+    result["measured"] = measured()
+    write_json(folder.path / f"{experiment.name}.json", result)
+    return result, "; ".join(f"{c.name}, {c.split} {c.seed}: {e}" for c, e in failed.items())
+
+
+def measured() -> dict:
+    """Where and when something was measured: processor, versions and time of the end."""
+    return {
         "processor": processor(),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in ("tensorflow", "numpy", "nengo-loihi")},
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
-    write_json(folder.path / f"{experiment.name}.json", result)
-    return result, "; ".join(f"{c.name}, {c.split} {c.seed}: {e}" for c, e in failed.items())
 
 
 def splits_of(experiment: Experiment, settings, recordings) -> tuple:

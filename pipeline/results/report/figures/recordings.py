@@ -93,7 +93,6 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     height = 0.6 * len(digits) + 0.5
     figure = Figure(figsize=(width, height))
     figure.suptitle(_source(recordings), y=1 - 0.1 / height, va="top")
-    _scale(figure, width, height)
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
     figure.subplots_adjust(margin / width, 0.01, 0.99, 1 - 0.45 / height, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
@@ -107,6 +106,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
                 _show_over_time(axes, recordings, index)
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
+    _scale(figure, width, height)
     return figure
 
 

@@ -48,9 +48,8 @@ def test_recording(recordings):
 
 def test_sheet_has_a_row_for_each_digit(recordings):
     figure = data_figures.sheet(recordings, per_digit=3)
-    shown = [axes for axes in figure.get_axes() if axes.get_visible()]
-    assert len(shown) == 2
-    assert [axes.get_ylabel() for axes in shown] == ["4", "8"]
+    *shown, _ = [axes for axes in figure.get_axes() if axes.get_visible()]  # the last is the scale
+    assert [axes.get_ylabel() for axes in shown] == ["4 (1)", "8 (1)"]
     image = np.asarray(shown[1].images[0].get_array())
     assert image[9, 9] == 1
     assert image.sum() == 1
@@ -63,7 +62,7 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
     strip = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
                     Sensor(1, 3, duration_s=1.0, classes=("a", "b")))  # fmt: skip
-    first, second = data_figures.sheet(strip, per_digit=1).get_axes()
+    first, second, _ = data_figures.sheet(strip, per_digit=1).get_axes()
     *_, last, _ = data_figures.recording(strip, 0).get_axes()
     if positions:
         for axes, expected in ((first, [1, 0, 1]), (second, [0, 1, 0]), (last, [1, 0, 1])):
