@@ -6,12 +6,13 @@ between two answers is in the object that :meth:`Decider.begin` returns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax
 
+from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence
 from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
@@ -25,6 +26,11 @@ from pipeline.settings import Image
 # Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
 # screen.
 MOST_DRAWN = 4096
+
+
+# Time for which a network on events receives them, in multiples of its presentation: a slow hand
+# takes longer than the recordings of the training.
+SLOWER = 3
 
 
 @dataclass(frozen=True)
@@ -154,12 +160,14 @@ class Decider:
         Confidence for early decisions; None if the network always decides at the end.
     window_s : float or None
         Seconds from the first event on for which the network receives events; None for images.
+    usual_s : float or None
+        As `window_s`, of the samples that the network was trained on.
     settles_s : float
         Seconds that a spike needs to the output.
     """
 
     clocked = False
-    window_s, settles_s = None, 0.0
+    window_s, usual_s, settles_s = None, None, 0.0
 
     def __init__(self, bundle: Bundle, sensor: Sensor, seed: int):
         self._spec = spec = bundle.spec
@@ -291,9 +299,12 @@ class EventDecider(Decider):
     clocked = True
 
     def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
-        super().__init__(bundle, sensor, seed)
-        milliseconds = 1e3 * self._spec.stimulus.step_seconds
-        self.window_s = self._spec.stimulus.step_seconds * self._spec.presentation.steps
+        spec, step_s = bundle.spec, bundle.spec.stimulus.step_seconds
+        self.usual_s = step_s * spec.presentation.steps
+        longer = spec.with_presentation(steps=min(SLOWER * spec.presentation.steps, limits.STEPS))
+        super().__init__(replace(bundle, spec=longer), sensor, seed)
+        milliseconds = 1e3 * step_s
+        self.window_s = step_s * longer.presentation.steps
         self.settles_s = self._spec.stimulus.step_seconds * (len(self._spec.layers) + 2)
         self.about = (
             "time runs to the right as it does on the sensor. This network receives the events, "
@@ -309,9 +320,11 @@ class EventDecider(Decider):
         if len(events) == 0:
             return None
         shown, seconds = self._spec.presentation, self._spec.stimulus.step_seconds
-        first_s = events.time_ns[0] * 1e-9
+        first_s, last_s = events.time_ns[[0, -1]] * 1e-9
         since = (time_s - first_s) / seconds  # steps of the first event on
-        steps = int(min(max(since, 0), shown.steps))
+        # A recording of the usual length ends with its presentation, as in the check.
+        end_s = max(self.usual_s, last_s - first_s + self.settles_s)
+        steps = int(min(max(since, 0), round(end_s / seconds), shown.steps))
         if steps <= shown.readout_start:
             return None
         table, rest = EventTable.of(self._recording(events)), self._spec.stimulus.refractory

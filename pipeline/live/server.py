@@ -362,6 +362,7 @@ class Live:
             "first_step": decider.first_step,
             "threshold": decider.threshold,
             "window_s": decider.window_s,
+            "usual_s": decider.usual_s,
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _say(socket, [ready, state])

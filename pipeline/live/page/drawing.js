@@ -134,7 +134,7 @@ const LINES = ["--s1", "--s2", "--s3", "--s4"];
 
 // Everything on one time axis: events of the sensor, spikes of each layer, belief in the likeliest
 // classes; the end of what the network receives, and the decision as a line.
-// race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, seconds, chances,
+// race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, usualS, seconds, chances,
 //         classes, verdict }
 // A network on images is presented the image so far again and again: its spikes have an axis of their own.
 export function drawRace(canvas, race) {
@@ -142,7 +142,7 @@ export function drawRace(canvas, race) {
   const onEvents = race.windowS !== null;
   const start = race.events.s[0] ?? 0; // the network's time begins with the first event
   const window = onEvents ? start + race.windowS : Infinity;
-  const end = onEvents ? Math.max(window, race.time) : spanOf(Math.max(race.time, 1));
+  const end = onEvents ? Math.max(start + race.usualS, race.time) : spanOf(Math.max(race.time, 1));
   const x = (seconds) => LEFT + (seconds / end) * (width - LEFT - RIGHT);
   const parts = ["touch", ...race.layers, "belief"];
   const free = height - BELOW - parts.length * (ABOVE + GAP);

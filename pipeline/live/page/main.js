@@ -608,7 +608,7 @@ function draw() {
       $("count").textContent = events.taxel.length ? `${events.taxel.length} events` : "";
       if (ready) drawRace($("race"), {
         events, time, classes: about.classes, steps: ready.steps, firstStep: ready.first_step,
-        windowS: ready.window_s, verdict: shown?.verdict ?? null,
+        windowS: ready.window_s, usualS: ready.usual_s, verdict: shown?.verdict ?? null,
         ...(spikes ?? { seconds: [], chances: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
       });
     }

@@ -13,6 +13,7 @@ from deploy.targets.registry import answer as answers_of
 from pipeline.data.dataset import inputs_of
 from pipeline.data.events import Events, Sensor
 from pipeline.data.images import tactile_images
+from pipeline.data.steps import EventTable
 from pipeline.live.deciding import EventDecider, decider_of
 from pipeline.settings import Image, Settings
 from pipeline.skin.simulate import simulate
@@ -79,6 +80,24 @@ def clocked():
         presentation=replace(small.presentation, steps=200, confidence=0.7),
     )
     return Bundle(None, "random", spec, None)
+
+
+def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
+    """Longer than the presentation: as the target answers with as many steps as it takes."""
+    slow = replace(recordings.events, time_ns=4 * recordings.events.time_ns)
+    slow = replace(recordings, events=slow)
+    decider = decider_of(clocked, Image(), Sensor())
+    spec = clocked.spec.with_presentation(steps=600, stream_length=1)
+    frames = EventTable.of(slow).frames(np.arange(len(slow)), 10.0, 600, 1)
+    expected = answers_of(spec, np.moveaxis(frames, 0, 1), "fast")
+    longer = 0
+    for index in range(0, len(slow), 3):
+        first, last = slow[index].time_ns[[0, -1]] * 1e-9
+        end = round((max(2.0, last - first + decider.settles_s)) / 0.01)
+        longer += end > 200
+        said = decider.begin().answer(slow[index], math.inf)
+        assert said.decision == expected.decisions[index, min(end, 600) - 1]
+    assert longer > 3
 
 
 def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
