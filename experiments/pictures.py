@@ -7,14 +7,14 @@ test fails if one of them has changed since the picture was made.
 from __future__ import annotations
 
 import hashlib
-import math
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+
+import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import write_json
@@ -24,6 +24,7 @@ from pipeline.data.library import simulated
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.results.report import figures
 from pipeline.results.report.figures import recordings
+from pipeline.skin import handwriting, parameters, simulate
 
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ("pipeline/results/report/figures/recordings.py", "pipeline/look.css")
@@ -33,8 +34,6 @@ SHOWN = {
     "sheet.png": FIGURES,
     "live.png": ("pipeline/live/page/*", "pipeline/look.css"),
 }
-# Time in which the 8 is written.
-WRITING_S = 1.3
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -45,6 +44,33 @@ def stamps() -> dict:
         paths = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
         hashes[name] = hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
     return hashes
+
+
+def _hand():
+    """A simulated hand's 8 in 1.2 s: milliseconds, and shares of the width and height."""
+    p, rng = parameters.load(), np.random.default_rng(0)
+    who = handwriting.writers(rng, p.writers, p.shapes)[0]
+    motion = simulate.motion(simulate.Sample(8, 0, 0), who, rng, p)
+    first, last = np.flatnonzero(motion.force > 0.3 * motion.force.max())[[0, -1]]
+    at = np.linspace(first, last, 120).astype(int)
+    places = (motion.right[at] + 0.5) / 10, (motion.down[at] + 0.5) / 10
+    return np.stack([np.linspace(0, 1200, 120), *places], axis=1).tolist()
+
+
+# Points go in from inside the page, without the round trips of a browser's driver.
+WRITE = """async (points) => {
+  const skin = document.querySelector("#skin"), box = skin.getBoundingClientRect();
+  const begun = performance.now();
+  const send = (kind, x, y) => skin.dispatchEvent(new PointerEvent(kind, {
+    pointerId: 9, pointerType: "mouse", pressure: kind === "pointerup" ? 0 : 0.5,
+    clientX: box.left + x * box.width, clientY: box.top + y * box.height,
+  }));
+  for (const [index, [since, x, y]] of points.entries()) {
+    while (performance.now() - begun < since) await new Promise((done) => setTimeout(done, 2));
+    send(index ? "pointermove" : "pointerdown", x, y);
+  }
+  send("pointerup", ...points.at(-1).slice(1));
+}"""
 
 
 def _live(path):
@@ -61,18 +87,7 @@ def _live(path):
             page = browser.new_page(viewport={"width": 1280, "height": 800})
             page.goto(url)
             page.wait_for_selector("body[data-ready]")
-            box = page.locator("#skin").bounding_box()
-            begun = share = 0.0
-            while share < 1:
-                share = min((time.monotonic() - begun) / WRITING_S, 1.0) if begun else 0.0
-                angle = 2 * math.pi * (0.06 + share)
-                x, y = 0.5 + 0.17 * math.sin(2 * angle), 0.5 - 0.4 * math.cos(angle)
-                page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
-                if not begun:
-                    page.mouse.down()
-                    begun = time.monotonic()
-                page.wait_for_timeout(10)
-            page.mouse.up()
+            page.evaluate(WRITE, _hand())
             page.wait_for_timeout(2500)
             page.screenshot(path=path)
             browser.close()
