@@ -28,7 +28,8 @@ def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
     image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
     assert changes["image"] == {**image, "normalisation": "sqrt-max"}
     assert changes["snn"] == {"dropout": 0.5}
-    assert len(lines) == 3
+    assert changes["deployment"] == {"input_rate": 60.0}
+    assert len(lines) == 4
     chosen = road_of(settings(**changes))
     assert chosen.channels == 16
 
@@ -37,8 +38,9 @@ def test_what_the_user_sets_is_kept():
     strip = recordings(1, 30)
     changes, _ = road_of(settings(image={"normalisation": "sum"})).choices(strip)
     assert changes == {"cnn": {"architecture": "1x30-256-3o"}}
-    changes, _ = road_of(settings(snn={"dropout": 0.1})).choices(strip)
-    assert "snn" not in changes
+    own = {"snn": {"dropout": 0.1}, "deployment": {"input_rate": 90.0}}
+    changes, _ = road_of(settings(**own)).choices(strip)
+    assert not {"snn", "deployment"} & changes.keys()
     assert road_of(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip) == ({}, [])
 
 
