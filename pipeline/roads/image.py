@@ -54,7 +54,7 @@ def training_versions() -> dict:
 # chosen by cross-validation within the training parts of two published data sets of real touch,
 # with 39 and 80 taxels. Its image has the square roots of the counts of each polarity and slice.
 SLICES, WIDTH, DROPOUT = 8, 256, 0.5
-# Spikes per second of its largest pixel: there as accurate as 500, with an eighth of the operations.
+# Spikes per second of its largest pixel: as accurate there as 500, an eighth of the operations.
 INPUT_RATE = 60.0
 
 
