@@ -76,14 +76,18 @@ def energy(
     bundle: options.Bundle,
     result: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Argument(help="A check result (default: where check run writes the emulator's)."),
+        typer.Argument(
+            help="A check result (default: that of emulator or fast beside the bundle)."
+        ),
     ] = None,
     as_json: options.Json = False,
 ):
     """Estimate the energy of an inference from the spikes that a check counted."""
     opened = _opened(bundle)
-    path = result or checks_beside(opened.path) / "emulator.json"
-    remedy = f"run 'stmnist check run {bundle} --target emulator'"
+    # Both targets count the same spikes.
+    usual = [checks_beside(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
+    path = result or next((path for path in usual if path.exists()), usual[-1])
+    remedy = f"run 'stmnist check run {bundle} --target fast'"
     counted = read_result(path, remedy if result is None else "give the result of a check")
     if counted["bundle"] != opened.id:
         raise UserError(f"{path}: belongs to another bundle than {bundle}; {remedy}")

@@ -70,7 +70,7 @@ def test_result_without_counts_is_refused():
 def test_energy_of_a_bundle_that_never_ran_names_the_target_to_run(tmp_path, capsys):
     bundle = bundle_at(tmp_path / "bundle")
     assert call("deploy", "energy", bundle.path) == 2
-    said = f"stmnist check run {bundle.path} --target emulator"
+    said = f"stmnist check run {bundle.path} --target fast"
     assert said in " ".join(capsys.readouterr().err.split())
 
 

@@ -50,11 +50,11 @@ def test_export_with_inputs(bundle, capsys, tmp_path):
 
 def test_energy(bundle, capsys):
     checks = bundle.path.parent / "checks"
-    run_check(bundle, "emulator", checks / "emulator.json")
+    run_check(bundle, "fast", checks / "fast.json")
     status, out, _ = run(capsys, "deploy", "energy", bundle.path)
     assert status == 0
     assert out.startswith("ESTIMATE")
-    _, out, _ = run(capsys, "deploy", "energy", bundle.path, checks / "emulator.json", "--json")
+    _, out, _ = run(capsys, "deploy", "energy", bundle.path, checks / "fast.json", "--json")
     assert json.loads(out)["joules_per_inference"]["loihi"] > 0
 
 
