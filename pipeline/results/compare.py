@@ -363,7 +363,7 @@ def _accuracy_lines(compared, letters):
         "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
     ]
     if any(cells[-1].endswith("*") for cells in rows):
-        lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
+        lines.append(f"*: p below {SIGNIFICANCE:g}, uncorrected for several tests")
     if unpaired:
         lines.append("unpaired: the samples are different; p is that of Fisher's exact test")
     return lines

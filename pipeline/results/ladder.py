@@ -288,7 +288,7 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
             f"p {p_text(simplest['mcnemar_p'])}"
         )
     if any(cells[-1] for cells in table):
-        lines.append(f"*: p below {SIGNIFICANCE:g}, more than chance explains")
+        lines.append(f"*: p below {SIGNIFICANCE:g}, uncorrected for several tests")
     for stage in (row["stage"] for row in ladder["rows"]):
         if stage in TARGETS and TARGETS[stage].note:
             lines.append(f"{stage}: {TARGETS[stage].note}")
