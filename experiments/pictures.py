@@ -1,6 +1,6 @@
 """Make the pictures of the documents.
 
-``results/pictures.json`` has, for each picture, a hash of the files that determine how it looks; a
+``docs/pictures.json`` has, for each picture, a hash of the files that determine how it looks; a
 test fails if one of them has changed since the picture was made.
 """
 
@@ -19,7 +19,6 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.terminal import show
-from experiments.studies import RESULTS
 from pipeline.data.library import simulated
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.results.report import figures
@@ -107,5 +106,5 @@ def main():
     figures.save(recordings.recording(sample, index), docs / "recording.png")
     figures.save(recordings.sheet(sample, 8), docs / "sheet.png")
     _live(docs / "live.png")
-    write_json(RESULTS / "pictures.json", stamps())
+    write_json(ROOT / "docs" / "pictures.json", stamps())
     show("\n".join(f"docs/{name}" for name in SHOWN))

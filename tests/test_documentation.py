@@ -335,4 +335,4 @@ def test_an_audit_leaves_out_what_security_explains():
 
 def test_pictures_show_what_there_is():
     """Otherwise: ``python -m experiments pictures``."""
-    assert read_json(ROOT / "results" / "pictures.json", "") == pictures.stamps()
+    assert read_json(ROOT / "docs" / "pictures.json", "") == pictures.stamps()
