@@ -53,15 +53,6 @@ class EventTable:
     def __len__(self):
         return len(self.offsets) - 1
 
-    def followed_by(self, other: EventTable) -> EventTable:
-        """The recordings of this table, followed by those of another one of the same size."""
-        columns = ("time_ms", "row", "column", "polarity")
-        joined = {
-            name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in columns
-        }
-        offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
-        return EventTable(**joined, offsets=offsets, size=self.size)
-
     @property
     def duration_ms(self) -> np.ndarray:
         """Time from a recording's first event to its last, float32, shape (n_samples,)."""

@@ -76,11 +76,6 @@ class Part(NamedTuple):
     action: str = "training"
     temporary: tuple = ()
 
-    @property
-    def is_trained(self) -> bool:
-        """True if the part is a network that is trained, which takes long."""
-        return self.action == "training"
-
 
 class Reference(NamedTuple):
     """A stage of the ladder before the bundle, with which those of the targets are compared.

@@ -8,10 +8,9 @@ import pytest
 
 from deploy.errors import CheckFailed
 from experiments import calibration
-from experiments.calibration import BOUNDS, calibrate, cells, step
+from experiments.calibration import BOUNDS, TABLE1, calibrate, cells, step
 from experiments.document import result
 from pipeline.data import statistics
-from pipeline.paper import TABLE1
 from pipeline.skin import parameters
 from pipeline.skin.simulate import simulate, source_of
 

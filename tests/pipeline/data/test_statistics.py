@@ -9,7 +9,6 @@ from scipy.io import loadmat
 from pipeline.data import statistics
 from pipeline.data.events import Events, Source, TaxelMap, collect
 from pipeline.data.matfile import read_recording
-from pipeline.paper import TABLE1
 
 SOURCE = Source("by hand", "", False)
 
@@ -56,8 +55,3 @@ def test_the_one_real_recording(real_recording):
     assert measures["y_mean"] == pytest.approx((rows // 10 + 1).mean())
     assert measures["x_range"] == np.ptp(rows % 10)
     assert measures["y_range"] == np.ptp(rows // 10)
-
-
-def test_the_papers_table():
-    assert sum(row["samples"] for row in TABLE1.values()) == 6953
-    assert TABLE1[2]["x_mean"] == (6.57, 0.70)

@@ -55,15 +55,6 @@ def test_a_taxel_rests_after_a_spike():
     assert np.flatnonzero(long[:, 2, 1]).tolist() == [0]
 
 
-def test_two_tables_as_one(table):
-    both = table.followed_by(table)
-    assert len(both) == 4
-    for first, second in ((0, 2), (1, 3)):
-        one, other = (both.frames([index], 10, 5) for index in (first, second))
-        np.testing.assert_array_equal(one, other)
-        np.testing.assert_array_equal(one, table.frames([first], 10, 5))
-
-
 def test_frames_take_steps_down_and_leave_out_what_is_before_and_after():
     one = np.zeros(4, int)
     step = np.array([-0.1, 0.9, 1.0, 2.0])

@@ -76,31 +76,6 @@ def test_whatever_is_off_the_front_is_beaten_from_on_it(costs):
         assert not any((other <= cost).all() and (other < cost).any() for other in costs)
 
 
-CHANGES = [
-    {"presentation.steps": steps, "deployment.synapse": synapse}
-    for steps, synapse in ((30, 0.005), (50, 0.005), (30, 0.01), (50, 0.01))
-]
-
-
-def rows():
-    """Rows of three points; the fourth has failed."""
-    found = []
-    for number, (right, operations, steps) in enumerate(
-        [(7, 800.0, 30), (8, 1500.0, 50), (7, 900.0, 30)]
-    ):
-        costs = {"operations": operations, "per_cnn": operations / 1000, "cores": 2, "steps": steps}
-        shared = {"right": [1] * right + [0] * (10 - right), "simulated": True}
-        chip = {"name": f"point-{number}-fast", "accuracy": right / 10, "costs": costs}
-        trained = {"name": f"point-{number}-rate-lif", "accuracy": 0.91}
-        found += [{**trained, **shared}, {**chip, **shared}]
-    return found
-
-
-def summary():
-    failed = [{"changes": CHANGES[3], "error": "ValueError: no good"}]
-    return {**sweep.summarise(CHANGES, rows()), "failed": failed}
-
-
 TINY = (
     *("--set", "data.samples_per_digit=40", "--set", "cnn.epochs=4", "--set", "snn.epochs=2"),
     *("--set", "presentation.readout_start=10", "--jobs", 1),
