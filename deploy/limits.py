@@ -38,8 +38,5 @@ FILE_BYTES = ARRAY_BYTES + (1 << 24)
 # Largest number of bytes of a JSON file.
 TEXT_BYTES = 1 << 28
 
-# Levels of a JSON file.
-NESTED = 50
-
 # Largest number of bytes of a file of settings.
 SETTINGS_BYTES = 1 << 20

@@ -29,8 +29,6 @@ class Chip:
     input_bits, current_bits, voltage_bits : int
         Bits of one step's synaptic input, of the current and of the voltage, without signs; the
         first two wrap around, the voltage is clipped.
-    population_channels, population_axons : int
-        Channels and input axons that the short form of population spikes (16 bits) can address.
     synapse_word_bits, synapse_header_bits : int
         Bits of a word of synapse memory, and of the header of a list of synapses.
     synaptic_operation_joules, neuron_update_joules : float
@@ -48,8 +46,6 @@ class Chip:
     input_bits: int
     current_bits: int
     voltage_bits: int
-    population_channels: int
-    population_axons: int
     synapse_word_bits: int
     synapse_header_bits: int
     synaptic_operation_joules: float
@@ -96,8 +92,6 @@ LOIHI = Chip(
     input_bits=21,
     current_bits=23,
     voltage_bits=23,
-    population_channels=32,
-    population_axons=1024,
     synapse_word_bits=64,
     synapse_header_bits=10,
     synaptic_operation_joules=(23.6 + 3.5) * 1e-12,

@@ -200,8 +200,6 @@ _CHANGES = {"settings": SettingsFile, "assignments": Assignments}
 RunGiven = group(Given, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **_CHANGES)
 TrainingGiven = group(Given, data=Data, input=Input, seed=Seed, **_CHANGES)
 SeededGiven = group(Given, data=Data, seed=Seed, **_CHANGES)
-InputGiven = group(Given, data=Data, input=Input, **_CHANGES)
-DataGiven = group(Given, data=Data, **_CHANGES)
 WithoutDataGiven = group(Given, seed=Seed, input=Input, **_CHANGES)
 
 
