@@ -40,7 +40,6 @@ PLACES = {
     "models.nir_simulator": ("simulate",),
     "pipeline.data.dataset": ("Dataset",),
     "pipeline.data.splits": ("draw_check_samples",),
-    "pipeline.live.serving": ("live",),
     "pipeline.progress": ("progress",),
     "pipeline.data.eventfiles": ("write_recordings",),
     "pipeline.results.report": ("write_report",),

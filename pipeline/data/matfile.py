@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import io
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import h5py
 import numpy as np
@@ -26,7 +26,6 @@ from pipeline.data.events import (
 from pipeline.paper import DURATION_S
 
 VARIABLE = "spiketrain"
-_WRITTEN = ("source", "time", "handedness", "seed", "pen")
 # A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
 # milliseconds.
 LATEST_S = 60.0
@@ -40,7 +39,7 @@ HEADER = b"MATLAB 5.0 MAT-file"
 # Bytes of an element of each MATLAB class that a recording may have.
 ITEM_SIZES = {
     **{f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)},
-    **{"double": 8, "single": 4, "logical": 1, "char": 4},
+    **{"double": 8, "single": 4, "logical": 1},
 }
 
 # Largest number of taxels of any array, since events cannot address more.
@@ -55,29 +54,6 @@ class BadRecording(ValueError):
 
 
 @dataclass(frozen=True)
-class Written:
-    """Facts about a recording that a person wrote on the simulated skin.
-
-    Attributes
-    ----------
-    time : str
-        Time of the recording, ISO 8601 with its zone.
-    handedness : str
-        ``"left"``, ``"right"``, or empty if it was not stated.
-    seed : tuple of int
-        Seed of the skin's noise.
-    pen : ndarray of float, shape (n, 5)
-        Time in seconds, place in taxels (down, right), pressure and touch (1 or 0) of each point
-        of the pen as received (:class:`pipeline.skin.writing.PenPoint`).
-    """
-
-    time: str
-    handedness: str = ""
-    seed: tuple = ()
-    pen: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
-
-
-@dataclass(frozen=True)
 class MatRecording:
     """The contents of one file.
 
@@ -88,9 +64,8 @@ class MatRecording:
         True if the file states that it is simulated (in a variable that this project adds).
     writer : int
         Number of the writer (in such a variable), or -1.
-    written : Written or None
-        Not None if the file states that a person wrote it on the simulated skin (in the variable
-        ``source`` with the value ``"written"``).
+    written : bool
+        True if the file states that a person wrote it on the simulated skin (in such a variable).
     n_taxels : int
         Number of taxels, from the rows of the file.
     """
@@ -98,7 +73,7 @@ class MatRecording:
     events: Events
     simulated: bool = False
     writer: int = -1
-    written: Written | None = None
+    written: bool = False
     n_taxels: int = N_TAXELS
 
     def __len__(self):
@@ -124,37 +99,20 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     BadRecording
         Not a MAT file, or not a recording; see :func:`events_of`.
     """
-    wanted = (VARIABLE, "simulated", "writer", *_WRITTEN)
+    wanted = (VARIABLE, "simulated", "written", "writer")
     variables = read_variables(content, lambda name, shape: name in wanted)
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
-    simulated, writer = (_number(variables.get(name)) for name in ("simulated", "writer"))
+    simulated, written, writer = (_number(variables.get(name)) for name in wanted[1:])
     spiketrain = np.asarray(variables[VARIABLE])
     events = events_of(spiketrain, n_taxels)
     return MatRecording(
         events=events,
         simulated=bool(simulated),
         writer=writer_of(writer),
-        written=_written(variables),
+        written=bool(written),
         n_taxels=len(spiketrain) - 1,
     )
-
-
-def _written(variables):
-    source, time, handedness = (_text(variables.get(n)) for n in ("source", "time", "handedness"))
-    if source != "written":
-        return None
-    numbers = {k: v for k, v in variables.items() if isinstance(v, np.ndarray)}
-    seed, pen = (numbers.get(name) for name in ("seed", "pen"))
-    if seed is None or seed.dtype.kind not in "fiu" or not np.isfinite(seed).all():
-        seed = np.empty(0)
-    if pen is None or pen.dtype.kind != "f" or pen.ndim != 2 or pen.shape[1] != 5:
-        pen = np.empty((0, 5))
-    return Written(time, handedness, tuple(seed.ravel().astype(int).tolist()), pen)
-
-
-def _text(variable):
-    return variable if isinstance(variable, str) else ""
 
 
 def _number(variable):
@@ -231,8 +189,7 @@ def read_variables(content: bytes, fits) -> dict:
 
     Returns
     -------
-    dict of str to ndarray or str
-        Arrays of numbers, and short texts.
+    dict of str to ndarray
 
     Raises
     ------
@@ -262,12 +219,8 @@ def _read_mat5(content, fits):
         if kind in ITEM_SIZES and fits(name, shape):
             _refuse_too_large(name, shape, ITEM_SIZES[kind])
             names.append(name)
-    variables = scipy.io.loadmat(file, variable_names=names, chars_as_strings=True)
-    arrays = {name: variables[name] for name in names}
-    return {
-        name: str(array[0]) if array.dtype.kind == "U" and array.size == 1 else array
-        for name, array in arrays.items()
-    }
+    variables = scipy.io.loadmat(file, variable_names=names)
+    return {name: variables[name] for name in names}
 
 
 def _read_hdf5(content, fits):
@@ -322,12 +275,8 @@ def recording_bytes(recording: MatRecording) -> bytes:
         variables["simulated"] = 1.0
     if recording.writer >= 0:
         variables["writer"] = float(recording.writer)
-    if recording.written is not None:
-        written = recording.written
-        variables |= {"source": "written", "time": written.time, "pen": np.asarray(written.pen)}
-        variables["seed"] = np.array(written.seed, float)
-        if written.handedness:
-            variables["handedness"] = written.handedness
+    if recording.written:
+        variables["written"] = 1.0
     variables[VARIABLE] = spiketrain_of(recording.events, recording.n_taxels)
     return _mat_bytes(variables)
 
@@ -340,7 +289,7 @@ def read_lookup_table(content: bytes) -> TaxelMap:
     BadRecording
         No variable has that form, or its entries are not positions of different taxels.
     """
-    tables = [v for v in read_variables(content, _is_table).values() if isinstance(v, np.ndarray)]
+    tables = read_variables(content, _is_table).values()
     table = next((v for v in tables if v.dtype.kind in "fiub"), None)
     if table is None:
         raise BadRecording("has no table of rows with X and Y, or address, X and Y, one per taxel")

@@ -148,9 +148,8 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
         first, last = events.time_ns[0], events.time_ns[-1] + TICK_NS * (events.columns[-1] - 1)
         taxels, polarity = events.taxel, events.polarity
         facts["columns"] = int(events.columns.sum(dtype=np.int64))
-        if written := recording.written:
-            person = {"writer": recording.writer, "handedness": written.handedness or None}
-            facts |= {"source": "written", "time": written.time, **person}
+        if recording.written:
+            facts |= {"source": "written", "writer": recording.writer}
     return {
         **facts,
         "on": int((polarity == 1).sum()),
@@ -165,7 +164,7 @@ def file_text(name: str, facts: dict) -> str:
     """:func:`facts_of_file` in a line."""
     kind = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
-        kind = f" (written by hand on the simulated skin, {printable(facts['time'])})"
+        kind = " (written by hand on the simulated skin)"
     text = f"{printable(name)}{kind}: "
     if facts["columns"] != facts["events"]:
         text += f"{facts['columns']} columns, {facts['events']} physical events "

@@ -1,4 +1,4 @@
-"""Recordings that the page plays as examples: samples of the network's check, or saved ones.
+"""Recordings that the page plays as examples: the samples of the network's check.
 
 An example is played at its original speed to the decider that is used for the pen.
 """
@@ -14,13 +14,9 @@ from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
 from pipeline.data.events import Events, Recordings
 from pipeline.data.library import recordings_of
-from pipeline.live.keeping import Keeper
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 from pipeline.skin.writing import START_S
-
-# Sources of examples: the network's check, or the page's folder.
-TEST, KEPT = "test", "kept"
 
 # Time from an example's last event to its end.
 AFTERWARDS_S = 0.05
@@ -49,47 +45,33 @@ class Examples:
 
     Parameters
     ----------
-    keeper : Keeper
     tests : list of Example
     seed : sequence of int
     """
 
-    def __init__(self, keeper: Keeper, tests, seed):
-        self._keeper, self._tests = keeper, tests
+    def __init__(self, tests, seed):
+        self._tests = tests
         self._rng, self._decks = np.random.default_rng(seed), {}
 
-    def counts(self) -> list:
-        """Number of samples of the check for each class."""
-        n = len(self._keeper.sensor.classes)
-        return np.bincount(np.array([e.label for e in self._tests], int), minlength=n).tolist()
+    def counts(self, classes: int) -> list:
+        """Number of examples of each class."""
+        labels = np.array([example.label for example in self._tests], int)
+        return np.bincount(labels, minlength=classes).tolist()
 
-    def draw(self, origin: str, label: int | None = None) -> Example:
-        """The next example.
-
-        Parameters
-        ----------
-        origin : str
-            :data:`TEST` or :data:`KEPT`.
-        label : int, optional
-            The class of the example; default: any.
+    def draw(self, label: int | None = None) -> Example:
+        """The next example of a class; default: of any.
 
         Raises
         ------
         UserError
-            There is no such example, or its file cannot be read.
+            There is none.
         """
-        there = self._tests if origin == TEST else self._keeper.kept
-        fitting = {e.name: e for e in there if label is None or e.label == label}
+        fitting = [e for e in self._tests if label in (None, e.label)]
         if not fitting:
             raise UserError("there is no example of this class; choose another class")
-        deck = [name for name in self._decks.get((origin, label), ()) if name in fitting]
-        if not deck:
-            deck = self._rng.permutation(sorted(fitting)).tolist()
-        chosen = fitting[deck.pop()]
-        self._decks[origin, label] = deck
-        if origin == TEST:
-            return chosen
-        return Example(_from_start(self._keeper.read(chosen)), chosen.label, chosen.name)
+        deck = self._decks.get(label) or self._rng.permutation(len(fitting)).tolist()
+        self._decks[label] = deck[:-1]
+        return fitting[deck[-1]]
 
 
 class Replayed:

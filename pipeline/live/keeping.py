@@ -13,7 +13,6 @@ import json
 import os
 import re
 import threading
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,14 +26,13 @@ from deploy.files import (
     remove_leftovers,
     replacing,
 )
-from pipeline.data.events import Events, Sensor, TaxelMap
+from pipeline.data.events import Sensor, TaxelMap
 from pipeline.data.matfile import (
     BadRecording,
     MatRecording,
     lookup_table_bytes,
     read_limited,
     read_lookup_table,
-    read_recording,
     recording_bytes,
 )
 
@@ -213,33 +211,6 @@ class Keeper:
         """Numbers of the writers with recordings, in order."""
         return sorted({kept.writer for kept in self._kept})
 
-    def counts(self, writer: int | None = None) -> list:
-        """Recordings of each class by a writer, or by all of them."""
-        counts = Counter(kept.label for kept in self._kept if writer in (None, kept.writer))
-        return [counts[label] for label in range(len(self._places))]
-
-    @property
-    def kept(self) -> list:
-        """The recordings of all writers, in order."""
-        return list(self._kept)
-
-    def read(self, kept: Kept) -> Events:
-        """The events of a recording.
-
-        Raises
-        ------
-        UserError
-            The file does not exist any more, or is damaged.
-        """
-        path = self.folder / kept.name
-        try:
-            with open_regular(path) as file:
-                return read_recording(read_limited(file), len(self._taxels)).events
-        except OSError as error:
-            raise UserError(f"{path}: cannot be read ({error.strerror})") from error
-        except BadRecording as error:
-            raise UserError(f"{path}: {error}; delete it") from error
-
     def save(self, label: int, recording: MatRecording) -> Kept:
         """Write a recording; when the function returns, it is on the disk.
 
@@ -318,33 +289,6 @@ class Keeper:
                 )
             self._given.add(free)
             return free
-
-
-def asked_next(counts, each: int, seed) -> int | None:
-    """The class to ask for next.
-
-    The classes are asked for in one random order, ``each`` times every class.  Existing recordings
-    are left out, so that a session continues after a break, an undo or a restart.
-
-    Parameters
-    ----------
-    counts : sequence of int
-        Number of existing recordings of each class.
-    each : int
-    seed : int or sequence of int
-        The same seed gives the same order.
-
-    Returns
-    -------
-    int or None
-        None when the recordings are complete.
-    """
-    rest, order = Counter(dict(enumerate(counts))), np.repeat(np.arange(len(counts)), each)
-    for label in np.random.default_rng(seed).permutation(order).tolist():
-        if rest[label] == 0:
-            return label
-        rest[label] -= 1
-    return None
 
 
 def _list(folder, places):

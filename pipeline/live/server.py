@@ -33,7 +33,6 @@ from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
 from pipeline.live.qr import qr_code
 from pipeline.live.session import (
-    EACH,
     LONGEST_S,
     MOST_TAXELS,
     PAUSE_S,
@@ -156,15 +155,14 @@ class _Page:
     session : Session
     turn : asyncio.Lock
         Held by whoever uses the session.
-    wake, study, draw : asyncio.Event
-        Set when there may be something to answer or to learn, or spikes to draw.
+    wake, draw : asyncio.Event
+        Set when there may be something to answer, or spikes to draw.
     """
 
     socket: WebSocket
     session: Session
     turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
-    study: asyncio.Event = field(default_factory=asyncio.Event)
     draw: asyncio.Event = field(default_factory=asyncio.Event)
 
 
@@ -184,22 +182,15 @@ class Live:
     about : dict
         Plain values for the page: ``bundle``, ``accuracy`` and the like.
     seed : int
-    make_learner : callable, optional
-        Returns the :class:`~pipeline.live.learning.Learner`, or None for a network that cannot be
-        fitted; called after ``make_decider``.
     make_tests : callable, optional
         Returns the list of :class:`~pipeline.live.examples.Example` of the network's check; called
         when the network is ready.
     """
 
     def __init__(
-        self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0, make_learner=None,
-        make_tests=None,
-    ):  # fmt: skip
-        self._make_learner = make_learner or (lambda: None)
-        self._make_tests = make_tests or list
-        # A separate thread, so that decisions do not wait until a digit has been learned.
-        self._study_thread = concurrent.futures.ThreadPoolExecutor(1, "learning")
+        self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0, make_tests=list
+    ):
+        self._make_tests = make_tests
         self._make_decider = make_decider
         self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
         self._numbers = itertools.count(1)
@@ -215,24 +206,21 @@ class Live:
     @contextlib.asynccontextmanager
     async def lifespan(self, app):
         """Make the network ready while the page is already there."""
-        work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_both)
+        work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_decider)
         self._decider = asyncio.ensure_future(work)
         self._tests = asyncio.ensure_future(self._tests_when_ready())
         try:
             yield
         finally:
-            for threads in (self._hands, self._thread, self._study_thread):
+            for threads in (self._hands, self._thread):
                 threads.shutdown(wait=False, cancel_futures=True)
-
-    def _make_both(self):
-        return self._make_decider(), self._make_learner()
 
     async def _tests_when_ready(self):
         """The samples of the check and, where there are none, the reason."""
         try:
             await asyncio.shield(self._decider)
             loop = asyncio.get_running_loop()
-            return await loop.run_in_executor(self._study_thread, self._make_tests), ""
+            return await loop.run_in_executor(self._hands, self._make_tests), ""
         except Exception as error:  # reported on the page, which works without examples
             return [], str(error)
 
@@ -294,7 +282,7 @@ class Live:
             "shared": self.picture is not None,
         }
         await _say(socket, [hello, session.state()])
-        work = self._answer, self._draw, self._study, self._exhibit
+        work = self._answer, self._draw, self._exhibit
         tasks = [asyncio.create_task(each(page)) for each in work]
         try:
             while True:
@@ -308,7 +296,6 @@ class Live:
                         self._hands, session.handle, message["text"]
                     )
                 await _say(socket, replies)
-                page.study.set()
                 if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
                     page.wake.set()
         except BadMessage as error:
@@ -326,33 +313,16 @@ class Live:
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _say(page.socket, [{**examples, "reason": reason}])
 
-    async def _study(self, page):
-        """Run lessons one at a time, in order, and report what was learned."""
-        loop = asyncio.get_running_loop()
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            while True:
-                await page.study.wait()
-                page.study.clear()
-                async with page.turn:
-                    lessons = page.session.lessons()
-                for lesson in lessons:
-                    try:
-                        learned = await loop.run_in_executor(self._study_thread, lesson)
-                    except Exception as error:  # reported; the recording is saved
-                        learned = problem(f"this recording could not be learned: {error}")
-                    await _say(page.socket, [learned])
-
     async def _answer(self, page):
         """Send answers one at a time, each to the latest events."""
         loop, socket = asyncio.get_running_loop(), page.socket
         try:
-            decider, learner = await asyncio.shield(self._decider)
+            decider = await asyncio.shield(self._decider)
         except Exception as error:  # any error is reported on the page
             await _say(socket, [problem(f"the network cannot be made ready: {error}")])
             return
         async with page.turn:
-            page.session.begin(decider, learner)
-            state = page.session.state()
+            page.session.begin(decider)
         layers = [{"name": layer.name, "neurons": layer.neurons} for layer in decider.layers]
         ready = {
             "type": "ready",
@@ -365,8 +335,7 @@ class Live:
             "usual_s": decider.usual_s,
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _say(socket, [ready, state])
-            page.study.set()
+            await _say(socket, [ready])
             while True:
                 await page.wake.wait()
                 page.wake.clear()
@@ -396,7 +365,6 @@ _LIMITS = {
     "longest_s": LONGEST_S,
     "pause_s": PAUSE_S,
     "start_s": START_S,
-    "most_each": EACH,
     "most_taxels": MOST_TAXELS,
 }
 

@@ -1,4 +1,4 @@
-"""The live page of a run or a bundle, for the command and from Python."""
+"""The live page of a run or a bundle."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from deploy.terminal import remark, show
 from pipeline.live.network import (
     about,
     facts_of_run,
-    network_of_bundle,
-    network_of_run,
     record_folder,
     sensor_of,
 )
@@ -24,32 +22,6 @@ from pipeline.run import RunFolder, run_around
 from pipeline.skin import parameters
 
 PORT = 8765
-
-
-def live(run, port: int = PORT, record=None, host: str | None = None, open_browser: bool = True):
-    """Serve the live page of a run until it is interrupted.
-
-    Parameters
-    ----------
-    run : path-like
-        Folder of a run or of a bundle.
-    port, record, host, open_browser
-        As of :func:`serve`.
-
-    Raises
-    ------
-    UserError
-        There is no network, or the port is in use.
-    """
-    run = Path(run)
-
-    def network():
-        found = network_of_bundle(run) or network_of_run(RunFolder(run))
-        if found is None:
-            raise UserError(f"{run}: has no bundle; make it with 'stmnist ladder {run}'")
-        return found
-
-    serve(network, port, record, host, open_browser)
 
 
 def serve(
@@ -108,11 +80,6 @@ def serve(
 
             return decider_of(bundle, image, sensor)
 
-        def make_learner():
-            from pipeline.live.learning import Learner
-
-            return Learner.of(bundle, image, record, sensor)
-
         def make_tests():
             from pipeline.live.examples import check_examples
 
@@ -126,10 +93,7 @@ def serve(
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         told = about(bundle, sensor, record, note)
-        page = Live(
-            make_decider, keeper, parameters.load(), told,
-            make_learner=make_learner, make_tests=make_tests,
-        )  # fmt: skip
+        page = Live(make_decider, keeper, parameters.load(), told, make_tests=make_tests)
         try:
             Server(page, listening, when_listening, host).run()
         finally:

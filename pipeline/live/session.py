@@ -8,16 +8,12 @@ sends:
 ``clear``    discard the present recording
 ``label``    ``label``: save the recording under this class, counted from 0, and under the writer
              that it was begun with
-``example``  ``now``, ``origin`` (``"test"`` or ``"kept"``) and ``label`` (or null for any): play an
-             existing recording, which is not saved again
+``example``  ``now`` and ``label`` (or null for any): play a sample of the network's check
 ``undo``     discard the drawing on the skin or, if it is saved already, remove its file
-``learning`` ``on``: whether the network learns this writer's handwriting
-``forget``   delete what the network has learned from this writer
-``writer``   ``number`` (or null for a new one), ``handedness``, ``each`` (0: no session): the
-             writer, and the requested number of recordings of each class
+``writer``   ``number`` of the writer, or null for a new one
 
 and it receives: ``events``, ``answer``, ``spikes``, ``cleared``, ``saved``, ``undone``,
-``learned``, ``examples``, ``writer`` and ``problem``.  ``spikes`` are most of the data and slow to
+``examples``, ``writer`` and ``problem``.  ``spikes`` are most of the data and slow to
 draw, and are therefore not in every ``answer``.
 Any other message raises :class:`BadMessage`.
 """
@@ -25,24 +21,18 @@ Any other message raises :class:`BadMessage`.
 from __future__ import annotations
 
 import base64
-import datetime
-import functools
 import json
 import math
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from deploy.errors import UserError, line_of
 from pipeline.data.events import Events, joined
-from pipeline.data.matfile import MatRecording, Written
+from pipeline.data.matfile import MatRecording
 from pipeline.live.deciding import Answer, Decider
-from pipeline.live.examples import KEPT, TEST, Examples, Replayed
-from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper, asked_next
+from pipeline.live.examples import Examples, Replayed
+from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
-
-if TYPE_CHECKING:
-    from pipeline.live.learning import Learner  # Nengo takes a second to import
 
 # Maximum duration of a recording. The published ones last 2 s; some people write more slowly, and a
 # network on events receives the first 2 s only.
@@ -66,26 +56,9 @@ MOST_TAXELS = 4096
 # intermediate result of a piece takes 8 MB on the largest skin.
 PIECE_S = 0.5
 
-# Maximum number of recordings of each class in a session.
-EACH = 1000
-
 
 class BadMessage(ValueError):
     """Raised for a message that the page would not send; the text has the reason."""
-
-
-class Writer(NamedTuple):
-    """Who writes.
-
-    Attributes
-    ----------
-    number : int
-    handedness : str
-        ``"left"``, ``"right"``, or empty if it is not stated.
-    """
-
-    number: int = FIRST_WRITER
-    handedness: str = ""
 
 
 class OpenRecording:
@@ -99,10 +72,8 @@ class OpenRecording:
     deciding : object
         From ``Decider.begin``: answers for this recording.
     writing : Writing or Replayed
-    writer : Writer, optional
+    writer : int
         Who writes it, also if another writer is chosen before it is saved.
-    seed : sequence of int
-        Seed of the skin's noise.
     example : Example, optional
         The example that is played.
 
@@ -114,10 +85,10 @@ class OpenRecording:
         Its file; None before it is saved, and after that was undone.
     """
 
-    def __init__(self, number, begun_ms, deciding, writing, writer=None, seed=(), example=None):
-        self.number, self.seed, self.deciding = number, seed, deciding
+    def __init__(self, number, begun_ms, deciding, writing, writer=0, example=None):
+        self.number, self.deciding = number, deciding
         self.writing, self.writer, self.example = writing, writer, example
-        self.pen = []
+        self.last = None  # of the pen's points
         self.down = False
         self.complete = example is not None
         self.saved_as = None
@@ -157,20 +128,20 @@ class OpenRecording:
         if not self.over and (touches or self.down):
             point = PenPoint(self.time_s(page_ms), down, right, pressure, touches)
             self.writing.point(point)
-            self.pen.append((*point[:4], float(touches)))
+            self.last = point
         self.down = touches
 
     def lift(self):
         """Lift the pen, independently of the last message of the page."""
         if self.down:
-            _, down, right, pressure, _ = self.pen[-1]
+            _, down, right, pressure, _ = self.last
             self.point(self.page_ms(self.writing.time_s), right, down, pressure, False)
 
     def advance(self, page_ms) -> Events:
         """Advance the time: to now or, while the pen may be moving, to its last known point."""
         until = min(self.time_s(page_ms), self._longest_s)
         if self.down:
-            until = min(until, max(self.pen[-1][0], until - REST_S))
+            until = min(until, max(self.last.time_s, until - REST_S))
         else:
             until = min(until, self.writing.settled_s)
         return self._advance(until)
@@ -194,26 +165,20 @@ class Session:
     keeper : Keeper
     p : pipeline.skin.parameters.Parameters
     seed : int
-        Seed, together with the number, of the skin's noise and of the order of classes and
-        examples.
-    now : callable, optional
-        The time of day as a `datetime.datetime` with its zone.
+        Seed, together with the number, of the skin's noise and of the order of examples.
     """
 
-    def __init__(self, number, keeper: Keeper, p, seed=0, now=None):
+    def __init__(self, number, keeper: Keeper, p, seed=0):
         self._number, self._keeper, self._p, self._seed = number, keeper, p, seed
-        self._now = now or (lambda: datetime.datetime.now().astimezone())
-        self._decider = self._learner = self._examples = None
+        self._decider = self._examples = None
         self._sensor = keeper.sensor
-        self._learns, self._lessons = True, []
         self._recordings = 0
-        self._writer, self._each = Writer(), 0
+        self._writer = FIRST_WRITER
         self.recording = None
 
-    def begin(self, decider: Decider, learner: Learner | None = None):
-        """Set the decider and, if the network can be fitted, the learner."""
-        self._decider, self._learner = decider, learner
-        self._study("recall", self._writer.number)
+    def begin(self, decider: Decider):
+        """Set the decider, once it is ready."""
+        self._decider = decider
 
     def show(self, tests) -> dict:
         """Set the recordings of the network's check; returns the message ``examples``.
@@ -222,21 +187,9 @@ class Session:
         ----------
         tests : list of pipeline.live.examples.Example
         """
-        self._examples = Examples(self._keeper, tests, [self._seed, 3, self._number])
-        return {"type": "examples", "test": self._examples.counts()}
-
-    def lessons(self) -> list:
-        """The next lessons in order: functions for another thread, each returned once.
-
-        Each function returns the message ``learned``.
-        """
-        lessons, self._lessons = self._lessons, []
-        return lessons
-
-    def _study(self, what, *given):
-        """Add a lesson for the learner, unless learning is switched off."""
-        if self._learner is not None and (self._learns or what != "learn"):
-            self._lessons.append(functools.partial(getattr(self._learner, what), *given))
+        self._examples = Examples(tests, [self._seed, 3, self._number])
+        counts = self._examples.counts(len(self._sensor.classes))
+        return {"type": "examples", "counts": counts}
 
     @property
     def clocked(self) -> bool:
@@ -244,23 +197,13 @@ class Session:
         return self._decider is not None and self._decider.clocked
 
     def state(self) -> dict:
-        """The message ``writer``: the writer, the saved recordings, the requested class."""
-        number = self._writer.number
-        counts = self._keeper.counts(number)
-        done = sum(min(n, self._each) for n in counts)
-        asked = asked_next(counts, self._each, [self._seed, 1, number])
+        """The message ``writer``: the writer, and the number of saved recordings."""
+        known = self._keeper.writers
         return {
             "type": "writer",
-            "number": number,
-            "known": self._keeper.writers,
-            "handedness": self._writer.handedness,
-            "each": self._each,
-            "done": done,
-            "asked": asked if self._each else None,
+            "number": self._writer,
+            "known": known,
             "saved": len(self._keeper),
-            "kept": self._keeper.counts(),
-            "learns": self._learner is not None and self._learns,
-            "can_learn": self._learner is not None,
         }
 
     def handle(self, text: str) -> list:
@@ -363,7 +306,7 @@ class Session:
             return True
         if recording.down:
             return False
-        return recording.over or recording.time_s(page_ms) > recording.pen[-1][0] + PAUSE_S
+        return recording.over or recording.time_s(page_ms) > recording.last.time_s + PAUSE_S
 
     def _begin(self, page_ms):
         self._recordings += 1
@@ -371,33 +314,23 @@ class Session:
         sensor = self._sensor
         writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
         self.recording = OpenRecording(
-            self._recordings, page_ms, self._deciding(), writing, self._writer, seed
+            self._recordings, page_ms, self._decider.begin(), writing, self._writer
         )
 
-    def _deciding(self):
-        own = self._learner.decider(self._writer.number) if self._learner and self._learns else None
-        return (own or self._decider).begin()
-
     def _example(self, message):
-        now_ms, origin, label = _number(message, "now"), message.get("origin"), message.get("label")
-        if origin not in (TEST, KEPT):
-            raise BadMessage(f"origin: neither {TEST} nor {KEPT}")
+        now_ms, label = _number(message, "now"), message.get("label")
         if label is not None:
             label = self._class(message)
         if self._decider is None or self._examples is None:
             return [problem("the examples are not ready yet; wait a moment and try again")]
-        example = self._examples.draw(origin, label)
+        example = self._examples.draw(label)
         self._recordings += 1
+        deciding, replayed = self._decider.begin(), Replayed(example.events)
         self.recording = OpenRecording(
-            self._recordings, now_ms, self._deciding(), Replayed(example.events), example=example
+            self._recordings, now_ms, deciding, replayed, example=example
         )
-        return [
-            {
-                "type": "cleared",
-                "recording": self._recordings,
-                "example": {"name": example.name, "label": example.label, "origin": origin},
-            }
-        ]
+        shown = {"name": example.name, "label": example.label}
+        return [{"type": "cleared", "recording": self._recordings, "example": shown}]
 
     def _class(self, message):
         return _whole(message, "label", 0, len(self._sensor.classes) - 1)
@@ -434,18 +367,10 @@ class Session:
         events = recording.writing.events
         if len(events) == 0:
             return [*replies, problem("no taxel has an event; write with more pressure")]
-        written = Written(
-            time=self._now().isoformat(timespec="seconds"),
-            handedness=recording.writer.handedness,
-            seed=recording.seed,
-            pen=np.array(recording.pen),
-        )
         taxels = self._sensor.rows * self._sensor.columns
-        writer = recording.writer.number
-        content = MatRecording(events, True, writer, written, taxels)
+        content = MatRecording(events, True, recording.writer, True, taxels)
         kept = self._keeper.save(label, content)
         recording.complete, recording.saved_as = True, kept
-        self._study("learn", writer, kept.name, label, events)
         saved = {
             "type": "saved",
             "label": label,
@@ -464,33 +389,16 @@ class Session:
             return [problem("nothing on the skin is saved; only that can be undone")]
         self._keeper.remove(saved)
         recording.saved_as = None  # it can be saved as another class
-        self._study("forget", saved.writer, saved.name)
         return [{"type": "undone", "label": saved.label, "name": saved.name}, self.state()]
-
-    def _learning(self, message):
-        on = message.get("on")
-        if type(on) is not bool:
-            raise BadMessage("on: neither true nor false")
-        self._learns = on
-        return [self.state()]
-
-    def _forget(self, message):
-        self._study("forget", self._writer.number)
-        return []
 
     def _who(self, message):
         number = message.get("number")
         if number is not None and (type(number) is not int or not 1 <= number < WRITERS):
             raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
-        handedness = message.get("handedness", "")
-        if handedness not in ("", "left", "right"):
-            raise BadMessage("handedness: neither left nor right nor empty")
-        each = _whole(message, "each", 0, EACH)
         if number is None:
             number = self._keeper.new_writer()
         self._keeper.is_writer(number)
-        self._writer, self._each = Writer(number, handedness), each
-        self._study("recall", number)
+        self._writer = number
         return [self.state()]
 
 
@@ -501,8 +409,6 @@ _HANDLERS = {
     "example": Session._example,
     "undo": Session._undo,
     "writer": Session._who,
-    "learning": Session._learning,
-    "forget": Session._forget,
 }
 
 

@@ -5,7 +5,6 @@ import { Link } from "./link.js";
 import { Pen } from "./pen.js";
 
 const $ = (id) => document.getElementById(id);
-const BY_ITSELF_MS = 1000;
 const AGAIN_MS = 2000; // until the page tries to connect again
 const [REFUSED, TOO_MANY] = [1008, 1013]; // codes with which the server ends a connection
 const LOST = "stmnist-lost";
@@ -18,20 +17,17 @@ history.scrollRestoration = "manual"; // after reloading, start at the skin
 const link = new Link();
 let about = null; // the data set: rows, columns, classes and the like
 let ready = null; // description of the network, once it is ready
-let writer = null; // the writer, and the requested class
-let tests = null; // test samples of each class, once they are known
+let writer = null; // the writer, and the number of saved recordings
+let examples = null; // number of examples of each class, once they are known
 let recording = null; // number of the recording that is written or played
 let kept = false;
 let warned = false; // of writing that the network does not receive
 let over = false; // the recording has been cut at its maximum duration
-let tried = false; // it was to be saved since the last stroke
 let strokes = [], flashes = [], counts = [];
 let events = { s: [], taxel: [], polarity: [] };
 let time = 0;
 let answer = null; // the latest answer, until it is displayed
 let spikes = null; // the latest spikes, which do not come with every answer
-let byItself = null;
-let askedSince = -Infinity; // when the class that the session asks for became known
 let recalled = null; // the stored writer, until the server has taken it over
 const latencies = [];
 let lastCounted = -Infinity;
@@ -46,8 +42,7 @@ function forget() {
   time = 0;
   answer = shown = spikes = null;
   delete $("shown").dataset.label;
-  kept = over = tried = warned = false;
-  clearTimeout(byItself);
+  kept = over = warned = false;
   $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
   redraw();
@@ -64,12 +59,6 @@ function describe() {
   $("hint").textContent = !canDraw() ? "Show me an example" : digits ? "Write here, large" : "Draw here, large";
   $("keep-title").textContent = digits ? "It was a …" : "It was …";
   $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"} to save the recording.`;
-  $("each-title").textContent = digits ? "Of each digit" : "Of each class";
-  if (digits)
-    $("session-say").textContent = "The page asks for digits in a random order and saves them; you can stop and continue at any time.";
-  const drawing = hand();
-  $("learn-title").textContent = `learn ${drawing}`;
-  $("forget").textContent = `Forget ${drawing}`;
   const long = classes.some((name) => [...name].length > SHORT);
   document.body.classList.toggle("long", long);
   document.body.classList.toggle("many", classes.length > BUTTONS);
@@ -92,7 +81,6 @@ function describe() {
   );
 }
 
-const hand = (whose = "my") => about.digits ? `${whose} handwriting` : whose === "my" ? "how I draw" : "how you draw";
 const canDraw = () => about.rows * about.columns <= about.most_taxels;
 
 function labelButton(name, label) {
@@ -153,14 +141,13 @@ function classSought(typed) {
 
 const pen = new Pen($("skin"), (points, now) => {
   if (!ready) return;
-  clearTimeout(byItself);
   for (const [at, right, down, , touches] of points) {
     if (!touches) {
       pen.lifted = true;
       continue;
     }
     if (pen.lifted !== false || !strokes.length) strokes.push(Object.assign([], { at })); // or the skin was cleared during a stroke
-    pen.lifted = tried = false;
+    pen.lifted = false;
     strokes.at(-1).push([right, down]);
   }
   if (points.length) {
@@ -169,36 +156,21 @@ const pen = new Pen($("skin"), (points, now) => {
   }
   const touches = points.some((point) => point[4]);
   link.send({ type: "pen", now, points }, touches ? ["events", "problem"] : []);
-}, () => {
-  if (strokes.length) strokes.at(-1).interrupted = true;
 });
 
 // Whatever is asked of the server decides about the drawing: nothing saves it afterwards, and the rest of
 // a stroke that has not ended is no other recording.
 function ask(message, answers) {
   pen.lift();
-  clearTimeout(byItself);
   link.send(message, answers);
 }
 
-function keep(label) {
-  tried = true;
-  ask({ type: "label", label }, ["saved", "problem"]);
-}
-
+const keep = (label) => ask({ type: "label", label }, ["saved", "problem"]);
 const clear = () => ask({ type: "clear" });
 const undo = () => ask({ type: "undo" });
 
 $("clear").addEventListener("click", clear);
 $("undo").addEventListener("click", undo);
-
-$("learn").addEventListener("change", () => {
-  tellLearning();
-  remember();
-});
-const tellLearning = () => link.send({ type: "learning", on: $("learn").checked });
-$("by-itself").addEventListener("change", remember);
-$("forget").addEventListener("click", () => link.send({ type: "forget" }));
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
@@ -217,35 +189,15 @@ $("examples").addEventListener("submit", (event) => {
   ask({
     type: "example",
     now: performance.now(),
-    origin: $("example-from").value,
     label: label === "" ? null : Number(label),
   });
 });
 
-function tellWriter(each) {
+$("writer").addEventListener("change", () => {
   recalled = null;
   const chosen = $("writer").value;
-  ask({
-    type: "writer",
-    number: chosen === "new" ? null : Number(chosen || 1),
-    handedness: $("handedness").value,
-    each,
-  });
-}
-
-$("session").addEventListener("submit", (event) => {
-  event.preventDefault();
-  tellWriter(Number($("each").value));
-  clear();
-  scrollTo({ top: 0 }); // from the form, at the end of the page, to the skin
+  ask({ type: "writer", number: chosen === "new" ? null : Number(chosen) });
 });
-$("stop").addEventListener("click", () => {
-  tellWriter(0);
-  if (recording !== null && !kept)
-    $("told").textContent = "The drawing on the skin is not saved: press its class to save it.";
-});
-$("writer").addEventListener("change", () => tellWriter(writer?.each ?? 0));
-$("handedness").addEventListener("change", () => tellWriter(writer?.each ?? 0));
 
 // ---- from the server
 
@@ -259,7 +211,6 @@ link.on("hello", (message) => {
     : about.trained_on;
   $("trained").textContent = `Network ${about.architecture}, trained on ${hands}.`
     + (about.outdated ? ` ${about.outdated}.` : "");
-  $("each").max = about.most_each;
   $("share").hidden = !about.shared;
   if (about.shared) $("qr").src = "qr.svg";
   forget();
@@ -267,7 +218,7 @@ link.on("hello", (message) => {
 });
 
 link.on("examples", (message) => {
-  tests = message.test;
+  examples = message.counts;
   $("example").title = message.reason ? `No test samples: ${message.reason}` : "Key: e";
   showExamples();
 });
@@ -323,7 +274,7 @@ link.on("events", (message) => {
   }
   stale.skin = stale.rest = true;
   draw();
-  if (message.settled && !pen.writes) settle();
+  if (message.settled) announce();
 });
 
 link.on("answer", (message) => {
@@ -347,18 +298,8 @@ link.on("spikes", (message) => {
 
 link.on("saved", (message) => {
   kept = true;
-  clearTimeout(byItself); // the saved recording is complete
-  askedSince = performance.now();
   $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events.`;
   complain(null);
-});
-
-link.on("learned", (message) => {
-  if (message.writer !== writer?.number) return;
-  $("learned").dataset.digits = message.digits;
-  $("learned").textContent = message.digits
-    ? `Learning ${hand("your")}: ${message.digits} ${about.digits ? "digit" : "recording"}${message.digits === 1 ? "" : "s"}, ${message.right} of the last ${message.of} recognised before they were learned${message.own_readout ? "" : "; your own readout is not better yet"}.`
-    : `Nothing learned of ${hand("your")} yet: ${about.digits ? "write, and press the digit" : "draw, and press the class"}.`;
 });
 
 link.on("undone", (message) => {
@@ -369,21 +310,13 @@ link.on("undone", (message) => {
 
 link.on("writer", (state) => {
   const first = writer === null;
-  if (writer?.asked !== state.asked) {
-    clearTimeout(byItself);
-    askedSince = performance.now();
-  }
   writer = state;
   $("saved").textContent = state.saved;
-  $("learning").hidden = !state.can_learn;
   const known = [...new Set([...state.known, state.number])].sort((a, b) => a - b);
   $("writer").replaceChildren(
     ...known.map((number) => new Option(`Writer ${number}`, number, false, number === state.number)),
     new Option("new writer", "new"),
   );
-  $("handedness").value = state.handedness;
-  showSession();
-  showExamples();
   if (first) recall();
   else if (recalled === null || recalled === state.number) {
     recalled = null;
@@ -447,29 +380,17 @@ function stored(storage, key) {
   }
 }
 
-// The browser stores the writer, so that a session continues where it was left.  It does so for each
-// data set: all servers of this machine have the same storage.
+// Every browser is a writer of its own, and stores its number for each data set: all servers of this
+// machine have the same storage.
 const remembered = () => `stmnist-writer:${about.data_set}`;
 
 function recall() {
-  const { number, handedness, each, learn, save } = stored("localStorage", remembered()) ?? {};
-  // Every browser is a writer of its own.
-  if (number === undefined) link.send({ type: "writer", number: null, handedness: "", each: 0 });
-  $("learn").checked = learn ?? true;
-  $("by-itself").checked = save ?? true;
-  if (Number.isInteger(number)) {
-    recalled = number; // earlier states are of the writer that every connection begins with
-    link.send({ type: "writer", number, handedness, each });
-  }
-  if (!$("learn").checked) tellLearning(); // to a new connection
+  const number = stored("localStorage", remembered());
+  if (Number.isInteger(number)) recalled = number; // earlier states are of the writer that every connection begins with
+  link.send({ type: "writer", number: recalled });
 }
 
-function remember() {
-  if (writer === null) return; // not connected yet
-  const { number, handedness, each } = writer;
-  const [learn, save] = [$("learn").checked, $("by-itself").checked];
-  store("localStorage", remembered(), { number, handedness, each, learn, save });
-}
+const remember = () => store("localStorage", remembered(), writer.number);
 
 // ---- what is shown
 
@@ -479,42 +400,10 @@ function complain(text) {
 }
 $("dismiss").addEventListener("click", () => complain(null));
 
-function settle() {
-  announce();
-  clearTimeout(byItself);
-  const asked = writer?.asked ?? null; // the class when the pen was lifted
-  if (asked === null || kept || over || tried || !events.taxel.length || !$("by-itself").checked) return;
-  if (strokes.some((stroke) => stroke.interrupted))
-    complain("The device has interrupted a stroke, so that this recording is not saved automatically: press its class, or press Clear and write again.");
-  else if (strokes.some((stroke) => stroke.at < askedSince))
-    complain("This drawing was begun before its class was asked for, so that it is not saved automatically: press its class, or press Clear and write again.");
-  else byItself = setTimeout(() => keep(asked), BY_ITSELF_MS);
-}
-
 // For screen readers: one sentence when the pen is lifted, not one per event.
 function announce() {
   if (pen.settled && !pen.writes && $("decision").textContent !== "")
     $("announce").textContent = `Decision: ${$("decision").textContent}, ${$("confidence").textContent}`;
-}
-
-function showSession() {
-  const runs = writer.each > 0;
-  $("session").hidden = runs;
-  $("asking").hidden = !runs;
-  for (const [label, button] of [...$("labels").children].entries())
-    button.classList.toggle("asked", runs && label === writer.asked);
-  if (!runs) return;
-  const all = about.classes.length * writer.each;
-  const please = about.digits ? "Please write a " : "Please draw: ";
-  $("asked").replaceChildren(writer.asked === null ? "All done, thank you." : please);
-  if (writer.asked !== null) {
-    const asked = document.createElement("b");
-    asked.textContent = about.classes[writer.asked];
-    $("asked").append(asked);
-  }
-  $("progress").max = all;
-  $("progress").value = writer.done;
-  $("done").textContent = `Writer ${writer.number}: ${writer.done} of ${all} ${about.digits ? "digits" : "recordings"}.`;
 }
 
 function named(label) {
@@ -522,28 +411,16 @@ function named(label) {
   return about.digits ? `${name === "8" ? "an" : "a"} ${name}` : name;
 }
 
-// Available examples: test samples, recordings of the folder, or neither.
 function showExamples() {
-  if (tests === null || writer === null) return;
-  const of = { test: tests, kept: writer.kept };
-  const from = $("example-from");
-  for (const option of from.options) option.disabled = !of[option.value].some((n) => n > 0);
-  if (from.selectedOptions[0].disabled) {
-    const other = [...from.options].find((option) => !option.disabled);
-    if (other) from.value = other.value;
-  }
-  const there = of[from.value];
   for (const option of [...$("example-class").options].slice(1))
-    option.disabled = there[Number(option.value)] === 0;
+    option.disabled = examples[Number(option.value)] === 0;
   if ($("example-class").selectedOptions[0].disabled) $("example-class").value = "";
-  $("example").disabled = from.selectedOptions[0].disabled;
+  $("example").disabled = !examples.some((n) => n > 0);
 }
-$("example-from").addEventListener("change", showExamples);
 
 function showExample(example) {
   kept = true;
-  const where = example.origin === "test" ? "a test sample" : "saved here";
-  $("shown").textContent = `Example ${example.name}, ${where}: it is ${named(example.label)}.`;
+  $("shown").textContent = `Test sample ${example.name}: it is ${named(example.label)}.`;
   $("shown").dataset.label = example.label;
   pen.watch();
 }

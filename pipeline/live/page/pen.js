@@ -7,11 +7,9 @@ const MOST = 500; // points in a message, of which the server accepts a few more
 
 export class Pen {
   // tell(points, now): [[ms, right, down, pressure, touches], ...]
-  // interrupt(): the device has ended the stroke, for example because the palm touches the screen
-  constructor(canvas, tell, interrupt) {
+  constructor(canvas, tell) {
     this.canvas = canvas;
     this.tell = tell;
-    this.interrupt = interrupt;
     this.sensor = null; // rows and columns, while writing is possible
     this.pointer = null;
     this.settled = true;
@@ -64,7 +62,6 @@ export class Pen {
   up(event) {
     if (event.pointerId !== this.pointer) return;
     this.lift(this.time(event));
-    if (event.type === "pointercancel") this.interrupt();
   }
 
   // Lifts the pen even if it is still on the skin; it writes again when it lands again.

@@ -37,9 +37,7 @@ class Parrot:
 
 
 @contextmanager
-def served(
-    folder, make_decider=None, make_learner=None, tests=(), sensor=None, host=None, port=0
-):  # fmt: skip
+def served(folder, make_decider=None, tests=(), sensor=None, host=None, port=0):
     """A server in a thread, and its keeper."""
     from pipeline.live.keeping import Keeper
     from pipeline.live.server import HOST, Live, Server, listen
@@ -52,10 +50,7 @@ def served(
         **{name: getattr(sensor, name) for name in ("rows", "columns", "polarities")},
     }
     with closing(Keeper(folder, sensor)) as keeper:
-        live = Live(
-            make_decider, keeper, parameters.load(), about,
-            make_learner=make_learner, make_tests=lambda: list(tests),
-        )  # fmt: skip
+        live = Live(make_decider, keeper, parameters.load(), about, make_tests=lambda: list(tests))
         server = Server(live, listen(port, host), host=host)
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()

@@ -4,7 +4,6 @@ import math
 import re
 import shutil
 from collections import Counter
-from contextlib import closing
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from pipeline.data.events import Events, Sensor
 from pipeline.data.library import recordings_of
 from pipeline.live.deciding import decider_of
 from pipeline.live.examples import Example, Examples, Replayed, check_examples
-from pipeline.live.keeping import Keeper
 from pipeline.live.network import SHIPPED
 from pipeline.run import RunFolder
 from pipeline.settings import Image, read_settings
@@ -57,20 +55,17 @@ def test_a_run_has_the_recordings_of_its_check_with_their_times(tiny_run, tmp_pa
         check_examples(RunFolder(tmp_path), read_bundle(tmp_path / "bundle"))
 
 
-def test_every_example_of_a_class_comes_before_one_comes_again(tmp_path):
+def test_every_example_of_a_class_comes_before_one_comes_again():
     tests = [Example(line(), label, f"{label}/{n}") for label in (3, 4) for n in range(5)]
-    with closing(Keeper(tmp_path / "kept")) as keeper:
-        examples = Examples(keeper, tests, [0])
-        drawn = [examples.draw("test", 3).name for _ in range(10)]
-        assert set(Counter(drawn).values()) == {2}
-        assert set(drawn[:5]) == {f"3/{n}" for n in range(5)}
-        assert drawn[:5] != sorted(drawn[:5])
-        anyone = [examples.draw("test") for _ in range(10)]
-        assert {example.label for example in anyone} == {3, 4}
-        again = [Examples(keeper, tests, [0]).draw("test", 3).name for _ in range(2)]
-        assert again == [drawn[0]] * 2
-        with pytest.raises(UserError):
-            examples.draw("kept")
+    examples = Examples(tests, [0])
+    drawn = [examples.draw(3).name for _ in range(10)]
+    assert set(Counter(drawn).values()) == {2}
+    assert set(drawn[:5]) == {f"3/{n}" for n in range(5)}
+    assert drawn[:5] != sorted(drawn[:5])
+    assert {examples.draw().label for _ in range(10)} == {3, 4}
+    assert [Examples(tests, [0]).draw(3).name for _ in range(2)] == [drawn[0]] * 2
+    with pytest.raises(UserError):
+        examples.draw(5)
 
 
 def test_a_replay_gives_each_event_once_and_at_its_time():
