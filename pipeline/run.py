@@ -73,12 +73,10 @@ class RunFolder:
     snn = _inside("snn", "The folder of the network that becomes the bundle, as that of the CNN.")
     bundle = _inside("bundle", "The folder of the bundle.")
     ladder = _inside("ladder.json", "The file of the loss ladder.")
-    whole_ladder = _inside("ladder-whole.json", "The loss ladder on the whole test split.")
 
-    def check(self, stage: str, whole: bool = False) -> Path:
-        """The file of a stage's result on the check's samples, or on the whole test split."""
-        folder = self.path / "checks"
-        return (folder / "whole" if whole else folder) / f"{stage}.json"
+    def check(self, stage: str) -> Path:
+        """The file of a stage's result on the check's samples."""
+        return self.path / "checks" / f"{stage}.json"
 
     def folder(self, name: str, origin: Origin | None = None) -> Path:
         """The folder of a part, such as ``"cnn"``, ``"snn"`` or its ``"threshold"``.
@@ -157,7 +155,7 @@ class RunFolder:
 
 
 LOCK = ".lock"
-# Most folders from a file or bundle of a run up to the run: ``checks/whole/emulator.json``.
+# Most folders from a file or bundle of a run up to the run: ``checks/other/mine.json``.
 DEEPEST = 3
 
 

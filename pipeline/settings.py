@@ -335,9 +335,9 @@ class PresentationSettings(Section):
 class Check(Section):
     """The check that is run on every target."""
 
-    #: Number of samples, drawn at random from the test split, as in the paper; all test samples if
-    #: there are fewer and the number is the default.
-    samples: Annotated[int, SAMPLES] = paper.CHECK_SAMPLES
+    #: Number of samples, drawn at random from the test split, as in the paper; 0 for all. All of
+    #: them too if there are fewer and the number is the default.
+    samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
 
     def drawn(self, available: int) -> int:
         """Number of samples to draw.
@@ -347,8 +347,8 @@ class Check(Section):
         available : int
             Size of the test split.
         """
-        if self.samples == paper.CHECK_SAMPLES:
-            return min(self.samples, max(available, 1))
+        if self.samples in (0, paper.CHECK_SAMPLES):
+            return min(self.samples or available, max(available, 1))
         return self.samples
 
 

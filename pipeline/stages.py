@@ -24,7 +24,6 @@ from deploy.check.bundle import (
 )
 from deploy.check.results import read_result, result_of
 from deploy.check.run import answered, open_check, records_of, run_check
-from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
@@ -50,7 +49,6 @@ __all__ = [
     "answer",
     "answer_all",
     "convert",
-    "on_test_split",
     "open_run",
     "opened_in",
     "refuse_early",
@@ -154,7 +152,6 @@ def open_run(
     jobs: int = 2,
     say=print,
     check: bool = True,
-    dataset: Dataset | None = None,
 ) -> Opened:
     """Load the recordings of a run, choose what the settings leave open, and save both.
 
@@ -172,8 +169,6 @@ def open_run(
         Called with each note and warning.
     check : bool
         True if the samples of a check will be drawn; a training needs none.
-    dataset : Dataset, optional
-        Used instead of the recordings; see :meth:`Dataset.of_arrays`.
 
     Raises
     ------
@@ -183,19 +178,9 @@ def open_run(
         user's network cannot be used.  All problems with the settings are reported together.
     """
     lines = []
-    if dataset is None:
-        recordings = recordings_of(settings, jobs, say)
-        chosen = fitted(settings, recordings, check, lines.append)
-        dataset = Dataset.of(chosen, jobs, recordings=recordings)
-    else:
-        recordings = dataset.recordings
-        if dataset.is_of_arrays and recordings.source.name != settings.data.source:
-            raise UserError(
-                f"{settings.data.source}: differs from the settings of the arrays; use "
-                f"'data.source' {recordings.source.name!r}"
-            )
-        chosen = fitted(settings, recordings, check, lines.append)
-        dataset = dataset.seen_by(chosen)
+    recordings = recordings_of(settings, jobs, say)
+    chosen = fitted(settings, recordings, check, lines.append)
+    dataset = Dataset.of(chosen, jobs, recordings=recordings)
     opened = opened_in(run, chosen, dataset, say)
     if check:
         require_replaceable(run.bundle)
@@ -314,7 +299,7 @@ def convert(opened: Opened) -> Bundle:
 
 def _downsample(settings, dataset):
     """The downsampling of files, which other recordings of the sensor need too."""
-    if dataset.is_of_arrays or settings.data.source == SIMULATED:
+    if settings.data.source == SIMULATED:
         return {}
     n = settings.data.downsample
     return {"downsample": n} if n > 1 else {}
@@ -327,8 +312,6 @@ def _positions(taxels):
 
 def _trained_on(dataset):
     """Hashes of the recordings that the network was made with, so that they are recognised."""
-    if dataset.is_of_arrays:
-        return {}
     split, hashes = dataset.split, dataset.recordings.hashes()
     return {TRAINED_ON: sorted({hashes[i] for i in (*split.train, *split.validation)})}
 
@@ -357,20 +340,13 @@ def settings_read(spec: NetworkSpec) -> dict:
     return {**settings, "presentation.steps": steps}
 
 
-def on_test_split(opened: Opened, bundle: Bundle) -> Bundle:
-    """The bundle with the whole test split as its check, in random order like the check's."""
-    dataset, seed = opened.dataset, opened.settings.seed
-    everything = dataset.split.check_samples(len(dataset.split.test), seed)
-    return replace(bundle, checks=_check_set(dataset, everything, seed))
-
-
 def _check_set(dataset, chosen, seed):
     recordings = dataset.recordings
     ids = tuple(recordings.ids[i] for i in chosen)
     return CheckSet(dataset.inputs[chosen], recordings.labels[chosen], ids, seed)
 
 
-def answer(opened: Opened, bundle: Bundle, stage: str, whole: bool = False) -> dict:
+def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
     """The check result of a reference stage or target, made unless it is current.
 
     Parameters
@@ -381,10 +357,8 @@ def answer(opened: Opened, bundle: Bundle, stage: str, whole: bool = False) -> d
         The run's own bundle, or :func:`on_test_split` of it.
     stage : str
         One of the road's reference stages, or a target.
-    whole : bool
-        Use the samples of :func:`on_test_split`.
     """
-    artifact = _answer_artifact(opened, bundle, stage, whole)
+    artifact = _answer_artifact(opened, bundle, stage)
     path, state = artifact.record, artifact.state()
     if state.is_current:
         opened.say(f"{stage}: up to date ({path})")
@@ -413,14 +387,14 @@ def answer(opened: Opened, bundle: Bundle, stage: str, whole: bool = False) -> d
     return result
 
 
-def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1, whole: bool = False) -> list:
+def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
     """Run :func:`answer` for several stages: targets in processes, networks in this process.
 
     Processes share single streams, not targets, so that no core is idle during the last target.
 
     Parameters
     ----------
-    opened, bundle, whole
+    opened, bundle
         As in :func:`answer`.
     stages : sequence of str
     jobs : int
@@ -436,7 +410,7 @@ def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1, whole: boo
     UserError
         A target failed; the results of the others are saved.
     """
-    artifacts = {stage: _answer_artifact(opened, bundle, stage, whole) for stage in stages}
+    artifacts = {stage: _answer_artifact(opened, bundle, stage) for stage in stages}
     states = {stage: artifact.state() for stage, artifact in artifacts.items()}
     results = {}
     targets = [stage for stage in stages if stage in TARGETS and not states[stage].is_current]
@@ -447,7 +421,7 @@ def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1, whole: boo
             def answer_here():
                 for stage in here:
                     with hidden():
-                        results[stage] = answer(opened, bundle, stage, whole)
+                        results[stage] = answer(opened, bundle, stage)
                     advance(len(bundle.checks), stage)
 
             for name in targets:
@@ -458,7 +432,7 @@ def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1, whole: boo
             results |= _shared(bundle, paths, seed, jobs, advance, answer_here)
     for stage in stages:
         if stage not in results:
-            results[stage] = answer(opened, bundle, stage, whole)
+            results[stage] = answer(opened, bundle, stage)
     return [results[stage] for stage in stages]
 
 
@@ -491,29 +465,28 @@ def _answered(work):
     return list(answered(work))
 
 
-def _answer_artifact(opened, bundle, stage, whole):
+def _answer_artifact(opened, bundle, stage):
     """The artifact of a check's result; one that is damaged is refused and not replaced."""
     origin = opened.dataset.origin
-    artifact = check_artifact(opened.place, stage, opened.road, origin, bundle.id, whole)
+    artifact = check_artifact(opened.place, stage, opened.road, origin, bundle.id)
     if artifact.record.exists():
         read_result(artifact.record, DELETE_IT)
     return artifact
 
 
 def check_artifact(
-    run: RunFolder, stage: str, road: Road, dataset: Origin, bundle_id: str, whole: bool = False
+    run: RunFolder, stage: str, road: Road, dataset: Origin, bundle_id: str
 ) -> Artifact:
-    """The result of a stage on a bundle's samples, or on the whole test split.
+    """The result of a stage on a bundle's samples.
 
     It depends on the bundle, which may have been copied to another machine; the result of a network
     from which the bundle is not made depends on that network too.
     """
-    name = f"checks/whole/{stage}" if whole else f"checks/{stage}"
     contents = {"bundle": bundle_id}
     if stage in road.references and not road.is_deployed(part := road.references[stage].part):
         contents["network"] = road.origin(part, dataset).key
     origin = Origin({"seed": road.settings.seed}, contents)
-    return Artifact(name, run.check(stage, whole), origin, made_from=_recorded_in_check)
+    return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_recorded_in_check)
 
 
 def _recorded_in_check(result):

@@ -105,7 +105,10 @@ Input = Annotated[
     Optional[str],  # noqa: UP045
     typer.Option("--input", help="Input of the chip: 'image' or 'events'."),
 ]
-Samples = Annotated[Optional[int], typer.Option(help="Number of samples of the check.")]  # noqa: UP045
+Samples = Annotated[
+    Optional[int],  # noqa: UP045
+    typer.Option(help="Number of samples of the check; 0 for the whole test split."),
+]
 Steps = Annotated[Optional[int], typer.Option(help="Number of steps of a sample.")]  # noqa: UP045
 SettingsFile = Annotated[
     Optional[Path],  # noqa: UP045

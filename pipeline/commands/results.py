@@ -40,9 +40,6 @@ def status(run: options.Run, as_json: options.Json = False):
 
 def compare_(
     runs: Annotated[list[Path], typer.Argument(help="Folders of two or more runs.")],
-    whole: Annotated[
-        bool, typer.Option("--whole", help="Use the complete test split, not the check's samples.")
-    ] = False,
     as_json: options.Json = False,
 ):
     """Compare runs: settings, accuracy of each stage, operations, cores, time to decide.
@@ -50,7 +47,7 @@ def compare_(
     Every run is compared with the first one.  If both have the same samples, the comparison is
     paired, with McNemar's test.
     """
-    options.tell(compare_runs(read_runs(runs, whole)), runs_text, as_json)
+    options.tell(compare_runs(read_runs(runs)), runs_text, as_json)
 
 
 def report(

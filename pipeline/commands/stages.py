@@ -105,18 +105,11 @@ def ladder(
     run: options.Run,
     given: options.RunGiven,
     jobs: options.Jobs = 2,
-    whole: Annotated[
-        bool, typer.Option("--whole", help="Use the complete test split, not the check's samples.")
-    ] = False,
-    slow: Annotated[
-        bool,
-        typer.Option("--slow", help="With --whole: also nengo and simreal, minutes each."),
-    ] = False,
     limit: Annotated[
         Optional[float],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(
-            help="Loss in points from which a stage's layers are listed (default: 1 with --whole, "
-            "else 3, if the loss is significant)."
+            help="Loss in points from which a stage's layers are listed (default: 3, if it is "
+            "significant)."
         ),
     ] = None,
     as_json: options.Json = False,
@@ -124,13 +117,10 @@ def ladder(
     """Run the missing stages up to the emulator, and print the loss of each stage."""
     if limit is not None and not -100 <= limit <= 100:  # no loss exceeds NaN
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
-    if slow and not whole:
-        raise UserError("--slow: is for the complete test split; add --whole")
     from pipeline.results.ladder import ladder_text, measure_ladder
 
     with options.opened(run, given, jobs) as opened:
-        table = measure_ladder(opened, jobs, whole, slow)
-    most = limit if limit is not None else 1.0 if whole else 3.0
-    asked = limit is not None
+        table = measure_ladder(opened, jobs)
+    most, asked = 3.0 if limit is None else limit, limit is not None
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, asked), as_json)
     options.suggest("report", run)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from hashlib import sha256
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
 from pipeline.artifacts import Origin
-from pipeline.data.events import Events, Recordings, Sensor, Source, TaxelMap
+from pipeline.data.events import Recordings
 from pipeline.data.images import tactile_images
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import Split, split_of, split_problem
@@ -27,9 +26,6 @@ MOST_LOST = 0.1
 
 # Settings that a split depends on.
 SPLIT_READS = ("seed", "split")
-
-# File of the images with which :meth:`Dataset.of_arrays` replaces recordings.
-ARRAYS = "arrays"
 
 # Entry of a bundle's provenance with the hashes of the recordings that it was made with.
 TRAINED_ON = "training_recordings"
@@ -100,74 +96,12 @@ class Dataset:
         origin = dataset_origin(settings, recordings.source.sha256, split.kind)
         return cls(recordings, split, origin, settings)
 
-    @classmethod
-    def of_arrays(
-        cls, images, labels, settings: Settings, classes=None, simulated: bool = False
-    ) -> Dataset:
-        """The user's images in place of recordings, split with the seed of the settings.
-
-        Parameters
-        ----------
-        images : array_like, shape (n_samples, rows, columns) or (n_samples, rows, columns, 1)
-            Values from -1 to 1; images of recordings are from 0 to 1.
-        labels : array_like of int, shape (n_samples,)
-            Classes, from 0.
-        settings : Settings
-            ``data.source`` is the description of the images in results and reports.  Of the other
-            settings only the seed and the shares of the split are used here.
-        classes : sequence of str, optional
-            Names of the labels 0, 1, ...; default: the numbers.
-        simulated : bool
-            True if the images are simulated; every result repeats this.
-
-        Raises
-        ------
-        UserError
-            The arrays do not fit each other or the settings, are too small for the split, or have
-            values that are not those of an image.
-        """
-        name = settings.data.source
-        if name == SIMULATED:
-            raise UserError(
-                f"'data.source' must say what the arrays are; {SIMULATED!r} means the built-in "
-                "recordings"
-            )
-        if settings.on_events:
-            raise UserError(f"{name}: arrays are taken as images; choose input.kind = 'image'")
-        images, labels = np.asarray(images), np.asarray(labels)
-        if images.ndim == 3:
-            images = images[..., None]
-        if problem := _wrong_with(images, labels, classes):
-            raise UserError(f"{name}: {problem}")
-        images, labels = images.astype(np.float32), labels.astype(np.int64)
-        classes = tuple(classes) if classes is not None else range(labels.max() + 1)
-        rows, columns = images.shape[1:3]
-        content = sha256(repr((images.shape, classes)).encode())
-        for array in (images, labels):
-            content.update(np.ascontiguousarray(array).tobytes())
-        nothing = Events(*np.empty((4, 0), np.int64))
-        recordings = Recordings(
-            events=nothing,
-            offsets=np.zeros(len(images) + 1, np.int64),
-            labels=labels,
-            ids=tuple(f"{classes[label]}/{index:04d}" for index, label in enumerate(labels)),
-            writers=np.full(len(images), -1),
-            source=Source(name, content.hexdigest(), simulated),
-            taxels=TaxelMap.grid(rows, columns),
-            sensor=Sensor(rows, columns, classes=tuple(map(str, classes))),
-        )
-        split = _checked_split(recordings, settings)
-        origin = Origin.of(settings, SPLIT_READS, contents={"arrays": content.hexdigest()})
-        return cls(recordings, split, origin, settings, {ARRAYS: images})
-
     def __len__(self):
         return len(self.recordings)
 
     @property
     def inputs(self) -> np.ndarray:
         """The inputs made from each recording; see :func:`inputs_of`."""
-        if self.is_of_arrays:
-            return self._made[ARRAYS]
         key = _what_is_shown(self.settings)
         if key not in self._made:
             self._made.clear()  # frames of events take a quarter of a gigabyte
@@ -182,11 +116,6 @@ class Dataset:
     def labels(self) -> np.ndarray:
         """The class of each sample, shape (n_samples,)."""
         return self.recordings.labels
-
-    @property
-    def is_of_arrays(self) -> bool:
-        """True if the data set has images only; see :meth:`of_arrays`."""
-        return ARRAYS in self._made
 
     def part(self, name: str):
         """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
@@ -255,24 +184,6 @@ def _checked_split(recordings, settings, kind=""):
     if problem := split_problem(recordings, split.kind):
         raise UserError(f"{source}: {problem}")
     return split
-
-
-def _wrong_with(images, labels, classes):
-    """The reason why arrays are not images and their labels, or None."""
-    if images.ndim != 4 or images.shape[3] != 1 or images.dtype.kind not in "fiub":
-        return f"images of shape {images.shape}, not numbers of (n_samples, rows, columns)"
-    if labels.shape != images.shape[:1] or labels.dtype.kind not in "iu":
-        return (
-            f"labels of shape {labels.shape}, not a whole number for each of {len(images)} images"
-        )
-    if not len(images) or not np.all(np.abs(images.astype(float)) <= 1):  # which NaN is not
-        return "no images, or some with values that are NaN or not from -1 to 1; scale them"
-    n_classes = labels.max() + 1 if classes is None else len(classes)
-    if labels.min() < 0 or labels.max() >= n_classes:
-        return f"labels from {labels.min()} to {labels.max()}, not from 0 to {n_classes - 1}"
-    if classes is not None and len(set(map(str, classes))) < len(classes):
-        return "two classes of the same name"
-    return None
 
 
 def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:

@@ -14,14 +14,13 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import SIGNIFICANCE, aligned, p_text, shortened, star
+from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import printable
 from pipeline.artifacts import DELETE_IT
 from pipeline.data.dataset import classes_of
 from pipeline.data.events import is_written
 from pipeline.paper import CNN_MACS
-from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.status import outdated, remedy_text, status_of
 from pipeline.roads import REFERENCES
 from pipeline.run import RunFolder
@@ -78,15 +77,13 @@ class Run:
     outdated: dict = field(default_factory=dict)
 
 
-def read_runs(paths, whole: bool = False) -> list:
+def read_runs(paths) -> list:
     """Read the compared data of runs.
 
     Parameters
     ----------
     paths : sequence of path-like
         Folders of at least two runs.
-    whole : bool
-        Compare the whole test split, not the check's samples.
 
     Returns
     -------
@@ -100,28 +97,23 @@ def read_runs(paths, whole: bool = False) -> list:
     paths = [Path(path) for path in paths]
     if not 2 <= len(paths) <= len(LETTERS):
         raise UserError(f"{len(paths)} runs; name from two to {len(LETTERS)}")
-    return [_read_run(path, whole) for path in paths]
+    return [_read_run(path) for path in paths]
 
 
-def _read_run(path, whole):
+def _read_run(path):
     folder = RunFolder(path)
     if not folder.experiment.is_file():
         raise UserError(f"{path}: not a run (it has no {folder.experiment.name}); check the path")
     if not folder.bundle.is_dir():
         raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
     bundle = read_bundle(folder.bundle)
-    files = {stage: folder.check(stage, whole) for stage in ORDER}
+    files = {stage: folder.check(stage) for stage in ORDER}
     found = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
-    if not whole:
-        found |= _on_other_recordings(folder)
     results = {stage: result for stage, result in found.items() if result["bundle"] == bundle.id}
     stale = [stage for stage in found if stage not in results]
     if not results:
-        option = " --whole" if whole else ""
         old = " of its bundle, only of an earlier one" if stale else ""
-        raise UserError(
-            f"{path}: no check results{old}; make them with 'stmnist ladder {path}{option}'"
-        )
+        raise UserError(f"{path}: no check results{old}; make them with 'stmnist ladder {path}'")
     plan = make_plan(bundle.spec)
     return Run(
         name=str(path),
@@ -133,17 +125,6 @@ def _read_run(path, whole):
         stale=tuple(stale),
         outdated=outdated(status_of(folder)),
     )
-
-
-def _on_other_recordings(folder):
-    """Results on other recordings, by a name that is the same where their content is."""
-    found = {}
-    for file in sorted((folder.path / "checks" / OTHERS).glob("*.json")):
-        result = read_result(file, DELETE_IT)
-        if (data := result.get("data")) is not None:
-            source = f"{shortened(Path(data['source']).name, LONGEST_SOURCE)} {data['sha256'][:4]}"
-            found[f"{result['target']} on {source}, {result['n_samples']}"] = result
-    return found
 
 
 def compare_runs(runs) -> dict:

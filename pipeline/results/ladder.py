@@ -18,31 +18,21 @@ from pipeline.progress import progress
 from pipeline.roads import Road, compared_with
 from pipeline.roads.diagnosis import layers_text, least_faithful
 from pipeline.run import RunFolder
-from pipeline.stages import Opened, answer_all, convert, on_test_split
+from pipeline.stages import Opened, answer_all, convert
 
 # Targets whose existing results are included, but which the ladder does not run.
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
-
-# Stages of the ladder on the whole test split that take minutes.
-SLOW = tuple(name for name, target in TARGETS.items() if target.slow and name != "emulator")
 
 # The network from which the bundle is made; later losses are caused by the conversion.
 TRAINED = ("rate-lif", "trained")
 
 
-def ladder_stages(road: Road, whole: bool = False) -> list:
-    """Stages of the ladder of a road, in order.
-
-    ``fast`` is bit-identical to ``emulator``: the ladder has ``emulator`` on the check's samples,
-    and ``fast``, without a board's result, on the whole test split.
-    """
-    left_out = ("emulator", *BOARDS) if whole else ("fast",)
-    return [*road.reference_stages, *(name for name in TARGETS if name not in left_out)]
+def ladder_stages(road: Road) -> list:
+    """Stages of the ladder of a road, in order: without ``fast``, which answers as ``emulator``."""
+    return [*road.reference_stages, *(name for name in TARGETS if name != "fast")]
 
 
-def measure_ladder(
-    opened: Opened, jobs: int = 1, whole: bool = False, slow: bool = False, asked=None
-) -> dict:
+def measure_ladder(opened: Opened, jobs: int = 1) -> dict:
     """Make the missing artifacts of a run up to the emulator, and compare the stages.
 
     Parameters
@@ -51,30 +41,20 @@ def measure_ladder(
         Of a run, which is locked.
     jobs : int
         Number of processes for targets.
-    whole : bool
-        Use the whole test split, not the check's samples.
-    slow : bool
-        With ``whole``: include the stages of :data:`SLOW`.
-    asked : sequence of str, optional
-        Stages of the ladder; default: :func:`ladder_stages`.
 
     Returns
     -------
     dict
         See :func:`ladder_json`.
     """
-    run, left_out = opened.place, SLOW if whole and not slow else ()
-    bundle = convert(opened)
-    if whole:
-        bundle = on_test_split(opened, bundle)
-    asked = asked or ladder_stages(opened.road, whole)
-    asked = [stage for stage in asked if stage not in (*left_out, *BOARDS)]
-    results = answer_all(opened, bundle, asked, jobs, whole)
+    run, bundle = opened.place, convert(opened)
+    asked = [stage for stage in ladder_stages(opened.road) if stage not in BOARDS]
+    results = answer_all(opened, bundle, asked, jobs)
     # A board's result is included if it exists and belongs to this bundle.
-    for board in () if whole else map(run.check, BOARDS):
+    for board in map(run.check, BOARDS):
         if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
             results.append(result)
-    artifact = ladder_artifact(run, results, whole)
+    artifact = ladder_artifact(run, results)
     state = artifact.state()
     if state.is_current:
         with reporting_damage(artifact.record, DELETE_IT):
@@ -84,17 +64,16 @@ def measure_ladder(
     with progress("compare layers", len(bundle.checks)) as advance:
         layers = seen.road.fidelity(seen, bundle, advance)
     classes = opened.dataset.recordings.sensor.classes
-    return artifact.write(ladder_json(results, layers, left_out, classes))
+    return artifact.write(ladder_json(results, layers, classes))
 
 
-def ladder_artifact(run: RunFolder, results, whole: bool = False) -> Artifact:
-    """The loss ladder of check results, on the check's samples or on the whole test split."""
-    name, path = ("ladder-whole", run.whole_ladder) if whole else ("ladder", run.ladder)
+def ladder_artifact(run: RunFolder, results) -> Artifact:
+    """The loss ladder of check results."""
     contents = {
         f"checks/{result['target']}": _hash_of([result["bundle"], result["samples"]])
         for result in results
     }
-    return Artifact(name, path, Origin(contents=contents))
+    return Artifact("ladder", run.ladder, Origin(contents=contents))
 
 
 def _hash_of(value):
@@ -158,7 +137,7 @@ def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
     return matrix
 
 
-def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
+def ladder_json(results, layers=None, classes=None) -> dict:
     """The ladder as plain values.
 
     Parameters
@@ -167,8 +146,6 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
         As in :func:`ladder_rows`.
     layers : list of dict, optional
         From :func:`pipeline.roads.diagnosis.layers_json`.
-    left_out : sequence of str
-        Stages that were not run.
     classes : sequence of str, optional
         Class names in the order of the confusion matrices; default: numbers from 0.
     """
@@ -186,7 +163,6 @@ def ladder_json(results, layers=None, left_out=(), classes=None) -> dict:
         "n_samples": first["n_samples"],
         "classes": list(classes),
         "rows": ladder_rows(results),
-        "left_out": list(left_out),
         "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
         "against_counts": _against(by_stage.get("counts"), results[-1]),
         "while_written": results[-1].get("while_written"),
@@ -292,8 +268,6 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
     for stage in (row["stage"] for row in ladder["rows"]):
         if stage in TARGETS and TARGETS[stage].note:
             lines.append(f"{stage}: {TARGETS[stage].note}")
-    if ladder["left_out"]:
-        lines.append(f"left out: {', '.join(ladder['left_out'])} (minutes each; add --slow)")
     if ladder.get("while_written"):
         lines.append(early_text(ladder["while_written"], last))
     lines += ladder.get("losses", [])

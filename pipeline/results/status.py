@@ -13,11 +13,11 @@ from deploy.files import read_json, reporting_damage, sha256_of
 from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
-from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, Origin, State
-from pipeline.data.dataset import ARRAYS, SPLIT_READS, dataset_origin
+from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
+from pipeline.data.dataset import dataset_origin
 from pipeline.data.library import identity_of
 from pipeline.data.splits import RANDOM
-from pipeline.results.ladder import BOARDS, SLOW, ladder_artifact, ladder_stages
+from pipeline.results.ladder import BOARDS, ladder_artifact, ladder_stages
 from pipeline.roads import road_of
 from pipeline.run import RunFolder, require_run, run_around
 from pipeline.settings import Settings, read_settings
@@ -80,9 +80,7 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
     states += _parts(run, road, dataset)
     bundle = bundle_artifact(run, road, dataset).state()
     states.append(Status(bundle))
-    for whole in (False, True):
-        states += _answers(run, road, dataset, bundle, whole)
-    return states
+    return states + _answers(run, road, dataset, bundle)
 
 
 def outdated(found) -> dict:
@@ -112,13 +110,9 @@ def remedies(run, names) -> list:
     """
     names = set(names)
     targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
-    whole = {name for name in names if name.startswith("checks/whole/") or name == "ladder-whole"}
     commands = [f"stmnist check run {run} --target {target}" for target in targets]
-    if names - whole - {f"checks/{target}" for target in targets}:
+    if names - {f"checks/{target}" for target in targets}:
         commands.insert(0, f"stmnist ladder {run}")
-    if whole:
-        slow = whole & {f"checks/whole/{stage}" for stage in SLOW}
-        commands.append(f"stmnist ladder {run} --whole{' --slow' if slow else ''}")
     return commands
 
 
@@ -182,8 +176,6 @@ def _dataset_origin(run, settings):
     recorded = read_json(run.dataset, DELETE_IT).get("made_from") if run.dataset.exists() else None
     contents = recorded.get("contents") if isinstance(recorded, dict) else None
     contents = contents if isinstance(contents, dict) else {}
-    if ARRAYS in contents:
-        return Origin.of(settings, SPLIT_READS, contents={ARRAYS: contents[ARRAYS]})
     try:
         content, kind = identity_of(settings)
     except UserError:
@@ -218,36 +210,36 @@ def _number(value):
     raise ValueError(f"{str(value)[:40]!r} is no number")
 
 
-def _answers(run, road, dataset, bundle, whole):
-    """Checks and ladder, of the bundle's samples or of the whole test split."""
-    expected = ladder_stages(road, whole)
+def _answers(run, road, dataset, bundle):
+    """Checks and ladder, of the bundle's samples."""
+    expected = ladder_stages(road)
     there = bundle.state != MISSING
     bundle_id = sha256_of(run.bundle / "MANIFEST.json") if there else ""
     found, results = [], {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
-        artifact = check_artifact(run, stage, road, dataset, bundle_id, whole)
+        artifact = check_artifact(run, stage, road, dataset, bundle_id)
         if not artifact.record.exists():
-            # Not every run needs every target or the whole test split: a result that was never
+            # Not every run needs every target: a result that was never
             # requested is not reported as missing.
-            if not whole and stage in expected and stage not in BOARDS:
+            if stage in expected and stage not in BOARDS:
                 found.append(Status(State(artifact.name, MISSING)))
             continue
         results[stage] = result = read_result(artifact.record, DELETE_IT)
         no_bundle = State(artifact.name, OUTDATED, (Change("there is no bundle"),))
         state = _follows(artifact.state(), bundle) if there else no_bundle
         found.append(Status(state, result["accuracy"], result["wall_seconds"]))
-    return [*found, *_ladder(run, results, found, whole)]
+    return [*found, *_ladder(run, results, found)]
 
 
-def _ladder(run, results, checks, whole):
-    file = ladder_artifact(run, (), whole).record
+def _ladder(run, results, checks):
+    file = ladder_artifact(run, ()).record
     if not file.exists():
-        return [] if whole else [Status(State("ladder", MISSING))]
+        return [Status(State("ladder", MISSING))]
     record = read_json(file, DELETE_IT)
     with reporting_damage(file, DELETE_IT):
         stages = [str(row["stage"]) for row in record["rows"]]
     compared = [results[stage] for stage in stages if stage in results]
-    state = ladder_artifact(run, compared, whole).state()
+    state = ladder_artifact(run, compared).state()
     for check in checks:
         if check.state.name.rsplit("/", 1)[-1] in stages:
             state = _follows(state, check.state)

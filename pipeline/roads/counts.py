@@ -136,13 +136,10 @@ def _fit(opened, artifact):
     dataset, seed = opened.dataset, opened.settings.seed
     recordings, split = dataset.recordings, dataset.split
     begun = time.perf_counter()
-    if dataset.is_of_arrays:  # there are no events: the pixels take their place
-        counts = dataset.inputs[:, None]
-    else:
-        duration = typical_duration_ms(recordings.part(split.train))
-        features = 2 * recordings.sensor.rows * recordings.sensor.columns
-        slices = max(SLICES) if features * max(SLICES) <= MOST_FEATURES else 1
-        counts = sliced_counts(recordings, slices, duration)
+    duration = typical_duration_ms(recordings.part(split.train))
+    features = 2 * recordings.sensor.rows * recordings.sensor.columns
+    slices = max(SLICES) if features * max(SLICES) <= MOST_FEATURES else 1
+    counts = sliced_counts(recordings, slices, duration)
     classes = len(recordings.sensor.classes)
     baseline = fit_baseline(counts, dataset.labels, split.train, classes, seed)
     seconds = time.perf_counter() - begun

@@ -319,7 +319,7 @@ def _trained_further(name, function, opened, artifact):
         # On validation samples of handwriting, alterations in space help the CNN (by 0.2 and 1.8
         # points) and not the spiking network (by 0.5 points).
         how = "none" if augmentation_for(dataset.recordings) == "space" else "time"
-    if settings.snn.recipe != "loihi" or dataset.is_of_arrays:
+    if settings.snn.recipe != "loihi":
         how = "none"
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
     altered = _altered(how, settings, dataset)
@@ -332,7 +332,7 @@ def _trained_further(name, function, opened, artifact):
 
 def _altered(how, settings, dataset):
     """The altered images of the training samples for each epoch, or None without alterations."""
-    if how == "none" or dataset.is_of_arrays:
+    if how == "none":
         return None
     return AlteredImages(dataset.recordings.part(dataset.split.train), settings.image, how)
 

@@ -25,6 +25,7 @@ def test_the_papers_numbers_are_the_defaults():
     assert settings.cnn.epochs == 0
     assert settings.split.test_fraction == 0.2
     assert settings.check.samples == 200
+    assert settings.with_values({"check": {"samples": 0}}).check.drawn(1391) == 1391
 
 
 def test_the_presentation_has_the_bundles_entries():
@@ -89,7 +90,7 @@ BAD = [
     ({"presentation": {"gap": 10**22}},),
     ({"presentation": {"steps": 15}}, "presentation.readout_start", 15),
     ({"presentation": {"stream_length": 0}}, 1000000),
-    ({"check": {"samples": 0}}, 1),
+    ({"check": {"samples": -1}}, 0),
     ({"check": {"samples": 10**12}}, 1000000),
     ({"cnn": {"architecture": "10x10-6p2-10o"}}, "6p2"),
     ({"cnn": {"architecture": "10x10-10o"}},),

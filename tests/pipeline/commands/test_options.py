@@ -39,7 +39,6 @@ def test_an_option_and_another_value_of_its_setting_are_refused(option, given, a
         ("ladder runs/x --input frames", ["input.kind", "image, events"]),
         ("ladder runs/x --samples many", ["--samples"]),
         ("ladder runs/x --jobs 0", ["--jobs", "1"]),
-        ("ladder runs/x --slow", ["--slow", "--whole"]),
         ("ladder runs/x --set cnn.epoch=5", ["cnn.epochs"]),
         ("ladder runs/x --set check=5 --samples 3", ["--samples", "check"]),
         ("ladder runs/x --epochs 5", ["--epochs"]),

@@ -1,7 +1,9 @@
 import re
 
+import numpy as np
 import pytest
 
+from deploy.check.results import read_result
 from deploy.errors import UserError
 from pipeline.results.ladder import (
     ladder_json,
@@ -10,7 +12,9 @@ from pipeline.results.ladder import (
     losing_stages,
     points_text,
 )
-from tests.command import missing
+from pipeline.roads.road import responses_of
+from pipeline.settings import Presentation
+from tests.command import call, missing
 
 LABELS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
 
@@ -140,3 +144,27 @@ def test_the_deployed_network_is_compared_with_the_simplest_classifier():
     chance = ladder_json([of_eighty("counts", 58), cnn, worse])
     assert "try" not in ladder_text(chance)  # four samples are no evidence
     assert ladder_json([cnn, worse])["against_counts"] is None
+
+
+def test_the_emulators_answers_are_the_fast_targets(tiny_run, tmp_path):
+    """The samples of the check, on both."""
+    out = tmp_path / "fast.json"
+    assert call("check", "run", tiny_run / "bundle", "--target", "fast", "--out", out) == 0
+    fast, emulator = read_result(out), read_result(tiny_run / "checks" / "emulator.json")
+    assert fast["spikes"] == emulator["spikes"]
+    for a, b in zip(fast["samples"], emulator["samples"], strict=True):
+        # The host adds the same spikes in another order: the last bits of a score differ.
+        np.testing.assert_allclose(a["scores"], b["scores"], rtol=0, atol=1e-9)
+        assert [a[k] for k in ("id", "prediction", "stable_after")] == [
+            b[k] for k in ("id", "prediction", "stable_after")
+        ]
+
+
+def test_scores_are_means_from_the_readouts_start():
+    logits = np.array([[[9.0, 0.0], [0.0, 1.0], [4.0, 0.0], [0.0, 9.0]]])
+    responses = responses_of(logits, Presentation(steps=4, readout_start=1))
+    assert responses.decisions.tolist() == [[-1, 1, 0, 1]]
+    np.testing.assert_allclose(responses.scores, [[4 / 3, 10 / 3]])
+    assert responses.stable_after.tolist() == [4]
+    still = responses_of(logits[:, :1], Presentation(steps=4, readout_start=1))
+    assert (still.predictions.tolist(), still.stable_after.tolist()) == ([0], [1])
