@@ -21,7 +21,7 @@ from scipy import stats as statistics
 from deploy.errors import UserError
 from deploy.files import sha256_of, write_json
 from deploy.tables import aligned
-from experiments import handwriting
+from experiments import handwriting, unipen
 from experiments.studies import RESULTS, Store, measured
 from pipeline.commands import options
 from pipeline.data.dataset import Dataset, dataset_origin, split_of
@@ -30,7 +30,7 @@ from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hidden
 from pipeline.results.study import Case, interval_text, study
 from pipeline.settings import SIMULATED
-from pipeline.skin import parameters, unipen
+from pipeline.skin import parameters
 from pipeline.stages import opened_in
 from pipeline.training.adaptation import Person, Responder, refit, require_fit, with_rehearsal
 

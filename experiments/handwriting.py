@@ -13,7 +13,8 @@ from scipy.cluster.vq import kmeans2
 from deploy.errors import UserError
 from deploy.files import sha256_of
 from deploy.terminal import show
-from pipeline.skin import shape_model, unipen
+from experiments import unipen
+from pipeline.skin import shape_model
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
 

@@ -29,7 +29,7 @@ def test_positions_reach_the_report_and_the_page(tmp_path):
     bundle = read_bundle(run / "bundle")
     expected = [[0.5, 0], [0, 1 / 3], [1, 1 / 3], [0.5, 2 / 3]]
     np.testing.assert_allclose(positions_of(bundle.spec), expected, atol=1e-9)
-    page = about(bundle, sensor_of(bundle, {}), tmp_path)
+    page = about(bundle, sensor_of(bundle), tmp_path)
     np.testing.assert_allclose(page["positions"], expected, atol=1e-9)
     assert call("check", "run", run, "--target", "fast") == 0
     assert call("report", run) == 0

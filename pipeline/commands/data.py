@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -26,7 +26,6 @@ from pipeline.data.statistics import (
 )
 from pipeline.progress import progress
 from pipeline.settings import MOST_DOWNSAMPLED, SIMULATED, Settings
-from pipeline.skin import unipen
 
 Source = Annotated[
     str,
@@ -152,13 +151,6 @@ def simulate_(
     out: Annotated[
         Path, typer.Option(help="The zip to write, in the published layout.", metavar="ZIP")
     ],
-    handwriting: Annotated[
-        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(
-            help="UNIPEN file of digits to press on the skin instead of simulated writers.",
-            metavar="PEN",
-        ),
-    ] = None,
     seed: SimulationSeed = 0,
     samples_per_digit: PerDigit = 0,
     rows: Rows = GRID,
@@ -173,13 +165,8 @@ def simulate_(
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
     refuse_to_replace(out)
-    traces = None if handwriting is None else unipen.read(handwriting)
-    recordings = load_recordings(
-        *(SIMULATED, seed, samples_per_digit),
-        jobs=jobs,
-        reading=Reading(rows, columns),
-        traces=traces,
-    )
+    size = Reading(rows, columns)
+    recordings = load_recordings(SIMULATED, seed, samples_per_digit, jobs=jobs, reading=size)
     write_zip(out, recordings, progress)
     facts = {
         "file": str(out),

@@ -9,9 +9,8 @@ import typer
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.live.network import RECORD, SHIPPED, network_of_bundle, network_of_run
+from pipeline.live.network import RECORD, SHIPPED, network_in
 from pipeline.live.serving import PORT, serve
-from pipeline.run import RunFolder
 from pipeline.stages import convert
 
 DEFAULT_RUN = Path("runs/default")
@@ -60,21 +59,18 @@ def live(
 
 
 def _network(run, given, jobs):
-    """The bundle, made if it is missing or if settings were given, and the conversion to images."""
+    """The bundle, made if it is missing or if settings were given."""
     asked = given != options.Given()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED
-    if found := network_of_bundle(run):
-        if asked:
-            raise UserError(
-                f"{run}: is a bundle, whose settings are fixed; leave out --data, --input, --seed, "
-                "--settings and --set, or give a run"
-            )
+    if asked and (run / "MANIFEST.json").exists():
+        raise UserError(
+            f"{run}: is a bundle, whose settings are fixed; leave out --data, --input, --seed, "
+            "--settings and --set, or give a run"
+        )
+    if (found := network_in(run)) is not None and not asked:
         return found
-    folder = RunFolder(run)
-    if not asked and (found := network_of_run(folder)):
-        return found
-    if not folder.bundle.exists():
+    if found is None:
         options.say(f"live: {run} has no network yet; training it first, about a minute")
     with options.opened(run, given, jobs) as opened:
-        return convert(opened), opened.settings.image
+        return convert(opened)

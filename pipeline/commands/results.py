@@ -56,17 +56,16 @@ def report(
         Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
         typer.Option(help="The file to write (default: report.html in the run's folder)."),
     ] = None,
-    jobs: options.Jobs = 2,
 ):
     """Write the run's results so far as one self-contained HTML file."""
-    path = write_report(run, out, jobs, options.say)
+    path = write_report(run, out)
     options.say(f"report: {path} ({path.stat().st_size // 1024} KiB)")
     options.suggest("live", run)
 
 
 def animate(
     run: options.Run,
-    out: Annotated[Path, typer.Option(help="The file to write: .gif, or .mp4 with ffmpeg.")],
+    out: Annotated[Path, typer.Option(help="The file to write: .gif.")],
     sample: Annotated[
         str, typer.Option(help="Id of a sample of the check (default: the first one).")
     ] = "",
@@ -74,7 +73,7 @@ def animate(
     """Write an animation of a sample: touch, spikes and probabilities over time."""
     from pipeline.results.report.figures import animation
 
-    animation.writer_for(out)  # reports a wrong ending of the name before anything is computed
+    animation.require_gif(out)  # reports a wrong ending of the name before anything is computed
     bundle = read_bundle(options.bundle_in(run))
     options.warn_if_outdated(options.bundle_in(run))
     ids = list(bundle.checks.ids)

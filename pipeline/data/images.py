@@ -25,48 +25,9 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.data.altering import AUGMENTATIONS, moved
-from pipeline.data.events import Events, Recordings, Sensor, TaxelMap, collect
+from pipeline.data.events import Recordings
 from pipeline.data.steps import EventTable
-from pipeline.settings import AGGREGATIONS, NORMALISATIONS, Image
-
-
-def aggregate(recordings: Recordings, aggregation: str = "count") -> np.ndarray:
-    """Aggregate each recording's events by taxel.
-
-    Parameters
-    ----------
-    recordings : Recordings
-    aggregation : str
-        See the module's description.
-
-    Returns
-    -------
-    ndarray of float, shape (n_samples, rows, columns)
-        Indexed [sample, row, column], rows from the top and columns from the left.  Places
-        without a taxel are 0.
-
-    Raises
-    ------
-    ValueError
-        Unknown aggregation.
-    """
-    events = recordings.events
-    if aggregation == "count":
-        weights = np.ones(len(events))
-    elif aggregation == "columns":
-        weights = events.columns.astype(float)
-    elif aggregation == "signed":
-        weights = events.polarity.astype(float)
-    elif aggregation in ("on", "off"):
-        weights = (events.polarity == (1 if aggregation == "on" else -1)).astype(float)
-    else:
-        raise ValueError(f"aggregation {aggregation!r} is not one of {', '.join(AGGREGATIONS)}")
-    taxels, sensor = recordings.taxels, recordings.sensor
-    cell = recordings.sample_of_event * len(taxels) + events.taxel
-    total = np.bincount(cell, weights, minlength=len(recordings) * len(taxels))
-    images = np.zeros((len(recordings), sensor.rows, sensor.columns))
-    images[:, taxels.row, taxels.column] = total.reshape(-1, len(taxels))
-    return images
+from pipeline.settings import Image
 
 
 def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
@@ -83,15 +44,7 @@ def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
     ndarray of float, same shape
         An image without events stays zero.
 
-    Raises
-    ------
-    ValueError
-        Unknown normalisation.
     """
-    if normalisation not in NORMALISATIONS:
-        raise ValueError(
-            f"normalisation {normalisation!r} is not one of {', '.join(NORMALISATIONS)}"
-        )
     if normalisation == "none":
         return images.astype(float)
     if normalisation == "sqrt-max":
@@ -179,39 +132,6 @@ class AlteredImages:
             [np.bincount(cell, part, minlength=n * rows * columns) for part in values.T], axis=-1
         )
         return np.moveaxis(summed.reshape(n, rows, columns, slices, 2), 3, 1)
-
-
-def growing(
-    events: Events,
-    taxels: TaxelMap,
-    ends,
-    aggregation: str = "count",
-    sensor: Sensor | None = None,
-) -> np.ndarray:
-    """A recording's tactile image as it grows, not normalised.
-
-    Parameters
-    ----------
-    events : Events
-        Events of one recording.
-    taxels : TaxelMap
-    ends : sequence of int
-        End times in nanoseconds; an image has the events before its end.
-    aggregation : str
-        See the module's description.
-    sensor : Sensor, optional
-
-    Returns
-    -------
-    ndarray of float, shape (n_ends, rows, columns)
-    """
-    parts = [
-        Events(*(getattr(events, name)[events.time_ns < end] for name in vars(events)))
-        for end in ends
-    ]
-    n = len(parts)
-    grown = collect(parts, [0] * n, ["part"] * n, [-1] * n, None, taxels, sensor)
-    return aggregate(grown, aggregation)
 
 
 def sliced_counts(

@@ -42,7 +42,6 @@ def load_recordings(
     jobs: int = 2,
     warn=None,
     reading: Reading = AS_FOUND,
-    traces=None,
 ) -> Recordings:
     """Recordings of a source, which are simulated or imported on first use and cached.
 
@@ -62,8 +61,6 @@ def load_recordings(
         Called with one line for each file that was left out.
     reading : pipeline.data.sensor.Reading
         Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
-    traces : sequence of pipeline.skin.handwriting.Trace, optional
-        Recorded handwriting to press on the simulated skin instead of simulated writers.
 
     Returns
     -------
@@ -77,7 +74,7 @@ def load_recordings(
     if source == SIMULATED:
         size = (reading.rows or GRID, reading.columns or GRID)
         counts = _counts(samples_per_digit)
-        return simulated(simulation_seed, counts, jobs, traces=traces, size=size)
+        return simulated(simulation_seed, counts, jobs, size=size)
     return _imported(Path(source), skip_bad, jobs, warn, reading)
 
 

@@ -2,8 +2,8 @@
 
 Rows 0 to 99 have 1 (ON), -1 (OFF) or 0 for the taxels, row 100 the time of each column in seconds.
 For other arrays there are as many rows as taxels, and the time is in the next row.
-MATLAB 5 files are read with SciPy, 7.3 files (HDF5) with h5py; nothing in them is executed, and
-nothing that declares to be larger than a recording can be is read.
+Files are read with SciPy; nothing in them is executed, and nothing that declares to be larger than
+a recording can be is read.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import io
 import math
 from dataclasses import dataclass
 
-import h5py
 import numpy as np
 import scipy
 
@@ -86,7 +85,7 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     Parameters
     ----------
     content : bytes
-        Content of a MATLAB 5 or 7.3 file.
+        Content of a MATLAB 5 file.
     n_taxels : int or None
         Number of taxels of the array; None for any.
 
@@ -178,7 +177,7 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
 
 
 def read_variables(content: bytes, fits) -> dict:
-    """Read some variables of a MATLAB 5 or 7.3 file.
+    """Read some variables of a MATLAB 5 file.
 
     Parameters
     ----------
@@ -202,13 +201,13 @@ def read_variables(content: bytes, fits) -> dict:
         raise BadRecording(f"is larger than a recording of {DURATION_S:g} s can be")
     try:
         if content[512:520] == b"\x89HDF\r\n\x1a\n":
-            return _read_hdf5(content, fits)
+            raise BadRecording("is a MATLAB 7.3 file; save it with '-v7', as ST-MNIST's are")
         if not content.startswith(HEADER):
             raise BadRecording("is not a MAT file")
         return _read_mat5(content, fits)
     except (BadRecording, MemoryError):
         raise
-    except Exception as error:  # SciPy and h5py fail in many ways on damaged files
+    except Exception as error:  # SciPy fails in many ways on damaged files
         raise BadRecording(f"is a damaged MAT file ({type(error).__name__})") from error
 
 
@@ -221,26 +220,6 @@ def _read_mat5(content, fits):
             names.append(name)
     variables = scipy.io.loadmat(file, variable_names=names)
     return {name: variables[name] for name in names}
-
-
-def _read_hdf5(content, fits):
-    """The arrays of numbers of an HDF5 file; nothing outside it is opened."""
-    variables = {}
-    with h5py.File(io.BytesIO(content), "r") as file:
-        for name in file:
-            is_inside = isinstance(file.get(name, getlink=True), h5py.HardLink)
-            dataset = file[name] if is_inside else None
-            if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiub":
-                continue
-            # MATLAB stores columns first, so that HDF5 sees each matrix transposed.
-            if not dataset.shape or not fits(name, dataset.shape[::-1]):
-                continue
-            if dataset.external or dataset.is_virtual:
-                raise BadRecording(f"has {name!r} in another file")
-            for shape in (dataset.shape, dataset.chunks or ()):
-                _refuse_too_large(name, shape, dataset.dtype.itemsize)
-            variables[name] = dataset[()].T
-    return variables
 
 
 def _refuse_too_large(name, shape, item_size):

@@ -18,10 +18,9 @@ from deploy.network.decision import confidence
 from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast import Emulation
+from pipeline.data.dataset import inputs_for
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.data.images import tactile_images
 from pipeline.data.steps import EventTable
-from pipeline.settings import Image
 
 # Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
 # screen.
@@ -230,15 +229,12 @@ class ImageDecider(Decider):
     Parameters
     ----------
     bundle : Bundle
-    image : Image
-        Conversion of events to an image.
     sensor : Sensor
     seed : int
     """
 
-    def __init__(self, bundle: Bundle, image: Image, sensor: Sensor, seed: int = 0):
+    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
         super().__init__(bundle, sensor, seed)
-        self._image = image
         self.about = (
             "the left part is before the presentation. While the recording grows, the current "
             "image is presented to this network again and again, for "
@@ -251,7 +247,7 @@ class ImageDecider(Decider):
 
     def _answer(self, events, time_s, before):
         recording = self._recording(events)
-        image = tactile_images(recording, self._image)
+        image = inputs_for(self._spec, recording)
         shown = self._show(image, self._spec.presentation.steps)
         if shown is None:
             return None
@@ -342,8 +338,8 @@ class EventDecider(Decider):
         return Answer(scores, shares, spikes, curve, decided, score_unit(self._spec))
 
 
-def decider_of(bundle: Bundle, image: Image, sensor: Sensor) -> Decider:
+def decider_of(bundle: Bundle, sensor: Sensor) -> Decider:
     """The decider for a bundle; compiles the kernel if necessary."""
     if isinstance(bundle.spec.stimulus, EventFrames):
         return EventDecider(bundle, sensor)
-    return ImageDecider(bundle, image, sensor)
+    return ImageDecider(bundle, sensor)

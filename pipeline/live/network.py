@@ -7,12 +7,9 @@ from pathlib import Path
 
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
-from deploy.files import read_json
 from deploy.network.stimulus import EventFrames
-from pipeline.data.dataset import positions_of
+from pipeline.data.dataset import classes_of, positions_of
 from pipeline.data.events import Sensor, are_digits, is_written
-from pipeline.run import RunFolder
-from pipeline.settings import Image, read_settings
 
 # The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
 # settings of ``shipped.toml``.
@@ -22,62 +19,20 @@ SHIPPED = Path(__file__).with_name("bundle")
 RECORD = "written"
 
 
-def network_of_bundle(folder: Path) -> tuple | None:
-    """The bundle in a copied folder, and its conversion of events to images.
-
-    Returns
-    -------
-    (Bundle, Image) or None
-        None if there is no bundle.
+def network_in(folder: Path) -> Bundle | None:
+    """The bundle in the folder of a bundle or of a run; None if there is none.
 
     Raises
     ------
     UserError
         The bundle is damaged.
     """
-    if not (folder / "MANIFEST.json").exists():
-        return None
-    return _with_images(read_bundle(folder), Image())
+    place = folder if (folder / "MANIFEST.json").exists() else folder / "bundle"
+    return read_bundle(place) if place.exists() else None
 
 
-def network_of_run(run: RunFolder) -> tuple | None:
-    """As :func:`network_of_bundle`, for a run; None if its bundle has not been made yet."""
-    if not run.bundle.exists():
-        return None
-    known = run.experiment.exists()
-    otherwise = read_settings(run.experiment).image if known else Image()
-    return _with_images(read_bundle(run.bundle), otherwise)
-
-
-def _with_images(bundle, otherwise):
-    """Add the conversion to images in the bundle; earlier bundles do not have it."""
-    said = bundle.spec.provenance.get("image")
-    try:
-        return bundle, otherwise if said is None else Image(**said)
-    except TypeError as error:
-        raise UserError(
-            f"{bundle.path}: the conversion of events to its images is unknown ({error})"
-        ) from error
-
-
-def facts_of_run(run: RunFolder) -> dict:
-    """Facts about the recordings of a run; none if the folder is not a run."""
-    try:
-        facts = read_json(run.dataset, "") if run.experiment.exists() else {}
-    except UserError:
-        return {}
-    return facts if isinstance(facts.get("sensor"), dict) else {}
-
-
-def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
+def sensor_of(bundle: Bundle) -> Sensor:
     """The sensor and the classes of a network.
-
-    Parameters
-    ----------
-    bundle : Bundle
-    facts : dict
-        Facts about its run's recordings (:func:`pipeline.data.statistics.facts_of`); empty without
-        a run.
 
     Raises
     ------
@@ -92,18 +47,8 @@ def sensor_of(bundle: Bundle, facts: dict) -> Sensor:
             "on images with one channel, or on ON and OFF events"
         )
     rows, columns, _ = spec.input_shape
-    polarities = facts.get("sensor", {}).get("polarities")
-    if polarities not in (1, 2):
-        polarities = 1 if on_events and not bundle.checks.inputs[..., 1].any() else 2
-    return Sensor(rows, columns, polarities, classes=_classes(spec))
-
-
-def _classes(spec):
-    """Names of the network's classes, or their numbers if it has no names."""
-    n = spec.layers[-1].size
-    said = spec.provenance.get("classes")
-    are_names = isinstance(said, list) and all(isinstance(name, str) for name in said)
-    return tuple(said) if are_names and len(set(said)) == n else tuple(map(str, range(n)))
+    polarities = 1 if spec.provenance.get("polarities") == 1 else 2
+    return Sensor(rows, columns, polarities, classes=classes_of(spec))
 
 
 def record_folder(bundle: Bundle, sensor: Sensor) -> str:

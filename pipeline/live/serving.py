@@ -13,7 +13,6 @@ from deploy.errors import UserError
 from deploy.terminal import remark, show
 from pipeline.live.network import (
     about,
-    facts_of_run,
     record_folder,
     sensor_of,
 )
@@ -37,8 +36,7 @@ def serve(
     Parameters
     ----------
     network : callable
-        Returns the bundle and its conversion of events to images; called when the port is known to
-        be free.
+        Returns the bundle; called when the port is known to be free.
     port : int
         0 for any free one.
     record : path-like, optional
@@ -66,9 +64,9 @@ def serve(
     with contextlib.ExitStack() as opened:
         # A port that is in use is reported now, not after the network has been trained.
         listening = opened.enter_context(closing(listen(port, host)))
-        bundle, image = network()
+        bundle = network()
         folder = RunFolder(run_around(bundle.path) or bundle.path.parent)
-        sensor = sensor_of(bundle, facts_of_run(folder))
+        sensor = sensor_of(bundle)
         record = Path(record or record_folder(bundle, sensor))
         keeper = opened.enter_context(closing(Keeper(record, sensor)))
         note = outdated_note(bundle.path)
@@ -78,7 +76,7 @@ def serve(
         def make_decider():
             from pipeline.live.deciding import decider_of  # Nengo takes a second to import
 
-            return decider_of(bundle, image, sensor)
+            return decider_of(bundle, sensor)
 
         def make_tests():
             from pipeline.live.examples import check_examples

@@ -2,7 +2,7 @@
 
 A digit is a trace: the pen's positions along each stroke at even times, drawn from the model of
 handwriting (:mod:`pipeline.skin.shape_model`) or recorded on a tablet
-(:mod:`pipeline.skin.unipen`).  Both are placed on the skin and written with the trace's own speed
+(``experiments/unipen.py``).  Both are placed on the skin and written with the trace's own speed
 along each stroke.
 """
 

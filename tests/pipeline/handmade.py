@@ -3,7 +3,6 @@
 import io
 import zipfile
 
-import h5py
 import numpy as np
 import scipy.io
 
@@ -37,17 +36,6 @@ def mat5(**variables) -> bytes:
     buffer = io.BytesIO()
     scipy.io.savemat(buffer, variables)
     return buffer.getvalue()
-
-
-def mat73(**variables) -> bytes:
-    """As MATLAB 7.3 has it: 512 bytes of header before the HDF5 file, matrices transposed."""
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w", userblock_size=512) as file:
-        for name, value in variables.items():
-            file[name] = np.asarray(value).T
-    content = bytearray(buffer.getvalue())
-    content[:512] = b"MATLAB 7.3 MAT-file, made by hand".ljust(512)
-    return bytes(content)
 
 
 def npz(*arrays, **named) -> bytes:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from deploy.files import replacing
-from deploy.terminal import remark
 from pipeline.run import RunFolder
 
 
-def write_report(run, path=None, jobs: int = 1, say=remark) -> Path:
+def write_report(run, path=None) -> Path:
     """Write a run's results so far as one self-contained HTML file.
 
     Parameters
@@ -18,10 +17,6 @@ def write_report(run, path=None, jobs: int = 1, say=remark) -> Path:
         Folder of the run.
     path : path-like, optional
         The file; default: ``report.html`` in the run's folder.
-    jobs : int
-        Number of processes for recordings that are not in the cache.
-    say : callable
-        Called with a message about what is left out.
 
     Returns
     -------
@@ -35,7 +30,7 @@ def write_report(run, path=None, jobs: int = 1, say=remark) -> Path:
     from pipeline.results.report.gather import gather
     from pipeline.results.report.page import render
 
-    html = render(gather(RunFolder(run), jobs, say))
+    html = render(gather(RunFolder(run)))
     path = Path(path) if path else Path(run) / "report.html"
     with replacing(path, "w") as file:
         file.write(html)

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.preflight.plan import make_plan
-from pipeline.data.dataset import inputs_for
-from pipeline.data.library import recordings_of
 from pipeline.progress import progress
 from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.ladder import ladder_stages
@@ -30,16 +26,12 @@ REMEDY = "delete it and make it again"
 MANY_CHIPS = 10_000
 
 
-def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
+def gather(folder: RunFolder) -> Inputs:
     """Read a run, and replay the samples that its report shows.
 
     Parameters
     ----------
     folder : RunFolder
-    jobs : int
-        Processes for recordings that are not in the cache.
-    say : callable
-        Called with a message if the recordings are not there.
 
     Raises
     ------
@@ -85,7 +77,6 @@ def gather(folder: RunFolder, jobs: int = 1, say=print) -> Inputs:
         },
         plan=make_plan(bundle.spec, MANY_CHIPS).to_json(),
         replays=replays,
-        recordings=_recordings(settings, bundle, jobs, say),
         outdated=outdated(status_of(folder)),
         others=_others(folder, bundle),
     )
@@ -99,29 +90,6 @@ def _test_accuracy(path):
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise UserError(f"{path}: has no accuracy of the test samples; {REMEDY}") from error
     return {"accuracy": shown[0], "n_test": shown[1]}
-
-
-def _recordings(settings, bundle, jobs, say):
-    """The recordings of the bundle's samples, or None if they are not there."""
-    try:
-        recordings = recordings_of(settings, jobs)
-    except UserError as error:
-        say(f"report: without pictures of the events ({error})")
-        return None
-    if not _has_samples(recordings, bundle, settings.image):
-        say("report: without pictures of the events (the bundle was made from other recordings)")
-        return None
-    return recordings
-
-
-def _has_samples(recordings, bundle, image):
-    """True if the recordings have the samples of the bundle's check, with the same content."""
-    sensor, index = recordings.sensor, {name: i for i, name in enumerate(recordings.ids)}
-    chosen = [index.get(name) for name in bundle.checks.ids]
-    if None in chosen or (sensor.rows, sensor.columns) != bundle.spec.input_shape[:2]:
-        return False
-    inputs = inputs_for(bundle.spec, recordings.part(np.array(chosen)), image)
-    return np.array_equal(inputs, bundle.checks.inputs)
 
 
 def _others(folder, bundle):

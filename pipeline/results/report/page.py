@@ -21,7 +21,6 @@ from deploy.tables import SIGNIFICANCE, p_text
 from deploy.targets.registry import TARGETS
 from pipeline import look
 from pipeline.data.dataset import positions_of
-from pipeline.data.events import Recordings
 from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts
 from pipeline.results.report.samples import final_probabilities
@@ -56,8 +55,6 @@ class Inputs:
         The plan of the placement, as plain values.
     replays : dict of int to Replay
         Spikes and probabilities of some samples, by their index in the check.
-    recordings : Recordings or None
-        None if the bundle's recordings are not there; the report then has no pictures of events.
     outdated : dict of str to str
         Outdated artifacts, with the reasons.
     others : list of dict
@@ -72,7 +69,6 @@ class Inputs:
     histories: dict
     plan: dict
     replays: dict
-    recordings: Recordings | None = None
     outdated: dict = field(default_factory=dict)
     others: list = field(default_factory=list)
 
@@ -116,7 +112,6 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         source=provenance["source"],
         source_sha256=provenance["source_sha256"],
         simulated=provenance["simulated"],
-        recordings=inputs.recordings,
         settings=_settings(inputs),
         seed=inputs.settings.seed,
         classes=inputs.classes,
@@ -369,16 +364,15 @@ def _stories(inputs):
             ),
         )
         layers = [
-            charts.Raster(
+            _touch(spec, size, steps, neurons)
+            if name == "input" and not spec.stimulus.static
+            else charts.Raster(
                 f"{name}: {size} neurons, {len(steps)} spikes",
                 (("s1", (steps + 0.5) * step_ms, neurons),),
                 size,
             )
             for name, size, steps, neurons in replay.layers
         ]
-        events = _events(inputs, sample["id"])
-        if events and not spec.stimulus.static:
-            layers.insert(0, events)
         extent = spec.presentation.steps * step_ms
         chances = final_probabilities(spec, sample["scores"])
         stories.append(
@@ -390,7 +384,6 @@ def _stories(inputs):
                 "answered": classes[answered],
                 "probability": float(chances[answered]),
                 "stopped_ms": _stopped(sample, spec) and sample["stopped_at"] * step_ms,
-                "events": events if events and spec.stimulus.static else None,
                 "chart": charts.timeline(
                     [*layers, lines],
                     extent,
@@ -401,12 +394,6 @@ def _stories(inputs):
                 "legend": charts.legend([s.name for s in lines.series]),
             }
         )
-        if stories[-1]["events"]:
-            recorded = float(np.max(events.groups[0][1].max(initial=0)))
-            recorded = max(recorded, float(events.groups[1][1].max(initial=0)), 1.0)
-            stories[-1]["events"] = charts.timeline(
-                [events], recorded, "milliseconds of the recording", f"Events of {sample['id']}"
-            )
     return stories
 
 
@@ -415,19 +402,14 @@ def _stopped(sample, spec):
     return sample.get("stopped_at", spec.presentation.steps) < spec.presentation.steps
 
 
-def _events(inputs, name):
-    """The events of a recording as a panel, in milliseconds from its first event."""
-    recordings = inputs.recordings
-    if recordings is None:
-        return None
-    events = recordings[recordings.ids.index(name)]
-    first = events.time_ns[0] if len(events) else 0
+def _touch(spec, size, steps, neurons):
+    """The input spikes of a network on events, by taxel and polarity."""
+    milliseconds, is_on = 1000 * spec.stimulus.step_seconds * (steps + 0.5), neurons % 2 == 0
     groups = tuple(
-        (kind, (events.time_ns[mask] - first) / 1e6, events.taxel[mask])
-        for kind, mask in (("on", events.polarity > 0), ("off", events.polarity <= 0))
+        (kind, milliseconds[mask], neurons[mask] // 2)
+        for kind, mask in (("on", is_on), ("off", ~is_on))
     )
-    n = len(recordings.taxels)
-    return charts.Raster(f"sensor: {n} taxels, {len(events)} events", groups, n, 110)
+    return charts.Raster(f"sensor: {size // 2} taxels, {len(steps)} events", groups, size // 2, 110)
 
 
 def drawn_steps(n: int) -> np.ndarray:

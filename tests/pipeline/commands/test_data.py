@@ -1,7 +1,6 @@
 """The verbs of the simulated skin."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -13,16 +12,6 @@ from tests.command import call
 from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
-
-SEVENS = """\
-.SEGMENT DIGIT 0 ? "7"
-.PEN_DOWN
- 100 200
- 150 200
- 200 200
- 150 0
-.PEN_UP
-"""
 
 
 @pytest.fixture
@@ -84,20 +73,3 @@ def test_plot(what, archive, tmp_path):
     arguments = ["--data", archive, "--sample", "2/0001", "--per-digit", 2, "--jobs", 1]
     assert call("data", "plot", what, "--out", out, *arguments) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
-
-
-def test_recorded_handwriting(tmp_path, capsys):
-    unipen = tmp_path / "sevens.unipen"
-    unipen.write_text(SEVENS)
-    out = tmp_path / "written.zip"
-    arguments = ["--out", out, "--handwriting", unipen, "--samples-per-digit", 1, "--jobs", 1]
-    assert call("data", "simulate", *arguments) == 2
-    assert re.search(r"\b0\b", capsys.readouterr().err)
-    text = "".join(SEVENS.replace('0 ? "7"', f'{n} ? "{n}"') for n in range(10))
-    unipen.write_text(text)
-    assert call("data", "simulate", *arguments, "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["samples"] == 10
-    assert facts["simulated"] is True
-    assert "handwriting" in facts["source"]
-    assert len(read_source(out, jobs=1)) == 10

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from deploy.errors import SeveralErrors, UserError
 from pipeline.data.eventfiles import read_events, recording_of, write_recordings
 from pipeline.data.events import TaxelMap
-from pipeline.data.images import aggregate
+from pipeline.data.images import tactile_images
 from pipeline.data.library import load_recordings
 from pipeline.data.matfile import BadRecording
 from pipeline.data.sensor import to_ns
@@ -207,7 +207,7 @@ def test_arrays_and_a_data_set_of_tonic_s_come_back(tmp_path):
     assert tonic.sensor.classes == plain.sensor.classes == CLASSES
     assert (tonic.source.simulated, plain.source.simulated) == (False, True)
     np.testing.assert_array_equal(tonic.labels, [label for _, label in gestures(3)])
-    np.testing.assert_array_equal(aggregate(tonic), aggregate(plain))
+    np.testing.assert_array_equal(tactile_images(tonic), tactile_images(plain))
     expected = np.concatenate([t for (_, _, t, _), _ in gestures(3)])
     np.testing.assert_allclose(tonic.events.time_ns * 1e-9, expected, atol=1e-6)
     np.testing.assert_allclose(plain.events.time_ns * 1e-9, expected, atol=1e-9)

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pipeline.data.events import TaxelMap
-from pipeline.data.images import AlteredImages, aggregate, normalise, tactile_images
-from pipeline.settings import AGGREGATIONS, NORMALISATIONS, Image
+from pipeline.data.images import AlteredImages, normalise, tactile_images
+from pipeline.settings import Image
 from tests.pipeline.handmade import recordings
 
 # Taxel 37 (row 7, column 3): two ON of 4 and 5 columns, one OFF of 2; taxel 90: one OFF of 3.
@@ -18,7 +18,7 @@ ROWS = [(0, 37, 1, 4), (1_000, 90, -1, 3), (5_000, 37, 1, 5), (9_000, 37, -1, 2)
     [("count", 3, 1), ("columns", 11, 3), ("signed", 1, -1), ("on", 2, 0), ("off", 1, 1)],
 )
 def test_aggregations_by_hand(aggregation, at_37, at_90):
-    image = aggregate(recordings([], ROWS), aggregation)
+    image = tactile_images(recordings([], ROWS), Image(aggregation, normalisation="none"))[..., 0]
     assert image.shape == (2, 10, 10)
     assert not image[0].any()
     expected = np.zeros((10, 10))
@@ -28,7 +28,8 @@ def test_aggregations_by_hand(aggregation, at_37, at_90):
 
 def test_the_lookup_table_decides_where_a_taxel_is():
     transposed = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
-    image = aggregate(recordings(ROWS, taxels=transposed))[0]
+    found = tactile_images(recordings(ROWS, taxels=transposed), Image(normalisation="none"))
+    image = found[0, ..., 0]
     assert (image[3, 7], image[9, 0]) == (3, 1)
     assert image.sum() == 4
 
@@ -68,15 +69,6 @@ def test_what_the_networks_see():
     assert images[0, 0, 9, 0] == pytest.approx(1 / 3)
 
 
-def test_unknown_names_are_refused_with_the_known_ones():
-    for name in AGGREGATIONS:
-        with pytest.raises(ValueError, match=f"'total' is .*{name}"):
-            aggregate(recordings(ROWS), "total")
-    for name in NORMALISATIONS:
-        with pytest.raises(ValueError, match=f"'mean' is .*{name}"):
-            normalise(np.ones((1, 2, 2)), "mean")
-
-
 def test_channels_are_slices_of_time_and_polarities():
     """Two slices of 5 us: an event at 5 us is in the second, as is one after the end."""
     rows = [(0, 37, 1, 4), (1_000, 90, -1, 3), (5_000, 37, 1, 5), (90_000, 37, -1, 2)]
@@ -87,13 +79,6 @@ def test_channels_are_slices_of_time_and_polarities():
     np.testing.assert_array_equal(found, expected)
     both = tactile_images(recordings(rows), Image("count", 2, 0.01, "none"))[0]
     np.testing.assert_array_equal(both, expected.reshape(10, 10, 2, 2).sum(3))
-
-
-@pytest.mark.parametrize("aggregation", ["count", "columns", "signed", "on", "off"])
-def test_one_slice_is_the_paper_s_image(aggregation):
-    given = recordings(ROWS, [])
-    image = tactile_images(given, Image(aggregation, normalisation="none"))
-    np.testing.assert_array_equal(image[..., 0], aggregate(given, aggregation))
 
 
 def test_altered_images_have_a_share_of_the_events():

@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from pipeline.data.events import Sensor
-from pipeline.data.images import aggregate
+from pipeline.data.images import tactile_images
 from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading, class_order
 from pipeline.data.source import read_source
 from pipeline.data.statistics import reading_text
+from pipeline.settings import Image
 from tests.command import missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import archive, mat5, npz
@@ -107,7 +108,7 @@ def test_coordinates_come_out_where_they_went_in(tmp_path):
     read = read_source(tmp_path / "g.zip", jobs=1)
     np.testing.assert_array_equal(read[0].time_ns, [100_000_000, 200_000_000, 500_000_000])
     np.testing.assert_array_equal(read[0].polarity, [-1, 1, 1])
-    image = aggregate(read)[0]
+    image = tactile_images(read, Image(normalisation="none"))[0, ..., 0]
     assert image.shape == (4, 5)
     expected = np.zeros((4, 5))
     expected[3, 1], expected[0, 4] = 2, 1
@@ -157,7 +158,7 @@ def test_a_simulated_skin_of_another_size():
     assert large.events.taxel.max() < 16 * 14
     # A digit covers as much of the larger skin, in both directions.
     for skin, size in ((small, 10), (large, 14)):
-        images = aggregate(skin) > 0
+        images = tactile_images(skin)[..., 0] > 0
         high, wide = (np.ptp(np.nonzero(images.any(axis=(0, axis)))[0]) for axis in (2, 1))
         assert high >= 0.7 * size
         assert wide >= 0.6 * size

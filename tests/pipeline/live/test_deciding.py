@@ -15,7 +15,7 @@ from pipeline.data.events import Events, Sensor
 from pipeline.data.images import tactile_images
 from pipeline.data.steps import EventTable
 from pipeline.live.deciding import EventDecider, decider_of
-from pipeline.settings import Image, Settings
+from pipeline.settings import Settings
 from pipeline.skin.simulate import simulate
 from tests.deploy import networks
 
@@ -27,7 +27,7 @@ def bundle(tiny_run):
 
 @pytest.fixture(scope="module")
 def decider(bundle):
-    return decider_of(bundle, Image(), Sensor())
+    return decider_of(bundle, Sensor())
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
     """Longer than the presentation: as the target answers with as many steps as it takes."""
     slow = replace(recordings.events, time_ns=4 * recordings.events.time_ns)
     slow = replace(recordings, events=slow)
-    decider = decider_of(clocked, Image(), Sensor())
+    decider = decider_of(clocked, Sensor())
     spec = clocked.spec.with_presentation(steps=600, stream_length=1)
     frames = EventTable.of(slow).frames(np.arange(len(slow)), 10.0, 600, 1)
     expected = answers_of(spec, np.moveaxis(frames, 0, 1), "fast")
@@ -103,7 +103,7 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
 def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
     clocked, recordings
 ):
-    decider = decider_of(clocked, Image(), Sensor())
+    decider = decider_of(clocked, Sensor())
     assert isinstance(decider, EventDecider)
     assert decider.clocked
     spec = clocked.spec.with_presentation(stream_length=1)
@@ -146,4 +146,4 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
 def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, recordings):
     events = recordings[0]
     first_s = events.time_ns[0] * 1e-9
-    assert decider_of(clocked, Image(), Sensor()).answer(events, first_s + 0.01) is None
+    assert decider_of(clocked, Sensor()).answer(events, first_s + 0.01) is None

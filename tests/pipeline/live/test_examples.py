@@ -17,7 +17,7 @@ from pipeline.live.deciding import decider_of
 from pipeline.live.examples import Example, Examples, Replayed, check_examples
 from pipeline.live.network import SHIPPED
 from pipeline.run import RunFolder
-from pipeline.settings import Image, read_settings
+from pipeline.settings import read_settings
 from pipeline.skin.writing import START_S
 
 
@@ -32,7 +32,7 @@ def test_a_bundle_on_events_has_examples_that_are_answered_as_in_its_check():
     some = range(0, len(tests), 25)
     spec = bundle.spec.with_presentation(stream_length=1)
     expected = answer(spec, bundle.checks.inputs[some], "fast")
-    decider = decider_of(bundle, Image(), Sensor())
+    decider = decider_of(bundle, Sensor())
     for place, index in enumerate(some):
         assert tests[index].events.time_ns[0] == round(START_S * 1e9)
         said = decider.begin().answer(tests[index].events, math.inf)

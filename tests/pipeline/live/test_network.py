@@ -22,7 +22,7 @@ def changed(shape=(9, 12, 2), inputs=None, **provenance) -> Bundle:
 
 
 def test_the_network_of_the_package_is_for_digits():
-    sensor = sensor_of(BUNDLE, {})
+    sensor = sensor_of(BUNDLE)
     assert sensor == Sensor()
     assert record_folder(BUNDLE, sensor) == "written"
     assert about(BUNDLE, sensor, "written")["digits"] is True
@@ -30,8 +30,8 @@ def test_the_network_of_the_package_is_for_digits():
 
 def test_a_data_set_of_ones_own_has_its_words_and_a_folder_of_its_own():
     names = [*CLASSES, *(f"Klasse {n}" for n in range(6))]
-    bundle = changed(classes=names, source="Über/own data (2).zip")
-    sensor = sensor_of(bundle, {"sensor": {"polarities": 1}})
+    bundle = changed(classes=names, source="Über/own data (2).zip", polarities=1)
+    sensor = sensor_of(bundle)
     assert sensor == Sensor(9, 12, 1, classes=tuple(names))
     assert record_folder(bundle, sensor) == "written-own-data-2"
     told = about(bundle, sensor, "x")
@@ -42,4 +42,4 @@ def test_a_data_set_of_ones_own_has_its_words_and_a_folder_of_its_own():
 @pytest.mark.parametrize("shape", [(100,), (10, 10, 1), (10, 10, 3)])
 def test_a_network_that_reads_no_sensor_is_refused(shape):
     with pytest.raises(UserError, match="shape"):
-        sensor_of(changed(shape), {})
+        sensor_of(changed(shape))

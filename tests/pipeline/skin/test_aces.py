@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from pipeline.data.events import TICK_NS, Events, expand_bursts, merge_bursts
 from pipeline.skin import aces, parameters
 from pipeline.skin.simulate import simulate
+from tests.pipeline.skin import wire as wire_of
 
 P = parameters.load().aces
 SIGNATURE_NS = P.signature_s * 1e9
@@ -25,7 +26,7 @@ def columns(events):
 
 
 def test_signatures_meet_in_few_pulses():
-    codes = aces.signatures(P.pulses, P.signature_s, P.most_shared)
+    codes = wire_of.signatures(P.pulses, P.signature_s, P.most_shared)
     assert codes.shape == (100, P.pulses)
     assert (codes[:, 0] == 0).all()
     assert codes.max() * TICK_NS < SIGNATURE_NS
@@ -49,8 +50,8 @@ def test_burst_lengths_are_those_of_the_real_recording():
 
 def test_encode_by_hand():
     # 100 ns is in tick 7 (112 ns); a pulse of 71.4 ns is still high at ticks 8 to 10 (160 ns).
-    wire = aces.encode([100.0], [5], [1], P, 0, 70_000)
-    delays = aces.signatures(P.pulses, P.signature_s, P.most_shared)[5]
+    wire = wire_of.encode([100.0], [5], [1], P, 0, 70_000)
+    delays = wire_of.signatures(P.pulses, P.signature_s, P.most_shared)[5]
     expected = np.zeros(70_000)
     for delay in delays:
         expected[7 + delay : 11 + delay] = 1
@@ -61,8 +62,8 @@ def test_encode_by_hand():
 @settings(max_examples=25, deadline=None)
 def test_decode_of_encode_is_the_short_way(events):
     time_ns, taxel, polarity = (np.array(column) for column in zip(*events, strict=True))
-    wire = aces.encode(time_ns, taxel, polarity, P, 0, round(4.2e6 / TICK_NS))
-    assert columns(aces.decode(wire, P, 0)) == columns(aces.bursts(time_ns, taxel, polarity, P))
+    wire = wire_of.encode(time_ns, taxel, polarity, P, 0, round(4.2e6 / TICK_NS))
+    assert columns(wire_of.decode(wire, P, 0)) == columns(aces.bursts(time_ns, taxel, polarity, P))
 
 
 @given(sent)
@@ -83,10 +84,10 @@ def test_the_short_way_stands_for_the_wire_on_a_simulated_recording():
     inside = (events.time_ns >= start) & (events.time_ns < start + 60e6)
     part = Events(*(getattr(events, name)[inside] for name in vars(events)))
     assert len(part) > 30
-    wire = aces.encode(
+    wire = wire_of.encode(
         part.time_ns.astype(float), part.taxel, part.polarity, P, start, round(61.2e6 / TICK_NS)
     )
     wire += P.noise * np.random.default_rng(0).standard_normal(len(wire), np.float32)
-    decoded = aces.decode(wire, P, start)
+    decoded = wire_of.decode(wire, P, start)
     again = aces.bursts(part.time_ns.astype(float), part.taxel, part.polarity, P)
     assert columns(decoded) == columns(again)

@@ -6,8 +6,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from matplotlib import rcParams
-from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.animation import PillowWriter
 from matplotlib.figure import Figure
 
 from deploy.check.bundle import Bundle
@@ -27,37 +26,10 @@ SHOWN_CLASSES = 4
 LONGEST_NAME = 32
 
 
-def writer_for(path) -> AbstractMovieWriter:
-    """The Matplotlib writer for a file name.
-
-    Raises
-    ------
-    UserError
-        The name ends in neither .gif nor .mp4, or ffmpeg is missing for .mp4.
-    """
-    suffix = path.suffix.lower()
-    if suffix == ".gif":
-        return PillowWriter(fps=FRAMES_A_SECOND)
-    if suffix != ".mp4":
-        raise UserError(f"{path}: the name must end in .gif or .mp4")
-    if not FFMpegWriter.isAvailable() and (program := _packaged_ffmpeg()):
-        rcParams["animation.ffmpeg_path"] = program
-    if not FFMpegWriter.isAvailable():
-        raise UserError(
-            f"{path}: needs ffmpeg, which is not on this machine; install it "
-            "(pip install 'stmnist-loihi[video]'), or choose a .gif"
-        )
-    return FFMpegWriter(fps=FRAMES_A_SECOND)
-
-
-def _packaged_ffmpeg():
-    """The program in the package imageio-ffmpeg; None without it."""
-    try:
-        import imageio_ffmpeg
-
-        return imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError):
-        return None
+def require_gif(path):
+    """Refuse another ending of the name than .gif."""
+    if path.suffix.lower() != ".gif":
+        raise UserError(f"{path}: the name must end in .gif")
 
 
 def animate(path, bundle: Bundle, index: int, advance=None):
@@ -70,7 +42,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     Parameters
     ----------
     path : Path
-        Ends in .gif or .mp4.
+        Ends in .gif.
     bundle : Bundle
     index : int
         Index of the sample in the check.
@@ -82,7 +54,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     UserError
         See :func:`writer_for`; or the file cannot be written.
     """
-    writer, spec = writer_for(path), bundle.spec
+    require_gif(path)
+    writer, spec = PillowWriter(fps=FRAMES_A_SECOND), bundle.spec
     played = replay(bundle, [index], bundle.seed)[index]
     classes, chances = spec.provenance["classes"], played.chances
     step, start = spec.stimulus.step_seconds, spec.presentation.readout_start

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from deploy.tables import shortened, shortened_apart
 from pipeline.data.events import DIGITS, Recordings
-from pipeline.data.images import aggregate, growing, normalise
+from pipeline.data.images import tactile_images
 from pipeline.look import colour
 from pipeline.results.report.figures import plain
 
@@ -42,8 +42,11 @@ def recording(recordings: Recordings, index: int) -> Figure:
     figure.suptitle(_title(recordings, index))
     frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
     ends = np.arange(1, FRAMES + 1) * duration_s / FRAMES
-    grown = growing(events, recordings.taxels, ends * 1e9, sensor=sensor)
-    grown = grown / max(grown[-1].max(), 1)
+    grown = np.zeros((FRAMES, sensor.rows, sensor.columns))
+    frame = np.minimum(events.time_ns * 1e-9 * FRAMES / duration_s, FRAMES - 1).astype(int)
+    taxels = recordings.taxels
+    np.add.at(grown, (frame, taxels.row[events.taxel], taxels.column[events.taxel]), 1)
+    grown = np.cumsum(grown, axis=0) / max(len(events) and grown.sum(axis=0).max(), 1)
     for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
         _show(axes, recordings.taxels, image, 2 * TILE)
         axes.set_title(f"to {end:.2f} s", fontsize=9)
@@ -79,7 +82,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     """
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)
-    images = normalise(aggregate(recordings))
+    images = tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
     numbers = np.bincount(recordings.labels)
     names = {

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.skin import handwriting, parameters, unipen
+from experiments import unipen
+from pipeline.skin import handwriting, parameters
 
 P = parameters.load()
 
