@@ -60,7 +60,7 @@ results: setup  ## List what can be measured again for results/, with its time (
 	@$(BIN)/python -m experiments
 
 report: loihi-emulate  ## Write the results of RUN as one HTML file, RUN/report.html
-	@$(STMNIST) report "$(RUN)" --jobs $(JOBS)
+	@$(STMNIST) report "$(RUN)"
 
 live: setup  ## Write digits in the browser (RUN: its network; PORT; RECORD: folder)
 	@$(STMNIST) live $(if $(filter file,$(origin RUN)),,"$(RUN)") $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
