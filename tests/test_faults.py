@@ -110,7 +110,7 @@ def test_every_kind_of_bad_recording_has_a_line(tmp_path, capsys):
     archive(tmp_path / "st.zip", {**good_members(), **bad})
     assert call("data", "import", tmp_path / "st.zip", "--jobs", 1) == 2
     first, *lines = capsys.readouterr().err.splitlines()
-    assert missing(first, "2 of 12", "--skip-bad") == []
+    assert missing(first, "2 of 12", "data.skip_bad") == []
     assert len(lines) == 2
     for name in ("3/a.mat", "4/b.mat"):
         assert sum(name in line for line in lines) == 1
@@ -118,7 +118,16 @@ def test_every_kind_of_bad_recording_has_a_line(tmp_path, capsys):
 
 def test_skipping_them_lists_them_and_goes_on(tmp_path, capsys):
     archive(tmp_path / "st.zip", {**good_members(), "3/a.mat": b"x", "4/b.mat": b""})
-    command = ("data", "import", tmp_path / "st.zip", "--jobs", 1, "--skip-bad", "--json")
+    command = (
+        "data",
+        "import",
+        tmp_path / "st.zip",
+        "--jobs",
+        1,
+        "--set",
+        "data.skip_bad=true",
+        "--json",
+    )
     assert call(*command) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["samples"] == 10

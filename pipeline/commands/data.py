@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 
@@ -12,9 +11,7 @@ from deploy import limits
 from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.data.events import GRID
-from pipeline.data.library import load_recordings
-from pipeline.data.sensor import Reading
+from pipeline.data.library import recordings_of
 from pipeline.data.source import refuse_to_replace, write_zip
 from pipeline.data.statistics import (
     facts_of_file,
@@ -25,7 +22,7 @@ from pipeline.data.statistics import (
     table1_text,
 )
 from pipeline.progress import progress
-from pipeline.settings import MOST_DOWNSAMPLED, SIMULATED, Settings
+from pipeline.settings import SIMULATED, Settings
 
 Source = Annotated[
     str,
@@ -33,7 +30,7 @@ Source = Annotated[
 ]
 SimulationSeed = Annotated[
     int,
-    typer.Option("--seed", help="Seed of simulated recordings.", min=0, max=2**63 - 1),
+    typer.Option("--seed", help="Seed of simulated recordings.", min=0, max=2**31 - 1),
 ]
 PerDigit = Annotated[
     int,
@@ -45,105 +42,43 @@ PerDigit = Annotated[
 ]
 
 
-class Unit(StrEnum):
-    """Units of times in files of events."""
-
-    found = "as-found"
-    s = "s"
-    ms = "ms"
-    us = "us"
-    ns = "ns"
-
-    @property
-    def setting(self) -> str:
-        """The value of the setting ``data.time_unit``."""
-        return "" if self is Unit.found else self.value
-
-
-def _side(what):
-    help_ = f"Number of {what} of taxels, 2 to 256."
-    return Annotated[int, typer.Option(help=help_, min=2, max=256)]
-
-
-Rows, Columns = _side("rows"), _side("columns")
-
-
-def _side_or_found(what):
-    help_ = f"Number of {what} of taxels; 0: as found, or ten for the simulated skin."
-    return Annotated[int, typer.Option(help=help_, min=0, max=256)]
-
-
-TimeUnit = Annotated[
-    Unit,
+Reading = Annotated[
+    Optional[list[str]],  # noqa: UP045 - Typer reads the annotation at run time
     typer.Option(
-        help="Unit of times in files of events: s, ms, us or ns; as-found: inferred from duration.",
-        metavar="UNIT",
-    ),
-]
-Downsample = Annotated[
-    int,
-    typer.Option(
-        help="Files of events: side of the square of pixels that becomes one taxel.",
-        min=1,
-        max=MOST_DOWNSAMPLED,
+        "--set",
+        help="A setting of reading: data.time_unit=us, data.downsample=4, data.skip_bad=true, "
+        "skin.rows=16, skin.columns=16; repeatable.",
     ),
 ]
 
 
-def _reading(rows=0, columns=0, time_unit=Unit.found, downsample=1):
-    return Reading(rows, columns, time_unit.setting, downsample)
-
-
-SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")]
-ReadingGiven = options.group(
-    _reading,
-    rows=_side_or_found("rows"),
-    columns=_side_or_found("columns"),
-    time_unit=TimeUnit,
-    downsample=Downsample,
-)
+def _settings(source, reading, **data):
+    """The settings of recordings."""
+    given = options.Given(data=source, assignments=reading).changes()
+    return Settings().with_values(options.merged(given, {"data": data}), "command line")
 
 
 def import_(
     source: Annotated[str, typer.Argument(help="Zip or folder of recordings, such as ST-MNIST's.")],
-    skip_bad: SkipBad = False,
-    *,
-    reading: ReadingGiven,
+    reading: Reading = None,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
     """Read recordings once and store them in the cache, so that the next start is fast."""
-    recordings = load_recordings(
-        source, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
-    )
+    recordings = recordings_of(_settings(source, reading), jobs, options.say)
     facts = facts_with_events(recordings)
     options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
-    run = Path("runs") / Path(source).stem
-    options.suggest("ladder", run, "--data", source, *_as_assignments(reading, skip_bad))
-
-
-def _as_assignments(reading, skip_bad):
-    """Options with which a run reads recordings in the same way."""
-    values = {
-        "data.skip_bad": skip_bad,
-        "data.time_unit": reading.time_unit,
-        "data.downsample": reading.downsample,
-        "skin.rows": reading.rows,
-        "skin.columns": reading.columns,
-    }
-    usual = Settings().flat()
-    for name, value in values.items():
-        if value != usual[name]:
-            yield from ("--set", f"{name}={str(value).lower()}")
+    more = (word for assignment in reading or () for word in ("--set", assignment))
+    options.suggest("ladder", Path("runs") / Path(source).stem, "--data", source, *more)
 
 
 def inspect(
     file: Annotated[Path, typer.Argument(help="One recording: .mat, or a file of events.")],
-    time_unit: TimeUnit = Unit.found,
+    reading: Reading = None,
     as_json: options.Json = False,
 ):
     """Print facts about one recording."""
-    facts = facts_of_file(file, time_unit.setting)
+    facts = facts_of_file(file, _settings(str(file), reading).data.time_unit)
     options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
 
 
@@ -153,8 +88,7 @@ def simulate_(
     ],
     seed: SimulationSeed = 0,
     samples_per_digit: PerDigit = 0,
-    rows: Rows = GRID,
-    columns: Columns = GRID,
+    reading: Reading = None,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -165,8 +99,10 @@ def simulate_(
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
     refuse_to_replace(out)
-    size = Reading(rows, columns)
-    recordings = load_recordings(SIMULATED, seed, samples_per_digit, jobs=jobs, reading=size)
+    settings = _settings(
+        SIMULATED, reading, simulation_seed=seed, samples_per_digit=samples_per_digit
+    )
+    recordings = recordings_of(settings, jobs)
     write_zip(out, recordings, progress)
     facts = {
         "file": str(out),
@@ -183,9 +119,7 @@ def simulate_(
 def stats(
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,
-    skip_bad: SkipBad = False,
-    *,
-    reading: ReadingGiven,
+    reading: Reading = None,
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -194,9 +128,7 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    recordings = load_recordings(
-        data, seed, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
-    )
+    recordings = recordings_of(_settings(data, reading, simulation_seed=seed), jobs, options.say)
     value = table1_json(recordings)
     options.tell(value, lambda _: table1_text(recordings), as_json)
 
@@ -218,9 +150,7 @@ def plot(
     per_digit: Annotated[
         int, typer.Option(help="Number of samples of each class on a sheet.", min=1)
     ] = 16,
-    skip_bad: SkipBad = False,
-    *,
-    reading: ReadingGiven,
+    reading: Reading = None,
     jobs: options.Jobs = 2,
 ):
     """Draw recordings as the paper does.
@@ -235,9 +165,7 @@ def plot(
     if what not in FIGURES:
         raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")
     figures.format_of(out)  # reports a wrong format before the recordings are read
-    recordings = load_recordings(
-        data, seed, skip_bad=skip_bad, jobs=jobs, warn=options.say, reading=reading
-    )
+    recordings = recordings_of(_settings(data, reading, simulation_seed=seed), jobs, options.say)
     if what == "sheet":
         figure = drawn.sheet(recordings, per_digit, seed)
     else:

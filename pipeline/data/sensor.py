@@ -33,10 +33,8 @@ MIXED = 100
 # Number of rows or columns below which the largest coordinates do not identify a sensor.
 SMALLEST_SENSOR = 6
 
-GIVE_UNIT = "--time-unit of 'stmnist data', else --set data.time_unit=..."
-GIVE_SIZE = (
-    "--rows and --columns of 'stmnist data', else --set skin.rows=... --set skin.columns=..."
-)
+GIVE_UNIT = "--set data.time_unit=..."
+GIVE_SIZE = "--set skin.rows=... --set skin.columns=..."
 
 
 @dataclass(frozen=True)
@@ -331,8 +329,7 @@ def _size_of(path, recordings, side, reading):
         needed = -(-max(size) // MAX_SIDE) * side
         raise UserError(
             f"{path}: the sensor has {size[0]} rows and {size[1]} columns, more than {MAX_SIDE}; "
-            f"combine squares of pixels: --downsample {needed} of 'stmnist data', else --set "
-            f"data.downsample={needed}"
+            f"combine squares of pixels: --set data.downsample={needed}"
         )
     return size
 

@@ -436,8 +436,8 @@ def _refusals(path, refused, total):
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
     remedy = (
-        "correct them, or leave them out: --skip-bad of 'stmnist data', 'adapt' and 'check run', "
-        "else --set data.skip_bad=true"
+        "correct them, or leave them out: --set data.skip_bad=true (of 'adapt' and 'check run' "
+        "--skip-bad)"
     )
     if len(lines) == 1:
         return [f"{path}: {lines[0]}; {remedy}"]

@@ -47,7 +47,8 @@ def test_the_suggested_run_reads_the_recordings_in_the_same_way(tmp_path, monkey
     path = write_recordings(tmp_path / "own.zip", gestures(2), CLASSES)
     suggested = []
     monkeypatch.setattr("pipeline.commands.options.suggest", lambda *words: suggested.append(words))
-    given = ["--time-unit", "ms", "--downsample", 3, "--skip-bad"]
+    given = ["data.time_unit=ms", "data.downsample=3", "data.skip_bad=true"]
+    given = [word for each in given for word in ("--set", each)]
     assert call("data", "import", path, *given, "--jobs", 1) == 0
     verb, run, *options = suggested[0]
     assert (verb, run.name) == ("ladder", "own")
@@ -63,7 +64,7 @@ def test_files_that_cannot_be_read_are_left_out_of_statistics_and_figures(tmp_pa
     archive_of(path, {**good_members(), "3/bad.mat": b"no recording"})
     for words in (("stats", "--json"), ("plot", "sheet", "--out", tmp_path / "sheet.png")):
         assert call("data", *words, "--data", path, "--jobs", 1) == 2
-        assert call("data", *words, "--data", path, "--jobs", 1, "--skip-bad") == 0
+        assert call("data", *words, "--data", path, "--jobs", 1, "--set", "data.skip_bad=true") == 0
         assert "3/bad.mat" in capsys.readouterr().err
 
 

@@ -46,7 +46,7 @@ def test_an_option_and_another_value_of_its_setting_are_refused(option, given, a
         ("lader runs/x", ["ladder"]),
         ("check run runs/x --target chip", ["chip", "emulator"]),
         ("deploy export runs/x --format onnx --out x", ["--format", "nir", "lava"]),
-        ("data import x --downsample 0", ["downsample", "1"]),
+        ("data import x --set data.downsample=0", ["downsample", "1"]),
         ("data simulate --out x.zip --samples-per-digit many", ["--samples-per-digit"]),
     ],
 )

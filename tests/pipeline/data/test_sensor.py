@@ -183,4 +183,4 @@ def test_recordings_of_a_larger_sensor_are_one_line_about_the_sensor(tmp_path):
 
 def test_no_unit_fits(tmp_path):
     (line,) = refused(tmp_path, own(scale=1e12))
-    assert "--time-unit" in line
+    assert "data.time_unit" in line
