@@ -36,7 +36,7 @@ COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 # layer whose ``block_shape`` was set from Python can have too many compartments.
 REMEDIES = {
     "compartments": "give the layer a block_shape of at most {limit} neurons",
-    "input axons": "give the layer fewer inputs, by a larger stride or an averaging before it",
+    "input axons": "give the layer fewer inputs, by a convolution with a stride before it",
     "output axons": "use fewer filters or units in this layer or the next",
     "AxonCfg registers": "use fewer filters or units in this layer or the next",
     "synapse words": "give the layer fewer filters or units, or a larger stride",
@@ -142,8 +142,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
     cores = [
         _core_plan(layer, part, *places[block], block, intervals) for layer, part, block in placed
     ]
-    problems = [problem for core in cores for problem in _problems(core)]
-    problems += _refractory_problems(blocks)
+    problems = [*_problems(cores), *_refractory_problems(blocks)]
     if needed > chips:
         problems.append(
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
@@ -169,47 +168,6 @@ def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
         more = f" (and {len(plan.problems) - 1} more)" if len(plan.problems) > 1 else ""
         raise UserError("the network does not fit: " + plan.problems[0] + more)
     return plan
-
-
-@dataclass(frozen=True)
-class Excess:
-    """A limit of a core that a layer exceeds.
-
-    Attributes
-    ----------
-    layer, resource : str
-        The resource is one of `LIMITS`.
-    used, limit : int
-        Maximum that a core of the layer needs, and the limit of a core.
-    cores, of_cores : int
-        Number of the layer's cores that need too much, and of all its cores.
-    """
-
-    layer: str
-    resource: str
-    used: int
-    limit: int
-    cores: int
-    of_cores: int
-
-
-def excesses(spec: NetworkSpec) -> List[Excess]:
-    """The limits of a core that a network exceeds, independently of the values of its weights.
-
-    Raises
-    ------
-    UserError
-        NengoLoihi cannot make blocks of the network.
-    """
-    found = []
-    for layer, blocks in _blocks(spec)[1].items():
-        needs = [used_by(block) for block in blocks]
-        for resource, limit in LIMITS.items():
-            used = [need[resource] for need in needs]
-            if max(used) > limit:
-                too_many = sum(n > limit for n in used)
-                found.append(Excess(layer, resource, max(used), limit, too_many, len(used)))
-    return found
 
 
 def _blocks(spec):
@@ -272,14 +230,18 @@ def _shortest_intervals(spec, model):
     return intervals
 
 
-def _problems(core):
-    for resource, limit in LIMITS.items():
-        used = core.used[resource]
-        if used > limit:
-            yield (
-                f"layer {core.layer}, part {core.part}: {used} {resource}, {used - limit} more "
-                f"than the {limit} of a core; {REMEDIES[resource].format(limit=limit)}"
-            )
+def _problems(cores):
+    for layer in dict.fromkeys(core.layer for core in cores):
+        own = [core for core in cores if core.layer == layer]
+        for resource, limit in LIMITS.items():
+            used = [core.used[resource] for core in own]
+            if max(used) > limit:
+                over = sum(n > limit for n in used)
+                yield (
+                    f"layer {layer}: {max(used)} {resource} on {over} of its {len(own)} "
+                    f"core{'s'[: len(own) > 1]}, {max(used) - limit} more than the {limit} of a "
+                    f"core; {REMEDIES[resource].format(limit=limit)}"
+                )
 
 
 def _refractory_problems(blocks):

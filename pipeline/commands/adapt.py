@@ -55,7 +55,6 @@ def adapt(
     place = out or beside / who
     if out is None:
         refuse_linked_folder(beside)
-        _refuse_other_person(place, recordings.source, options.say)
     if place.resolve() == bundle.path.resolve():
         raise UserError(
             f"{place}: is the bundle to adapt, which is not changed; choose another --out"
@@ -92,25 +91,6 @@ def _bundle_of(path):
     return read_bundle(path), path.absolute().parent / f"{path.absolute().name}-adapted"
 
 
-def _refuse_other_person(place, source, say):
-    """Make sure that a bundle is not replaced by another person's of the same name.
-
-    More recordings in the same folder or zip are taken for the same person's.
-    """
-    if not place.exists():
-        return
-    before = read_bundle(place).spec.provenance.get("adapted")
-    before = before if isinstance(before, dict) else {}
-    if before.get("source_sha256") == source.sha256:
-        return
-    if before.get("source") != source.name:
-        raise UserError(
-            f"{place}: is fitted to other recordings ({before.get('source')}); choose another "
-            f"folder (--out), or replace it with --out {place}"
-        )
-    say(f"{place}: is fitted to earlier recordings of {source.name}; a better fit replaces it")
-
-
 def _of_one(recordings: Recordings, writer) -> tuple:
     """One person's recordings, and what to call the person."""
     source, known = recordings.source.name, np.unique(recordings.writers).tolist()
@@ -119,7 +99,7 @@ def _of_one(recordings: Recordings, writer) -> tuple:
             raise UserError(
                 f"{source}: has several writers ({listed(known)}); choose one with --writer"
             )
-        return recordings, str(known[0]) if known and known[0] >= 0 else "person"
+        return recordings, str(known[0]) if known and known[0] >= 0 else Path(source).stem
     if writer not in known:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")
     return recordings.part(np.flatnonzero(recordings.writers == writer)), str(writer)

@@ -36,9 +36,6 @@ ORDER = (*REFERENCES, *TARGETS)
 # first two have identical spikes; a board does not report the spikes of all layers.
 COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
 
-# Characters of the name of other recordings in a stage's name.
-LONGEST_SOURCE = 12
-
 # Short names of runs in the text, by their order.
 LETTERS = string.ascii_uppercase
 
@@ -144,8 +141,7 @@ def compare_runs(runs) -> dict:
         runs, each with ``accuracies`` and ``differences`` from the first run in the order of the
         runs (see :func:`difference`), None for a run without it.
     """
-    others = sorted(set().union(*(run.results for run in runs)) - set(ORDER))
-    found = [s for s in (*ORDER, *others) if sum(s in run.results for run in runs) > 1]
+    found = [stage for stage in ORDER if sum(stage in run.results for run in runs) > 1]
     return {
         "schema": SCHEMA,
         "runs": [
@@ -255,10 +251,7 @@ def difference(a: Run, b: Run, stage: str) -> dict | None:
         return None
     first, second = a.results[stage], b.results[stage]
     labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
-    sources = [
-        result.get("data", {}).get("sha256", run.spec.provenance.get("source_sha256"))
-        for run, result in ((a, first), (b, second))
-    ]
+    sources = [run.spec.provenance.get("source_sha256") for run in (a, b)]
     paired = labels_a == labels_b and (None in sources or sources[0] == sources[1])
     value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}
     if not paired:

@@ -19,6 +19,9 @@ from pipeline.settings import Deployment
 # Rows and columns of the first convolution's output on images, at most, on average.
 LARGEST_MAP = 14
 
+# More chips than any system has, for whether the cores are large enough.
+ANY_NUMBER = 10_000
+
 # Rows and columns that an image needs for the paper's convolutions.
 SMALLEST_GRID = 6
 
@@ -86,8 +89,8 @@ def operations_of_input(architecture: str) -> float:
 def chip_problems(architecture: str, on_events: bool, deployment: Deployment) -> tuple:
     """Reasons why a network of an architecture does not fit the cores of the chip.
 
-    NengoLoihi's builder makes the blocks of an untrained network of the same architecture; the
-    resources that it needs do not depend on the values of the weights.
+    They are those of the plan of an untrained network of the same architecture; the resources that
+    it needs do not depend on the values of the weights.
 
     Parameters
     ----------
@@ -101,24 +104,10 @@ def chip_problems(architecture: str, on_events: bool, deployment: Deployment) ->
     tuple of str
         One line for each layer and limit, with the excess and a remedy.
     """
-    from deploy.preflight.plan import excesses  # imports NengoLoihi, which takes seconds
+    from deploy.preflight.plan import make_plan  # imports NengoLoihi, which takes seconds
 
-    layers = parse(architecture).spiking
-    return tuple(
-        f"{architecture}: layer {excess.layer} needs {excess.used} {excess.resource} on "
-        f"{excess.cores} of its {excess.of_cores} "
-        f"core{'' if excess.of_cores == 1 else 's'}, a core "
-        f"has {excess.limit}; {_remedy(excess, layers[excess.layer], on_events)}"
-        for excess in excesses(untrained(architecture, on_events, deployment))
-    )
-
-
-def _remedy(excess, layer, on_events):
-    """How a layer can need less of a resource."""
-    if excess.resource == "input axons":
-        averaging = "" if on_events else "an averaging such as 4a, or "
-        return f"let it have fewer inputs: {averaging}a convolution with a stride before it"
-    return f"choose fewer {'filters' if layer.kind == 'conv' else 'neurons'}, there or after it"
+    plan = make_plan(untrained(architecture, on_events, deployment), ANY_NUMBER)
+    return tuple(f"{architecture}: {problem}" for problem in plan.problems)
 
 
 def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec:

@@ -105,7 +105,7 @@ def test_too_many_compartments_names_layer_limit_excess_and_remedy():
     spec = spec_of((24, 3), block_shape=(8, 8, 24))  # 8 x 8 x 24 = 1536
     plan = make_plan(spec)
     (problem,) = plan.problems
-    assert missing(problem, "layer conv1", "part 0", "1536 compartments", 512, 1024) == []
+    assert missing(problem, "layer conv1", "1 of its 1 core,", "1536 compartments", 512, 1024) == []
     assert "block_shape" in problem
     with pytest.raises(UserError, match=r"conv1.* 1536 compartments"):
         require_fit(spec)
