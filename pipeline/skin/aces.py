@@ -31,7 +31,7 @@ def bursts(time_ns, taxel, polarity, p) -> Events:
     time_ns : ndarray of float, shape (n,)
         Times, not rounded to the grid.
     taxel, polarity : ndarrays of int, shape (n,)
-    p : pipeline.skin.parameters.Aces
+    p : section ``[aces]`` of ``parameters.toml``
 
     Returns
     -------
@@ -47,7 +47,7 @@ class Decoder:
 
     Parameters
     ----------
-    p : pipeline.skin.parameters.Aces
+    p : section ``[aces]`` of ``parameters.toml``
     """
 
     def __init__(self, p):

@@ -38,7 +38,7 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     least : float
         Taxels whose pressure is always lower are left out.
     rng : numpy.random.Generator
-    p : pipeline.skin.parameters.Skin
+    p : section ``[skin]`` of ``parameters.toml``
     size : (int, int)
         Rows and columns of taxels.
 
@@ -72,7 +72,7 @@ class Shaking:
     ----------
     gain : ndarray of float, shape (n_taxels,)
     step_s : float
-    p : pipeline.skin.parameters.Skin
+    p : section ``[skin]`` of ``parameters.toml``
     """
 
     def __init__(self, gain, step_s, p):
@@ -114,7 +114,7 @@ class Creep:
     ----------
     n_taxels : int
     step_s : float
-    p : pipeline.skin.parameters.Skin
+    p : section ``[skin]`` of ``parameters.toml``
     """
 
     def __init__(self, n_taxels, step_s, p):
@@ -150,7 +150,7 @@ def scrape(signal, speed, rng, p):
     speed : ndarray of float, shape (n_times,)
         Speed of the tip, in taxels per second.
     rng : numpy.random.Generator
-    p : pipeline.skin.parameters.Skin
+    p : section ``[skin]`` of ``parameters.toml``
     """
     rough = (p.scrape * np.minimum(speed / p.scrape_speed, 1)).astype(np.float32)
     # Two independent noises are one with the root of the sum of their squares: np.hypot to the last
@@ -169,7 +169,7 @@ def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     ----------
     down, right, force : ndarrays of float, shape (n_times,)
         As in :class:`pipeline.skin.handwriting.Motion`.
-    p : pipeline.skin.parameters.Skin
+    p : section ``[skin]`` of ``parameters.toml``
     size : (int, int)
         Rows and columns of taxels.
 

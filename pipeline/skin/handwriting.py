@@ -120,7 +120,7 @@ def writers(rng, p, shapes: ShapeModel) -> tuple:
     Parameters
     ----------
     rng : numpy.random.Generator
-    p : pipeline.skin.parameters.Writers
+    p : section ``[writers]`` of ``parameters.toml``
     shapes : ShapeModel
 
     Returns
@@ -200,7 +200,7 @@ def placing(who: Writer, rng, p, form, width):
     ----------
     who : Writer
     rng : numpy.random.Generator
-    p : pipeline.skin.parameters.Trials
+    p : section ``[trials]`` of ``parameters.toml``
     form : pipeline.skin.parameters.Form
         Usual height and place of the digit.
     width : float
@@ -241,7 +241,7 @@ def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
         Factor on the speed.
     step_s, start_s : float
         Time step, and start of the movement, in seconds.
-    p : pipeline.skin.parameters.Kinematics
+    p : section ``[kinematics]`` of ``parameters.toml``
 
     Returns
     -------
@@ -277,7 +277,7 @@ def on_skin(time, lands, lifts, p):
     ----------
     time : ndarray of float, shape (n,)
     lands, lifts : ndarrays of float, shape (n_contacts,)
-    p : pipeline.skin.parameters.Kinematics
+    p : section ``[kinematics]`` of ``parameters.toml``
     """
     width = p.landing_s / 4
     rise = expit((time[:, None] - lands) / width)

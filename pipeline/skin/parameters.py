@@ -9,90 +9,10 @@ import json
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.skin import shape_model
 from pipeline.skin.shape_model import ShapeModel
-
-
-@dataclass(frozen=True)
-class Writers:
-    """Standard deviations between persons; see ``parameters.toml`` for units."""
-
-    count: int
-    size: float
-    place: tuple
-    force: float
-    scrape: float
-    sloppiness: float
-
-
-@dataclass(frozen=True)
-class Trials:
-    """Standard deviations from one digit of a person to the next."""
-
-    size: float
-    place: tuple
-    force: float
-    scrape: float
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """Parameters of the movement with which a digit is written."""
-
-    speed: float
-    lift_s: float
-    lift_taxels: float
-    isochrony: float
-    landing_s: float
-    settle_s: float
-    onset_s: tuple
-    waver: float
-    waver_s: float
-    end_s: float
-
-
-@dataclass(frozen=True)
-class Skin:
-    """Parameters of the film and of the taxels under a force."""
-
-    spread: float
-    creep: float
-    creep_s: float
-    gain: float
-    gain_drift: float
-    scrape: float
-    scrape_speed: float
-    lean: tuple
-    jolt: float
-    jolt_spread: float
-    jolt_s: float
-    noise: float
-
-
-@dataclass(frozen=True)
-class Receptor:
-    """Parameters of the receptors: when a taxel fires."""
-
-    threshold: float
-    refractory_s: float
-    poll_s: float
-    clock: float
-    off_spread: float
-
-
-@dataclass(frozen=True)
-class Aces:
-    """Parameters of the ACES signatures and of their decoder."""
-
-    pulses: int
-    signature_s: float
-    most_shared: int
-    on_ns: float
-    off_ns: float
-    level: float
-    shortest: int
-    noise: float
 
 
 @dataclass(frozen=True)
@@ -131,20 +51,21 @@ class Parameters:
 
     Attributes
     ----------
-    writers, trials, kinematics, skin, receptor, aces
-        Parameters that were set by hand.
+    writers, trials, kinematics, skin, receptor, aces : dataclass
+        Parameters that were set by hand: the sections of ``parameters.toml``, where each has its
+        meaning and unit.
     forms : tuple of Form
         Parameters of each digit that were fitted to Table 1.
     shapes : ShapeModel
         Model that was estimated from people's handwriting.
     """
 
-    writers: Writers
-    trials: Trials
-    kinematics: Kinematics
-    skin: Skin
-    receptor: Receptor
-    aces: Aces
+    writers: Any
+    trials: Any
+    kinematics: Any
+    skin: Any
+    receptor: Any
+    aces: Any
     forms: tuple
     shapes: ShapeModel
 
@@ -165,19 +86,15 @@ def load() -> Parameters:
     """The built-in settings."""
     values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
     fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
-    sections = {name: section(**_tuples(values[name])) for name, section in _SECTIONS.items()}
+    sections = {name: _section(name, entries) for name, entries in values.items()}
     forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
     return Parameters(**sections, forms=forms, shapes=shape_model.load())
 
 
-_SECTIONS = {
-    "writers": Writers,
-    "trials": Trials,
-    "kinematics": Kinematics,
-    "skin": Skin,
-    "receptor": Receptor,
-    "aces": Aces,
-}
+def _section(name, values):
+    """A section of the file as a dataclass."""
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return dataclasses.make_dataclass(name, values, frozen=True)(**values)
 
 
 def _plain(value):
@@ -185,7 +102,3 @@ def _plain(value):
     if isinstance(value, tuple):
         return [dataclasses.asdict(form) for form in value]
     return dataclasses.asdict(value)
-
-
-def _tuples(values):
-    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}

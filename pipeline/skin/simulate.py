@@ -62,7 +62,7 @@ class Touch:
     felt : ndarray of float32, shape (n_times, n)
     speed : ndarray of float, shape (n_times,)
         Speed of the tip, in taxels per second.
-    skin : pipeline.skin.parameters.Skin
+    skin : section ``[skin]`` of ``parameters.toml``
         Parameters of the skin, with the roughness of this recording.
     off : float
         Logarithm of the ratio of the digit's OFF threshold to its ON threshold.
@@ -74,7 +74,7 @@ class Touch:
     taxels: np.ndarray
     felt: np.ndarray
     speed: np.ndarray
-    skin: settings.Skin
+    skin: object
     off: float
     rng: np.random.Generator
 

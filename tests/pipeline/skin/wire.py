@@ -64,7 +64,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
     ----------
     time_ns, taxel, polarity
         As in :func:`pipeline.skin.aces.bursts`.
-    p : pipeline.skin.parameters.Aces
+    p : section ``[aces]`` of ``parameters.toml``
     start_ns : int
         Time of the first sample, on the grid.
     n_ticks : int
@@ -93,7 +93,7 @@ def decode(wire, p, start_ns) -> Events:
     Parameters
     ----------
     wire : ndarray of float32, shape (n_ticks,)
-    p : pipeline.skin.parameters.Aces
+    p : section ``[aces]`` of ``parameters.toml``
     start_ns : int
         Time of the first sample, on the grid.
 
