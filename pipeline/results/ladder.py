@@ -32,7 +32,7 @@ def ladder_stages(road: Road) -> list:
     return [*road.reference_stages, *(name for name in TARGETS if name != "fast")]
 
 
-def measure_ladder(opened: Opened, jobs: int = 1) -> dict:
+def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
     """Make the missing artifacts of a run up to the emulator, and compare the stages.
 
     Parameters
@@ -41,6 +41,8 @@ def measure_ladder(opened: Opened, jobs: int = 1) -> dict:
         Of a run, which is locked.
     jobs : int
         Number of processes for targets.
+    asked : sequence of str, optional
+        Stages of the ladder; default: :func:`ladder_stages`.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def measure_ladder(opened: Opened, jobs: int = 1) -> dict:
         See :func:`ladder_json`.
     """
     run, bundle = opened.place, convert(opened)
-    asked = [stage for stage in ladder_stages(opened.road) if stage not in BOARDS]
+    asked = asked or [stage for stage in ladder_stages(opened.road) if stage not in BOARDS]
     results = answer_all(opened, bundle, asked, jobs)
     # A board's result is included if it exists and belongs to this bundle.
     for board in map(run.check, BOARDS):
