@@ -112,10 +112,7 @@ def recurrent(n=1000):
     weights = np.random.RandomState(3).normal(size=(n, n), scale=1e-3)
     with nengo.Network(seed=1) as network:
         neurons = nengo.Ensemble(
-            n,
-            1,
-            max_rates=nengo.dists.Uniform(50, 100),
-            intercepts=nengo.dists.Uniform(-0.9, 0),
+            n, 1, max_rates=nengo.dists.Uniform(50, 100), intercepts=nengo.dists.Uniform(-0.9, 0)
         ).neurons
         nengo.Connection(neurons, neurons, transform=weights, synapse=0.005)
         return network, nengo.Probe(neurons)

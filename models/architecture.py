@@ -22,12 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.network.geometry import (
-    convolution_fan_out,
-    convolution_shape,
-    reached,
-    windows,
-)
+from deploy.network.geometry import convolution_fan_out, convolution_shape, reached, windows
 
 # Maximum number of layers in a text, including the output.
 MAX_LAYERS = 64

@@ -88,10 +88,7 @@ class Opened:
         """The same with the named settings only; reading others is an error."""
         view = self.settings.only(names)
         return replace(
-            self,
-            settings=view,
-            dataset=self.dataset.seen_by(view),
-            road=type(self.road)(view),
+            self, settings=view, dataset=self.dataset.seen_by(view), road=type(self.road)(view)
         )
 
     def make(self, name: str) -> dict:
@@ -147,11 +144,7 @@ def opened_in(place, settings: Settings, dataset: Dataset, say=print) -> Opened:
 
 
 def open_run(
-    run: RunFolder,
-    settings: Settings,
-    jobs: int = 2,
-    say=print,
-    check: bool = True,
+    run: RunFolder, settings: Settings, jobs: int = 2, say=print, check: bool = True
 ) -> Opened:
     """Load the recordings of a run, choose what the settings leave open, and save both.
 

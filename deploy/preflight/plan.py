@@ -148,10 +148,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
             f"{chips} allowed; allow more with --chips, or use larger blocks"
         )
-    warnings = [
-        *_lost_weights(spec, cores),
-        *(line for core in cores for line in _warnings(core)),
-    ]
+    warnings = [*_lost_weights(spec, cores), *(line for core in cores for line in _warnings(core))]
     return Plan(cores, needed, problems, warnings)
 
 

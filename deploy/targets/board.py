@@ -184,10 +184,7 @@ def _run_stream(spec, samples, seed, options):
 def _simulator(network, options):
     try:
         return nengo_loihi.Simulator(
-            network,
-            target="loihi",
-            precompute=True,
-            hardware_options={"n_chips": options.chips},
+            network, target="loihi", precompute=True, hardware_options={"n_chips": options.chips}
         )
     except (*BUILD_ERRORS, ImportError, NotImplementedError, ValueError) as error:
         problem = one_line(str(error)) or "one of its limits, which has no message, is not met"

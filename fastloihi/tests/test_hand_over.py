@@ -105,8 +105,7 @@ CALLS = [[1] * 10, [10], [4, 6]]
 
 
 @pytest.mark.parametrize(
-    ("what", "calls"),
-    [*((what, [4, 6]) for what in AT_ONCE), *itertools.product(IN_A_STEP, CALLS)],
+    ("what", "calls"), [*((what, [4, 6]) for what in AT_ONCE), *itertools.product(IN_A_STEP, CALLS)]
 )
 def test_the_answer_is_nengo_loihis(what, calls):
     change = {**AT_ONCE, **IN_A_STEP}[what]

@@ -13,14 +13,7 @@ import pytest
 from comparison import NUMPY_1, Both, Outcome, assert_same, state_of
 from nengo.exceptions import SimulatorClosed, ValidationError
 from nengo_loihi.emulator.interface import EmulatorInterface
-from networks import (
-    NETWORKS,
-    channel,
-    convolution,
-    feedback,
-    learning,
-    passthrough,
-)
+from networks import NETWORKS, channel, convolution, feedback, learning, passthrough
 
 import fastloihi
 from fastloihi import FastEmulator, FastSimulator, NotAccelerated, accelerate

@@ -20,8 +20,7 @@ from pipeline.run import RunFolder
 def adapt(
     run: Annotated[Path, typer.Argument(help="Folder of a run, or of a copied bundle.")],
     data: Annotated[
-        str,
-        typer.Option(help="Zip or folder of the person's recordings of every class."),
+        str, typer.Option(help="Zip or folder of the person's recordings of every class.")
     ],
     writer: Annotated[
         Optional[int],  # noqa: UP045 - Typer reads the annotation at run time

@@ -100,10 +100,7 @@ Others = options.group(
 
 def run(
     bundle: options.Bundle,
-    target: Annotated[
-        str,
-        typer.Option(help=f"One of {', '.join(TARGETS)}."),
-    ],
+    target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
     out: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(

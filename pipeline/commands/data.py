@@ -24,13 +24,9 @@ from pipeline.data.statistics import (
 from pipeline.progress import progress
 from pipeline.settings import SIMULATED, Settings
 
-Source = Annotated[
-    str,
-    typer.Option("--data", help="Zip or folder of recordings, or 'simulated'."),
-]
+Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
 SimulationSeed = Annotated[
-    int,
-    typer.Option("--seed", help="Seed of simulated recordings.", min=0, max=2**31 - 1),
+    int, typer.Option("--seed", help="Seed of simulated recordings.", min=0, max=2**31 - 1)
 ]
 PerDigit = Annotated[
     int,
@@ -137,10 +133,7 @@ FIGURES = ("recording", "sheet")
 
 
 def plot(
-    what: Annotated[
-        str,
-        typer.Argument(help=f"One of {', '.join(FIGURES)}."),
-    ],
+    what: Annotated[str, typer.Argument(help=f"One of {', '.join(FIGURES)}.")],
     out: Annotated[Path, typer.Option(help="The picture to write: .png, .pdf or .svg.")],
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,

@@ -69,10 +69,7 @@ VERBS = {
         "Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.",
         "sweep.sweep",
     ),
-    "report": (
-        "Write the run's results so far as one self-contained HTML file.",
-        "results.report",
-    ),
+    "report": ("Write the run's results so far as one self-contained HTML file.", "results.report"),
     "animate": (
         "Write an animation of a sample: touch, spikes and probabilities over time.",
         "results.animate",
@@ -132,9 +129,7 @@ def _typer(help_text, **options) -> typer.Typer:
     )
 
 
-def root(
-    version: bool = typer.Option(False, "--version", help="Print the version and stop."),
-):
+def root(version: bool = typer.Option(False, "--version", help="Print the version and stop.")):
     """From event-based touch to a spiking network on Loihi."""
     if version:
         show(__version__)

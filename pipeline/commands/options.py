@@ -26,11 +26,7 @@ import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.terminal import remark, show
-from pipeline.run import (
-    RunFolder,
-    nothing_left_of_a_failure,
-    refuse_other_folders,
-)
+from pipeline.run import RunFolder, nothing_left_of_a_failure, refuse_other_folders
 
 KEYWORD = Parameter.KEYWORD_ONLY
 

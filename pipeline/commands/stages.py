@@ -13,11 +13,7 @@ from pipeline.commands import options
 from pipeline.run import RunFolder, refuse_other_folders
 
 
-def train(
-    run: options.Run,
-    given: options.TrainingGiven,
-    jobs: options.Jobs = 2,
-):
+def train(run: options.Run, given: options.TrainingGiven, jobs: options.Jobs = 2):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
 
     from pipeline.roads import road_of  # imports all that a run is made with
@@ -55,11 +51,7 @@ def convert(
         ),
     ] = False,
     retrain: Annotated[
-        bool,
-        typer.Option(
-            "--retrain",
-            help="With --model: continue training with rate-based LIF.",
-        ),
+        bool, typer.Option("--retrain", help="With --model: continue training with rate-based LIF.")
     ] = False,
     jobs: options.Jobs = 2,
 ):

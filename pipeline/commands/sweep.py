@@ -19,7 +19,7 @@ def sweep(
             help="Values of a setting, such as cnn.epochs=5,10 or "
             "snn.max_rates=100,150; repeatable, all combinations are tried "
             "(default: 16 combinations of steps, synapse, rates and penalty, on events four of "
-            "budget and early; see docs/training.md).",
+            "budget and early; see docs/training.md)."
         ),
     ] = None,
     *,

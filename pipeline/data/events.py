@@ -84,12 +84,7 @@ class Events:
         return len(self.time_ns)
 
 
-EVENT_DTYPES = {
-    "time_ns": np.int64,
-    "taxel": np.uint16,
-    "polarity": np.int8,
-    "columns": np.uint16,
-}
+EVENT_DTYPES = {"time_ns": np.int64, "taxel": np.uint16, "polarity": np.int8, "columns": np.uint16}
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from pipeline.data.events import (
-    N_TAXELS,
-    Events,
-    TaxelMap,
-    expand_bursts,
-    merge_bursts,
-)
+from pipeline.data.events import N_TAXELS, Events, TaxelMap, expand_bursts, merge_bursts
 from pipeline.paper import DURATION_S
 
 VARIABLE = "spiketrain"

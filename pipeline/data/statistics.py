@@ -271,11 +271,7 @@ def table1_json(recordings) -> dict:
     """The table as plain values."""
     names = recordings.sensor.classes
     digits = {names[digit]: _plain(row) for digit, row in table(recordings).items()}
-    return {
-        "simulated": recordings.source.simulated,
-        "samples": len(recordings),
-        "digits": digits,
-    }
+    return {"simulated": recordings.source.simulated, "samples": len(recordings), "digits": digits}
 
 
 def table1_text(recordings) -> str:

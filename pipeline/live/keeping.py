@@ -19,13 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import (
-    locked,
-    open_regular,
-    refuse_linked_folders,
-    remove_leftovers,
-    replacing,
-)
+from deploy.files import locked, open_regular, refuse_linked_folders, remove_leftovers, replacing
 from pipeline.data.events import Sensor, TaxelMap
 from pipeline.data.matfile import (
     BadRecording,

@@ -32,14 +32,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
 from pipeline.live.qr import qr_code
-from pipeline.live.session import (
-    LONGEST_S,
-    MOST_TAXELS,
-    PAUSE_S,
-    BadMessage,
-    Session,
-    problem,
-)
+from pipeline.live.session import LONGEST_S, MOST_TAXELS, PAUSE_S, BadMessage, Session, problem
 from pipeline.skin.writing import START_S
 
 # Default address of the page, which other machines cannot reach.

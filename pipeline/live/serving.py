@@ -11,11 +11,7 @@ from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.terminal import remark, show
-from pipeline.live.network import (
-    about,
-    record_folder,
-    sensor_of,
-)
+from pipeline.live.network import about, record_folder, sensor_of
 from pipeline.results.status import outdated_note
 from pipeline.run import RunFolder, run_around
 from pipeline.skin import parameters

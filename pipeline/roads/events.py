@@ -24,12 +24,7 @@ from pipeline.data.splits import split_of
 from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
 from pipeline.roads import counts
-from pipeline.roads.architectures import (
-    architecture_for,
-    chosen_text,
-    is_for,
-    operations_of_input,
-)
+from pipeline.roads.architectures import architecture_for, chosen_text, is_for, operations_of_input
 from pipeline.roads.image import training_versions
 from pipeline.roads.road import (
     Part,

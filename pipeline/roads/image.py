@@ -22,12 +22,7 @@ from pipeline.data.dataset import Dataset, require_images_fit
 from pipeline.data.images import AlteredImages, typical_duration_ms
 from pipeline.roads import counts
 from pipeline.roads.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
-from pipeline.roads.diagnosis import (
-    activity,
-    fastest_rate,
-    layers_json,
-    training_lines,
-)
+from pipeline.roads.diagnosis import activity, fastest_rate, layers_json, training_lines
 from pipeline.roads.road import (
     Imported,
     Part,

@@ -312,10 +312,7 @@ class NirRoad(Road):
 
 
 def settings_of_nir(
-    path,
-    step: float | None = None,
-    kind: str | None = None,
-    before: Settings | None = None,
+    path, step: float | None = None, kind: str | None = None, before: Settings | None = None
 ) -> dict:
     """Changes of the settings with which a NIR graph replaces the trained network.
 

@@ -80,13 +80,7 @@ class Touch:
 
 
 def simulate(
-    seed=0,
-    samples_per_digit=None,
-    jobs=2,
-    advance=None,
-    parameters=None,
-    traces=None,
-    size=SIZE,
+    seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=None, traces=None, size=SIZE
 ) -> Recordings:
     """Simulate recordings of the paper's rig; they are marked as simulated.
 

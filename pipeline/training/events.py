@@ -638,12 +638,7 @@ class Checkpoint:
 
 
 def train_epochs(
-    train,
-    epochs: int,
-    state: dict,
-    checkpoint: Checkpoint | None = None,
-    watch=None,
-    advance=None,
+    train, epochs: int, state: dict, checkpoint: Checkpoint | None = None, watch=None, advance=None
 ) -> list:
     """Train, and store the state after each epoch.
 

@@ -176,10 +176,7 @@ def _convert(settings, weights, kind, synapse, inference_only=True):
             weights.update(zip(names, (array.numpy() for array in arrays), strict=True))
     set_weights(model, weights)
     converter = nengo_dl.Converter(
-        model,
-        swap_activations={tf.nn.relu: kind()},
-        synapse=synapse,
-        inference_only=inference_only,
+        model, swap_activations={tf.nn.relu: kind()}, synapse=synapse, inference_only=inference_only
     )
     # Spiking neurons start from random voltages.  Without its own seed the network would draw them
     # from NumPy's global state, which depends on what this process did before.

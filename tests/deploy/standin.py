@@ -14,12 +14,7 @@ STANDIN = Path(__file__).parent.parent / "nxsdk_standin"
 PLACES = {
     "nengo_loihi.hardware": ["HAS_NXSDK"],
     "nengo_loihi.simulator": ["HAS_NXSDK"],
-    "nengo_loihi.hardware.builder": [
-        "NxsdkBoard",
-        "SpikeGen",
-        "TraceConfigGenerator",
-        "micro_gen",
-    ],
+    "nengo_loihi.hardware.builder": ["NxsdkBoard", "SpikeGen", "TraceConfigGenerator", "micro_gen"],
     "nengo_loihi.hardware.interface": ["SnipPhase", "SpikeProbe", "assert_nxsdk", "nxsdk"],
 }
 

@@ -8,15 +8,7 @@ import pytest
 
 from models.nir_graph import NirError, read_nir
 from tests.command import missing
-from tests.models.nir_graphs import (
-    Graph,
-    affine,
-    conv,
-    cuba_lif,
-    lif,
-    network_of,
-    tree_of,
-)
+from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, tree_of
 
 nir = pytest.importorskip("nir")
 

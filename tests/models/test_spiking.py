@@ -151,9 +151,7 @@ def test_gradients_reach_everything_that_is_trained():
         costs = spiking.operations(network.architecture, frames, spikes)
         loss = tf.reduce_sum(outputs[-1, :, 0]) + 1e-3 * tf.reduce_sum(costs)
     for variable, gradient in zip(
-        network.variables_in_order,
-        tape.gradient(loss, network.variables_in_order),
-        strict=True,
+        network.variables_in_order, tape.gradient(loss, network.variables_in_order), strict=True
     ):
         assert gradient.shape == variable.shape
         assert np.abs(gradient).max() > 0

@@ -35,8 +35,7 @@ def shown(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("package", "options"),
-    [("snntorch", []), ("norse", ["--set", "nir.method=euler"])],
+    ("package", "options"), [("snntorch", []), ("norse", ["--set", "nir.method=euler"])]
 )
 def test_a_trained_network_answers_as_in_pytorch(package, options, shown, tmp_path):
     graph, answers, run = (tmp_path / name for name in ("net.nir", "answers.npz", "run"))

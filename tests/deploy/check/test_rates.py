@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.targets.fast import (
-    firing_rates,
-)
+from deploy.targets.fast import firing_rates
 from tests.deploy.networks import random_checks, small_spec
 
 

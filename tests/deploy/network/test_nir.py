@@ -14,14 +14,7 @@ from deploy.network.nir import input_spikes, nir_graph, write_nir
 from deploy.network.spec import DT
 from deploy.targets.registry import answer
 from tests.deploy.network.test_build import matrix_by_hand
-from tests.deploy.networks import (
-    conv,
-    dense,
-    paper_spec,
-    random_checks,
-    readout,
-    small_spec,
-)
+from tests.deploy.networks import conv, dense, paper_spec, random_checks, readout, small_spec
 from tests.nir_reader.result import responses_of
 
 nir = pytest.importorskip("nir")

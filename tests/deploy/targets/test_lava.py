@@ -12,22 +12,11 @@ import scipy.sparse
 from deploy.errors import UserError
 from deploy.files import read_arrays
 from deploy.targets.fast import Emulation
-from deploy.targets.lava import (
-    lava_arrays,
-    spikes_of,
-    without_refractory_and_floor,
-    write_lava,
-)
+from deploy.targets.lava import lava_arrays, spikes_of, without_refractory_and_floor, write_lava
 from deploy.targets.registry import answer
 
 from ...lava_reader.result import differing_bits, responses_of
-from ..networks import (
-    events_spec,
-    paper_spec,
-    random_checks,
-    random_frames,
-    small_spec,
-)
+from ..networks import events_spec, paper_spec, random_checks, random_frames, small_spec
 
 ROOT = Path(__file__).parent.parent.parent.parent
 READER = ROOT / ".venv-lava" / "bin" / "python"

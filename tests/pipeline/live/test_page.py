@@ -272,10 +272,7 @@ def test_no_part_is_too_wide_and_every_part_says_what_it_is(browser, tmp_path, s
 
 
 def test_a_sensor_and_classes_of_ones_own(browser, tmp_path):
-    with (
-        served(tmp_path / "kept", sensor=OWN) as server,
-        page_of(browser, server) as page,
-    ):
+    with served(tmp_path / "kept", sensor=OWN) as server, page_of(browser, server) as page:
         box = page.locator("#skin").bounding_box()
         assert box["width"] / box["height"] == pytest.approx(12 / 9, rel=0.03)
         words = page.inner_text("body").lower()
@@ -317,10 +314,7 @@ def test_an_example_is_played_at_its_own_pace_and_kept_no_second_time(browser, t
     time_ns = 200_000_000 + 20_000_000 * np.arange(40)
     line = Events(time_ns, 10 * np.arange(40) % 100, np.tile([1, -1], 20), np.ones(40))
     tests = [Example(line, 3, "3/0007"), Example(line, 4, "4/0001")]
-    with (
-        served(tmp_path / "kept", tests=tests) as server,
-        page_of(browser, server) as page,
-    ):
+    with served(tmp_path / "kept", tests=tests) as server, page_of(browser, server) as page:
         until(page, "!document.querySelector('#example').disabled")
         page.select_option("#example-class", "4")
         begun = page.evaluate("performance.now()")

@@ -12,11 +12,7 @@ from pipeline.data.events import Events, Sensor
 from pipeline.data.matfile import read_recording
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import (
-    LONGEST_S,
-    BadMessage,
-    Session,
-)
+from pipeline.live.session import LONGEST_S, BadMessage, Session
 from pipeline.skin import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
 

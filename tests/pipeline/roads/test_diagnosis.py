@@ -9,12 +9,7 @@ from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.files import read_json
 from deploy.targets.fast import firing_rates
-from pipeline.roads.diagnosis import (
-    activity,
-    fastest_rate,
-    fidelity,
-    layers_json,
-)
+from pipeline.roads.diagnosis import activity, fastest_rate, fidelity, layers_json
 from tests.deploy.networks import bundle_at, random_checks, small_spec
 
 

@@ -21,10 +21,7 @@ from pipeline.roads.nir import Stepped, graph_inputs, settings_of_nir, spec_of_n
 from pipeline.settings import Settings
 from tests.command import call as stmnist
 from tests.command import missing
-from tests.deploy.networks import (
-    random_checks,
-    small_spec,
-)
+from tests.deploy.networks import random_checks, small_spec
 from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
 from tests.own_sensor import write_folder
 

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.data.events import (
-    EVENT_DTYPES,
-    TICK_NS,
-    expand_bursts,
-    merge_bursts,
-)
+from pipeline.data.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
 from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
 from pipeline.skin import parameters
 from pipeline.skin.handwriting import Trace

@@ -11,10 +11,7 @@ from pipeline.roads.counts import fit_baseline
 def recordings():
     """Two recordings of one row of three taxels; times in ms."""
     taxels, sensor = TaxelMap.grid(1, 3), Sensor(1, 3, classes=("a", "b"))
-    parts = [
-        ([5, 7, 9, 25], [0, 0, 2, 1], [1, 1, -1, 1]),
-        ([100, 139], [2, 2], [-1, 1]),
-    ]
+    parts = [([5, 7, 9, 25], [0, 0, 2, 1], [1, 1, -1, 1]), ([100, 139], [2, 2], [-1, 1])]
     events = [
         Events(np.array(t) * 10**6, np.array(x), np.array(p), np.ones(len(t), int))
         for t, x, p in parts
