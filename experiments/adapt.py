@@ -23,12 +23,13 @@ from deploy.files import sha256_of, write_json
 from deploy.tables import aligned
 from experiments import handwriting, unipen
 from experiments.studies import RESULTS, Store, measured
+from experiments.tables import interval_text
 from pipeline.commands import options
 from pipeline.data.dataset import Dataset, dataset_origin, split_of
 from pipeline.data.library import simulated
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hidden
-from pipeline.results.study import Case, interval_text, study
+from pipeline.results.study import Case, study
 from pipeline.settings import SIMULATED
 from pipeline.skin import parameters
 from pipeline.stages import opened_in

@@ -25,8 +25,7 @@ import typer
 import stmnist
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
-from experiments import adapt, speed, studies
-from pipeline.results import study
+from experiments import adapt, speed, studies, tables
 from pipeline.results.sweep import sweep_text
 from pipeline.settings import Settings, describe
 
@@ -112,7 +111,8 @@ def part(name: str) -> str:
     splits = dict.fromkeys(row["split"] for row in content["rows"])
     parts = [markdown(studies.cells(experiment, content, split)) for split in splits]
     if content["comparisons"]:
-        parts.append(markdown(study.comparisons_cells(content)))
+        titles = {line.name: line.title for line in experiment.lines}
+        parts.append(markdown(tables.comparisons_cells(content, titles)))
     return "\n\n".join([*parts, experiment.note])
 
 

@@ -25,11 +25,3 @@ CHECK_SAMPLES = 200
 
 # Recordings of each digit, 6,953 in all (Table 1).
 SAMPLES_PER_DIGIT = (697, 690, 699, 690, 690, 693, 698, 704, 697, 695)
-
-# Accuracy of each model over the splits, mean and SD (Table 2).
-TABLE2 = {
-    "cnn": (0.89, 0.01),
-    "ann-snn": (0.87, 0.01),
-    "loihi": (0.86, 0.02),
-    "slayer": (0.81, 0.01),
-}

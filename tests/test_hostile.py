@@ -160,7 +160,6 @@ def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
     [
         ["data", "inspect", "{pipe}.mat"],
         ["data", "import", "{pipe}"],
-        ["data", "simulate", "--out", "{pipe}.zip", "--handwriting", "{pipe}"],
         ["check", "compare", "{pipe}", "{pipe}"],
         ["train", "{run}", "--settings", "{pipe}"],
         ["convert", "{run}", "--model", "{pipe}.keras"],

@@ -108,13 +108,6 @@ def weights_of(emulation: Emulation) -> scipy.sparse.csr_matrix:
     return scipy.sparse.coo_matrix((value, (sent[source], target)), (n_inputs + n, n)).tocsr()
 
 
-def without_refractory_and_floor(spec: NetworkSpec) -> Emulation:
-    """The network with Lava's standard neurons, without refractory period and lower bound."""
-    emulation = Emulation(spec)
-    emulation.chip.set_constants(refractory=0, v_min=-LARGEST)
-    return emulation
-
-
 def spikes_of(emulation: Emulation, images) -> dict:
     """Every spike of every population, in the network's presentation.
 

@@ -25,14 +25,12 @@ from pathlib import Path
 import numpy as np
 
 from deploy import __version__
-from deploy.check.intervals import mcnemar, wilson_interval
 from deploy.errors import CheckFailed, UserError
 from deploy.files import read_arrays, read_json, write_json
 from deploy.network.decision import share_of_time
 from deploy.network.operations import multiply_accumulates
 from deploy.network.stimulus import last_steps
 from deploy.preflight.plan import make_plan
-from deploy.tables import p_text
 from deploy.targets.registry import TARGETS
 from deploy.targets.registry import answer as answer_on_target
 from pipeline.artifacts import DELETE_IT, Library
@@ -45,8 +43,6 @@ from pipeline.settings import Settings
 from pipeline.stages import opened_in
 
 SCHEMA = "stmnist-row/1"
-# Minimum number of splits for an interval over them; with two it would be 12.7 standard errors.
-FEWEST = 3
 
 
 @dataclass(frozen=True)
@@ -360,147 +356,6 @@ def costs_of(spec, found) -> dict:
         "stable": found.stable_after_median,
         "spikes": {name: float(counts.mean()) for name, counts in found.spikes.items()},
     }
-
-
-def table(rows, by=("split", "name"), against=()) -> dict:
-    """Means over splits, and differences on the same samples of the same splits.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        From :func:`study`.
-    by : sequence of str
-        Rows with equal entries of these names are averaged; the last one names the row.
-    against : sequence of (str, str)
-        Pairs of names that are compared, the first one minus the second: a loss is negative.
-
-    Returns
-    -------
-    dict
-        ``rows``: the entries of ``by``, the ``seeds``, the ``values`` of the splits, their ``mean``
-        and :func:`estimate`, and means of ``costs``.  ``comparisons``: ``a``, ``b``, difference
-        (``mean``, ``ci95``), ``agreement`` of the predictions, ``p`` and ``p_holm``, corrected for
-        the number of comparisons.
-    """
-    groups = {}
-    for row in rows:
-        groups.setdefault(tuple(row[name] for name in by), {})[row["seed"]] = row
-    entries = []
-    for key, of_seed in groups.items():
-        runs = list(of_seed.values())
-        values = [row["accuracy"] for row in runs]
-        entry = {**dict(zip(by, key, strict=True)), "seeds": list(of_seed), "values": values}
-        entry |= {size: _mean(runs, size) for size in ("n_train", "n_test")}
-        entry |= estimate(values, entry["n_train"], entry["n_test"], runs[0]["split"])
-        if len(runs) == 1:
-            right = runs[0]["right"]
-            entry["ci95"] = list(wilson_interval(sum(right), len(right)))
-        costs = [row["costs"] for row in runs if "costs" in row]
-        if len(costs) == len(runs):
-            names = [name for name, value in costs[0].items() if not isinstance(value, dict)]
-            entry["costs"] = {name: _mean(costs, name) for name in names}
-        entries.append(entry)
-    comparisons = [
-        {**dict(zip(by, key, strict=True)), "a": key[-1], "b": b, **found}
-        for a, b in against
-        for key in groups
-        if key[-1] == a and (found := _compared(groups[key], groups.get((*key[:-1], b), {})))
-    ]
-    for comparison, p in zip(comparisons, holm([c["p"] for c in comparisons]), strict=True):
-        comparison["p_holm"] = p
-    return {
-        "simulated": any(row["simulated"] for row in rows),
-        "recordings": sorted({row["recordings"] for row in rows}),
-        "rows": entries,
-        "comparisons": comparisons,
-    }
-
-
-def _mean(rows, name):
-    return float(np.mean([row[name] for row in rows]))
-
-
-def _compared(ones, others):
-    """Accuracy of one row minus another's, over their common seeds and samples."""
-    seeds = [seed for seed in ones if seed in others]
-    if not seeds:
-        return None
-    pairs = [(ones[seed], others[seed]) for seed in seeds]
-    differences = [float(np.subtract(*_common(*pair)).mean()) for pair in pairs]
-    shares = [_mean([one for one, _ in pairs], size) for size in ("n_train", "n_test")]
-    found = estimate(differences, *shares, pairs[0][0]["split"])
-    if len(pairs) == 1:
-        found["p"] = mcnemar(*_common(*pairs[0]))
-    agree = [np.mean(np.equal(*_common(*pair, "predictions"))) for pair in pairs]
-    return {**found, "values": differences, "agreement": float(np.mean(agree))}
-
-
-def _common(one, other, what="right"):
-    """An entry of two rows for each sample that both have."""
-    values = [dict(zip(row["samples"], row[what], strict=True)) for row in (one, other)]
-    shared = sorted(values[0].keys() & values[1].keys())
-    return [np.array([of[sample] for sample in shared]) for of in values]
-
-
-def estimate(values, n_train: float, n_test: float, split: str = "random") -> dict:
-    """Mean over splits, with the corrected resampled t statistic.
-
-    Parameters
-    ----------
-    values : array_like, shape (n_splits,)
-        An accuracy, or a difference of two accuracies, of each split.
-    n_train, n_test : float
-        Samples of each split, or their mean where splits differ: the shares of the split itself,
-        whatever part of the test samples was evaluated.
-    split : str
-        Kind of the split.  With ``"published"`` only the training differs between seeds: there is
-        no correction, and the interval is of the mean over trainings on this one split.
-
-    Returns
-    -------
-    dict
-        ``mean``; ``sd`` over the splits, 95 % interval ``ci95`` of the mean and two-sided ``p`` of
-        a mean of zero, which are None for fewer splits than :data:`FEWEST`.
-    """
-    from scipy import stats
-
-    values = np.asarray(values, float)
-    n, mean = len(values), float(values.mean())
-    if n < FEWEST:
-        return {"mean": mean, "sd": None, "ci95": None, "p": None}
-    sd = float(values.std(ddof=1))
-    overlap = 0.0 if split == "published" else n_test / n_train
-    error = sd * np.sqrt(1 / n + overlap)
-    reach = float(stats.t.ppf(0.975, n - 1) * error)
-    p = float(2 * stats.t.sf(abs(mean) / error, n - 1)) if error else float(mean == 0)
-    return {"mean": mean, "sd": sd, "ci95": [mean - reach, mean + reach], "p": p}
-
-
-def holm(p_values) -> list:
-    """p values corrected for their number (Holm 1979); None stays None and is not counted."""
-    order = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
-    corrected, largest = [None] * len(p_values), 0.0
-    for rank, (p, index) in enumerate(order):
-        largest = max(largest, min(1.0, (len(order) - rank) * p))
-        corrected[index] = largest
-    return corrected
-
-
-def interval_text(ci95, scale: float = 1.0, digits: int = 3, sign: str = "") -> str:
-    """An interval as "0.870 to 0.912"; empty without one."""
-    return " to ".join(f"{scale * bound:{sign}.{digits}f}" for bound in ci95 or ())
-
-
-def comparisons_cells(found: dict) -> list:
-    """The comparisons of a table as lists of text, the heads first; a loss is negative."""
-    rows = []
-    for entry in found["comparisons"]:
-        p = "" if entry["p_holm"] is None else p_text(entry["p_holm"])
-        title = f"{entry['a']} minus {entry['b']}, {entry['split']} splits"
-        interval = interval_text(entry["ci95"], 100, 2, "+")
-        agreement = f"{entry['agreement']:.1%}" if "agreement" in entry else ""
-        rows.append([title, f"{100 * entry['mean']:+.2f}", interval, p, agreement])
-    return [["on the same samples", "points", "95 % interval", "p, Holm", "equal answers"], *rows]
 
 
 def fitted_to_inputs(settings: Settings, kinds, recordings, say: Callable) -> dict:

@@ -12,8 +12,9 @@ import scipy.sparse
 from deploy.errors import UserError
 from deploy.files import read_arrays
 from deploy.targets.fast import Emulation
-from deploy.targets.lava import lava_arrays, spikes_of, without_refractory_and_floor, write_lava
+from deploy.targets.lava import lava_arrays, spikes_of, write_lava
 from deploy.targets.registry import answer
+from tests.lava_reader.result import without_refractory_and_floor
 
 from ...lava_reader.result import differing_bits, responses_of
 from ..networks import events_spec, paper_spec, random_checks, random_frames, small_spec
