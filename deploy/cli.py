@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 from . import __version__
@@ -63,31 +64,20 @@ def _parser():
     seed = "seed of the simulator (default: that of the bundle's run)"
     check.add_argument("--seed", type=int, metavar="N", help=seed)
     board = check.add_argument_group("target loihi")
-    defaults = BoardOptions()
-    board.add_argument("--board", help="name of a board (default: the cluster's choice)")
-    board.add_argument("--partition", help="SLURM partition (default: the board is on this host)")
-    chips = {"type": int, "default": defaults.chips, "metavar": "N", "help": "number of chips"}
-    board.add_argument("--chips", **chips)
-    board.add_argument(
-        "--attempts", type=int, default=defaults.attempts, metavar="N",
-        help="largest number of attempts for each stream of samples (default: %(default)s)",
-    )  # fmt: skip
-    board.add_argument(
-        "--wait", type=float, default=defaults.wait, metavar="S",
-        help="seconds before the second attempt, doubled for each further one up to ten minutes "
-        "(default: %(default)s)",
-    )  # fmt: skip
-    board.add_argument(
-        "--timeout", type=float, default=defaults.timeout, metavar="S",
-        help="seconds after which a stream that hangs is abandoned (default: %(default)s)",
-    )  # fmt: skip
-    board.add_argument("--energy", action="store_true", help="measure power if the board can")
+    for each in fields(BoardOptions):
+        how = {"default": each.default, "help": each.metadata["help"]}
+        if each.default is False:
+            how["action"] = "store_true"
+        elif each.default is not None:
+            how["type"] = type(each.default)
+            how["help"] += " (default: %(default)s)"
+        board.add_argument(f"--{each.name}", **how)
     check.set_defaults(run=_check)
     plan = verbs.add_parser(
         "plan", help="resources that the network needs on each core, and whether it fits"
     )
     plan.add_argument("bundle", type=Path, help="the bundle's folder")
-    plan.add_argument("--chips", **chips)
+    plan.add_argument("--chips", type=int, default=1, metavar="N", help="number of chips")
     plan.add_argument("--json", action="store_true", help="print JSON")
     plan.set_defaults(run=_plan)
     board = verbs.add_parser("board", help="report whether this host can use a board")

@@ -18,7 +18,7 @@ import re
 import shlex
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -244,10 +244,7 @@ def _plain(text):
 
 
 def main(
-    files: Annotated[
-        Optional[list[Path]],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Argument(help="Documents (default: all)."),
-    ] = None,
+    files: Annotated[list[Path] | None, typer.Argument(help="Documents (default: all).")] = None,
 ):
     """Write commands, settings and the figures of results/ into README and docs."""
     for path in files or [ROOT / name for name in FILES]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 import warnings
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import nengo
 import numpy as np
@@ -247,12 +247,11 @@ def cells(found: dict) -> list:
 
 def main(
     bundles: Annotated[
-        Optional[list[Path]],  # noqa: UP045 - Typer reads the annotation at run time
+        list[Path] | None,
         typer.Argument(help="Folders of bundles or runs (default: only networks)."),
     ] = None,
     samples: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option(help="Use only the first samples of each bundle's check.", min=1),
+        int | None, typer.Option(help="Use only the first samples of each bundle's check.", min=1)
     ] = None,
     store: Store = "",
     as_json: options.Json = False,

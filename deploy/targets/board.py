@@ -12,7 +12,7 @@ import contextlib
 import os
 import signal
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Iterator, Optional
 
 import numpy as np
@@ -29,6 +29,11 @@ POWER_BINS = 1024
 
 # Seconds up to which the wait between two attempts is doubled.
 LONGEST_WAIT = 600.0
+
+
+def _option(default, text, least=None, most=None):
+    """Field with its range, and its help on both command lines."""
+    return field(default=default, metadata={"help": text, "range": (least, most)})
 
 
 @dataclass(frozen=True)
@@ -53,26 +58,33 @@ class BoardOptions:
         Time limit in seconds for the connection and for the run of a stream, each.
     """
 
-    board: Optional[str] = None
-    partition: Optional[str] = None
-    chips: int = 1
-    attempts: int = 3
-    wait: float = 10.0
-    energy: bool = False
-    timeout: float = 1800.0
+    board: Optional[str] = _option(None, "Name of a board (default: the cluster's choice).")
+    partition: Optional[str] = _option(
+        None, "SLURM partition (default: the board is on this host)."
+    )
+    chips: int = _option(1, "Largest number of chips to use.", 1, 10_000)
+    attempts: int = _option(3, "Largest number of attempts for each stream of samples.", 1, 1000)
+    wait: float = _option(
+        10.0,
+        "Seconds before the second attempt, doubled for each further one up to ten minutes.",
+        0,
+        86_400,
+    )
+    timeout: float = _option(
+        1800.0, "Seconds after which a stream that hangs is abandoned.", 1e-3, 864_000
+    )
+    energy: bool = _option(False, "Measure power if the board can.")
 
     def __post_init__(self):
-        for name, least, most in (
-            ("chips", 1, 10_000),
-            ("attempts", 1, 1000),
-            ("wait", 0, 86_400),
-            ("timeout", 1e-3, 864_000),
-        ):
-            value = getattr(self, name)
+        for each in fields(self):
+            least, most = each.metadata["range"]
+            if least is None:
+                continue
+            value = getattr(self, each.name)
             if value < least:
-                raise UserError(f"--{name} must be at least {least:g}")
+                raise UserError(f"--{each.name} must be at least {least:g}")
             if not value <= most:  # also refuses NaN
-                raise UserError(f"--{name} must be at most {most:g}")
+                raise UserError(f"--{each.name} must be at most {most:g}")
 
 
 class BoardLost(Exception):

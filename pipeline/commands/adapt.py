@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -23,12 +23,10 @@ def adapt(
         str, typer.Option(help="Zip or folder of the person's recordings of every class.")
     ],
     writer: Annotated[
-        Optional[int],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Option(help="The writer to use, if there are several.", min=0),
+        int | None, typer.Option(help="The writer to use, if there are several.", min=0)
     ] = None,
     out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(help="Folder of the new bundle.", show_default="RUN/adapted"),
+        Path | None, typer.Option(help="Folder of the new bundle.", show_default="RUN/adapted")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the fit.", min=0, max=2**31 - 1)] = 0,
     skip_bad: Annotated[

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -26,29 +26,15 @@ from pipeline.roads import COMPARED_WITH
 from pipeline.run import checks_beside
 
 
-def _board_option(kind, text):
-    return Annotated[kind, typer.Option(help=text, rich_help_panel="Target loihi")]
+def _board_option(each):
+    kind = str | None if each.default is None else type(each.default)
+    names = ("--energy",) if kind is bool else ()  # no --no-energy
+    text = each.metadata["help"]
+    return Annotated[kind, typer.Option(*names, help=text, rich_help_panel="Target loihi")]
 
 
 Board = options.group(
-    BoardOptions,
-    board=_board_option(Optional[str], "Name of a board (default: the cluster's choice)."),  # noqa: UP045
-    partition=_board_option(
-        Optional[str],  # noqa: UP045
-        "SLURM partition (default: the board is on this host).",
-    ),
-    chips=_board_option(int, "Largest number of chips to use."),
-    attempts=_board_option(int, "Largest number of attempts for each stream of samples."),
-    wait=_board_option(
-        float, "Seconds before the second attempt, doubled for each further one up to ten minutes."
-    ),
-    timeout=_board_option(float, "Seconds after which a stream that hangs is abandoned."),
-    energy=Annotated[
-        bool,
-        typer.Option(
-            "--energy", help="Measure power if the board can.", rich_help_panel="Target loihi"
-        ),
-    ],
+    BoardOptions, **{each.name: _board_option(each) for each in fields(BoardOptions)}
 )
 
 
@@ -77,14 +63,14 @@ class OtherRecordings:
 Others = options.group(
     OtherRecordings,
     data=Annotated[
-        Optional[str],  # noqa: UP045
+        str | None,
         typer.Option(
             help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
             "and classes must be the same."
         ),
     ],
     samples=Annotated[
-        Optional[int],  # noqa: UP045
+        int | None,
         typer.Option(
             help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
             min=0,
@@ -102,14 +88,14 @@ def run(
     bundle: options.Bundle,
     target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
     out: Annotated[
-        Optional[Path],  # noqa: UP045
+        Path | None,
         typer.Option(
             help="The result (default: TARGET.json in checks/ beside a folder named bundle, in "
             "NAME-checks/ beside another)."
         ),
     ] = None,
     seed: Annotated[
-        Optional[int],  # noqa: UP045
+        int | None,
         typer.Option(help="Seed given to the simulator (default: that of the bundle's run)."),
     ] = None,
     *,
@@ -186,11 +172,10 @@ def compare_checks(
     a: Annotated[Path, typer.Argument(help="A check result (JSON).")],
     b: Annotated[Path, typer.Argument(help="Another result of the same bundle.")],
     max_disagreements: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option(help="Exit with status 1 if more predictions than this differ."),
+        int | None, typer.Option(help="Exit with status 1 if more predictions than this differ.")
     ] = None,
     max_accuracy_drop: Annotated[
-        Optional[float],  # noqa: UP045
+        float | None,
         typer.Option(help="Exit with status 1 if B is less accurate by more, such as 0.01."),
     ] = None,
     as_json: options.Json = False,

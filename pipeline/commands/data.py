@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -39,7 +39,7 @@ PerDigit = Annotated[
 
 
 Reading = Annotated[
-    Optional[list[str]],  # noqa: UP045 - Typer reads the annotation at run time
+    list[str] | None,
     typer.Option(
         "--set",
         help="A setting of reading: data.time_unit=us, data.downsample=4, data.skip_bad=true, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -52,7 +52,7 @@ def export(
     ],
     out: Annotated[Path, typer.Option(help="The file to write.")],
     inputs: Annotated[
-        Optional[Path],  # noqa: UP045
+        Path | None,
         typer.Option(help="NIR: also write the input spikes of the check's samples, as .npz."),
     ] = None,
 ):
@@ -75,7 +75,7 @@ def export(
 def energy(
     bundle: options.Bundle,
     result: Annotated[
-        Optional[Path],  # noqa: UP045
+        Path | None,
         typer.Argument(
             help="A check result (default: that of emulator or fast beside the bundle)."
         ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -18,7 +18,7 @@ DEFAULT_RUN = Path("runs/default")
 
 def live(
     run: Annotated[
-        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        Path | None,
         typer.Argument(
             help="Folder of a run, or of a copied bundle.",
             show_default="the network on events of this package",
@@ -28,14 +28,14 @@ def live(
         int, typer.Option(help="Port of this machine; 0 for any free one.", min=0, max=65535)
     ] = PORT,
     record: Annotated[
-        Optional[Path],  # noqa: UP045
+        Path | None,
         typer.Option(
             help="Folder for the recordings, which can be given as --data.",
             show_default=f"{RECORD}; for data other than digits, {RECORD}-NAME",
         ),
     ] = None,
     host: Annotated[
-        Optional[str],  # noqa: UP045
+        str | None,
         typer.Option(
             help="Address of this machine at which others can open the page, with the token that "
             "is printed.",

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Optional, get_type_hints
+from typing import Annotated, get_type_hints
 
 import typer
 
@@ -93,30 +93,28 @@ def for_typer(verb: Callable) -> Callable:
 Run = Annotated[Path, typer.Argument(help="Folder of the run, such as runs/default.")]
 Bundle = Annotated[Path, typer.Argument(help="Folder of the bundle or of its run.")]
 Data = Annotated[
-    Optional[str],  # noqa: UP045 - Typer reads the annotation at run time
+    str | None,
     typer.Option(help="Zip or folder of recordings, or 'simulated' (default: as in the settings)."),
 ]
-Seed = Annotated[Optional[int], typer.Option(help="Seed of split, training and samples.")]  # noqa: UP045
+Seed = Annotated[int | None, typer.Option(help="Seed of split, training and samples.")]
 Input = Annotated[
-    Optional[str],  # noqa: UP045
-    typer.Option("--input", help="Input of the chip: 'image' or 'events'."),
+    str | None, typer.Option("--input", help="Input of the chip: 'image' or 'events'.")
 ]
 Samples = Annotated[
-    Optional[int],  # noqa: UP045
-    typer.Option(help="Number of samples of the check; 0 for the whole test split."),
+    int | None, typer.Option(help="Number of samples of the check; 0 for the whole test split.")
 ]
-Steps = Annotated[Optional[int], typer.Option(help="Number of steps of a sample.")]  # noqa: UP045
+Steps = Annotated[int | None, typer.Option(help="Number of steps of a sample.")]
 SettingsFile = Annotated[
-    Optional[Path],  # noqa: UP045
+    Path | None,
     typer.Option("--settings", help="TOML file of settings that replaces the folder's."),
 ]
 Assignments = Annotated[
-    Optional[list[str]],  # noqa: UP045
+    list[str] | None,
     typer.Option("--set", help="Change a setting, such as --set cnn.epochs=5; repeatable."),
 ]
 Jobs = Annotated[int, typer.Option(help="Number of parallel processes.", min=1, max=10_000)]
 Scheduler = Annotated[
-    Optional[str],  # noqa: UP045
+    str | None,
     typer.Option(
         help="Address of a Dask scheduler, such as tcp://host:8786, whose workers do the jobs "
         "instead of processes of this machine."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -14,8 +14,7 @@ from pipeline.settings import Settings, describe, read_settings, settings_text
 
 def settings(
     run: Annotated[
-        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
-        typer.Argument(help="Folder of the run (default: the built-in values)."),
+        Path | None, typer.Argument(help="Folder of the run (default: the built-in values).")
     ] = None,
     as_json: options.Json = False,
 ):

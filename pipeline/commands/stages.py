@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -31,17 +31,16 @@ def convert(
     run: options.Run,
     given: options.RunGiven,
     model: Annotated[
-        Optional[Path],  # noqa: UP045 - Typer reads the annotation at run time
+        Path | None,
         typer.Option(
             help="Your Keras model (.keras or .h5), which replaces the CNN; only one you trust."
         ),
     ] = None,
     nir: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(help="A NIR graph, such as one exported from PyTorch."),
+        Path | None, typer.Option(help="A NIR graph, such as one exported from PyTorch.")
     ] = None,
     step: Annotated[
-        Optional[float],  # noqa: UP045
+        float | None,
         typer.Option(help="With --nir: milliseconds of the graph's time in a step of the chip."),
     ] = None,
     strict: Annotated[
@@ -98,7 +97,7 @@ def ladder(
     given: options.RunGiven,
     jobs: options.Jobs = 2,
     limit: Annotated[
-        Optional[float],  # noqa: UP045 - Typer reads the annotation at run time
+        float | None,
         typer.Option(
             help="Loss in points from which a stage's layers are listed (default: 3, if it is "
             "significant)."

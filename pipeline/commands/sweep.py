@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -14,7 +14,7 @@ from pipeline.results.sweep import measure_sweep, sweep_text
 def sweep(
     out: Annotated[Path, typer.Argument(help="Folder of the sweep, such as runs/sweep.")],
     grid: Annotated[
-        Optional[list[str]],  # noqa: UP045
+        list[str] | None,
         typer.Option(
             help="Values of a setting, such as cnn.epochs=5,10 or "
             "snn.max_rates=100,150; repeatable, all combinations are tried "
