@@ -92,8 +92,8 @@ def _parser():
 
 
 def _check(options):
-    given = {name: getattr(options, name) for name in vars(BoardOptions())}
-    chosen = options_for(options.target, **given)
+    values = {name: getattr(options, name) for name in vars(BoardOptions())}
+    chosen = options_for(options.target, **values)
     bundle = read_bundle(options.bundle)
     out = options.out or result_beside(options.bundle, options.target)
     total, done = len(bundle.checks), 0

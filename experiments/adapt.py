@@ -208,7 +208,7 @@ def main(
     ),
     draws: Annotated[int, typer.Option(help="Random draws for each person.", min=1)] = 5,
     *,
-    given: options.WithoutDataGiven,
+    given: options.WithoutDataRequested,
     store: Store = "",
     workers: options.Workers,
     as_json: options.Json = False,

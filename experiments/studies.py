@@ -472,7 +472,7 @@ def command_of(experiment: Experiment) -> Callable:
         ] = experiment.seeds,
         only: Annotated[str, typer.Option(help="Rows, separated by commas.")] = "",
         *,
-        given: options.SeededGiven,
+        given: options.SeededRequested,
         store: Store = "",
         workers: options.Workers,
         as_json: options.Json = False,

@@ -384,15 +384,15 @@ _ZERO = object()
 def _layer(token):
     """The layer that a token describes; None if it describes none, `_ZERO` if a number is zero."""
     for kind, pattern in _TOKENS.items():
-        found = pattern.fullmatch(token)
-        if not found:
+        match = pattern.fullmatch(token)
+        if not match:
             continue
-        numbers = [int(n) for n in found.groups() if n and n != "p"]
+        numbers = [int(n) for n in match.groups() if n and n != "p"]
         if min(numbers) < 1:
             return _ZERO
         if kind == "conv":
             filters, kernel, *stride = numbers
-            padding = "same" if found[4] else "valid"
+            padding = "same" if match[4] else "valid"
             return Convolution(filters, kernel, *(stride or [1]), padding)
         return Pooling(*numbers) if kind == "pool" else Dense(*numbers, output=kind == "output")
     return None

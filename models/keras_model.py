@@ -95,10 +95,10 @@ def _read(path, sha256) -> KerasModel:
     model = _loaded(path)
     if len(model.inputs) != 1 or len(model.outputs) != 1:
         raise ModelFileError("has several inputs or outputs; use one chain of layers")
-    found = from_layers(model.inputs[0].shape[1:], [_layer(layer) for layer in model.layers])
-    images = np.random.default_rng(0).uniform(0, 1, (TRIED, *found.architecture.input_shape))
-    _compare(model, found, images.astype(np.float32))
-    return found
+    model_read = from_layers(model.inputs[0].shape[1:], [_layer(layer) for layer in model.layers])
+    images = np.random.default_rng(0).uniform(0, 1, (TRIED, *model_read.architecture.input_shape))
+    _compare(model, model_read, images.astype(np.float32))
+    return model_read
 
 
 def _loaded(path):
@@ -133,12 +133,12 @@ def _layer(layer) -> _Layer:
     return _Layer(type(layer).__name__, layer.name, layer.get_config(), tuple(layer.get_weights()))
 
 
-def _compare(model, found, images):
+def _compare(model, read, images):
     """Refuse a model that is no chain of its layers, or that has an effect in prediction only."""
     from models.cnn import build_cnn, predict, set_weights
 
-    network = build_cnn(found.architecture)
-    set_weights(network, found.weights)
+    network = build_cnn(read.architecture)
+    set_weights(network, read.weights)
     shown = images.reshape(len(images), *model.inputs[0].shape[1:])
     with np.errstate(all="ignore"):
         logits, outputs = predict(network, images), np.asarray(model(shown, training=False))

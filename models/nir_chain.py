@@ -398,10 +398,10 @@ def _fitted(window, gain, bias, before, shape):
     if window.stride[0] != window.stride[1]:
         return None
     stride, sizes = window.stride[0], [n // window.pool for n in before[1:]]
-    found = _square(window.kernel, sizes, shape[1:], stride, window.before)
-    if found is None:
+    square = _square(window.kernel, sizes, shape[1:], stride, window.before)
+    if square is None:
         return None
-    kernel, padding = found
+    kernel, padding = square
     weights = kernel.transpose(2, 3, 1, 0) * flat_gain[:, 0]
     return {
         "shape": (*shape[1:], shape[0]),

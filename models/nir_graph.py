@@ -469,13 +469,13 @@ def _convolution(dimensions):
 
 
 def _padding(values, dimensions, reach, stride):
-    given = values.values.get("padding", 0)
-    if isinstance(given, (str, bytes)):
-        if _text(given) == "valid":
+    padding = values.values.get("padding", 0)
+    if isinstance(padding, (str, bytes)):
+        if _text(padding) == "valid":
             return ((0, 0),) * dimensions
-        if _text(given) != "same" or max(stride) > 1:
+        if _text(padding) != "same" or max(stride) > 1:
             values.refuse(
-                f"padding {shown(_text(given))} with a stride of {max(stride)}; give the padding "
+                f"padding {shown(_text(padding))} with a stride of {max(stride)}; give the padding "
                 "as a number"
             )
         return tuple(((r - 1) // 2, (r - 1) - (r - 1) // 2) for r in reach)

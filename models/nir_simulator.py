@@ -100,13 +100,13 @@ def simulate(
         )
     outputs, spikes = [], []
     for start in range(0, len(inputs), AT_ONCE):
-        signal, found = inputs[start : start + AT_ONCE].astype(float), {}
+        signal, spiked = inputs[start : start + AT_ONCE].astype(float), {}
         for node in network.nodes:
             signal = run_node(node, signal, step, method, reset)
             if node.kind in SPIKING:
-                found[node.name] = signal.astype(bool)
+                spiked[node.name] = signal.astype(bool)
         outputs.append(signal)
-        spikes.append(found)
+        spikes.append(spiked)
     names = [node.name for node in network.nodes if node.kind in SPIKING]
     if not outputs:
         raise ValueError("no samples to simulate")

@@ -193,11 +193,11 @@ def refuse_other_folders(path: Path, of_results: bool = False):
         )
     if of_results or not path.is_dir() or (path / "experiment.toml").exists():
         return
-    found = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
-    if found:
+    names = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
+    if names:
         raise UserError(
             f"{path}: is not a run (it has no experiment.toml) and not empty "
-            f"(it has {found[0]!r}); give a new folder as RUN"
+            f"(it has {names[0]!r}); give a new folder as RUN"
         )
 
 

@@ -120,7 +120,7 @@ class Input(Section):
     refractory: Annotated[float, AT_LEAST_0] = 10.0
 
     @property
-    def rest(self) -> int:
+    def refractory_steps(self) -> int:
         """The refractory period in steps."""
         return int(self.refractory / self.step + 1e-9)
 
@@ -408,7 +408,7 @@ class Settings(Section):
     def stimulus(self) -> Stimulus:
         """The input of the chip."""
         if self.on_events:
-            return EventFrames(self.input.step / 1000, self.input.rest)
+            return EventFrames(self.input.step / 1000, self.input.refractory_steps)
         return ImageSpikes(self.deployment.input_rate, self.deployment.input_phase)
 
     @property

@@ -97,8 +97,8 @@ def _begin_worker():
 
 
 def _is(module, file):
-    found = getattr(module, "__file__", None)
-    return found is not None and os.path.realpath(found) == os.path.realpath(file)
+    path = getattr(module, "__file__", None)
+    return path is not None and os.path.realpath(path) == os.path.realpath(file)
 
 
 def _where(module):

@@ -322,7 +322,7 @@ def compare_results(a: dict, b: dict) -> Comparison:
             remedy = "with the same --data, --samples and --seed"
         raise UserError(f"the results are of different samples; run both checks {remedy}")
     pairs = list(zip(a["samples"], b["samples"]))
-    told = all("spike_hash" in sample for pair in pairs for sample in pair)
+    have_hashes = all("spike_hash" in sample for pair in pairs for sample in pair)
     right = [[s["prediction"] == s["label"] for s in result["samples"]] for result in (a, b)]
     return Comparison(
         targets=(a["target"], b["target"]),
@@ -334,7 +334,9 @@ def compare_results(a: dict, b: dict) -> Comparison:
             if x["prediction"] != y["prediction"]
         ],
         p_value=mcnemar(*right),
-        other_spikes=sum(x["spike_hash"] != y["spike_hash"] for x, y in pairs) if told else None,
+        other_spikes=sum(x["spike_hash"] != y["spike_hash"] for x, y in pairs)
+        if have_hashes
+        else None,
     )
 
 
@@ -365,10 +367,10 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     compared = compare_results(reference, result)
     if compared.accuracy_drop <= 0 or compared.p_value >= ALARMING:
         return None
-    own, found = compared.accuracies
+    own, other = compared.accuracies
     return WARNING + (
         f"{result['target']} is significantly less accurate than {reference['target']} on the same "
-        f"samples: {found:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g}, "
+        f"samples: {other:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g}, "
         f"below {ALARMING:g})"
     )
 

@@ -201,8 +201,8 @@ class OpenCheck:
             with contextlib.suppress(UserError):
                 expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed)
                 extra["samples_unlike_fast"] = sum(
-                    told.get("spike_hash") != str(spikes)
-                    for told, spikes in zip(answers, expected.spike_hashes)
+                    sample.get("spike_hash") != str(spikes)
+                    for sample, spikes in zip(answers, expected.spike_hashes)
                 )
         seconds = sum(record["seconds"] for record in records)
         result = result_of(bundle, target.name, seed, answers, seconds, extra)

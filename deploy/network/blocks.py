@@ -61,7 +61,7 @@ def scaled_by_block(layers) -> List[str]:
     layers : sequence of deploy.network.spec.Layer
         Layers of a network, in order.
     """
-    shapes, found = block_shapes(layers), []
+    shapes, names = block_shapes(layers), []
     for layer in layers:
         if layer.name not in shapes or layer.neurons is None:
             continue
@@ -72,8 +72,8 @@ def scaled_by_block(layers) -> List[str]:
             largest = np.maximum(largest, np.abs(layer.recurrent).max(1))
         parts = parts_of(layer.shape[-1], shapes[layer.name][-1])
         if any(largest[first:last].max() < largest.max() for first, last in parts):
-            found.append(layer.name)
-    return found
+            names.append(layer.name)
+    return names
 
 
 def default_block(layer, after=None, after_block=None) -> Tuple[int, ...]:

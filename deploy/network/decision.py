@@ -84,13 +84,13 @@ class Estimator:
         shapes = cls.shapes(classes)
         if not any(name in arrays for name in shapes):
             return None
-        found = []
+        checked = []
         for name, shape in shapes.items():
             array = np.asarray(arrays[name], float) if name in arrays else None
             if array is None or array.shape != shape or not np.isfinite(array).all():
                 raise ValueError(f"no array {name!r} of shape {shape} with finite values")
-            found.append(array)
-        return cls(tuple(found[::2]), tuple(found[1::2]))
+            checked.append(array)
+        return cls(tuple(checked[::2]), tuple(checked[1::2]))
 
     def __call__(self, outputs, first: int = 0) -> np.ndarray:
         """Confidence at each step, from 0 to 1; see :func:`confidence`."""
@@ -260,9 +260,9 @@ def choose_threshold(
     best = Threshold(1.0, at_the_end, 1.0)
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
         steps, classes = _decided(outputs, sure, level)
-        found = Threshold(
+        threshold = Threshold(
             float(level), mean(classes == labels), mean(share_of_time(steps, last_step))
         )
-        if found.accuracy >= at_the_end - loss and found.share < best.share:
-            best = found
+        if threshold.accuracy >= at_the_end - loss and threshold.share < best.share:
+            best = threshold
     return best

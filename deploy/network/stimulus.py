@@ -111,9 +111,9 @@ class ImageSpikes(Stimulus):
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        found = super().complaint(samples, input_shape, steps)
-        if found is not None:
-            return found
+        problem = super().complaint(samples, input_shape, steps)
+        if problem is not None:
+            return problem
         largest, most = np.max(samples, initial=0), 1 / (self.max_rate * LOIHI.dt)
         if largest > most:
             return (
@@ -164,9 +164,9 @@ class EventFrames(Stimulus):
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        found = super().complaint(samples, input_shape, steps)
-        if found is not None:
-            return found
+        problem = super().complaint(samples, input_shape, steps)
+        if problem is not None:
+            return problem
         if not np.isin(samples, (0, 1)).all():
             return "frames of events contain values other than 0 and 1"
         in_time = np.moveaxis(samples, 1, 0)

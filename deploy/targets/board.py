@@ -105,17 +105,17 @@ def nxsdk_version() -> str:
             "target loihi needs Intel's NxSDK, which is not installed here: run this on an INRC "
             "host (see deploy/inrc/README.md), or use --target emulator"
         )
-    found = interface.nxsdk.__version__
-    number = interface.parse_nxsdk_version(found)
+    installed = interface.nxsdk.__version__
+    number = interface.parse_nxsdk_version(installed)
     oldest = interface.HardwareInterface.min_nxsdk_version
     newest = interface.HardwareInterface.max_nxsdk_version
     if number < oldest or number.release[:2] > newest.release[:2]:
         raise UserError(
-            f"NxSDK {found} is too {'old' if number < oldest else 'new'}: "
+            f"NxSDK {installed} is too {'old' if number < oldest else 'new'}: "
             f"NengoLoihi {nengo_loihi.__version__} works with {oldest} to {newest}; "
             "activate an environment with one of those"
         )
-    return found
+    return installed
 
 
 def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Responses]:
@@ -312,8 +312,8 @@ def describe(notes: list) -> dict:
         return list(dict.fromkeys(note[name] for note in notes))
 
     def one_or_all(name):
-        found = all_of(name)
-        return found[0] if len(found) == 1 else found
+        values = all_of(name)
+        return values[0] if len(values) == 1 else values
 
     samples = sum(note["samples"] for note in notes)
     result = {

@@ -361,8 +361,8 @@ def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
                 hashes.append([spike_hash(layers) for layers in zip(*rows)])
 
             recording = emulation.run(np.stack(batch), watch, memory)
-            for name, found in recording.overflows.items():
-                overflows[name] += found
+            for name, count in recording.overflows.items():
+                overflows[name] += count
             for index, output in enumerate(recording.output):
                 counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
                 answer = read_output(spec, decoded(spec, output[:, gap:]), counts)

@@ -126,14 +126,14 @@ def target_named(name: str) -> Target:
         raise UserError(f"no target {name!r}; the targets are {known}") from None
 
 
-def options_for(name: str, **given):
+def options_for(name: str, **values):
     """Select a target's options from those of a command.
 
     Parameters
     ----------
     name : str
         Name of the target.
-    **given
+    **values
         The value of every option of any target.
 
     Returns
@@ -151,11 +151,11 @@ def options_for(name: str, **given):
         if target.options is None or target.options is own:
             continue
         for option in fields(target.options):
-            if given[option.name] != option.default:
+            if values[option.name] != option.default:
                 raise UserError(f"--{option.name} is for --target {target.name}, not for {name}")
     if own is None:
         return None
-    return own(**{option.name: given[option.name] for option in fields(own)})
+    return own(**{option.name: values[option.name] for option in fields(own)})
 
 
 def refuse_unfit(spec: NetworkSpec, target: str, seed=0):

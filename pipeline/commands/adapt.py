@@ -62,7 +62,7 @@ def adapt(
         place = None
     else:
         write_bundle(place, adapted.spec, bundle.checks)
-    told = {
+    summary = {
         "before": float(adapted.fit.before.mean()),
         "after": float(adapted.fit.after.mean()),
         "others_before": _mean(adapted.others_before),
@@ -72,7 +72,7 @@ def adapt(
         "trained_on": int(elsewhere.trained_on(bundle, recordings).sum()),
         "in_check": adapted.fitted,
     }
-    options.tell(told, lambda _: adaptation.text_of(adapted, place), as_json)
+    options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
 
 
 def _mean(right):

@@ -50,8 +50,8 @@ Reading = Annotated[
 
 def _settings(source, reading, **data):
     """The settings of recordings."""
-    given = options.Given(data=source, assignments=reading).changes()
-    return Settings().with_values(options.merged(given, {"data": data}), "command line")
+    requested = options.Requested(data=source, assignments=reading).changes()
+    return Settings().with_values(options.merged(requested, {"data": data}), "command line")
 
 
 def import_(

@@ -46,7 +46,7 @@ def live(
         bool, typer.Option("--no-browser", help="Only print the address.")
     ] = False,
     *,
-    given: options.TrainingGiven,
+    requested: options.TrainingRequested,
     jobs: options.Jobs = 2,
 ):
     """Draw on a sensor in the browser, watch the network decide, save the recordings.
@@ -55,12 +55,12 @@ def live(
     run that does not exist is trained first.  The page is served until Ctrl-C, to this machine only
     unless --host is given.
     """
-    serve(lambda: _network(run, given, jobs), port, record, host, not no_browser, options.say)
+    serve(lambda: _network(run, requested, jobs), port, record, host, not no_browser, options.say)
 
 
-def _network(run, given, jobs):
-    """The bundle, made if it is missing or if settings were given."""
-    asked = given != options.Given()
+def _network(run, requested, jobs):
+    """The bundle, made if it is missing or if settings were requested."""
+    asked = requested != options.Requested()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED
     if asked and (run / "MANIFEST.json").exists():
@@ -68,9 +68,9 @@ def _network(run, given, jobs):
             f"{run}: is a bundle, whose settings are fixed; leave out --data, --input, --seed, "
             "--settings and --set, or give a run"
         )
-    if (found := network_in(run)) is not None and not asked:
-        return found
-    if found is None:
+    if (network := network_in(run)) is not None and not asked:
+        return network
+    if network is None:
         options.say(f"live: {run} has no network yet; training it first, about a minute")
-    with options.opened(run, given, jobs) as opened:
+    with options.opened(run, requested, jobs) as opened:
         return convert(opened)

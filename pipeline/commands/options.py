@@ -3,7 +3,7 @@
 A command receives a group of options, such as those that choose the settings of a run, as one
 value::
 
-    def train(run: options.Run, given: options.RunGiven, jobs: options.Jobs = 2): ...
+    def train(run: options.Run, requested: options.RunRequested, jobs: options.Jobs = 2): ...
 
 where the annotation contains a :class:`Group`.  Typer needs one parameter for each option, so
 :func:`for_typer` replaces the group by its options.
@@ -134,7 +134,7 @@ Workers = group(_workers, jobs=Jobs, scheduler=Scheduler)
 
 
 @dataclass(frozen=True)
-class Given:
+class Requested:
     """Options that determine the settings of a run; options that were not given are None.
 
     Attributes
@@ -194,20 +194,24 @@ def _value_in(changes, name):
 
 
 _CHANGES = {"settings": SettingsFile, "assignments": Assignments}
-RunGiven = group(Given, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **_CHANGES)
-TrainingGiven = group(Given, data=Data, input=Input, seed=Seed, **_CHANGES)
-SeededGiven = group(Given, data=Data, seed=Seed, **_CHANGES)
-WithoutDataGiven = group(Given, seed=Seed, input=Input, **_CHANGES)
+RunRequested = group(
+    Requested, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **_CHANGES
+)
+TrainingRequested = group(Requested, data=Data, input=Input, seed=Seed, **_CHANGES)
+SeededRequested = group(Requested, data=Data, seed=Seed, **_CHANGES)
+WithoutDataRequested = group(Requested, seed=Seed, input=Input, **_CHANGES)
 
 
 @contextlib.contextmanager
-def resolved(path: Path, given: Given, changes: dict | None = None, of_results: bool = False):
+def resolved(
+    path: Path, requested: Requested, changes: dict | None = None, of_results: bool = False
+):
     """Lock a folder and resolve its settings with the options that were given.
 
     Parameters
     ----------
     path : Path
-    given : Given
+    requested : Requested
     changes : dict, optional
         Changed settings; the options have precedence.
     of_results : bool
@@ -226,14 +230,14 @@ def resolved(path: Path, given: Given, changes: dict | None = None, of_results: 
     folder = RunFolder(path)
     refuse_other_folders(path, of_results)
     with nothing_left_of_a_failure(path), folder.locked():
-        changes = merged(changes or {}, given.changes())
-        yield folder, folder.resolve_settings(given.settings, changes)
+        changes = merged(changes or {}, requested.changes())
+        yield folder, folder.resolve_settings(requested.settings, changes)
 
 
 @contextlib.contextmanager
 def opened(
     path: Path,
-    given: Given,
+    requested: Requested,
     jobs: int,
     changes: dict | None = None,
     check: bool = True,
@@ -243,7 +247,7 @@ def opened(
 
     Parameters
     ----------
-    path, given, changes
+    path, requested, changes
         As in :func:`resolved`.
     jobs : int
         Number of processes for recordings that are not in the cache.
@@ -263,7 +267,7 @@ def opened(
     """
     from pipeline.stages import open_run  # imports all that a run is made with
 
-    with resolved(path, given, changes) as (folder, settings):
+    with resolved(path, requested, changes) as (folder, settings):
         if examine is not None:
             examine(settings)
         yield open_run(folder, settings, jobs, say, check)

@@ -26,10 +26,10 @@ def status(run: options.Run, as_json: options.Json = False):
     Nothing is made or changed.
     """
     folder = RunFolder(run)
-    found = status_of(folder)
+    statuses = status_of(folder)
     options.tell(
-        {"run": str(run), "artifacts": [status.to_json() for status in found]},
-        lambda _: status_text(folder, found),
+        {"run": str(run), "artifacts": [status.to_json() for status in statuses]},
+        lambda _: status_text(folder, statuses),
         as_json,
         marked=OUTDATED,
     )

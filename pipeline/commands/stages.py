@@ -13,7 +13,7 @@ from pipeline.commands import options
 from pipeline.run import RunFolder, refuse_other_folders
 
 
-def train(run: options.Run, given: options.TrainingGiven, jobs: options.Jobs = 2):
+def train(run: options.Run, requested: options.TrainingRequested, jobs: options.Jobs = 2):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
 
     from pipeline.roads import road_of  # imports all that a run is made with
@@ -21,7 +21,7 @@ def train(run: options.Run, given: options.TrainingGiven, jobs: options.Jobs = 2
     def examine(settings):
         return road_of(settings).trained  # an error if the network was trained elsewhere
 
-    with options.opened(run, given, jobs, check=False, examine=examine) as opened:
+    with options.opened(run, requested, jobs, check=False, examine=examine) as opened:
         for name in opened.road.trained:
             opened.make(name)
     options.suggest("ladder", run)
@@ -29,7 +29,7 @@ def train(run: options.Run, given: options.TrainingGiven, jobs: options.Jobs = 2
 
 def convert(
     run: options.Run,
-    given: options.RunGiven,
+    requested: options.RunRequested,
     model: Annotated[
         Path | None,
         typer.Option(
@@ -74,10 +74,10 @@ def convert(
         changes, examine = stages.settings_of_model(model, retrain), _require_model
     if nir is not None:
         refuse_other_folders(run)
-        before = RunFolder(run).resolve_settings(given.settings, {})
-        changes = stages.settings_of_nir(nir, step, given.input, before)
+        before = RunFolder(run).resolve_settings(requested.settings, {})
+        changes = stages.settings_of_nir(nir, step, requested.input, before)
         examine = functools.partial(stages.refuse_early, strict=strict)
-    with options.opened(run, given, jobs, changes, examine=examine) as opened:
+    with options.opened(run, requested, jobs, changes, examine=examine) as opened:
         bundle, road = stages.convert(opened), opened.road
         for stage, reference in road.references.items():
             if road.is_deployed(reference.part):
@@ -94,7 +94,7 @@ def _require_model(settings):
 
 def ladder(
     run: options.Run,
-    given: options.RunGiven,
+    requested: options.RunRequested,
     jobs: options.Jobs = 2,
     limit: Annotated[
         float | None,
@@ -110,7 +110,7 @@ def ladder(
         raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
     from pipeline.results.ladder import ladder_text, measure_ladder
 
-    with options.opened(run, given, jobs) as opened:
+    with options.opened(run, requested, jobs) as opened:
         table = measure_ladder(opened, jobs)
     most, asked = 3.0 if limit is None else limit, limit is not None
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, asked), as_json)

@@ -23,7 +23,7 @@ def sweep(
         ),
     ] = None,
     *,
-    given: options.TrainingGiven,
+    requested: options.TrainingRequested,
     workers: options.Workers,
     as_json: options.Json = False,
 ):
@@ -31,6 +31,6 @@ def sweep(
 
     Writes sweep.json.  Existing points are not computed again.
     """
-    with options.resolved(out, given, of_results=True) as (folder, resolved):
+    with options.resolved(out, requested, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
     options.conclude(summary, failed, sweep_text, as_json)

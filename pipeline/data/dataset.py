@@ -201,7 +201,9 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
         shown, steps, table = settings.input, settings.steps, EventTable.of(recordings)
         inputs = np.empty((len(table), steps, *table.size, 2), np.uint8)
         for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
-            inputs[some] = np.moveaxis(table.frames(some, shown.step, steps, shown.rest), 0, 1)
+            inputs[some] = np.moveaxis(
+                table.frames(some, shown.step, steps, shown.refractory_steps), 0, 1
+            )
         return inputs
     return tactile_images(recordings, image)
 
@@ -289,7 +291,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
         raise UserError(
             f"{recordings.source.name}: no recording has an event; use other recordings"
         )
-    shared, lost = table.lost(step), table.lost(step, settings.input.rest)
+    shared, lost = table.lost(step), table.lost(step, settings.input.refractory_steps)
     lines = [
         f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
         f"polarity in the same step of {step:g} ms"
@@ -299,7 +301,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     if lost > shared:
         lines.append(
             f"events: {lost - shared:.1%} more are ignored in their taxel's refractory period, "
-            f"{settings.input.rest * step:g} ms after a spike (input.refractory)"
+            f"{settings.input.refractory_steps * step:g} ms after a spike (input.refractory)"
         )
     if empty:
         lines.append(f"{WARNING}{empty} of {len(recordings)} recordings have no events")

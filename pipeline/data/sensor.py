@@ -240,8 +240,8 @@ def _unit_of(path, recordings, parts, reading):
         spans.setdefault(part, []).append(_span(recording.time))
     typical = {part: float(np.median(spans[part])) for part in sorted(spans)}
     if len(typical) > 1 and max(typical.values()) > MIXED * min(typical.values()) > 0:
-        found = {part: f"times of typically {span:.4g}" for part, span in typical.items()}
-        _refuse_parts(path, "units of time", found)
+        texts = {part: f"times of typically {span:.4g}" for part, span in typical.items()}
+        _refuse_parts(path, "units of time", texts)
     unit = next(iter(stated), reading.usual_unit) or recognised([r.time for r in recordings])
     if not unit:
         raise UserError(
@@ -258,10 +258,10 @@ def _of_other_sensors(path, recordings, parts, reading):
     outside = (extents > limits).any(axis=1)
     sizes = Counter(r.size for r in recordings if r.size)
     if 2 * outside.sum() >= len(recordings):
-        found = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)
+        size = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)
         of_what = " x ".join(str(n or "any") for n in (reading.rows, reading.columns))
         raise UserError(
-            f"{path}: recordings of a sensor of {found[0]} x {found[1]} taxels, larger than "
+            f"{path}: recordings of a sensor of {size[0]} x {size[1]} taxels, larger than "
             f"{of_what}; give recordings of that sensor, or its numbers of rows and columns: "
             f"{GIVE_SIZE}"
         )
@@ -276,8 +276,8 @@ def _of_other_sensors(path, recordings, parts, reading):
         usual = sizes.most_common(1)[0][0]
         for index, recording in enumerate(recordings):
             if recording.size and recording.size != usual:
-                found, most = ("x".join(map(str, size)) for size in (recording.size, usual))
-                refused.setdefault(index, f"is of a sensor of {found}, most others are of {most}")
+                own, most = ("x".join(map(str, size)) for size in (recording.size, usual))
+                refused.setdefault(index, f"is of a sensor of {own}, most others are of {most}")
     return refused
 
 
@@ -290,26 +290,26 @@ def _require_equal_sizes(path, recordings, extents, parts):
         sizes[part] = np.array(stated.most_common(1)[0][0] if stated else extents[chosen].max(0))
     smallest, largest = (how(list(sizes.values()), axis=0) for how in (np.min, np.max))
     if ((largest >= SMALLEST_SENSOR) & (largest > 1.25 * smallest)).any():
-        found = {part: f"{size[0]} x {size[1]} taxels" for part, size in sizes.items()}
-        _refuse_parts(path, "sensors", found)
+        texts = {part: f"{size[0]} x {size[1]} taxels" for part, size in sizes.items()}
+        _refuse_parts(path, "sensors", texts)
 
 
-def _refuse_parts(path, what, found):
-    listed = ", ".join(f"{part} has {value}" for part, value in sorted(found.items())[::-1])
+def _refuse_parts(path, what, values):
+    listed = ", ".join(f"{part} has {value}" for part, value in sorted(values.items())[::-1])
     raise UserError(
         f"{path}: its parts are of different {what}: {listed}; give parts of one sensor in one unit"
     )
 
 
 def _require_equal_polarities(path, settled, parts):
-    found = {}
+    polarities = {}
     for index, events in zip(settled.kept, settled.events, strict=True):
         if parts[index]:
-            found.setdefault(parts[index], set()).update(np.unique(events.polarity).tolist())
-    if len({tuple(sorted(values)) for values in found.values()}) > 1:
+            polarities.setdefault(parts[index], set()).update(np.unique(events.polarity).tolist())
+    if len({tuple(sorted(values)) for values in polarities.values()}) > 1:
         text = {
             part: " and ".join(name for sign, name in ((1, "ON"), (-1, "OFF")) if sign in values)
-            for part, values in found.items()
+            for part, values in polarities.items()
         }
         _refuse_parts(path, "polarities", {p: f"{names} events" for p, names in text.items()})
 
@@ -318,12 +318,12 @@ def _size_of(path, recordings, side, reading):
     """Rows and columns of files of events."""
     places = [(r.y, r.x) for r in recordings]
     size = [
-        given
+        requested
         or max(
             [1, *(int(p[axis].max()) + 1 for p in places)]
             + [-(-r.size[axis] // side) for r in recordings if r.size]
         )
-        for axis, given in ((0, reading.rows), (1, reading.columns))
+        for axis, requested in ((0, reading.rows), (1, reading.columns))
     ]
     if max(size) > MAX_SIDE:
         needed = -(-max(size) // MAX_SIDE) * side

@@ -206,7 +206,7 @@ def list_source(path) -> Listing:
         raise UserError(f"{path}: {_short(refused[-1][0])} {refused[-1][1]}")
     refused += _empty_classes(entries, folders)
     entries.sort(key=lambda e: (e.part != "train", sensor.class_order(e.of_class), e.member))
-    lookup_table, positions = (str(found[0]) if found else None for found in tables.values())
+    lookup_table, positions = (str(names[0]) if names else None for names in tables.values())
     return Listing(path, tuple(entries), lookup_table, positions, tuple(sorted(refused)))
 
 

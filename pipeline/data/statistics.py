@@ -231,9 +231,9 @@ def table(recordings) -> dict:
     measures = per_sample(recordings)
     result = {}
     for digit in np.unique(recordings.labels):
-        mine = recordings.labels == digit
-        result[int(digit)] = {name: _mean_sd(values[mine]) for name, values in measures.items()}
-        result[int(digit)]["samples"] = int(mine.sum())
+        of_digit = recordings.labels == digit
+        result[int(digit)] = {name: _mean_sd(values[of_digit]) for name, values in measures.items()}
+        result[int(digit)]["samples"] = int(of_digit.sum())
     return result
 
 

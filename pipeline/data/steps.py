@@ -75,12 +75,14 @@ class EventTable:
         columns = (self.time_ms, self.row, self.column, self.polarity)
         return (sample, *(column[event] for column in columns))
 
-    def frames(self, indices, step_ms: float, steps: int, rest: int = 0) -> np.ndarray:
+    def frames(self, indices, step_ms: float, steps: int, refractory: int = 0) -> np.ndarray:
         """Frames of some recordings; see :func:`spike_frames`."""
         sample, time_ms, *place = self.pick(np.asarray(indices))
-        return spike_frames(sample, time_ms / step_ms, *place, len(indices), steps, self.size, rest)
+        return spike_frames(
+            sample, time_ms / step_ms, *place, len(indices), steps, self.size, refractory
+        )
 
-    def lost(self, step_ms: float, rest: int = 0) -> float:
+    def lost(self, step_ms: float, refractory: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`spike_frames`."""
         if not len(self.time_ms):
             return 0.0
@@ -88,8 +90,8 @@ class EventTable:
         place = (sample * self.size[0] + self.row) * self.size[1] + self.column
         step = (self.time_ms / step_ms).astype(np.int64)
         # One time axis for all: each taxel and polarity follows the previous one after a gap.
-        time = np.sort((2 * place + self.polarity) * (step.max() + rest + 1) + step)
-        following = np.searchsorted(time, time + rest + 1).tolist()
+        time = np.sort((2 * place + self.polarity) * (step.max() + refractory + 1) + step)
+        following = np.searchsorted(time, time + refractory + 1).tolist()
         spikes = event = 0
         while event < len(following):
             spikes, event = spikes + 1, following[event]
@@ -97,13 +99,13 @@ class EventTable:
 
 
 def spike_frames(
-    sample, step, row, column, polarity, samples: int, steps: int, size=(10, 10), rest: int = 0
+    sample, step, row, column, polarity, samples: int, steps: int, size=(10, 10), refractory=0
 ):
     """Frames that mark the spikes in each step.
 
     Several events of one taxel and polarity in a step are one spike.  Further events in the next
-    ``rest`` steps are ignored, as in the refractory period of an event camera's pixel.  Events
-    after the last step are left out.
+    ``refractory`` steps are ignored, as in an event camera's pixel.  Events after the last step are
+    left out.
 
     Parameters
     ----------
@@ -113,7 +115,7 @@ def spike_frames(
         Numbers of samples and steps.
     size : (int, int)
         Rows and columns.
-    rest : int
+    refractory : int
         Refractory period in steps.
 
     Returns
@@ -124,4 +126,4 @@ def spike_frames(
     step = np.floor(step).astype(np.int64)
     inside = (step >= 0) & (step < steps)
     frames[step[inside], sample[inside], row[inside], column[inside], polarity[inside]] = 1
-    return thinned(frames, rest)
+    return thinned(frames, refractory)

@@ -129,14 +129,15 @@ class Keeper:
         table = self.folder / TABLE
         try:
             with open_regular(table) as file:
-                found = read_lookup_table(read_limited(file))
+                stored = read_lookup_table(read_limited(file))
         except (OSError, BadRecording):
             return  # no recordings, or unreadable ones
-        mine = self._taxels
-        if not np.array_equal((found.row, found.column), (mine.row, mine.column)):
+        own = self._taxels
+        if not np.array_equal((stored.row, stored.column), (own.row, own.column)):
             raise UserError(
-                f"{self.folder}: has recordings of {len(found)} taxels in another arrangement than "
-                f"{self.sensor.rows}x{self.sensor.columns}; choose another folder with --record"
+                f"{self.folder}: has recordings of {len(stored)} taxels in another "
+                f"arrangement than {self.sensor.rows}x{self.sensor.columns}; choose another folder "
+                "with --record"
             )
 
     def _hold(self):
@@ -174,12 +175,12 @@ class Keeper:
             The folder cannot be read.
         """
         try:
-            found = _list(self.folder, self._places)
+            files = _list(self.folder, self._places)
         except OSError as error:
             raise UserError(
                 f"{self.folder}: cannot be read ({error.strerror}); check its permissions"
             ) from error
-        self._kept = sorted(found, key=lambda kept: (kept.writer, kept.number))
+        self._kept = sorted(files, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
         """Wait until nothing is being saved, then release the folder for other processes."""
@@ -226,8 +227,8 @@ class Keeper:
                 with contextlib.suppress(FileExistsError):
                     _create(table, lookup_table_bytes(self._taxels))
             content = recording_bytes(recording)
-            mine = [kept.number for kept in self._kept if kept.writer == recording.writer]
-            number, place = max(mine, default=0) + 1, self._places[label]
+            numbers = [kept.number for kept in self._kept if kept.writer == recording.writer]
+            number, place = max(numbers, default=0) + 1, self._places[label]
             kept = Kept(label, recording.writer, number, place)
             while True:  # until a name is free: others may put files here
                 try:
@@ -287,14 +288,14 @@ class Keeper:
 
 def _list(folder, places):
     """The recordings in a folder; files of other names are ignored."""
-    found = []
+    files = []
     for label, place in enumerate(places):
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             for name in os.listdir(folder / place):
                 match = _NAME.fullmatch(name)
                 if match and int(match[1]) > 0:
-                    found.append(Kept(label, int(match[1]), int(match[2]), place))
-    return found
+                    files.append(Kept(label, int(match[1]), int(match[2]), place))
+    return files
 
 
 def _create(path, content):

@@ -86,8 +86,8 @@ def serve(
             if open_browser:  # in a thread: some browsers return when they are closed
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
-        told = about(bundle, sensor, record, note)
-        page = Live(make_decider, keeper, parameters.load(), told, make_tests=make_tests)
+        facts = about(bundle, sensor, record, note)
+        page = Live(make_decider, keeper, parameters.load(), facts, make_tests=make_tests)
         try:
             Server(page, listening, when_listening, host).run()
         finally:

@@ -105,9 +105,9 @@ def _read_run(path):
         raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
     bundle = read_bundle(folder.bundle)
     files = {stage: folder.check(stage) for stage in ORDER}
-    found = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
-    results = {stage: result for stage, result in found.items() if result["bundle"] == bundle.id}
-    stale = [stage for stage in found if stage not in results]
+    every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
+    results = {stage: result for stage, result in every.items() if result["bundle"] == bundle.id}
+    stale = [stage for stage in every if stage not in results]
     if not results:
         old = " of its bundle, only of an earlier one" if stale else ""
         raise UserError(f"{path}: no check results{old}; make them with 'stmnist ladder {path}'")
@@ -141,7 +141,7 @@ def compare_runs(runs) -> dict:
         runs, each with ``accuracies`` and ``differences`` from the first run in the order of the
         runs (see :func:`difference`), None for a run without it.
     """
-    found = [stage for stage in ORDER if sum(stage in run.results for run in runs) > 1]
+    shared = [stage for stage in ORDER if sum(stage in run.results for run in runs) > 1]
     return {
         "schema": SCHEMA,
         "runs": [
@@ -154,7 +154,7 @@ def compare_runs(runs) -> dict:
             for run in runs
         ],
         "settings": _different_settings(runs),
-        "stages": [_stage(stage, runs) for stage in found],
+        "stages": [_stage(stage, runs) for stage in shared],
     }
 
 

@@ -237,8 +237,8 @@ def with_accuracies(
     }
 
 
-def _right(right, mine):
-    count, n = int(right[mine].sum()), int(mine.sum())
+def _right(right, chosen):
+    count, n = int(right[chosen].sum()), int(chosen.sum())
     return {"n": n, "accuracy": count / n, "accuracy_ci95": list(wilson_interval(count, n))}
 
 

@@ -83,19 +83,19 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
     return states + _answers(run, road, dataset, bundle)
 
 
-def outdated(found) -> dict:
+def outdated(statuses) -> dict:
     """The artifacts that are outdated, with the reasons.
 
     Parameters
     ----------
-    found : list of Status
+    statuses : list of Status
 
     Returns
     -------
     dict of str to str
         The reasons as one line, by the artifact's name.
     """
-    return {s.state.name: s.state.reasons() for s in found if s.state.state == OUTDATED}
+    return {s.state.name: s.state.reasons() for s in statuses if s.state.state == OUTDATED}
 
 
 def remedies(run, names) -> list:
@@ -150,15 +150,15 @@ def outdated_note(path) -> str | None:
     return f"{WARNING}{path}: outdated, {reasons[name]}; {remedy} makes it again"
 
 
-def status_text(run: RunFolder, found) -> str:
+def status_text(run: RunFolder, statuses) -> str:
     """The states as a table."""
     rows = [["artifact", "state", "accuracy", "seconds"]]
-    for status in found:
+    for status in statuses:
         accuracy = "" if status.accuracy is None else f"{status.accuracy:.3f}"
         seconds = "" if status.seconds is None else f"{status.seconds:.0f}"
         rows.append([status.state.name, status.state.state, accuracy, seconds])
     lines = aligned(rows, left=2)
-    reasons = outdated(found)
+    reasons = outdated(statuses)
     if reasons:
         lines.append("")
         for reason in dict.fromkeys(reasons.values()):
@@ -215,20 +215,20 @@ def _answers(run, road, dataset, bundle):
     expected = ladder_stages(road)
     there = bundle.state != MISSING
     bundle_id = sha256_of(run.bundle / "MANIFEST.json") if there else ""
-    found, results = [], {}
+    statuses, results = [], {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
         artifact = check_artifact(run, stage, road, dataset, bundle_id)
         if not artifact.record.exists():
             # Not every run needs every target: a result that was never
             # requested is not reported as missing.
             if stage in expected and stage not in BOARDS:
-                found.append(Status(State(artifact.name, MISSING)))
+                statuses.append(Status(State(artifact.name, MISSING)))
             continue
         results[stage] = result = read_result(artifact.record, DELETE_IT)
         no_bundle = State(artifact.name, OUTDATED, (Change("there is no bundle"),))
         state = _follows(artifact.state(), bundle) if there else no_bundle
-        found.append(Status(state, result["accuracy"], result["wall_seconds"]))
-    return [*found, *_ladder(run, results, found)]
+        statuses.append(Status(state, result["accuracy"], result["wall_seconds"]))
+    return [*statuses, *_ladder(run, results, statuses)]
 
 
 def _ladder(run, results, checks):

@@ -234,14 +234,14 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
             return row_of(case, dataset, index, reference(case, opened, inputs))
         opened.make_all()
         spec = opened.spec()
-    found = answer_on_target(spec, inputs, case.stage, case.seed)
-    costs = costs_of(spec, found)
-    if found.stopped_at is not None:
-        share = share_of_time(found.stopped_at - 1, last_steps(inputs))
+    responses = answer_on_target(spec, inputs, case.stage, case.seed)
+    costs = costs_of(spec, responses)
+    if responses.stopped_at is not None:
+        share = share_of_time(responses.stopped_at - 1, last_steps(inputs))
         costs["share"] = float(share.mean())
-        early = found.decisions[np.arange(len(index)), found.stopped_at - 1]
+        early = responses.decisions[np.arange(len(index)), responses.stopped_at - 1]
         costs["early"] = float(np.mean(early == dataset.labels[index]))
-    return row_of(case, dataset, index, found.predictions, costs=costs)
+    return row_of(case, dataset, index, responses.predictions, costs=costs)
 
 
 def reference(case: Case, opened, inputs) -> np.ndarray:
@@ -333,7 +333,7 @@ def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:
     }
 
 
-def costs_of(spec, found) -> dict:
+def costs_of(spec, responses) -> dict:
     """Means over samples, for one inference.
 
     Returns
@@ -344,7 +344,7 @@ def costs_of(spec, found) -> dict:
         ``updates`` of neurons on the chip; ``cores``; ``steps`` of a presentation; median
         step after which the answer was ``stable``; ``spikes`` by layer.
     """
-    operations = float(sum(counts.mean() for counts in found.operations.values()))
+    operations = float(sum(counts.mean() for counts in responses.operations.values()))
     neurons = sum(layer.size for layer in spec.layers if layer.neurons)
     return {
         "operations": operations,
@@ -353,8 +353,8 @@ def costs_of(spec, found) -> dict:
         "updates": neurons * spec.presentation.period,
         "cores": len(make_plan(spec).to_json()["cores"]),
         "steps": spec.presentation.steps,
-        "stable": found.stable_after_median,
-        "spikes": {name: float(counts.mean()) for name, counts in found.spikes.items()},
+        "stable": responses.stable_after_median,
+        "spikes": {name: float(counts.mean()) for name, counts in responses.spikes.items()},
     }
 
 

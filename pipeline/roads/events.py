@@ -214,7 +214,7 @@ class EventRoad(Road):
                 reading = _reading(settings, shown, recordings, train)
                 step = shown.input.step
                 if settings.input.refractory == Settings().input.refractory:
-                    changes["input"] = {"step": step, "refractory": reading.rest * step}
+                    changes["input"] = {"step": step, "refractory": reading.refractory * step}
                 part = shown.steps * step / reading.parts
                 chosen |= {"parts": reading.parts, "part": part}
                 lines.append(reading.text(step))
@@ -247,7 +247,7 @@ def spec_of_events(
     integers = network_of(recipe, weights).integers()
     links = from_integers(architecture, weights, integers, recipe.starts)
     estimator = Estimator.from_arrays(weights, architecture.outputs)
-    stimulus = EventFrames(recipe.step_ms / 1000, recipe.rest)
+    stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory)
     return chain.deployed(links, stimulus, presentation, provenance, estimator)
 
 
@@ -339,7 +339,9 @@ def _reading(settings, shown, recordings, train):
     reading = reading_for(table, recordings.labels, train, step, shown.steps)
     if settings.input.refractory == Settings().input.refractory:
         return reading
-    return reading._replace(rest=shown.input.rest, lost=table.lost(step, shown.input.rest))
+    return reading._replace(
+        refractory=shown.input.refractory_steps, lost=table.lost(step, shown.input.refractory_steps)
+    )
 
 
 def longest_ms(recordings) -> float:

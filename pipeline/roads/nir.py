@@ -117,9 +117,11 @@ def outputs_of(network, stepped, inputs, settings, advance=None, reset="value"):
     for start in range(0, len(inputs), AT_ONCE):
         part = inputs[start : start + AT_ONCE]
         presented = graph_inputs(network, part, settings.steps)
-        found = simulate(network, presented, stepped.seconds, stepped.method, reset)
-        outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
-        counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
+        simulated = simulate(network, presented, stepped.seconds, stepped.method, reset)
+        outputs.append(simulated.outputs.reshape(*simulated.outputs.shape[:2], -1))
+        counts.append(
+            {n: _in_places(s.sum(1, dtype=np.int64)) for n, s in simulated.spikes.items()}
+        )
         if advance is not None:
             advance(len(part))
     joined = {name: np.concatenate([part[name] for part in counts]) for name in counts[0]}
@@ -198,8 +200,8 @@ def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=No
         sizes = {"input": int(np.prod(spec.input_shape))}
         sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
         silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}
-        found = read_output(replace(spec, estimator=None), outputs, silent)
-        return replace(found, spikes={}, operations={})
+        responses = read_output(replace(spec, estimator=None), outputs, silent)
+        return replace(responses, spikes={}, operations={})
     spikes = {"input": inputs.reshape(*inputs.shape[:2], -1).sum(1, dtype=np.int64)}
     names = [name for name in spec.spiking_layers if name != "input"]
     spikes |= dict(zip(names, counts.values(), strict=True))
@@ -640,8 +642,8 @@ def _threshold(network, stepped, layers, settings, dataset):
     inputs = dataset.inputs[held_out]
     outputs = outputs_of(network, stepped, inputs, settings, reset=settings.nir.reset)[0]
     sums = delayed(np.cumsum(outputs, 1), len(layers))
-    found = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
-    return {**trusted(found, len(held_out))._asdict(), "samples": len(held_out)}
+    threshold = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
+    return {**trusted(threshold, len(held_out))._asdict(), "samples": len(held_out)}
 
 
 def decided_on(split: Split, seed: int) -> np.ndarray:

@@ -311,10 +311,10 @@ def _receive(touches, p):
     by_sample = np.argsort(sample, kind="stable")
     parts = np.split(by_sample, np.searchsorted(sample[by_sample], np.arange(1, len(touches))))
     events = [None] * len(touches)
-    for index, touch, start, mine in zip(order, touches, first, parts, strict=False):
-        seconds = time[mine] + touch.start_s - STEP_S
-        taxel = touch.taxels[channel[mine] - start]
-        events[index] = aces.bursts(1e9 * seconds, taxel, polarity[mine], p.aces)
+    for index, touch, start, part in zip(order, touches, first, parts, strict=False):
+        seconds = time[part] + touch.start_s - STEP_S
+        taxel = touch.taxels[channel[part] - start]
+        events[index] = aces.bursts(1e9 * seconds, taxel, polarity[part], p.aces)
     return events
 
 

@@ -215,7 +215,7 @@ class _Problem:
     def solve(self, responses, labels, kept, pull, rehearsal):
         """The refitted weights."""
         units = self._directions / self._unit
-        mine, others = responses @ units, self._kept[kept] @ units
+        own, others = responses @ units, self._kept[kept] @ units
         logits = self._logits(self.weights, responses), self._kept_logits[kept]
         targets = self._classes[labels], self._kept_labels[kept]
 
@@ -223,18 +223,18 @@ class _Problem:
             change = flat.reshape(len(self.weights), -1)
             value, slope = pull / 2 * (flat**2).sum(), pull * change
             for share, rows, offset, target in zip(
-                (1.0, rehearsal), (mine, others), logits, targets, strict=True
+                (1.0, rehearsal), (own, others), logits, targets, strict=True
             ):
                 log_p = _log_softmax(offset + rows @ change.T)
                 value = value - share * (log_p * target).sum() / len(rows)
                 slope = slope + share * (np.exp(log_p) - target).T @ rows / len(rows)
             return value, slope.ravel()
 
-        found = minimize(
+        minimum = minimize(
             loss, np.zeros(len(self.weights) * units.shape[1]), jac=True, method="L-BFGS-B",
             options={"maxiter": 100, "ftol": 1e-7},
         )  # fmt: skip
-        change = found.x.reshape(len(self.weights), -1) @ units.T / self._scale
+        change = minimum.x.reshape(len(self.weights), -1) @ units.T / self._scale
         return self.weights + change
 
 
@@ -338,13 +338,13 @@ class Responder:
             See :mod:`deploy.network.rehearsal`.
         """
         start, readout = self.spec.presentation.readout_start, self.spec.layers[-1]
-        found = [np.empty((0, readout.by_class.shape[1]))]
+        batches = [np.empty((0, readout.by_class.shape[1]))]
         for output in self.outputs(samples):
             output = output[:, start:]
             part = readout.part_of(start + np.arange(output.shape[1]))
             sums = [output[:, part == k].sum(axis=1) for k in range(readout.parts)]
-            found.append(np.concatenate(sums, axis=1) / output.shape[1])
-        return np.concatenate(found)
+            batches.append(np.concatenate(sums, axis=1) / output.shape[1])
+        return np.concatenate(batches)
 
     def inputs_in_parts(self, recordings: Recordings):
         """:meth:`inputs` of some recordings at a time.

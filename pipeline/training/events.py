@@ -75,7 +75,7 @@ class EventRecipe:
         See :mod:`models.architecture`.
     step_ms : float
         Recording time in milliseconds that one step of the chip represents.
-    rest : int
+    refractory : int
         Refractory period of a taxel in steps; see
         :func:`pipeline.data.steps.spike_frames`.
     tau_u_ms, tau_v_ms : tuple of float
@@ -100,7 +100,7 @@ class EventRecipe:
 
     architecture: str = EventTraining.architecture
     step_ms: float = Input.step
-    rest: int = Input().rest
+    refractory: int = Input().refractory_steps
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
@@ -129,7 +129,11 @@ class EventRecipe:
         values = asdict(settings.events)
         how = values.pop("augment")
         how = AUGMENTATIONS["space" if how == "auto" else how]  # auto: not fitted, so simulated
-        values |= {"step_ms": shown.step, "rest": shown.rest, "starts": settings.part_starts}
+        values |= {
+            "step_ms": shown.step,
+            "refractory": shown.refractory_steps,
+            "starts": settings.part_starts,
+        }
         del values["parts"], values["part"]
         return cls(**values, alteration=how)
 
@@ -195,9 +199,9 @@ class TrainedOnEvents:
         """
         often, rng = np.tile(held_out, ALTERED), np.random.default_rng([seed, 0x7E57])
         sample, step, *place = self.recipe.altered(rng, table, often)
-        rest = self.recipe.rest
-        altered = spike_frames(sample, step, *place, len(often), steps, table.size, rest)
-        as_they_are = table.frames(held_out, self.recipe.step_ms, steps, rest)
+        refractory = self.recipe.refractory
+        altered = spike_frames(sample, step, *place, len(often), steps, table.size, refractory)
+        as_they_are = table.frames(held_out, self.recipe.step_ms, steps, refractory)
         shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
         return choose_threshold(
             arriving(shown.outputs, self.recipe),
@@ -406,13 +410,13 @@ class _Trainer:
         self._calibrate()
         self.mean = [tf.Variable(variable) for variable in self.variables]
         samples = recipe.batch_size
-        given = (
+        signature = (
             _frames_of(self.network, samples),
             tf.TensorSpec((samples,), self.labels.dtype),
             tf.TensorSpec((None, samples), tf.float32),
             tf.TensorSpec((), tf.int32),
         )
-        self._step = tf.function(self._train_on, given, autograph=False)
+        self._step = tf.function(self._train_on, signature, autograph=False)
 
     def _calibrate(self):
         """Scale the initial weights of each layer so that its neurons fire at ``FIRST_RATE``."""
@@ -494,16 +498,16 @@ class _Trainer:
         sample, step, *place = self.recipe.altered(rng, self.table, batch)
         last = np.zeros(n, np.int64)
         np.maximum.at(last, sample, step.astype(np.int64))
-        steps, rest = _padded(last.max()), self.recipe.rest
-        frames = spike_frames(sample, step, *place, n, steps, self.table.size, rest)
+        steps, refractory = _padded(last.max()), self.recipe.refractory
+        frames = spike_frames(sample, step, *place, n, steps, self.table.size, refractory)
         writing = (np.arange(len(frames))[:, None] <= last).astype(np.float32)
         return frames, self.labels[batch], writing
 
     def _frames(self, indices):
         """Frames of samples without augmentation."""
-        step, rest = self.recipe.step_ms, self.recipe.rest
+        step, refractory = self.recipe.step_ms, self.recipe.refractory
         steps = _padded(int(self.table.duration_ms[indices].max() / step))
-        return self.table.frames(indices, step, steps, rest)
+        return self.table.frames(indices, step, steps, refractory)
 
     def _answers(self, indices, frames_of, size=100):
         """For each batch: indices, frames, outputs and operations."""

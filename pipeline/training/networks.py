@@ -383,12 +383,12 @@ def _best_shift(neurons, activations):
         return 0.0, 1.0
     # A thousand values are a sufficient sample of the distribution.
     wanted = np.quantile(activations, (np.arange(1000) + 0.5) / 1000)
-    found = []
+    errors = []
     for shift in SHIFTS:
         rates = neurons.rates(((1 + shift) * wanted - shift).astype(np.float32)).numpy()
         factor = float(rates @ wanted / max(rates @ rates, 1e-9))
-        found.append((float(np.square(factor * rates - wanted).sum()), shift, factor))
-    return min(found)[1:]
+        errors.append((float(np.square(factor * rates - wanted).sum()), shift, factor))
+    return min(errors)[1:]
 
 
 def fit(

@@ -39,7 +39,7 @@ FEW, FEW_DROPOUT = 2000, 0.3
 WIDE, MANY_CLASSES = 128, 10
 
 # Refractory periods, in steps, and numbers of parts of a recording, among which is chosen.
-RESTS, PARTS = (0, 1, 3, 7), (1, 4, 8)
+REFRACTORY_STEPS, PARTS = (0, 1, 3, 7), (1, 4, 8)
 
 # Maximum refractory period in milliseconds.
 LONGEST_MS = 1000
@@ -59,7 +59,7 @@ class Reading(NamedTuple):
 
     Attributes
     ----------
-    rest : int
+    refractory : int
         Refractory period of a taxel and polarity, in steps.
     parts : int
         Parts of a recording with readout weights of their own.
@@ -70,7 +70,7 @@ class Reading(NamedTuple):
         any, on average over all numbers of parts.
     """
 
-    rest: int
+    refractory: int
     parts: int
     lost: float
     accuracy: float
@@ -80,10 +80,10 @@ class Reading(NamedTuple):
         """The choice and its reason in a line."""
         how = f"each of {self.parts} parts" if self.parts > 1 else "the whole"
         return (
-            f"refractory period of {self.rest * step_ms:g} ms and readout weights for {how} of a "
-            f"recording: {self.lost:.0%} of the events are merged or ignored; a linear classifier, "
-            f"cross-validated on the training samples, has {self.accuracy:.3f} (without the period "
-            f"{self.complete:.3f})"
+            f"refractory period of {self.refractory * step_ms:g} ms and readout weights for {how} "
+            f"of a recording: {self.lost:.0%} of the events are merged or ignored; a linear "
+            f"classifier, cross-validated on the training samples, has {self.accuracy:.3f} "
+            f"(without the period {self.complete:.3f})"
         )
 
 
@@ -138,27 +138,27 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
     if len(some) < 2:
         return Reading(0, 1, 0.0, 0.0, 0.0)
     target, accuracy = np.asarray(labels)[some], {}
-    rests = [rest for rest in RESTS if rest * step_ms <= LONGEST_MS]
-    for rest in rests:
-        spikes = _spikes(table, some, step_ms, steps, rest)
+    allowed = [refractory for refractory in REFRACTORY_STEPS if refractory * step_ms <= LONGEST_MS]
+    for refractory in allowed:
+        spikes = _spikes(table, some, step_ms, steps, refractory)
         for parts in PARTS:
             merged = spikes.reshape(len(some), parts, PARTS[-1] // parts, -1).sum(2)
-            accuracy[rest, parts] = left_out_accuracy(merged.reshape(len(some), -1), target)
-    mean = {rest: float(np.mean([accuracy[rest, parts] for parts in PARTS])) for rest in rests}
-    rest = max(rest for rest in rests if mean[rest] >= max(mean.values()) - NEARLY)
+            accuracy[refractory, parts] = left_out_accuracy(merged.reshape(len(some), -1), target)
+    mean = {r: float(np.mean([accuracy[r, parts] for parts in PARTS])) for r in allowed}
+    refractory = max(r for r in allowed if mean[r] >= max(mean.values()) - NEARLY)
     chosen = PARTS[0]
     for parts in PARTS[1:]:
-        share = accuracy[rest, chosen]
-        if accuracy[rest, parts] > share + math.sqrt(share * (1 - share) / len(some)):
+        share = accuracy[refractory, chosen]
+        if accuracy[refractory, parts] > share + math.sqrt(share * (1 - share) / len(some)):
             chosen = parts
-    return Reading(rest, chosen, table.lost(step_ms, rest), mean[rest], mean[0])
+    return Reading(refractory, chosen, table.lost(step_ms, refractory), mean[refractory], mean[0])
 
 
-def _spikes(table, indices, step_ms, steps, rest):
+def _spikes(table, indices, step_ms, steps, refractory):
     """Spikes of each sample, finest part, taxel and polarity."""
     part, counts = np.arange(steps) * PARTS[-1] // steps, []
     for start in range(0, len(indices), 64):
-        frames = table.frames(indices[start : start + 64], step_ms, steps, rest)
+        frames = table.frames(indices[start : start + 64], step_ms, steps, refractory)
         frames = frames.reshape(*frames.shape[:2], -1)
         counts.append([frames[part == k].sum(0, dtype=np.float32) for k in range(PARTS[-1])])
     return np.concatenate([np.stack(some, 1) for some in counts])

@@ -196,7 +196,7 @@ def test_two_processes_cannot_work_in_one_run(tmp_path):
 def test_steps_that_are_left_open():
     """A hundred for images; with events what the two seconds of a recording take."""
     settings = Settings()
-    assert (settings.steps, settings.input.rest) == (100, 1)
+    assert (settings.steps, settings.input.refractory_steps) == (100, 1)
     for step, refractory, expected in (
         (10, 10, (200, 1)),
         (20, 10, (100, 0)),
@@ -204,5 +204,5 @@ def test_steps_that_are_left_open():
     ):
         changes = {"input": {"kind": "events", "step": step, "refractory": refractory}}
         on_events = settings.with_values(changes)
-        assert (on_events.presented().steps, on_events.input.rest) == expected
+        assert (on_events.presented().steps, on_events.input.refractory_steps) == expected
         assert on_events.with_values({"presentation": {"steps": 7}}).presented().steps == 7

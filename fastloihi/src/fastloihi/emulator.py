@@ -337,7 +337,7 @@ def _lock(emulator, link):
     for source in (*emulator.inputs, *emulator.block_info.blocks):
         for axon in source.axons:
             maps = (axon.compartment_map, axon.compartment_atoms)
-            arrays += [given for given in maps if given is not None]
+            arrays += [chosen for chosen in maps if chosen is not None]
     link.locked = [array for array in arrays if array.flags.writeable]
     for array in link.locked:
         array.flags.writeable = False

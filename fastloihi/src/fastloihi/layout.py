@@ -329,11 +329,11 @@ def _routes(emulator, pools):
     trace0 = dict(zip(rule, np.cumsum([0, *(s.n_axons for s in rule)]).tolist()))
     sources = [(i, 0, item) for i, item in enumerate(inputs)]
     sources += [(len(inputs) + b, info.slices[k].start, k) for b, k in enumerate(info.blocks)]
-    found = [(axon.target, axon, *source) for source in sources for axon in source[2].axons]
-    found.sort(key=lambda route: order[route[0]])  # leaves a synapse's order unchanged
+    routes = [(axon.target, axon, *source) for source in sources for axon in source[2].axons]
+    routes.sort(key=lambda route: order[route[0]])  # leaves a synapse's order unchanged
     number = {block: b for b, block in enumerate(info.blocks)}
     table, columns, size = [], [], 0
-    for synapse, axon, source, start, sender in found:
+    for synapse, axon, source, start, sender in routes:
         for part, kind in ((synapse, Synapse), (axon, Axon)):
             if type(part) is not kind:
                 raise Unsupported(f"the class {type(part).__name__}")

@@ -240,10 +240,10 @@ class Link:
             SimpleNamespace(axons=item.axons, spike_idxs=lambda t, spikes=spikes: spikes)
             for item, spikes in zip(self._inputs, self.last_spikes)
         ]
-        found = SimpleNamespace(spikes_in={s: [] for s in synapses.slices})
+        receiver = SimpleNamespace(spikes_in={s: [] for s in synapses.slices})
         spiked = self.before[: self._n].view(bool)
-        SynapseState.inject_current(found, 2, sources, self._axons, spiked)
-        return found.spikes_in
+        SynapseState.inject_current(receiver, 2, sources, self._axons, spiked)
+        return receiver.spikes_in
 
 
 class Arriving:
@@ -266,11 +266,11 @@ class Arriving:
             for column in columns:
                 column[0] = _NONE  # NengoLoihi's first step has no spikes of inputs
         self._lists = columns[0] if self._n == 1 else list(chain.from_iterable(zip(*columns)))
-        found = [_numbers(spikes) for spikes in self._lists if spikes is not _NONE]
+        numbers = [_numbers(spikes) for spikes in self._lists if spikes is not _NONE]
         self.ends = np.array(list(accumulate(map(len, self._lists), initial=0)), np.int64)
         self.spikes = _NOTHING
         if self.ends[-1]:
-            joined = found[0] if len(found) == 1 else np.concatenate(found)
+            joined = numbers[0] if len(numbers) == 1 else np.concatenate(numbers)
             self.spikes = np.ascontiguousarray(joined, np.int64)
 
     def of_step(self, step):

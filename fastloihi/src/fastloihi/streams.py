@@ -159,7 +159,7 @@ class StreamEmulator:
         _, _, blocks, routes, entries, first_run, runs, narrow, wide, _, sizes = self.network
         ranges = [(0, size) for size in sizes] + [tuple(block[:2]) for block in blocks]
         firsts = [*self._edges[:-1], *[self._edges[-1]] * len(blocks)]
-        found = [np.zeros((3, 0), np.int64)]
+        weights = [np.zeros((3, 0), np.int64)]
         for source, offset, block, is_wide, *_ in routes.tolist():
             pool, shift = (wide, 0) if is_wide else (narrow, int(blocks[block, kernel.SHIFT]))
             for neuron in range(*ranges[source]):
@@ -170,8 +170,8 @@ class StreamEmulator:
                     values = pool[place : place + length].astype(np.int64) << shift
                     used = np.flatnonzero(values)
                     sender = np.full(len(used), firsts[source] + neuron)
-                    found.append(np.stack([sender, base + target + used, values[used]]))
-        return tuple(np.concatenate(found, axis=1))
+                    weights.append(np.stack([sender, base + target + used, values[used]]))
+        return tuple(np.concatenate(weights, axis=1))
 
 
 def sum_rows(spikes, matrix):

@@ -61,7 +61,9 @@ def test_every_spike_is_that_of_the_trained_network(architecture, starts, target
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
     assert make_plan(spec).problems == []
     indices = np.arange(len(table))
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.rest), 0, 1)
+    frames = np.moveaxis(
+        table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.refractory), 0, 1
+    )
     expected = answer_frames(recipe, weights, frames)
     found = answer(spec, frames, target)
     for name, spikes in expected.spikes.items():
@@ -105,7 +107,7 @@ def test_the_estimator_decides_on_the_chip_as_in_training():
     rng, weights, table = np.random.default_rng(0), trained_like(recipe.architecture), table_of()
     weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Estimator.shapes(10).items()}
     indices, steps = np.arange(len(table)), STEPS + GAP
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.rest), 0, 1)
+    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.refractory), 0, 1)
     shown = answer_frames(recipe, weights, frames)
     late = len(shown.spikes) + 1
     # What arrives is what was said `late` steps before.

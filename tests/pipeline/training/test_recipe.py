@@ -42,7 +42,7 @@ def test_what_place_tells_needs_no_parts_and_the_longest_period():
         return rng.uniform(0, 990, 40), np.full(40, int(label))
 
     reading = recipe.reading_for(*table_of(events), np.arange(120), 10.0, 100)
-    assert (reading.parts, reading.rest) == (1, max(recipe.RESTS))
+    assert (reading.parts, reading.refractory) == (1, max(recipe.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
     assert "parts" not in reading.text(10.0)
 
