@@ -261,9 +261,8 @@ def _of_other_sensors(path, recordings, parts, reading):
         size = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)
         of_what = " x ".join(str(n or "any") for n in (reading.rows, reading.columns))
         raise UserError(
-            f"{path}: recordings of a sensor of {size[0]} x {size[1]} taxels, larger than "
-            f"{of_what}; give recordings of that sensor, or its numbers of rows and columns: "
-            f"{GIVE_SIZE}"
+            f"{path}: recordings of a sensor of {size[0]} x {size[1]} taxels, larger than the "
+            f"{of_what} of skin.rows and skin.columns; give recordings of a sensor of that size"
         )
     refused = {
         int(index): "has an event at y = {}, x = {}, outside {} rows and {} columns".format(

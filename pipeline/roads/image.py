@@ -227,11 +227,13 @@ class ImageRoad(Road):
     def choices(self, recordings):
         settings, default = self.settings, Settings()
         sensor, cnn = recordings.sensor, settings.cnn
-        if cnn.model or cnn.architecture != default.cnn.architecture:
-            return {}, []
+        own = cnn.model or cnn.architecture != default.cnn.architecture
         changes, lines = {}, []
         image = settings.image
-        if min(sensor.rows, sensor.columns) < SMALLEST_GRID and image == default.image:
+        is_small = min(sensor.rows, sensor.columns) < SMALLEST_GRID
+        # The user's own network has these images if it is for as many channels.
+        sliced = not own or parse(cnn.architecture).input_shape[2] == 2 * SLICES
+        if is_small and sliced and image == default.image:
             duration = float(math.ceil(typical_duration_ms(recordings)))
             image = Image("polarities", SLICES, duration, "sqrt-max")
             changes["image"] = asdict(image)
@@ -239,7 +241,7 @@ class ImageRoad(Road):
                 f"{image.channels} channels: square roots of ON and OFF events in {SLICES} slices "
                 f"of {duration / SLICES:.0f} ms (another image: --set image.slices=... and others)"
             )
-            if settings.snn.dropout == default.snn.dropout:
+            if not cnn.model and settings.snn.dropout == default.snn.dropout:
                 changes["snn"] = {"dropout": DROPOUT}
                 lines.append(f"dropout {DROPOUT:g} (another: --set snn.dropout=...)")
             if settings.deployment.input_rate == default.deployment.input_rate:
@@ -250,6 +252,8 @@ class ImageRoad(Road):
                 )
         elif is_for(cnn.architecture, sensor, image.channels):
             return {}, []
+        if own:
+            return changes, lines
         chosen = architecture_for(sensor, False, WIDTH, image.channels)
         rates, layers = settings.snn.max_rates, len(parse(chosen).spiking)
         if len(rates) > layers:  # the user's, since the default is one rate

@@ -309,7 +309,8 @@ class Road:
             raise UserError(
                 f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; the "
                 f"recordings give {gives} and {classes} classes: train one for those, or give the "
-                "recordings that it is for (--data)"
+                "recordings (--data) or images (--set image.slices, image.aggregation) that it is "
+                "for"
             )
         like = "-".join([size, *map(str, parsed.layers[:-1]), f"{classes}o"])
         raise UserError(

@@ -44,6 +44,16 @@ def test_what_the_user_sets_is_kept():
     assert road_of(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip) == ({}, [])
 
 
+@pytest.mark.parametrize(
+    "cnn", [{"architecture": "1x30x16-9-3o"}, {"model": "m.keras", "architecture": "1x30x16-9-3o"}]
+)
+def test_a_network_of_one_s_own_gets_these_channels_if_it_has_as_many(cnn):
+    changes, _ = road_of(settings(cnn=cnn)).choices(recordings(1, 30))
+    assert "cnn" not in changes
+    assert road_of(settings(cnn=cnn, image=changes["image"])).channels == 16
+    assert ("snn" in changes) == ("model" not in cnn)
+
+
 def test_a_grid_gets_the_paper_s_image_and_layers():
     changes, _ = road_of(settings()).choices(recordings(8, 9))
     assert changes == {"cnn": {"architecture": "8x9-6c4-24c3-3o"}}
