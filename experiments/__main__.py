@@ -1,7 +1,5 @@
 """``python -m experiments NAME [options]``; without a name, the list of the experiments."""
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 

@@ -7,8 +7,6 @@ each class are used to fit the readout, as ``stmnist adapt`` does it, and all ot
 Several draws of a person are averaged, and intervals are over people.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path

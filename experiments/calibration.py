@@ -24,8 +24,6 @@ used: the difficulty of the recordings follows from ``parameters.toml``, which w
 ``python -m experiments calibration`` fits; with ``--check`` it compares the fit with Table 1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated

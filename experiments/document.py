@@ -10,8 +10,6 @@ current.  Tables and figures come from the files in ``results/``:
   (``name``, ``a``, ``network``); the format is Python's, with ``100*`` before it for points.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

@@ -1,7 +1,5 @@
 """Estimating the model of handwriting (:mod:`pipeline.skin.shape_model`) from pen trajectories."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Annotated

@@ -4,8 +4,6 @@
 test fails if one of them has changed since the picture was made.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import shutil

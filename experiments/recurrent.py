@@ -4,8 +4,6 @@ The network is trained on the published training part of a data set of events an
 published test part.  PyTorch is in an environment of its own (``make setup-nir``).
 """
 
-from __future__ import annotations
-
 import subprocess
 import tempfile
 from pathlib import Path

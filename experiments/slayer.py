@@ -1,7 +1,5 @@
 """Train a spiking network on events with SLAYER (paper, Section 3.2.3)."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ float32; spikes are uint8, 1 or 0.  The innermost loops are functions of their o
 compiler would not use vector instructions otherwise (five times slower, measured).
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -37,8 +37,6 @@ error passes it backwards as a matrix product (:mod:`experiments.slayer_kernels`
 processed one after the other, and in each sample `PART` time steps, whose arrays fit into a cache.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

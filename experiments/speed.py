@@ -5,8 +5,6 @@ work on the machine slows down both.  Building and compiling are left out of the
 answers of both must be identical.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 from pathlib import Path

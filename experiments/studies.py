@@ -4,8 +4,6 @@ A :class:`Line` is a row of the table: a stage of a network with some changed se
 measured on each split of each seed.
 """
 
-from __future__ import annotations
-
 import datetime
 import os
 import platform

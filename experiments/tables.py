@@ -1,7 +1,5 @@
 """Tables of measured rows: means over splits with their intervals, and paired comparisons."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import stats
 

@@ -4,8 +4,6 @@ The runner has no kernel: cells are executed one after the other in one namespac
 their own.  A cell may draw with ``matplotlib.pyplot``.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import io

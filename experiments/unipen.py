@@ -7,8 +7,6 @@ Each digit's strokes must follow its ``.SEGMENT``, as many as it names: in a par
 numbers need not start at 0.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

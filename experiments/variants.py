@@ -4,8 +4,6 @@ Each function returns recordings with the same samples, labels and numbers of ev
 events in order of time.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -14,8 +14,6 @@ the multiplication sign; the rest are the layers, in the order of the data flow:
 =========  ====================================================================================
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -14,8 +14,6 @@ A user's Keras model becomes an architecture and weights (:mod:`models.keras_mod
 rate-based neurons are made.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

@@ -20,8 +20,6 @@ at any point within a step and the rounding adds half a step on average:
 Training uses this rate; noise on the input during training models the fluctuation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from deploy.network.chip import LOIHI

@@ -5,8 +5,6 @@ The equations of the chip's step are in :mod:`models.spiking`; the rounding is t
 networks whose neurons are given by :class:`models.chain.Decays` are rounded by :func:`in_integers`.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace

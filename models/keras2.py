@@ -4,8 +4,6 @@ TensorFlow 2.16 and later use Keras 3 by default.  They use Keras 2 from the pac
 TF_USE_LEGACY_KERAS is set before the first access to ``tf.keras``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import gc

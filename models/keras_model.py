@@ -10,8 +10,6 @@ model on random images.
 Files of Keras 2 and 3 are loaded by the Keras that wrote them, in its safe mode.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -36,8 +36,6 @@ the chip supports remains a convolution, with averaging before or after it folde
 maps become a matrix, which takes more of a core's memory and is otherwise equivalent.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

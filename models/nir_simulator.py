@@ -31,8 +31,6 @@ NIR resets to v_reset, and so does the chip.  Some packages train with a reset b
 a graph does not record; the effect can be measured with :data:`RESETS`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -42,8 +42,6 @@ K may differ between consecutive parts of the sample: the readout is on the host
 step.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Independent jobs: in processes of this machine, or on an existing Dask cluster."""
 
-from __future__ import annotations
-
 import logging
 import signal
 import sys

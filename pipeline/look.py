@@ -1,7 +1,5 @@
 """Colours and type that the report, the live page, pictures and the animation share."""
 
-from __future__ import annotations
-
 import re
 from importlib import resources
 

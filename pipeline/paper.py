@@ -3,8 +3,6 @@
 *ST-MNIST - The Spiking Tactile-MNIST Neuromorphic Dataset* (See et al., 2020).
 """
 
-from __future__ import annotations
-
 # Rows and columns of taxels (Section 2.1).
 ROWS = COLUMNS = 10
 

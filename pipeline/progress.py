@@ -1,7 +1,5 @@
 """Progress bars with an estimate of the time, on a terminal or in a notebook; silent elsewhere."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 

@@ -1,7 +1,5 @@
 """``stmnist adapt``: the readout fitted to one person."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

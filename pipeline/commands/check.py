@@ -1,7 +1,5 @@
 """``stmnist check``: the 200-sample check."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass, fields
 from functools import partial

@@ -1,7 +1,5 @@
 """``stmnist data``: recordings - import, inspect, simulate, count, draw."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """``stmnist deploy``: pre-flight, exports, and the estimate of energy."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """``stmnist live``: a sensor's skin in the browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The command ``stmnist``: its sub-commands, and errors as one line and an exit status."""
 
-from __future__ import annotations
-
 import sys
 from functools import cached_property
 from importlib import import_module

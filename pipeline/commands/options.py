@@ -9,8 +9,6 @@ where the annotation contains a :class:`Group`.  Typer needs one parameter for e
 :func:`for_typer` replaces the group by its options.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shlex

@@ -1,7 +1,5 @@
 """``stmnist status``, ``compare``, ``report`` and ``animate``: what runs have, for people."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

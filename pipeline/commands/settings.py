@@ -1,7 +1,5 @@
 """``stmnist settings``: names, values and meanings of all settings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

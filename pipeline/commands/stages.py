@@ -1,7 +1,5 @@
 """``stmnist train``, ``convert`` and ``ladder``: the stages of a run."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Annotated

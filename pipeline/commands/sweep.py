@@ -1,7 +1,5 @@
 """``stmnist sweep``: a grid of settings, compared on validation samples."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Data augmentation: samples altered in time and space, and with events left out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -13,8 +13,6 @@ Nothing in a file is executed: only plain arrays of numbers are read, and no mor
 can have.
 """
 
-from __future__ import annotations
-
 import io
 import tempfile
 import zipfile

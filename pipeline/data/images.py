@@ -20,8 +20,6 @@ normalisation
                  ``deployment.input_rate``
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.data.altering import AUGMENTATIONS, moved

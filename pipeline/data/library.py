@@ -3,8 +3,6 @@
 The cache has one file for each set of recordings, which is keyed by the source's content.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

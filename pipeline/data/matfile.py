@@ -6,8 +6,6 @@ Files are read with SciPy; nothing in them is executed, and nothing that declare
 a recording can be is read.
 """
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

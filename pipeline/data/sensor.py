@@ -5,8 +5,6 @@ ST-MNIST's: they have its ten classes and its two seconds, independently of thei
 others the values are those found, unless the settings specify rows and columns.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -11,8 +11,6 @@ Hidden files, ``README*``, ``LICENSE*``, ``*.txt`` and ``*.md`` are ignored; any
 refused by name.  A zip is read without being unpacked to disk.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

@@ -1,7 +1,5 @@
 """Splits of samples into training, validation and test samples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What recordings are: their numbers, sizes and durations, and the paper's Table 1 for them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

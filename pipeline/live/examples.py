@@ -3,8 +3,6 @@
 An example is played at its original speed to the decider that is used for the pen.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ list of recordings is always read from these names, so that there is no other re
 lost or become outdated.  A file is never overwritten.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json
@@ -116,9 +114,8 @@ class Keeper:
         # because a page that has lost its connection comes back with its number.
         self._given = set()
         self._held = contextlib.ExitStack()
-        self._is_held, self._closed = False, False
-        self._hold()
         try:
+            self._hold()
             self._refuse_another_sensor()
             self.look()
         except BaseException:
@@ -142,14 +139,6 @@ class Keeper:
 
     def _hold(self):
         """Lock the folder, which is created if it does not exist."""
-        if self._closed:
-            raise UserError(
-                f"{self.folder}: nothing is saved any more, because 'stmnist live' is ending"
-            )
-        if (self.folder / LOCK).exists() and self._is_held:
-            return
-        self._is_held = False
-        self._held.close()
         taken = (
             f"{self.folder}: another 'stmnist live' saves recordings there; "
             "end it, or choose another folder with --record"
@@ -164,7 +153,6 @@ class Keeper:
         self._held.enter_context(locked(self.folder / LOCK, taken))
         refuse_linked_folders(self.folder)
         remove_leftovers(self.folder)
-        self._is_held = True
 
     def look(self):
         """Read which recordings are in the folder.
@@ -185,7 +173,6 @@ class Keeper:
     def close(self):
         """Wait until nothing is being saved, then release the folder for other processes."""
         with self._guard:
-            self._closed, self._is_held = True, False
             self._held.close()
 
     def __len__(self):
@@ -220,7 +207,6 @@ class Keeper:
             The recording could not be written; the folder has not changed.
         """
         with self._guard:
-            self._hold()
             self.look()
             table = self.folder / TABLE
             if not table.exists():
@@ -248,7 +234,6 @@ class Keeper:
             The recording could not be removed.
         """
         with self._guard:
-            self._hold()
             try:
                 (self.folder / kept.name).unlink(missing_ok=True)
             except OSError as error:

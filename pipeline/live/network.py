@@ -1,7 +1,5 @@
 """The network of the page, from a run or from a bundle, and its sensor."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -40,11 +38,11 @@ def sensor_of(bundle: Bundle) -> Sensor:
         The network's input is neither the events of a sensor nor their image.
     """
     spec = bundle.spec
-    on_events = isinstance(spec.stimulus, EventFrames)
-    if len(spec.input_shape) != 3 or spec.input_shape[2] != (2 if on_events else 1):
+    is_image = not isinstance(spec.stimulus, EventFrames)
+    if len(spec.input_shape) != 3 or (not is_image and spec.input_shape[2] != 2):
         raise UserError(
             f"{bundle.path}: its input has the shape {spec.input_shape}; the page needs a network "
-            "on images with one channel, or on ON and OFF events"
+            "on images, or on ON and OFF events"
         )
     rows, columns, _ = spec.input_shape
     polarities = 1 if spec.provenance.get("polarities") == 1 else 2

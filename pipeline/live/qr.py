@@ -1,7 +1,5 @@
 """QR codes of the page's address, for the camera of another device."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 

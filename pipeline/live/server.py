@@ -1,12 +1,9 @@
 """The web server of the page and its messages, on this machine only or on a given address.
 
 Every address starts with a token that is drawn at each start, so that neither another user of the
-machine nor a page of another server can write here.  Requests for other host names that point to
-this machine (DNS rebinding) and from pages of another origin are refused before anything else is
-processed.  On an address of the network the token is the only protection, and it is not encrypted.
+machine nor a page of another server, whatever name it gives this machine, can read or write here.
+On an address of the network the token is not encrypted.
 """
-
-from __future__ import annotations
 
 import asyncio
 import concurrent.futures
@@ -65,77 +62,14 @@ _KINDS = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-_POLICY = "; ".join(
-    [
-        "default-src 'none'",
-        "script-src 'self'",
-        "style-src 'self'",
-        "img-src 'self'",
-        "connect-src 'self' {sockets}",
-        "base-uri 'none'",
-        "form-action 'none'",
-        "frame-ancestors 'none'",
-    ]
-)
-
-
-class Guard:
-    """Refuses requests that do not come from a page of this server, and adds security headers.
-
-    Parameters
-    ----------
-    app : ASGI application
-    host : str
-        Host name or IP address, as in the page's address.
-    port : int
-    """
-
-    def __init__(self, app, host, port):
-        self._app = app
-        names = [host, "localhost"] if host == HOST else [host.lower()]
-        hosts = [f"{name}:{port}" for name in names]
-        if port == 80:
-            hosts += names
-        self._hosts = {host.encode() for host in hosts}
-        self._origins = {b"http://" + host for host in self._hosts}
-        policy = _POLICY.format(sockets=" ".join(f"ws://{host}" for host in hosts))
-        self._headers = [
-            (b"content-security-policy", policy.encode()),
-            (b"x-content-type-options", b"nosniff"),
-            (b"referrer-policy", b"no-referrer"),
-            (b"cross-origin-opener-policy", b"same-origin"),
-            (b"cross-origin-resource-policy", b"same-origin"),
-            (b"cache-control", b"no-store"),
-        ]
-
-    async def __call__(self, scope, receive, send):
-        """See the ASGI specification."""
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        hosts = [value for name, value in scope["headers"] if name == b"host"]
-        origins = [value for name, value in scope["headers"] if name == b"origin"]
-        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
-            await _turn_away(scope, receive, send, "this server answers to its own address only")
-        elif not all(origin.lower() in self._origins for origin in origins):
-            await _turn_away(scope, receive, send, "this server answers to its own pages only")
-        else:
-            await self._app(scope, receive, self._with_headers(send))
-
-    def _with_headers(self, send):
-        async def forward(message):
-            if message["type"] == "http.response.start":
-                message["headers"] = [*message.get("headers", []), *self._headers]
-            await send(message)
-
-        return forward
-
-
-async def _turn_away(scope, receive, send, why):
-    if scope["type"] == "http":
-        await PlainTextResponse(f"refused: {why}\n", 403)(scope, receive, send)
-    else:
-        await send({"type": "websocket.close", "code": 1008, "reason": why})
+_HEADERS = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",  # the address has the token
+    "cache-control": "no-store",
+}
 
 
 @dataclass
@@ -217,8 +151,8 @@ class Live:
         except Exception as error:  # reported on the page, which works without examples
             return [], str(error)
 
-    def app(self, host: str, port: int):
-        """The ASGI application; the address must be known."""
+    def app(self):
+        """The ASGI application."""
         routes = [
             Route("/{token}/", self._page),
             Route("/{token}/{name}", self._page),
@@ -227,7 +161,7 @@ class Live:
         handlers = {404: lambda request, error: _missing()}
         app = Starlette(routes=routes, lifespan=self.lifespan, exception_handlers=handlers)
         app.router.redirect_slashes = False
-        return Guard(app, host, port)
+        return app
 
     def _knows(self, connection):
         token = connection.path_params["token"]
@@ -238,11 +172,11 @@ class Live:
             return _missing()
         name = request.path_params.get("name", "index.html")
         if name == PICTURE and self.picture is not None:
-            return Response(self.picture, media_type=_KINDS[".svg"])
+            return Response(self.picture, media_type=_KINDS[".svg"], headers=_HEADERS)
         file = self._files.get(name)
         if file is None:
             return _missing()
-        return Response(file.read_bytes(), media_type=_KINDS[file.suffix])
+        return Response(file.read_bytes(), media_type=_KINDS[file.suffix], headers=_HEADERS)
 
     async def _socket(self, socket: WebSocket):
         if not self._knows(socket):
@@ -434,7 +368,7 @@ class Server(uvicorn.Server):
         self.listens = threading.Event()
         super().__init__(
             uvicorn.Config(
-                live.app(host, port),
+                live.app(),
                 log_level="error",
                 access_log=False,
                 ws="websockets-sansio",

@@ -1,7 +1,5 @@
 """The live page of a run or a bundle."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import webbrowser

@@ -18,8 +18,6 @@ draw, and are therefore not in every ``answer``.
 Any other message raises :class:`BadMessage`.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import math

@@ -1,7 +1,5 @@
 """Compare runs: different settings, accuracy of each stage, and costs of an inference."""
 
-from __future__ import annotations
-
 import itertools
 import string
 import textwrap

@@ -1,7 +1,5 @@
 """A network's results on recordings that were not used in its training, such as other people's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

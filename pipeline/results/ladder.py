@@ -1,7 +1,5 @@
 """The loss ladder: the stages from CNN to chip on the same samples, one row per stage."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

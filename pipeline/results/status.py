@@ -1,7 +1,5 @@
 """The state of each artifact of a run: current, missing, or outdated with the reason."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ generalization error", Section 3.3) widen the variance of the mean from s^2/J to
 n_train) s^2.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -4,8 +4,6 @@ A sweep selects settings, so it does not use the test split: networks are traine
 samples without a held-out validation part, and tested on that part.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import re

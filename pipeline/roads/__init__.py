@@ -7,8 +7,6 @@ only on the user's settings and the recordings.  A value that the user has set a
 is an error; all errors are reported together before anything is trained.
 """
 
-from __future__ import annotations
-
 from deploy.errors import SeveralErrors, UserError
 from pipeline.data.dataset import NO_SPLIT, TOO_SMALL
 from pipeline.data.events import Recordings

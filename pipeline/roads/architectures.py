@@ -1,7 +1,5 @@
 """Architectures: the choice of one for a sensor, and whether the chip can hold it."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace

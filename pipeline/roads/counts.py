@@ -6,8 +6,6 @@ of the regularisation are chosen by cross-validation within the training samples
 less accurate than this classifier is not trained well for its recordings.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import time
 import warnings

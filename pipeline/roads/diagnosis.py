@@ -8,8 +8,6 @@ Two shares of a layer's neurons measure how much information they can transmit:
   input does not change their rate.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from deploy.network.spec import DT, NetworkSpec

@@ -1,7 +1,5 @@
 """The road of spiking networks that are trained on the sensor's events."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

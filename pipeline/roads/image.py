@@ -1,7 +1,5 @@
 """The road of networks on tactile images: the paper's CNN, or a user's Keras model in its place."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import math
 from dataclasses import asdict

@@ -5,8 +5,6 @@ the deployed network, the reference stages of the ladder, and the settings that 
 recordings.  Nothing outside of this package asks what kind of network a run has.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

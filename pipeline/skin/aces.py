@@ -13,8 +13,6 @@ thus encodes the polarity, and the length of a burst depends on the time of the 
 the grid.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.data.events import TICK_NS, Events

@@ -10,8 +10,6 @@ its signal with that of its last event at the ticks of its own clock, and fires 
 differ by more than a threshold: ON for a rise and OFF for a fall.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.data.events import GRID, TaxelMap

@@ -6,8 +6,6 @@ handwriting (:mod:`pipeline.skin.shape_model`) or recorded on a tablet
 along each stroke.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Settings of the simulated rig, read from ``parameters.toml`` and ``calibration.json``."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib

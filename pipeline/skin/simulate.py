@@ -1,7 +1,5 @@
 """Simulate a data set on the skin: writers, contact, receptors, ACES read-out."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

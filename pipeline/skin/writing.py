@@ -8,8 +8,6 @@ simulation (:mod:`pipeline.skin.contact`, :mod:`~pipeline.skin.contact`,
 :mod:`~pipeline.skin.aces`).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -14,8 +14,6 @@ A. Robins, Connection Science 7, 1995).  ``rehearsal`` and ``pull`` are chosen b
 on the person's own samples.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 

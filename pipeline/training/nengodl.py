@@ -5,8 +5,6 @@ with which a LIF neuron is silent up to an activation of 1; here both are set to
 training (``J = 1 + gain * z``).
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import logging

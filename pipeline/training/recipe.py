@@ -13,8 +13,6 @@ by a linear classifier on the spikes that the network would receive: ridge regre
 on the spikes of each taxel, polarity and part, each training recording predicted from all others.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The report of a run: one self-contained HTML file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from deploy.files import replacing

@@ -5,8 +5,6 @@ no colour of its own, so that one chart is used for light, dark and print.  Valu
 browser's own tooltips (``<title>``).
 """
 
-from __future__ import annotations
-
 import base64
 import io
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reading what a run has, for its report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from deploy.check.bundle import read_bundle

@@ -1,7 +1,5 @@
 """The report of a run as HTML; :mod:`pipeline.results.report.gather` reads what it shows."""
 
-from __future__ import annotations
-
 import datetime
 from collections import defaultdict
 from dataclasses import dataclass, field

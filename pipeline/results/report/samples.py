@@ -1,7 +1,5 @@
 """Some samples of a check again, with every spike and the probabilities at each step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -96,28 +96,6 @@ def test_nothing_but_the_page_is_served(server, name):
     assert "uvicorn" not in body
 
 
-@pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", ""]
-)
-def test_other_hosts_are_turned_away(server, host):
-    port, _ = parts(server)
-    status, _, body = get(server, Host=host.format(port=port))
-    assert status in (400, 403)
-    assert 'id="skin"' not in body
-
-
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"]
-)
-def test_other_origins_are_turned_away(server, origin):
-    port, _ = parts(server)
-    origin = origin.format(port=port)
-    assert get(server, Origin=origin)[0] == 403
-    with pytest.raises(InvalidStatus) as refused, connect(server, origin=origin):
-        pass
-    assert refused.value.response.status_code == 403
-
-
 @pytest.mark.parametrize("path", ["/pen", "/wrong/pen"])
 def test_a_socket_without_the_token_is_turned_away(server, path):
     with pytest.raises(InvalidStatus) as refused, connect(server, path):
@@ -232,7 +210,7 @@ def test_a_port_in_use_is_said(server):
 
 
 def test_a_recording_that_is_being_saved_when_the_server_ends_is_saved(tmp_path, monkeypatch):
-    """The server does not wait for its page, and says nothing; what comes later is refused."""
+    """The server does not wait for its page, and says nothing."""
     saving, may_end, save = threading.Event(), threading.Event(), keeping._create
 
     def slow(*given):
@@ -257,8 +235,6 @@ def test_a_recording_that_is_being_saved_when_the_server_ends_is_saved(tmp_path,
     assert [path.name for path in (tmp_path / "kept" / "1").iterdir()] == ["w001-0001.mat"]
     errors = [record for record in logged.buffer if record.levelno >= logging.ERROR]
     assert [record.getMessage() for record in errors] == []
-    with pytest.raises(UserError, match="nothing is saved"):
-        server.keeper.save(1, None)
 
 
 @pytest.fixture
@@ -267,33 +243,7 @@ def shared(tmp_path):
         yield server
 
 
-def ask_of(shared, host, origin=None, name=""):
-    """Status and body of a request to the shared address, under the name of a host."""
-    port, own = parts(shared)
-    connection = http.client.HTTPConnection("127.0.0.2", port, timeout=120)
-    headers = {"Host": host.format(port=port)}
-    if origin is not None:
-        headers["Origin"] = origin.format(port=port)
-    connection.request("GET", own + name, headers=headers)
-    response = connection.getresponse()
-    body = response.read()
-    connection.close()
-    return response.status, body
-
-
-def test_an_address_asked_for_is_the_only_one_answered_to(shared):
-    here = "127.0.0.2:{port}"
-    assert ask_of(shared, here)[0] == 200
-    assert ask_of(shared, here, f"http://{here}")[0] == 200
-    for other in (
-        "127.0.0.1:{port}",
-        "localhost:{port}",
-        "127.0.0.2",
-        "127.0.0.2:1",
-        "0.0.0.0:{port}",
-    ):
-        assert ask_of(shared, other)[0] == 403
-        assert ask_of(shared, here, f"http://{other}")[0] == 403
+def test_an_address_asked_for_is_the_only_one_listened_on(shared):
     port, own = parts(shared)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port))

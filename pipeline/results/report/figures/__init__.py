@@ -1,7 +1,5 @@
 """Pictures as files, drawn with Matplotlib; the charts of the report are SVG text."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from pathlib import Path

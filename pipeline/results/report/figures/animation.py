@@ -1,7 +1,5 @@
 """An animation of a sample of a check: touch, spikes of the layers and probabilities over time."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The paper's figures of recordings: one over time, and a sheet of several."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 
