@@ -199,6 +199,9 @@ def cells(found: dict) -> list:
     return lines
 
 
+Given = options.group(options.Requested, seed=options.Seed, input=options.Input, **options.CHANGES)
+
+
 def main(
     pen: Annotated[Path, typer.Argument(help="UNIPEN file of digits of several people.")],
     out: Annotated[Path, typer.Option(help="Folder of the folds, which are kept.")] = Path(
@@ -206,7 +209,7 @@ def main(
     ),
     draws: Annotated[int, typer.Option(help="Random draws for each person.", min=1)] = 5,
     *,
-    given: options.WithoutDataRequested,
+    given: Given,
     store: Store = "",
     workers: options.Workers,
     as_json: options.Json = False,

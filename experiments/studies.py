@@ -459,6 +459,8 @@ def processor() -> str:
 Out = Annotated[Path, typer.Option(help="Folder of the rows, which are not measured again.")]
 Store = Annotated[str, typer.Option(help="Name of a file in results/ for the result.")]
 
+Given = options.group(options.Requested, data=options.Data, seed=options.Seed, **options.CHANGES)
+
 
 def command_of(experiment: Experiment) -> Callable:
     """The command of an experiment."""
@@ -470,7 +472,7 @@ def command_of(experiment: Experiment) -> Callable:
         ] = experiment.seeds,
         only: Annotated[str, typer.Option(help="Rows, separated by commas.")] = "",
         *,
-        given: options.SeededRequested,
+        given: Given,
         store: Store = "",
         workers: options.Workers,
         as_json: options.Json = False,

@@ -1,4 +1,10 @@
-"""Tables of measured rows: means over splits with their intervals, and paired comparisons."""
+"""Tables of measured rows: means over splits with their intervals, and paired comparisons.
+
+The splits of a study share most of their training samples, so that their accuracies are not
+independent and the usual t interval is too narrow.  Nadeau and Bengio (2003, "Inference for the
+generalization error", Section 3.3) widen the variance of the mean from s^2/J to (1/J + n_test /
+n_train) s^2.
+"""
 
 import numpy as np
 from scipy import stats

@@ -153,11 +153,6 @@ class Change:
     now: str | None = None
 
     def __str__(self):
-        return self.what if self.now is None else f"{self.what}: {self.before} -> {self.now}"
-
-    @property
-    def sentence(self) -> str:
-        """The change as part of a sentence."""
         if self.now is None:
             return self.what
         return f"{self.what} changed from {self.before} to {self.now}"
@@ -191,7 +186,7 @@ class State:
 
     def reasons(self) -> str:
         """The first reasons why the artifact is outdated, in one line."""
-        shown = [change.sentence for change in self.because[:3]]
+        shown = list(map(str, self.because[:3]))
         left = len(self.because) - len(shown)
         return ", ".join(shown) + (f" and {left} more" if left else "")
 

@@ -19,6 +19,11 @@ MESSAGE_LENGTH = 160
 # Seconds in which a scheduler must answer.
 PATIENCE = 5
 
+# Of joblib: workers whose memory has grown are replaced between jobs, and jobs are cancelled if the
+# caller stops.
+warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
+warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -108,12 +113,7 @@ def run_jobs(
         for job in jobs:
             yield job, attempt(function, job)
     else:
-        with warnings.catch_warnings():
-            # Workers whose memory has grown are replaced between jobs, which is expected.
-            warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
-            # The same holds for jobs that are cancelled because the caller stops.
-            warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
-            yield from _in_processes(function, jobs, processes, meanwhile)
+        yield from _in_processes(function, jobs, processes, meanwhile)
 
 
 def results_of(calls, processes: int, in_order: bool = True):

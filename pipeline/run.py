@@ -15,13 +15,6 @@ if TYPE_CHECKING:
     from pipeline.artifacts import Origin
     from pipeline.settings import Settings
 
-# File name endings that no folder has: a missing file must not be created as a folder.
-FILES = {
-    *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
-    *(".py", ".pyz", ".pb", ".png", ".nir"),
-}
-
-
 # Remedy for a damaged file of a network.
 DELETE_ITS_FOLDER = "delete its folder and run the command again"
 
@@ -130,14 +123,8 @@ class RunFolder:
         Raises
         ------
         UserError
-            Another process has locked it; the name is a file's and the folder does not exist; or a
-            folder in it is a symbolic link.
+            Another process has locked it, it is a file, or a folder in it is a symbolic link.
         """
-        if self.path.suffix.lower() in FILES and not self.path.is_dir():
-            raise UserError(
-                f"{self.path}: has a file's name, and no folder with this name exists; "
-                "RUN must be a folder, such as runs/default"
-            )
         taken = (
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"

@@ -273,8 +273,7 @@ def convert(opened: Opened) -> Bundle:
         "image": asdict(view.image),
         "package": __version__,
         **({"time_unit": source.time_unit} if source.time_unit else {}),
-        **_downsample(view, dataset),
-        **_positions(dataset.recordings.taxels),
+        **_of_the_sensor(view, dataset.recordings.taxels),
         **_trained_on(dataset),
     }
     spec = seen.spec(provenance)
@@ -290,17 +289,12 @@ def convert(opened: Opened) -> Bundle:
     return bundle
 
 
-def _downsample(settings, dataset):
-    """The downsampling of files, which other recordings of the sensor need too."""
-    if settings.data.source == SIMULATED:
-        return {}
-    n = settings.data.downsample
-    return {"downsample": n} if n > 1 else {}
-
-
-def _positions(taxels):
-    """Positions of the taxels, so that the sensor can be drawn as it is."""
-    return {} if taxels.positions is None else {"positions": taxels.positions.tolist()}
+def _of_the_sensor(settings, taxels):
+    """What other recordings of the sensor and drawings of it need."""
+    of_sensor = {} if taxels.positions is None else {"positions": taxels.positions.tolist()}
+    if settings.data.source != SIMULATED and settings.data.downsample > 1:
+        of_sensor["downsample"] = settings.data.downsample
+    return of_sensor
 
 
 def _trained_on(dataset):

@@ -1,5 +1,6 @@
 """``stmnist data``: recordings - import, inspect, simulate, count, draw."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.data.library import recordings_of
-from pipeline.data.source import refuse_to_replace, write_zip
+from pipeline.data.source import write_zip
 from pipeline.data.statistics import (
     facts_of_file,
     facts_with_events,
@@ -86,26 +87,17 @@ def simulate_(
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
-    """Write simulated recordings as a zip in the layout of ST-MNIST.
-
-    An existing file is replaced only if this command has written it.
-    """
+    """Write simulated recordings as a new zip in the layout of ST-MNIST."""
     if out.suffix != ".zip":
         raise UserError(f"{out}: the name must end in .zip")
-    refuse_to_replace(out)
+    if os.path.lexists(out):
+        raise UserError(f"{out}: exists; choose another name, or move it away")
     settings = _settings(
         SIMULATED, reading, simulation_seed=seed, samples_per_digit=samples_per_digit
     )
     recordings = recordings_of(settings, jobs)
     write_zip(out, recordings, progress)
-    facts = {
-        "file": str(out),
-        "simulated": True,
-        "source": recordings.source.name,
-        "sha256": recordings.source.sha256,
-        "samples": len(recordings),
-        "events": len(recordings.events),
-    }
+    facts = {"file": str(out), **facts_with_events(recordings)}
     text = f"{out}: {facts['samples']} simulated recordings, {facts['events']} events"
     options.tell(facts, lambda _: text, as_json)
 

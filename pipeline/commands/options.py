@@ -191,13 +191,11 @@ def _value_in(changes, name):
     return changes
 
 
-_CHANGES = {"settings": SettingsFile, "assignments": Assignments}
+CHANGES = {"settings": SettingsFile, "assignments": Assignments}
 RunRequested = group(
-    Requested, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **_CHANGES
+    Requested, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **CHANGES
 )
-TrainingRequested = group(Requested, data=Data, input=Input, seed=Seed, **_CHANGES)
-SeededRequested = group(Requested, data=Data, seed=Seed, **_CHANGES)
-WithoutDataRequested = group(Requested, seed=Seed, input=Input, **_CHANGES)
+TrainingRequested = group(Requested, data=Data, input=Input, seed=Seed, **CHANGES)
 
 
 @contextlib.contextmanager

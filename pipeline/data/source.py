@@ -18,7 +18,6 @@ import json
 import lzma
 import os
 import re
-import warnings
 import zipfile
 import zlib
 from collections import Counter
@@ -70,10 +69,6 @@ CHUNK = 32
 
 # Number of reasons, and of files that were left out, that are listed individually.
 LISTED = 10
-
-WRITTEN_HERE = b"recordings written by stmnist-loihi"
-# Comments of the zips that this program writes.
-SIMULATED_HERE = b"simulated " + WRITTEN_HERE
 
 # Errors that reading a member of a damaged zip raises.
 READ_ERRORS = (
@@ -336,7 +331,7 @@ def read_source(
     names = [[entry.member for entry in chunk] for chunk in chunks]
     work = results_of((delayed(_read_members)(listing.path, some) for some in names), jobs)
     n_events = 0
-    with _closing(work), _shown(progress, "import", len(listing.entries)) as advance:
+    with contextlib.closing(work), _shown(progress, "import", len(listing.entries)) as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for entry, recording in zip(chunk, results, strict=True):
                 if isinstance(recording, str):
@@ -521,17 +516,6 @@ def _open_reader(path, *_state):
     return _Reader(path)
 
 
-@contextlib.contextmanager
-def _closing(work):
-    """Cancel the remaining tasks if the caller stops."""
-    try:
-        yield
-    finally:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
-            work.close()
-
-
 # Identity.
 
 
@@ -560,30 +544,6 @@ def fingerprint(listing: Listing) -> str:
 # Writing.
 
 
-def refuse_to_replace(path):
-    """Refuse an existing file, unless it is a zip of simulated recordings written here.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to be written.
-
-    Raises
-    ------
-    UserError
-    """
-    path, comment = Path(path), b""
-    if not os.path.lexists(path):
-        return
-    with contextlib.suppress(*READ_ERRORS), open_regular(path) as file:
-        comment = zipfile.ZipFile(file).comment
-    if comment != SIMULATED_HERE:
-        raise UserError(
-            f"{path}: exists and is not a zip of simulated recordings that stmnist has written; "
-            "choose another name, or move it away"
-        )
-
-
 def write_zip(path, recordings: Recordings, progress=None):
     """Write recordings as a zip in the published layout; equal recordings give equal bytes.
 
@@ -595,8 +555,16 @@ def write_zip(path, recordings: Recordings, progress=None):
     progress : callable, optional
         As in :func:`read_source`.
     """
-    simulated = recordings.source.simulated and not recordings.source.written
-    with _zip(path, simulated) as add, _shown(progress, "write", len(recordings)) as advance:
+    with (
+        replacing(path) as file,
+        zipfile.ZipFile(file, "w") as archive,
+        _shown(progress, "write", len(recordings)) as advance,
+    ):
+
+        def add(name, content):  # stored: recordings are compressed already
+            member = PurePosixPath("data_submission", name)
+            archive.writestr(zipfile.ZipInfo(str(member), ZIP_TIME), content)
+
         add("LUT.mat", lookup_table_bytes(recordings.taxels))
         for index, name in enumerate(recordings.ids):
             recording = MatRecording(
@@ -607,19 +575,6 @@ def write_zip(path, recordings: Recordings, progress=None):
             )
             add(f"{name}.mat", recording_bytes(recording))
             advance(1)
-
-
-@contextlib.contextmanager
-def _zip(path, simulated):
-    """A new zip in the published layout; yields ``add(name, content)``."""
-    with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
-        archive.comment = SIMULATED_HERE if simulated else WRITTEN_HERE
-
-        def add(name, content):  # stored: recordings are compressed already
-            member = PurePosixPath("data_submission", name)
-            archive.writestr(zipfile.ZipInfo(str(member), ZIP_TIME), content)
-
-        yield add
 
 
 def _shown(progress, label, total):

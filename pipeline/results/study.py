@@ -3,12 +3,7 @@
 A :class:`Case` is one result to measure: a stage of a network that is trained with some settings on
 one split.  :func:`study` measures the cases that a folder does not have yet, in processes of this
 machine or on a Dask cluster, and writes each row as soon as it is measured, so that an interrupted
-study goes on.  :func:`table` summarises rows over splits, and compares rows on the same samples.
-
-The splits of a study share most of their training samples, so that their accuracies are not
-independent and the usual t interval is too narrow.  Nadeau and Bengio (2003, "Inference for the
-generalization error", Section 3.3) widen the variance of the mean from s^2/J to (1/J + n_test /
-n_train) s^2.
+study goes on.
 """
 
 import functools

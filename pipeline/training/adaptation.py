@@ -95,8 +95,6 @@ class Refit:
     ----------
     weights : ndarray, shape (classes, inputs)
         Weights rounded to 255 levels.
-    exact : ndarray, shape (classes, inputs)
-        Weights before rounding.
     pull, rehearsal : float
         The chosen values; see the module's description.
     before, after : ndarray of bool, shape (n_samples,)
@@ -107,7 +105,6 @@ class Refit:
     """
 
     weights: np.ndarray
-    exact: np.ndarray
     pull: float
     rehearsal: float
     before: np.ndarray
@@ -170,10 +167,8 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     pull, rehearsal, after, kept_after = best
     everything = np.ones(len(kept), bool)
     own = person.learned(np.arange(len(person)))
-    exact = problem.solve(*own, everything, pull, rehearsal)
     return Refit(
-        weights=in_8_bits(exact),
-        exact=exact,
+        weights=in_8_bits(problem.solve(*own, everything, pull, rehearsal)),
         pull=pull,
         rehearsal=rehearsal,
         before=_right(before, person.labels),

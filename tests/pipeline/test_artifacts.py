@@ -34,7 +34,7 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     assert state.announcement("training") is None
     later = Origin.of(changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents)
     state = replace(artifact, origin=later).state()
-    assert (state.state, state.to_json()["because"]) == ("outdated", ["cnn.epochs: 0 -> 2"])
+    assert (state.state, state.to_json()["because"]) == ("outdated", ["cnn.epochs changed from 0 to 2"])
     assert "cnn.epochs" in state.announcement("training")
 
 

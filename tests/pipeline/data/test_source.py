@@ -13,7 +13,7 @@ from pipeline.data import source
 from pipeline.data.events import Sensor
 from pipeline.data.library import load_recordings
 from pipeline.data.matfile import lookup_table_bytes
-from pipeline.data.source import list_source, read_source, refuse_to_replace, write_zip
+from pipeline.data.source import list_source, read_source, write_zip
 from tests.pipeline.handmade import (
     archive,
     assert_same,
@@ -289,17 +289,6 @@ def test_recordings_come_back_from_a_zip(tmp_path):
 def source_with_ids(made):
     object.__setattr__(made, "ids", tuple(f"{part}/0/{i}" for i, part in enumerate(made.parts)))
     return made
-
-
-def test_only_what_was_written_here_is_replaced(tmp_path):
-    path = tmp_path / "out.zip"
-    refuse_to_replace(path)
-    write_zip(path, recordings([(0, 1, 1, 1)], labels=[0]))
-    refuse_to_replace(path)
-    for content in (b"mine", b""):
-        path.write_bytes(content)
-        with pytest.raises(UserError, match=r"out\.zip: exists"):
-            refuse_to_replace(path)
 
 
 # --- identity and cache ---------------------------------------------------------------------------

@@ -55,7 +55,7 @@ def test_a_trained_cnn_makes_what_was_made_from_another_outdated(run, capsys):
     assert (found["dataset"]["state"], found["cnn"]["state"]) == ("current", "current")
     for name in ON_IMAGES[3:]:
         assert found[name]["state"] == "outdated", name
-        assert found[name]["because"] == ["cnn.epochs: 3 -> 1"], name
+        assert found[name]["because"] == ["cnn.epochs changed from 3 to 1"], name
     capsys.readouterr()
     # Whatever shows the outdated results says so, with the reason.
     other = shutil.copytree(run, run.parent / "other")
