@@ -214,9 +214,6 @@ CALIBRATED_ON = 48
 # Maximum number of training samples on which the confidence for early decisions is chosen.
 DECIDED_ON = 300
 
-# Maximum number of training samples on which the two resets are compared.
-RESET_ON = 200
-
 # Share of the steps with spikes from which a neuron counts as one that never rests.
 RUNAWAY = 0.9
 
@@ -272,7 +269,7 @@ class NirRoad(Road):
     @property
     def imported(self):
         nir = self.settings.nir
-        return Imported(nir.file, nir.sha256, "nir", give_again(self.settings))
+        return Imported(nir.file, nir.sha256, "nir", GIVE_AGAIN)
 
     @staticmethod
     def _read(opened, artifact):
@@ -371,9 +368,8 @@ def _kind_of(path, shape):
     )
 
 
-def give_again(settings: Settings) -> str:
-    """The remedy for a graph that has changed since it was imported."""
-    return "give it again with 'stmnist convert RUN --nir FILE'"
+# The remedy for a graph that has changed since it was imported.
+GIVE_AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 
 
 def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
@@ -399,12 +395,11 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     begun = time.perf_counter()
     source, network = graph_for(folder, settings, dataset)
     stepped = Stepped.of(settings, network)
-    layers, cost = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset)), None
+    layers = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset))
     for line in notes(network, layers, stepped):
         say(f"nir: {line}")
     if settings.nir.reset != "value":
-        cost = reset_cost(network, stepped, settings, dataset)
-        say(f"nir: {_reset_text(cost)}")
+        say("nir: trained with a reset by subtraction; the chip resets to v_reset")
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
@@ -421,7 +416,6 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "epochs": 0,
         "step_seconds": stepped.seconds,
         "method": stepped.method,
-        "reset": cost,
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
         "versions": NUMPY,
     }
@@ -466,7 +460,7 @@ def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     source = imported_file(settings.nir.file, settings.nir.sha256, folder / GRAPH)
     network = read_nir(source)
     if not is_file(source, settings.nir.sha256):
-        raise UserError(f"{source}: has changed; {give_again(settings)}")
+        raise UserError(f"{source}: has changed; {GIVE_AGAIN}")
     require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
     return source, network
 
@@ -578,38 +572,6 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
                 )
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
-
-
-def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
-    """Effect of the chip's reset on the answers of a graph that was trained with another.
-
-    Returns
-    -------
-    dict
-        Training ``samples``; ``accuracy`` with the chip's reset and ``accuracy_as_trained``;
-        ``agreement``, the share of samples with the same prediction.
-    """
-    rng = np.random.default_rng([settings.seed, 0x5EB])
-    some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
-    inputs, labels = dataset.inputs[some], dataset.labels[some]
-    chip, trained = (
-        predictions_of(outputs_of(network, stepped, inputs, settings, reset=reset)[0], settings)
-        for reset in ("value", settings.nir.reset)
-    )
-    return {
-        "samples": len(some),
-        "accuracy": float((chip == labels).mean()),
-        "accuracy_as_trained": float((trained == labels).mean()),
-        "agreement": float((chip == trained).mean()),
-    }
-
-
-def _reset_text(cost):
-    return (
-        f"neurons reset to v_reset on the chip, not by subtraction: an accuracy of "
-        f"{cost['accuracy']:.3f} instead of {cost['accuracy_as_trained']:.3f} on "
-        f"{cost['samples']} training samples, {cost['agreement']:.1%} of their answers are the same"
-    )
 
 
 def _refuse_runaway(network, spikes, steps):

@@ -34,7 +34,10 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     assert state.announcement("training") is None
     later = Origin.of(changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents)
     state = replace(artifact, origin=later).state()
-    assert (state.state, state.to_json()["because"]) == ("outdated", ["cnn.epochs changed from 0 to 2"])
+    assert (state.state, state.to_json()["because"]) == (
+        "outdated",
+        ["cnn.epochs changed from 0 to 2"],
+    )
     assert "cnn.epochs" in state.announcement("training")
 
 
@@ -43,9 +46,9 @@ def test_contents_settings_that_come_and_settings_that_go_are_told():
     now = Origin.of(SETTINGS, ["cnn.model_sha256", "seed"], contents={"recordings": "b" * 64})
     told = [str(change) for change in now.changes_since(before.to_json())]
     assert told == [
-        'cnn.model_sha256: unused -> ""',
-        "cnn.epochs: 0 -> unused",
-        "recordings: aaaaaaaaaaaa -> bbbbbbbbbbbb",
+        'cnn.model_sha256 changed from unused to ""',
+        "cnn.epochs changed from 0 to unused",
+        "recordings changed from aaaaaaaaaaaa to bbbbbbbbbbbb",
     ]
 
 
