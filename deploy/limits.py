@@ -32,9 +32,6 @@ LAYERS = 100
 # Largest number of bytes of all arrays in a file.
 ARRAY_BYTES = 1 << 30
 
-# Largest number of bytes of a file that is hashed: its arrays, and what describes them.
-FILE_BYTES = ARRAY_BYTES + (1 << 24)
-
 # Largest number of bytes of a JSON file.
 TEXT_BYTES = 1 << 28
 

@@ -76,6 +76,17 @@ def p_text(p_value: float) -> str:
     return "< 0.001" if p_value < 0.001 else f"{p_value:.3f}"
 
 
+def plain(value) -> str:
+    """A setting's value for a table."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(plain, value))
+    return str(value) if value != "" else "-"
+
+
 def listed(names) -> str:
     """The first twelve names, shortened but still different, separated by commas."""
     names = shortened_apart([str(name) for name in names], 24)

@@ -4,14 +4,7 @@ import contextlib
 import importlib.util
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 
 console = Console(stderr=True)
 
@@ -45,15 +38,9 @@ def progress(label: str, total: int):
     callable
         ``advance(n=1, note=None)``: n more steps are done; ``note`` is printed after the label.
     """
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    drawn = not _hidden and can_draw()
-    with Progress(*columns, console=console, disable=not drawn) as bar:
+    in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
+    drawn = not _hidden and (console.is_terminal or in_notebook)
+    with Progress(console=console, disable=not drawn) as bar:
         task = bar.add_task(label, total=total)
 
         def advance(n=1, note=None):
@@ -61,9 +48,3 @@ def progress(label: str, total: int):
             bar.update(task, advance=n, description=description)
 
         yield advance
-
-
-def can_draw() -> bool:
-    """True if a bar is visible: on a terminal, or in a notebook with ipywidgets."""
-    in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
-    return console.is_terminal or in_notebook

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from pipeline.artifacts import Origin
     from pipeline.settings import Settings
 
+# File name endings that no folder has: a missing file must not be created as a folder.
+FILES = {".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".csv", ".py", ".nir"}
+
 # Remedy for a damaged file of a network.
 DELETE_ITS_FOLDER = "delete its folder and run the command again"
 
@@ -123,8 +126,12 @@ class RunFolder:
         Raises
         ------
         UserError
-            Another process has locked it, it is a file, or a folder in it is a symbolic link.
+            Another process has locked it, it has a file's name, or a folder in it is a link.
         """
+        if self.path.suffix.lower() in FILES and not self.path.is_dir():
+            raise UserError(
+                f"{self.path}: has a file's name; RUN is a folder, such as runs/default"
+            )
         taken = (
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"

@@ -430,7 +430,10 @@ def _shared(bundle, paths, seed, jobs, advance, meanwhile):
         for name, path in paths.items():
             report = partial(advance, note=name)
             checks[name] = stack.enter_context(open_check(bundle, name, path, seed, report))
-        work = [job for check in checks.values() for job in _work(check)]
+        work = []
+        for check in checks.values():
+            parts = [[part] for part in check.left] if check.target.slow else [check.left]
+            work += [check.work(streams) for streams in parts if streams]
         for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
             if isinstance(records, Failure):
                 failures.setdefault(job.target, records)
@@ -441,11 +444,6 @@ def _shared(bundle, paths, seed, jobs, advance, meanwhile):
     for name, failure in failures.items():
         failure.raise_again(f"target {name}")
     return results
-
-
-def _work(check):
-    parts = [[part] for part in check.left] if check.target.slow else [check.left]
-    return [check.work(streams) for streams in parts if streams]
 
 
 def _answered(work):

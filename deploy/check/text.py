@@ -41,22 +41,17 @@ def others_text(result: dict) -> str:
     lines = [
         f"on {result['n_samples']} of {result['data']['recordings']} recordings in "
         f"{result['data']['source']}",
-        *_trained_on(result),
         summary(result),
     ]
-    tables = [
-        ("class", result["per_class"], "class"),
-        ("writer", result.get("per_writer"), "writer"),
-    ]
-    for head, rows, key in tables:
-        if rows:
-            cells = [[head, "n", "accuracy", "95 % interval"]]
+    if number := result["data"].get("trained_on"):
+        lines.insert(1, f"{number} of them were used to make the network")
+    for key in ("class", "writer"):
+        if rows := result.get(f"per_{key}"):
+            cells = [[key, "n", "accuracy", "95 % interval"]]
             for row in rows:
                 low, high = row["accuracy_ci95"]
-                name = short.get(row[key], str(row[key]))
-                cells.append(
-                    [name, str(row["n"]), f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
-                )
+                name, share = short.get(row[key], str(row[key])), f"{row['accuracy']:.3f}"
+                cells.append([name, str(row["n"]), share, f"{low:.3f} to {high:.3f}"])
             lines += aligned(cells)
     wrong = [
         (count, named[label], named[prediction])
@@ -67,12 +62,6 @@ def others_text(result: dict) -> str:
     for count, label, prediction in sorted(wrong, key=lambda entry: -entry[0])[:5]:
         lines.append(f"{short[label]} classified as {short[prediction]}: {count}")
     return "\n".join(lines)
-
-
-def _trained_on(result):
-    """A line if samples were used to make the network."""
-    number = result["data"].get("trained_on", 0)
-    return [f"{number} of them were used to make the network"] if number else []
 
 
 def _hardware(result):

@@ -117,7 +117,7 @@ def run(
         return
     path = out or checks_beside(opened.path) / f"{target}.json"
     result = check(opened, path)
-    if number := _fitted_to(opened.spec):
+    if number := opened.spec.provenance.get("adapted", {}).get("in_check"):
         options.say(
             f"{WARNING}{bundle}: was fitted to {number} of the {len(opened.checks)} samples of its "
             "check; its accuracy on them says little about others"
@@ -127,13 +127,6 @@ def run(
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
     if loss := _loss(opened, result):
         options.say(f"check: {loss}")
-
-
-def _fitted_to(spec):
-    """Number of the check's samples that an adapted network was fitted to."""
-    adapted = spec.provenance.get("adapted")
-    number = adapted.get("in_check") if isinstance(adapted, dict) else None
-    return number if type(number) is int else 0
 
 
 def _checked(bundle, path, target, seed, chosen):

@@ -449,18 +449,10 @@ def _with_positions(path, settled, positions):
             f"{path}: taxels.csv is for sensors whose taxels are numbered by x, in one row; these "
             f"recordings have {settled.rows} rows: remove taxels.csv"
         )
-    taxels = set(range(settled.columns))
-    unknown, missing = sorted(positions.keys() - taxels), sorted(taxels - positions.keys())
-    if unknown:
+    if wrong := sorted(positions.keys() ^ set(range(settled.columns))):
         raise UserError(
-            f"{path}: taxels.csv has a taxel {unknown[0]}, of which no recording has an event; "
-            f"remove its line, or give the number of taxels with --set skin.columns=..."
-        )
-    if missing:
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise UserError(
-            f"{path}: taxels.csv has no position of taxel {missing[0]}{more}; give a line for each "
-            f"taxel from 0 to {settled.columns - 1}"
+            f"{path}: taxels.csv needs a line for each taxel from 0 to {settled.columns - 1} (or "
+            f"give --set skin.columns=...), and taxel {wrong[0]} is missing or not one of them"
         )
     return replace(
         settled.taxels,

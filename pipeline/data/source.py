@@ -61,9 +61,6 @@ MOST_EVENTS = 22_000_000
 # Recordings of a source.
 MOST_FILES = 100_000
 
-# Bytes of a zip. The published recordings have 16 GB when unpacked.
-MOST_BYTES = 24_000_000_000
-
 # Number of files that a worker reads at a time: a compromise of overhead and progress bar.
 CHUNK = 32
 
@@ -522,15 +519,9 @@ def _open_reader(path, *_state):
 def content_hash(listing: Listing) -> str:
     """SHA-256 over a source's content: of the zip, or of every file of a folder that is read."""
     if not listing.path.is_dir():
-        return sha256_of(listing.path, MOST_BYTES)
-    hashes = {name: _hash_of_file(listing.path / name) for name in listing.files}
+        return sha256_of(listing.path)
+    hashes = {name: sha256_of(listing.path / name) for name in listing.files}
     return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
-
-
-def _hash_of_file(path):
-    """The hash of a file, or the size of one that is refused as too large."""
-    size = path.stat().st_size
-    return f"{size} bytes" if size > LARGEST else sha256_of(path)
 
 
 def fingerprint(listing: Listing) -> str:

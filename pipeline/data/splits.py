@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.tables import listed
 from pipeline.data.events import Recordings
 
 # Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
@@ -109,8 +110,8 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     if np.count_nonzero(counts) < 2:
         return "recordings of one class only; at least two are needed"
     if kind_of(kind, recordings) != PUBLISHED or not recordings.is_split:
-        if single := [classes[i] for i in np.flatnonzero(counts == 1)]:
-            return f"only one recording of {_listed(single)}; record more, or take the folder away"
+        if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
+            return f"only one recording of {listed(single)}; record more, or take the folder away"
         return None
     remedy = "add some, or use --set split.kind=random"
     for part, least in (("train", 2), ("test", 1)):
@@ -119,7 +120,7 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
         few = [classes[i] for i in np.flatnonzero((counts_in_part < least) & (counts > 0))]
         if few:
             number = "no recording" if least == 1 else "fewer than two recordings"
-            return f"{number} of {_listed(few)} in its folder {part}; {remedy}"
+            return f"{number} of {listed(map(repr, few))} in its folder {part}; {remedy}"
     return None
 
 
@@ -134,10 +135,6 @@ def in_both_parts(recordings: Recordings) -> list:
     hashes = list(zip(recordings.parts, recordings.hashes(), recordings.ids, strict=True))
     train = {content: name for part, content, name in reversed(hashes) if part == "train"}
     return [(train[c], name) for part, c, name in hashes if part == "test" and c in train]
-
-
-def _listed(names):
-    return ", ".join(map(repr, names[:5])) + (", ..." if len(names) > 5 else "")
 
 
 def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split:

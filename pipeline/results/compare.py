@@ -12,7 +12,7 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import SIGNIFICANCE, aligned, p_text, star
+from deploy.tables import SIGNIFICANCE, aligned, p_text, plain, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import printable
 from pipeline.artifacts import DELETE_IT
@@ -302,7 +302,7 @@ def _settings_lines(compared, letters):
         return ["no setting differs"]
     rows = [["setting that differs", *letters]]
     for setting in compared["settings"]:
-        rows.append([setting["name"], *map(_plain, setting["values"])])
+        rows.append([setting["name"], *map(plain, setting["values"])])
     return _fitted(rows)
 
 
@@ -383,17 +383,6 @@ def _inference_lines(runs, letters):
         lines.append("answer stable after: median step after which the answer did not change;")
         lines.append("known only in hindsight")
     return lines
-
-
-def _plain(value):
-    """A setting's value for a table."""
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_plain, value))
-    return str(value) if value != "" else "-"
 
 
 def _fitted(rows):

@@ -96,7 +96,7 @@ def outdated(statuses) -> dict:
     return {s.state.name: s.state.reasons() for s in statuses if s.state.state == OUTDATED}
 
 
-def remedies(run, names) -> list:
+def remedy_text(run, names) -> str:
     """Commands that make outdated artifacts again, in the order of their dependencies.
 
     Parameters
@@ -106,17 +106,11 @@ def remedies(run, names) -> list:
     names : iterable of str
         The artifacts' names, as in :func:`status_of`.
     """
-    names = set(names)
     targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
-    commands = [f"stmnist check run {run} --target {target}" for target in targets]
-    if names - {f"checks/{target}" for target in targets}:
-        commands.insert(0, f"stmnist ladder {run}")
-    return commands
-
-
-def remedy_text(run, names) -> str:
-    """The commands of :func:`remedies` in a sentence's form."""
-    return ", then ".join(f"'{command}'" for command in remedies(run, names))
+    commands = [f"'stmnist check run {run} --target {target}'" for target in targets]
+    if set(names) - {f"checks/{target}" for target in targets}:
+        commands.insert(0, f"'stmnist ladder {run}'")
+    return ", then ".join(commands)
 
 
 def outdated_note(path) -> str | None:

@@ -14,7 +14,7 @@ import numpy as np
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import write_json
-from deploy.tables import in_blocks
+from deploy.tables import in_blocks, plain
 from deploy.targets.registry import TARGETS
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import kind_of
@@ -202,7 +202,7 @@ def sweep_text(sweep: dict) -> str:
     """The points as a table, those of the Pareto front marked."""
     points, lines = sweep["points"], []
     for point in sweep["failed"]:
-        changed = ", ".join(f"{k}={_value(v)}" for k, v in point["changes"].items())
+        changed = ", ".join(f"{k}={plain(v)}" for k, v in point["changes"].items())
         lines.append(f"failed: {changed}: {textwrap.shorten(point['error'], 120)}")
     if not points:
         return "\n".join(lines)
@@ -218,7 +218,7 @@ def sweep_text(sweep: dict) -> str:
                 *(f"{low:.3f} to {high:.3f}", f"{point['per_cnn']:.2f} x"),
                 *(str(point["cores"]), str(point["steps"])),
                 "" if trained is None else f"{trained:.3f}",
-                *(_value(point["changes"][name]) for name in sweep["names"]),
+                *(plain(point["changes"][name]) for name in sweep["names"]),
             ]
         )
     return "\n".join(
@@ -238,7 +238,3 @@ def _short(name, names):
     """The last word of a setting's name, or the whole name if the last word is not unique."""
     word = name.rpartition(".")[2]
     return word if [n.rpartition(".")[2] for n in names].count(word) == 1 else name
-
-
-def _value(value):
-    return ",".join(map(_value, value)) if isinstance(value, (list, tuple)) else f"{value}"

@@ -252,10 +252,10 @@ def test_positions_of_taxels_in_one_row(tmp_path):
 @pytest.mark.parametrize(
     ("table", "fact"),
     [
-        (POSITIONS.replace(b"3,0,-1.000000\n", b""), "no position of taxel 3"),
+        (POSITIONS.replace(b"3,0,-1.000000\n", b""), "taxel 3 is missing"),
         (POSITIONS + b"3,9,9\n", "has taxel 3 twice"),
-        (POSITIONS + b"7,9,9\n", "has a taxel 7"),
-        (POSITIONS + b"-1,9,9\n", "has a taxel -1"),
+        (POSITIONS + b"7,9,9\n", "taxel 7 is"),
+        (POSITIONS + b"-1,9,9\n", "taxel -1 is"),
         (POSITIONS.replace(b"taxel", b"t"), "columns taxel, x and y"),
         (POSITIONS.replace(b"1,1,", b"1,one,"), "columns taxel, x and y"),
         (POSITIONS.replace(b"1,1,", b"1,nan,"), "not finite"),
