@@ -19,11 +19,6 @@ MESSAGE_LENGTH = 160
 # Seconds in which a scheduler must answer.
 PATIENCE = 5
 
-# Of joblib: workers whose memory has grown are replaced between jobs, and jobs are cancelled if the
-# caller stops.
-warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
-warnings.filterwarnings("ignore", message=r"\d+ tasks (which were|have been)")
-
 
 @dataclass(frozen=True)
 class Failure:
@@ -131,8 +126,16 @@ def results_of(calls, processes: int, in_order: bool = True):
         True for results in the order of the calls, False for the order of their ends.
     """
     order = "generator" if in_order else "generator_unordered"
-    parallel = Parallel(processes, return_as=order, **(_beginning() if processes != 1 else {}))
-    return parallel(calls)
+    # In a process that uses ``stmnist``, workers bind its packages first.
+    begin = sys.modules["stmnist"]._begin_worker if "stmnist" in sys.modules else ignore_ctrl_c
+    options = {"initializer": begin} if processes != 1 else {}
+    with warnings.catch_warnings():
+        # Workers whose memory has grown are replaced between jobs, and jobs are cancelled if the
+        # caller stops.
+        for expected in ("A worker stopped while some jobs", r"\d+ tasks (which were|have been)"):
+            warnings.filterwarnings("ignore", message=expected)
+        with closing(Parallel(processes, return_as=order, **options)(calls)) as results:
+            yield from results
 
 
 def _in_processes(function, jobs, processes, meanwhile):
@@ -147,15 +150,6 @@ def _in_processes(function, jobs, processes, meanwhile):
         message = "a process was killed, perhaps for lack of memory; use fewer --jobs"
         for job in left.values():
             yield job, Failure(message, message, UserError(message))
-
-
-def _beginning():
-    """Options for joblib that let its workers ignore Ctrl-C.
-
-    In a process that uses ``stmnist``, workers bind its packages first.
-    """
-    begin = sys.modules["stmnist"]._begin_worker if "stmnist" in sys.modules else ignore_ctrl_c
-    return {"initializer": begin}
 
 
 def ignore_ctrl_c():
