@@ -9,6 +9,7 @@ import asyncio
 import concurrent.futures
 import contextlib
 import errno
+import io
 import ipaddress
 import itertools
 import json
@@ -19,6 +20,7 @@ import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import segno
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -28,7 +30,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
-from pipeline.live.qr import qr_code
 from pipeline.live.session import LONGEST_S, MOST_TAXELS, PAUSE_S, BadMessage, Session, problem
 from pipeline.skin.writing import START_S
 
@@ -364,7 +365,10 @@ class Server(uvicorn.Server):
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{port}/{live.token}/"
         if host != HOST:
-            live.picture = qr_code(self.url).svg
+            picture, look = io.BytesIO(), {"svgclass": None, "lineclass": None}
+            code = segno.make_qr(self.url, error="m")
+            code.save(picture, kind="svg", light="white", scale=8, **look)
+            live.picture = picture.getvalue()
         self.listens = threading.Event()
         super().__init__(
             uvicorn.Config(

@@ -47,8 +47,9 @@ def serve(
         A package is missing, the port is in use, or the page does not support this network.
     """
     try:
+        import segno
+
         from pipeline.live.keeping import Keeper
-        from pipeline.live.qr import qr_code
         from pipeline.live.server import HOST, Live, Server, listen
     except ImportError as error:
         raise UserError(
@@ -80,7 +81,7 @@ def serve(
         def when_listening(url):
             show(f"live: {url}", flush=True)
             if host != HOST:
-                show(qr_code(url).text, flush=True)
+                segno.make_qr(url, error="m").terminal(compact=True)
             if open_browser:  # in a thread: some browsers return when they are closed
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
