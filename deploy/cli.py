@@ -15,7 +15,8 @@ from .check.run import run_check
 from .check.text import comparison_text, summary
 from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
-from .targets.board import BoardOptions, nxsdk_version
+from .targets import BoardOptions
+from .targets.board import nxsdk_version
 from .targets.registry import TARGETS, options_for
 from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 

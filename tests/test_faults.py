@@ -11,7 +11,7 @@ import pytest
 
 from deploy.check.results import read_result
 from deploy.files import read_json, write_json
-from pipeline.commands import check
+from pipeline import progress
 from pipeline.run import RunFolder
 from pipeline.settings import read_settings
 from tests.command import call, missing, plain, started, wait_until_said
@@ -275,7 +275,7 @@ def test_a_check_that_was_interrupted_goes_on(run, monkeypatch):
         yield advance
 
     with monkeypatch.context() as patched:
-        patched.setattr(check, "progress", ctrl_c_after_a_stream)
+        patched.setattr(progress, "progress", ctrl_c_after_a_stream)
         assert call(*command) == 130
     assert not out.exists()
     assert temporaries(run) == [partial]

@@ -15,7 +15,8 @@ from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi, require_integers
 from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
-from .board import BoardOptions, describe, run_loihi
+from . import BoardOptions
+from .board import describe, run_loihi
 from .fast import run_fast
 
 

@@ -9,18 +9,10 @@ from typing import Annotated
 import typer
 
 from deploy import limits
-from deploy.check.bundle import read_bundle
-from deploy.check.results import compare_results, enforce, loss_text, read_result, require_limits
-from deploy.check.run import run_check
-from deploy.check.text import comparison_text, others_text, summary
 from deploy.errors import UserError
-from deploy.files import write_json
-from deploy.targets.board import BoardOptions
-from deploy.targets.registry import TARGETS, options_for
+from deploy.targets import BoardOptions
 from deploy.terminal import WARNING
 from pipeline.commands import options
-from pipeline.progress import progress
-from pipeline.roads import COMPARED_WITH
 from pipeline.run import checks_beside
 
 
@@ -84,7 +76,7 @@ Others = options.group(
 
 def run(
     bundle: options.Bundle,
-    target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
+    target: Annotated[str, typer.Option(help="One of nengo, simreal, emulator, fast, loihi.")],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -102,6 +94,11 @@ def run(
     as_json: options.Json = False,
 ):
     """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
+    from deploy.check.bundle import read_bundle
+    from deploy.check.text import others_text, summary
+    from deploy.files import write_json
+    from deploy.targets.registry import options_for
+
     chosen = options_for(target, **vars(board))
     if others.samples is not None and others.data is None:
         raise UserError("--samples: needs other recordings; give them with --data FILE")
@@ -130,12 +127,18 @@ def run(
 
 
 def _checked(bundle, path, target, seed, chosen):
+    from deploy.check.run import run_check
+    from pipeline.progress import progress
+
     with progress(f"check {target}", len(bundle.checks)) as advance:
         return run_check(bundle, target, path, seed, advance, chosen)
 
 
 def _loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
+    from deploy.check.results import loss_text, read_result
+    from pipeline.roads import COMPARED_WITH
+
     for stage in COMPARED_WITH:
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(checks_beside(bundle.path) / f"{stage}.json")
@@ -146,7 +149,8 @@ def _loss(bundle, result):
 
 def _on_others(bundle, target, others, seed, out, check):
     """Run the check on other recordings; return the result and its file."""
-    from pipeline.results import elsewhere  # imports the code that reads recordings
+    from deploy.files import write_json
+    from pipeline.results import elsewhere
 
     settings = elsewhere.settings_around(bundle, others.skip_bad)
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
@@ -172,6 +176,9 @@ def compare_checks(
     as_json: options.Json = False,
 ):
     """Compare two results: agreement, McNemar's test, the first samples that differ."""
+    from deploy.check.results import compare_results, enforce, read_result, require_limits
+    from deploy.check.text import comparison_text
+
     require_limits(max_disagreements, max_accuracy_drop)
     comparison = compare_results(read_result(a), read_result(b))
     options.warn_if_outdated(a, b)

@@ -10,17 +10,6 @@ from deploy import limits
 from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.data.library import recordings_of
-from pipeline.data.source import write_zip
-from pipeline.data.statistics import (
-    facts_of_file,
-    facts_with_events,
-    file_text,
-    recordings_text,
-    table1_json,
-    table1_text,
-)
-from pipeline.progress import progress
 from pipeline.settings import SIMULATED, Settings
 
 Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
@@ -47,6 +36,12 @@ Reading = Annotated[
 ]
 
 
+def _recordings(source, reading, jobs, **data):
+    from pipeline.data.library import recordings_of
+
+    return recordings_of(_settings(source, reading, **data), jobs, options.say)
+
+
 def _settings(source, reading, **data):
     """The settings of recordings."""
     requested = options.Requested(data=source, assignments=reading).changes()
@@ -60,7 +55,9 @@ def import_(
     as_json: options.Json = False,
 ):
     """Read recordings once and store them in the cache, so that the next start is fast."""
-    recordings = recordings_of(_settings(source, reading), jobs, options.say)
+    from pipeline.data.statistics import facts_with_events, recordings_text
+
+    recordings = _recordings(source, reading, jobs)
     facts = facts_with_events(recordings)
     options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
     more = (word for assignment in reading or () for word in ("--set", assignment))
@@ -73,6 +70,8 @@ def inspect(
     as_json: options.Json = False,
 ):
     """Print facts about one recording."""
+    from pipeline.data.statistics import facts_of_file, file_text
+
     facts = facts_of_file(file, _settings(str(file), reading).data.time_unit)
     options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
 
@@ -92,10 +91,13 @@ def simulate_(
         raise UserError(f"{out}: the name must end in .zip")
     if os.path.lexists(out):
         raise UserError(f"{out}: exists; choose another name, or move it away")
-    settings = _settings(
-        SIMULATED, reading, simulation_seed=seed, samples_per_digit=samples_per_digit
+    from pipeline.data.source import write_zip
+    from pipeline.data.statistics import facts_with_events
+    from pipeline.progress import progress
+
+    recordings = _recordings(
+        SIMULATED, reading, jobs, simulation_seed=seed, samples_per_digit=samples_per_digit
     )
-    recordings = recordings_of(settings, jobs)
     write_zip(out, recordings, progress)
     facts = {"file": str(out), **facts_with_events(recordings)}
     text = f"{out}: {facts['samples']} simulated recordings, {facts['events']} events"
@@ -114,7 +116,9 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    recordings = recordings_of(_settings(data, reading, simulation_seed=seed), jobs, options.say)
+    from pipeline.data.statistics import table1_json, table1_text
+
+    recordings = _recordings(data, reading, jobs, simulation_seed=seed)
     value = table1_json(recordings)
     options.tell(value, lambda _: table1_text(recordings), as_json)
 
@@ -148,7 +152,7 @@ def plot(
     if what not in FIGURES:
         raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")
     figures.format_of(out)  # reports a wrong format before the recordings are read
-    recordings = recordings_of(_settings(data, reading, simulation_seed=seed), jobs, options.say)
+    recordings = _recordings(data, reading, jobs, simulation_seed=seed)
     if what == "sheet":
         figure = drawn.sheet(recordings, per_digit, seed)
     else:

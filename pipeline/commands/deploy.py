@@ -6,14 +6,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.check.bundle import read_bundle
-from deploy.check.energy import estimate_energy, estimate_text
-from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import write_arrays
-from deploy.network.nir import input_spikes, write_nir
-from deploy.preflight.plan import make_plan, plan_text
-from deploy.targets.lava import write_lava
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.run import checks_beside
@@ -32,6 +25,8 @@ def plan(
     as_json: options.Json = False,
 ):
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
+    from deploy.preflight.plan import make_plan, plan_text
+
     opened = _opened(bundle)
     made = make_plan(opened.spec, chips)
     options.tell(made.to_json(), lambda _: plan_text(made), as_json)
@@ -55,6 +50,10 @@ def export(
     ] = None,
 ):
     """Export the network for other neuromorphic platforms."""
+    from deploy.files import write_arrays
+    from deploy.network.nir import input_spikes, write_nir
+    from deploy.targets.lava import write_lava
+
     opened = _opened(bundle)
     if format is Format.lava:
         if inputs is not None:
@@ -81,6 +80,9 @@ def energy(
     as_json: options.Json = False,
 ):
     """Estimate the energy of an inference from the spikes that a check counted."""
+    from deploy.check.energy import estimate_energy, estimate_text
+    from deploy.check.results import read_result
+
     opened = _opened(bundle)
     # Both targets count the same spikes.
     usual = [checks_beside(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
@@ -95,6 +97,8 @@ def energy(
 
 def _opened(path):
     """The bundle of a command, with a warning if it is outdated."""
+    from deploy.check.bundle import read_bundle
+
     bundle = read_bundle(options.bundle_in(path))
     options.warn_if_outdated(bundle.path)
     return bundle

@@ -7,9 +7,6 @@ import typer
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.live.network import RECORD, SHIPPED, network_in
-from pipeline.live.serving import PORT, serve
-from pipeline.stages import convert
 
 DEFAULT_RUN = Path("runs/default")
 
@@ -24,12 +21,12 @@ def live(
     ] = None,
     port: Annotated[
         int, typer.Option(help="Port of this machine; 0 for any free one.", min=0, max=65535)
-    ] = PORT,
+    ] = 8765,
     record: Annotated[
         Path | None,
         typer.Option(
             help="Folder for the recordings, which can be given as --data.",
-            show_default=f"{RECORD}; for data other than digits, {RECORD}-NAME",
+            show_default="written; for data other than digits, written-NAME",
         ),
     ] = None,
     host: Annotated[
@@ -53,11 +50,16 @@ def live(
     run that does not exist is trained first.  The page is served until Ctrl-C, to this machine only
     unless --host is given.
     """
+    from pipeline.live.serving import serve
+
     serve(lambda: _network(run, requested, jobs), port, record, host, not no_browser, options.say)
 
 
 def _network(run, requested, jobs):
     """The bundle, made if it is missing or if settings were requested."""
+    from pipeline.live.network import SHIPPED, network_in
+    from pipeline.stages import convert
+
     asked = requested != options.Requested()
     if run is None:
         run = DEFAULT_RUN if asked else SHIPPED

@@ -5,17 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
-from pipeline.artifacts import OUTDATED
 from pipeline.commands import options
-from pipeline.progress import progress
-from pipeline.results.compare import compare_runs, read_runs, runs_text
-from pipeline.results.report import write_report
-from pipeline.results.status import status_of, status_text
-from pipeline.roads import road_of
 from pipeline.run import RunFolder
-from pipeline.settings import read_settings
 
 
 def status(run: options.Run, as_json: options.Json = False):
@@ -23,6 +15,11 @@ def status(run: options.Run, as_json: options.Json = False):
 
     Nothing is made or changed.
     """
+    from pipeline.artifacts import OUTDATED
+    from pipeline.results.status import status_of, status_text
+    from pipeline.roads import road_of
+    from pipeline.settings import read_settings
+
     folder = RunFolder(run)
     statuses = status_of(folder)
     options.tell(
@@ -45,6 +42,8 @@ def compare_(
     Every run is compared with the first one.  If both have the same samples, the comparison is
     paired, with McNemar's test.
     """
+    from pipeline.results.compare import compare_runs, read_runs, runs_text
+
     options.tell(compare_runs(read_runs(runs)), runs_text, as_json)
 
 
@@ -56,6 +55,8 @@ def report(
     ] = None,
 ):
     """Write the run's results so far as one self-contained HTML file."""
+    from pipeline.results.report import write_report
+
     path = write_report(run, out)
     options.say(f"report: {path} ({path.stat().st_size // 1024} KiB)")
     options.suggest("live", run)
@@ -69,6 +70,8 @@ def animate(
     ] = "",
 ):
     """Write an animation of a sample: touch, spikes and probabilities over time."""
+    from deploy.check.bundle import read_bundle
+    from pipeline.progress import progress
     from pipeline.results.report.figures import animation
 
     animation.require_gif(out)  # reports a wrong ending of the name before anything is computed

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from pipeline.commands import options
-from pipeline.results.sweep import measure_sweep, sweep_text
 
 
 def sweep(
@@ -29,6 +28,8 @@ def sweep(
 
     Writes sweep.json.  Existing points are not computed again.
     """
+    from pipeline.results.sweep import measure_sweep, sweep_text
+
     with options.resolved(out, requested, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
     options.conclude(summary, failed, sweep_text, as_json)
