@@ -258,7 +258,8 @@ def main(
     found = {"experiment": "speed", "bundles": {}, "measured": {"processor": processor()}}
     for path in bundles or ():
         bundle = read_bundle(options.bundle_in(path))
-        found["bundles"][bundle.spec.stimulus.kind] = of_bundle(bundle, samples)
+        kind = "image" if bundle.spec.stimulus.static else "events"
+        found["bundles"][kind] = of_bundle(bundle, samples)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found["networks"] = [of_network(*case) for case in CASES]
