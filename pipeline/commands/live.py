@@ -1,11 +1,14 @@
 """``stmnist live``: a sensor's skin in the browser."""
 
+import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from deploy.errors import UserError
+from deploy.terminal import INTERRUPTED
 from pipeline.commands import options
 
 DEFAULT_RUN = Path("runs/default")
@@ -52,7 +55,11 @@ def live(
     """
     from pipeline.live.serving import serve
 
-    serve(lambda: _network(run, requested, jobs), port, record, host, not no_browser, options.say)
+    try:
+        bundle = partial(_network, run, requested, jobs)
+        serve(bundle, port, record, host, not no_browser, options.say)
+    except KeyboardInterrupt:  # the usual end
+        sys.exit(INTERRUPTED)
 
 
 def _network(run, requested, jobs):

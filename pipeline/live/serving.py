@@ -14,16 +14,9 @@ from pipeline.results.status import outdated_note
 from pipeline.run import RunFolder, run_around
 from pipeline.skin import parameters
 
-PORT = 8765
-
 
 def serve(
-    network: Callable,
-    port: int = PORT,
-    record=None,
-    host: str | None = None,
-    open_browser: bool = True,
-    say=remark,
+    network: Callable, port: int, record, host: str | None, open_browser: bool = True, say=remark
 ):
     """Serve the live page of a network until it is interrupted.
 
