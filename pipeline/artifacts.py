@@ -125,7 +125,7 @@ class Origin:
         changes = []
         for now, before, show in (
             (self.settings, recorded["settings"], _shown),
-            (self.contents, recorded["contents"], _shortened),
+            (self.contents, recorded["contents"], "{!s:.12}".format),
         ):
             for name in dict.fromkeys([*now, *before]):
                 if now.get(name) != before.get(name) or (name in now) != (name in before):
@@ -207,11 +207,6 @@ class State:
         return {"name": self.name, "state": self.state, "because": list(map(str, self.because))}
 
 
-def recorded_origin(content: dict):
-    """Read the origin of an artifact from its record."""
-    return content.get("made_from")
-
-
 @dataclass(frozen=True)
 class Artifact:
     """The place of an artifact, and the origin that it has if it is current.
@@ -234,7 +229,7 @@ class Artifact:
     record: Path
     origin: Origin
     files: tuple = ()
-    made_from: Callable = recorded_origin
+    made_from: Callable = lambda content: content.get("made_from")
 
     @property
     def folder(self) -> Path:
@@ -305,8 +300,3 @@ def _plain(value):
 def _shown(value):
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
-
-
-def _shortened(content):
-    text = str(content)
-    return text if len(text) <= 16 else text[:12]

@@ -278,7 +278,9 @@ def convert(opened: Opened) -> Bundle:
     }
     spec = seen.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
-    bundle = write_bundle(run.bundle, spec, _check_set(dataset, chosen, view.seed))
+    some = dataset.recordings.part(chosen)
+    checks = CheckSet(dataset.inputs[chosen], some.labels, some.ids, view.seed)
+    bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     for name in scaled_by_block(spec.layers) if seen.road.is_trained_in_integers else ():
         say(
@@ -325,12 +327,6 @@ def settings_read(spec: NetworkSpec) -> dict:
     # A run whose steps are the default, 0, may have as many as one with a number.
     steps = settings.get("presentation.steps") or spec.presentation.steps
     return {**settings, "presentation.steps": steps}
-
-
-def _check_set(dataset, chosen, seed):
-    recordings = dataset.recordings
-    ids = tuple(recordings.ids[i] for i in chosen)
-    return CheckSet(dataset.inputs[chosen], recordings.labels[chosen], ids, seed)
 
 
 def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:

@@ -177,18 +177,15 @@ class Emulation:
             if watch is not None:
                 watch({name: np.concatenate(parts, axis=1) for name, parts in packed.items()})
         output = np.concatenate(outputs, axis=1)
+        rows = dict(zip(self.chip.blocks, overflows))
         return StreamOutputs(
             output=output.reshape(n_streams, n_samples, period, -1),
             counts={name: np.stack(parts, axis=1) for name, parts in counts.items()},
-            overflows=self._by_layer(overflows),
+            overflows={n: sum(rows[b] for b in blocks) for n, blocks in self._blocks.items()},
         )
 
     def _sends_all(self, size):
         return len(self.sent) == size and np.array_equal(self.sent, np.arange(size))
-
-    def _by_layer(self, overflows):
-        rows = dict(zip(self.chip.blocks, overflows))
-        return {name: sum(rows[b] for b in blocks) for name, blocks in self._blocks.items()}
 
     def bytes_per_step(self, n_streams):
         """Approximate memory for one step of some streams."""

@@ -61,12 +61,8 @@ class Target:
 
 def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
     """Run NengoCore's reference simulator, with Loihi's neurons in floating point."""
-    return _run(
-        spec,
-        streams,
-        seed,
-        lambda network: nengo.Simulator(network, progress_bar=False, optimize=False),
-    )
+    options = {"progress_bar": False, "optimize": False}
+    return _run(spec, streams, seed, lambda network: nengo.Simulator(network, **options))
 
 
 def run_simreal(spec, streams, seed=0) -> Iterator[Responses]:

@@ -282,8 +282,8 @@ def table1_text(recordings) -> str:
     written = is_written(sensor.rows, sensor.columns, sensor.classes)
     rows = [["", *shortened_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
     for measure, label in (LABELS if written else OWN_LABELS).items():
-        decimals = 2 if measure[0] in "xy" else 0
-        rows.append([label, *(_cell(row[measure], decimals) for row in ours.values())])
+        form = ("{:.2f} ({:.2f})" if measure[0] in "xy" else "{:.0f} ({:.0f})").format
+        rows.append([label, *(form(*row[measure]) for row in ours.values())])
     rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
     return "\n".join([f"{name}, {len(recordings)} samples: mean (SD)", *in_blocks(rows)])
 
@@ -293,7 +293,3 @@ def _plain(row):
         name: [None if math.isnan(v) else v for v in value] if isinstance(value, tuple) else value
         for name, value in row.items()
     }
-
-
-def _cell(pair, decimals):
-    return f"{pair[0]:.{decimals}f} ({pair[1]:.{decimals}f})"

@@ -214,6 +214,9 @@ CALIBRATED_ON = 48
 # Maximum number of training samples on which the confidence for early decisions is chosen.
 DECIDED_ON = 300
 
+# Maximum number of training samples on which the two resets are compared.
+RESET_ON = 200
+
 # Share of the steps with spikes from which a neuron counts as one that never rests.
 RUNAWAY = 0.9
 
@@ -395,11 +398,16 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     begun = time.perf_counter()
     source, network = graph_for(folder, settings, dataset)
     stepped = Stepped.of(settings, network)
-    layers = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset))
+    layers, cost = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset)), None
     for line in notes(network, layers, stepped):
         say(f"nir: {line}")
     if settings.nir.reset != "value":
-        say("nir: trained with a reset by subtraction; the chip resets to v_reset")
+        cost = reset_cost(network, stepped, settings, dataset)
+        say(
+            "nir: neurons reset to v_reset on the chip, not by subtraction: an accuracy of "
+            "{accuracy:.3f} instead of {accuracy_as_trained:.3f} on {samples} training samples, "
+            "{agreement:.1%} of their answers are the same".format(**cost)
+        )
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
@@ -416,6 +424,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         "epochs": 0,
         "step_seconds": stepped.seconds,
         "method": stepped.method,
+        "reset": cost,
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
         "versions": NUMPY,
     }
@@ -551,12 +560,8 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
     yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
     for layer in layers:
         windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
-        if (
-            layer.neuron is not None
-            and layer.kind == "dense"
-            and windows
-            and len(windows[0].input_shape) > 1
-        ):
+        is_matrix = layer.neuron is not None and layer.kind == "dense"
+        if is_matrix and windows and len(windows[0].input_shape) > 1:
             yield (
                 f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
                 "(square kernels, equal strides, no padding or 'same') or its neurons' parameters "
@@ -572,6 +577,30 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
                 )
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
+
+
+def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
+    """Effect of the chip's reset on the answers of a graph that was trained with another.
+
+    Returns
+    -------
+    dict
+        Training ``samples``; ``accuracy`` with the chip's reset and ``accuracy_as_trained``;
+        ``agreement``, the share of samples with the same prediction.
+    """
+    rng = np.random.default_rng([settings.seed, 0x5EB])
+    some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
+    inputs, labels = dataset.inputs[some], dataset.labels[some]
+    chip, trained = (
+        predictions_of(outputs_of(network, stepped, inputs, settings, reset=reset)[0], settings)
+        for reset in ("value", settings.nir.reset)
+    )
+    return {
+        "samples": len(some),
+        "accuracy": float((chip == labels).mean()),
+        "accuracy_as_trained": float((trained == labels).mean()),
+        "agreement": float((chip == trained).mean()),
+    }
 
 
 def _refuse_runaway(network, spikes, steps):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from deploy.files import read_json
 from deploy.network.nir import nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
@@ -233,7 +234,10 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert stmnist("convert", run, "--nir", file, *few, *subtract, "--strict") == 2
     assert "--strict" in capsys.readouterr().err
     assert stmnist("convert", run, "--nir", file, *few, *subtract) == 0
-    assert missing(capsys.readouterr().err, "nir: ", "by subtraction") == []
+    assert missing(capsys.readouterr().err, "nir: ", "by subtraction", "same") == []
+    cost = read_json(run / "snn" / "metrics.json", "")["reset"]
+    assert cost["samples"] == 64
+    assert 0 <= cost["agreement"] <= 1
     nir.write(file, graph_of_ones())  # a later version; the run has its own copy
     changed = ["--set", "nir.method=euler"]  # for which the graph is read again
     assert stmnist("ladder", run, "--json", "--jobs", "1", *changed) == 0
