@@ -15,9 +15,9 @@ from .check.run import run_check
 from .check.text import comparison_text, summary
 from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
-from .targets import BoardOptions
+from .targets import NAMES, BoardOptions
 from .targets.board import nxsdk_version
-from .targets.registry import TARGETS, options_for
+from .targets.registry import options_for
 from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 
 
@@ -60,7 +60,7 @@ def _parser():
     parser.set_defaults(run=lambda _: parser.error("name a command: check, compare, plan or board"))
     check = verbs.add_parser("check", help="run a target on the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
-    check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
+    check.add_argument("--target", required=True, metavar="T", help=", ".join(NAMES))
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
     seed = "seed of the simulator (default: that of the bundle's run)"
     check.add_argument("--seed", type=int, metavar="N", help=seed)

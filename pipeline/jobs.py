@@ -5,7 +5,7 @@ import signal
 import sys
 import traceback
 import warnings
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
 from joblib import Parallel, delayed
@@ -111,8 +111,9 @@ def run_jobs(
         yield from _in_processes(function, jobs, processes, meanwhile)
 
 
+@contextmanager
 def results_of(calls, processes: int, in_order: bool = True):
-    """Make calls in processes of this machine, and yield each result when it is available.
+    """Make calls in processes of this machine, from now on and until the block ends.
 
     A terminal sends Ctrl-C to all processes.  The workers ignore it: this process ends them.
 
@@ -124,6 +125,11 @@ def results_of(calls, processes: int, in_order: bool = True):
         With 1 the calls are made in this process.
     in_order : bool
         True for results in the order of the calls, False for the order of their ends.
+
+    Yields
+    ------
+    iterator
+        Each result when it is available.
     """
     order = "generator" if in_order else "generator_unordered"
     # In a process that uses ``stmnist``, workers bind its packages first.
@@ -135,14 +141,14 @@ def results_of(calls, processes: int, in_order: bool = True):
         for expected in ("A worker stopped while some jobs", r"\d+ tasks (which were|have been)"):
             warnings.filterwarnings("ignore", message=expected)
         with closing(Parallel(processes, return_as=order, **options)(calls)) as results:
-            yield from results
+            yield results
 
 
 def _in_processes(function, jobs, processes, meanwhile):
     left = dict(enumerate(jobs))
     calls = (delayed(_numbered)(number, function, job) for number, job in left.copy().items())
     try:
-        with closing(results_of(calls, min(processes, len(jobs)), in_order=False)) as results:
+        with results_of(calls, min(processes, len(jobs)), in_order=False) as results:
             meanwhile()
             for number, result in results:
                 yield left.pop(number), result

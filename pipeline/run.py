@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from pipeline.settings import Settings
 
 # File name endings that no folder has: a missing file must not be created as a folder.
-FILES = {".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".csv", ".py", ".nir"}
+FILES = {
+    *(".keras", ".h5", ".hdf5", ".zip", ".mat", ".json", ".npz", ".toml", ".html", ".csv"),
+    *(".py", ".pyz", ".pb", ".png", ".nir"),
+}
 
 # Remedy for a damaged file of a network.
 DELETE_ITS_FOLDER = "delete its folder and run the command again"

@@ -292,7 +292,7 @@ def convert(opened: Opened) -> Bundle:
 
 
 def _of_the_sensor(settings, taxels):
-    """What other recordings of the sensor and drawings of it need."""
+    """Entries of the provenance for reading other recordings of the sensor, and for drawing it."""
     of_sensor = {} if taxels.positions is None else {"positions": taxels.positions.tolist()}
     if settings.data.source != SIMULATED and settings.data.downsample > 1:
         of_sensor["downsample"] = settings.data.downsample

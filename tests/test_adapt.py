@@ -219,7 +219,7 @@ def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):
     assert call("adapt", *arguments) == 0
     assert told(capsys)["samples"] == 40
     copied = read_bundle(tmp_path / "run" / "bundle")
-    for recorded, right in ((2, True), (1, False)):
+    for recorded, right in ((2, True), (1, False), ("2", False)):
         spec = replace(copied.spec, provenance={**copied.spec.provenance, "downsample": recorded})
         arguments = replace(copied, spec=spec), str(tmp_path / "data"), Settings()
         if right:

@@ -1,4 +1,4 @@
-"""What the page on Python shows runs as a user's own would, and does what it says."""
+"""The code in docs/python.md runs in a user's environment and prints what the page says."""
 
 import pytest
 

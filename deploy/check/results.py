@@ -322,7 +322,7 @@ def compare_results(a: dict, b: dict) -> Comparison:
             remedy = "with the same --data, --samples and --seed"
         raise UserError(f"the results are of different samples; run both checks {remedy}")
     pairs = list(zip(a["samples"], b["samples"]))
-    have_hashes = all("spike_hash" in sample for pair in pairs for sample in pair)
+    hashed = all("spike_hash" in sample for pair in pairs for sample in pair)
     right = [[s["prediction"] == s["label"] for s in result["samples"]] for result in (a, b)]
     return Comparison(
         targets=(a["target"], b["target"]),
@@ -334,9 +334,7 @@ def compare_results(a: dict, b: dict) -> Comparison:
             if x["prediction"] != y["prediction"]
         ],
         p_value=mcnemar(*right),
-        other_spikes=sum(x["spike_hash"] != y["spike_hash"] for x, y in pairs)
-        if have_hashes
-        else None,
+        other_spikes=sum(x["spike_hash"] != y["spike_hash"] for x, y in pairs) if hashed else None,
     )
 
 

@@ -40,11 +40,11 @@ def others_text(result: dict) -> str:
     short = {name: name if len(name) <= 40 else name[:26] + "…" + name[-13:] for name in named}
     lines = [
         f"on {result['n_samples']} of {result['data']['recordings']} recordings in "
-        f"{result['data']['source']}",
-        summary(result),
+        f"{result['data']['source']}"
     ]
     if number := result["data"].get("trained_on"):
-        lines.insert(1, f"{number} of them were used to make the network")
+        lines.append(f"{number} of them were used to make the network")
+    lines.append(summary(result))
     for key in ("class", "writer"):
         if rows := result.get(f"per_{key}"):
             cells = [[key, "n", "accuracy", "95 % interval"]]

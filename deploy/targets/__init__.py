@@ -5,6 +5,9 @@ from typing import Optional
 
 from ..errors import UserError
 
+# The targets, in the order of a ladder; known without importing what runs them.
+NAMES = ("nengo", "simreal", "emulator", "fast", "loihi")
+
 # Seconds up to which the wait between two attempts is doubled.
 LONGEST_WAIT = 600.0
 

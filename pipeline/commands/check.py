@@ -10,7 +10,7 @@ import typer
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.targets import BoardOptions
+from deploy.targets import NAMES, BoardOptions
 from deploy.terminal import WARNING
 from pipeline.commands import options
 from pipeline.run import checks_beside
@@ -76,7 +76,7 @@ Others = options.group(
 
 def run(
     bundle: options.Bundle,
-    target: Annotated[str, typer.Option(help="One of nengo, simreal, emulator, fast, loihi.")],
+    target: Annotated[str, typer.Option(help=f"One of {', '.join(NAMES)}.")],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -114,7 +114,7 @@ def run(
         return
     path = out or checks_beside(opened.path) / f"{target}.json"
     result = check(opened, path)
-    if number := opened.spec.provenance.get("adapted", {}).get("in_check"):
+    if number := _fitted_to(opened.spec):
         options.say(
             f"{WARNING}{bundle}: was fitted to {number} of the {len(opened.checks)} samples of its "
             "check; its accuracy on them says little about others"
@@ -124,6 +124,13 @@ def run(
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
     if loss := _loss(opened, result):
         options.say(f"check: {loss}")
+
+
+def _fitted_to(spec):
+    """Number of the check's samples that an adapted network was fitted to."""
+    adapted = spec.provenance.get("adapted")
+    number = adapted.get("in_check") if isinstance(adapted, dict) else None
+    return number if type(number) is int else 0
 
 
 def _checked(bundle, path, target, seed, chosen):

@@ -10,6 +10,7 @@ import typer
 from deploy.errors import UserError
 from deploy.terminal import INTERRUPTED
 from pipeline.commands import options
+from pipeline.live import PORT, RECORD
 
 DEFAULT_RUN = Path("runs/default")
 
@@ -24,12 +25,12 @@ def live(
     ] = None,
     port: Annotated[
         int, typer.Option(help="Port of this machine; 0 for any free one.", min=0, max=65535)
-    ] = 8765,
+    ] = PORT,
     record: Annotated[
         Path | None,
         typer.Option(
             help="Folder for the recordings, which can be given as --data.",
-            show_default="written; for data other than digits, written-NAME",
+            show_default=f"{RECORD}; for data other than digits, {RECORD}-NAME",
         ),
     ] = None,
     host: Annotated[

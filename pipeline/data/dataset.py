@@ -201,9 +201,8 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
         shown, steps, table = settings.input, settings.steps, EventTable.of(recordings)
         inputs = np.empty((len(table), steps, *table.size, 2), np.uint8)
         for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
-            inputs[some] = np.moveaxis(
-                table.frames(some, shown.step, steps, shown.refractory_steps), 0, 1
-            )
+            frames = table.frames(some, shown.step, steps, shown.refractory_steps)
+            inputs[some] = np.moveaxis(frames, 0, 1)
         return inputs
     return tactile_images(recordings, image)
 

@@ -326,9 +326,9 @@ def read_source(
     entries, read, refused = [], [], list(listing.refused)
     chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
     names = [[entry.member for entry in chunk] for chunk in chunks]
-    work = results_of((delayed(_read_members)(listing.path, some) for some in names), jobs)
-    n_events = 0
-    with contextlib.closing(work), _shown(progress, "import", len(listing.entries)) as advance:
+    calls = (delayed(_read_members)(listing.path, some) for some in names)
+    n_events, bar = 0, _shown(progress, "import", len(listing.entries))
+    with results_of(calls, jobs) as work, bar as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for entry, recording in zip(chunk, results, strict=True):
                 if isinstance(recording, str):

@@ -323,8 +323,8 @@ class EventDecider(Decider):
         steps = int(min(max(since, 0), round(end_s / seconds), shown.steps))
         if steps <= shown.readout_start:
             return None
-        table, rest = EventTable.of(self._recording(events)), self._spec.stimulus.refractory
-        frames = table.frames([0], 1e3 * seconds, shown.steps, rest)
+        table, refractory = EventTable.of(self._recording(events)), self._spec.stimulus.refractory
+        frames = table.frames([0], 1e3 * seconds, shown.steps, refractory)
         answered = self._show(np.moveaxis(frames, 0, 1), steps)
         if answered is None:
             return None

@@ -8,13 +8,11 @@ from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
 from pipeline.data.dataset import classes_of, positions_of
 from pipeline.data.events import Sensor, are_digits, is_written
+from pipeline.live import RECORD
 
 # The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
 # settings of ``shipped.toml``.
 SHIPPED = Path(__file__).with_name("bundle")
-
-# Folder for recordings of digits; of other data the start of its name.
-RECORD = "written"
 
 
 def network_in(folder: Path) -> Bundle | None:

@@ -27,7 +27,7 @@ from pipeline.data.steps import EventTable
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.results.ladder import confusion_matrix
 from pipeline.run import checks_beside, run_around
-from pipeline.settings import Image, Settings, read_settings
+from pipeline.settings import MOST_DOWNSAMPLED, Image, Settings, read_settings
 
 # Name of the folder in a run's results.
 FOLDER = "other"
@@ -83,6 +83,11 @@ def recordings_for(
     # A person who writes faster than the others of the training has the same unit of time.
     usual = recorded.get("time_unit")
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
+    if type(downsample) is not int or not 1 <= downsample <= MOST_DOWNSAMPLED:
+        raise UserError(
+            f"{bundle.path}: has a 'downsample' that is not a number from 1 to {MOST_DOWNSAMPLED}; "
+            "convert the run again"
+        )
     reading = Reading(rows, columns, data.time_unit, downsample, usual if usual in UNITS else "")
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading

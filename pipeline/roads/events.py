@@ -337,9 +337,8 @@ def _reading(settings, shown, recordings, train):
     reading = reading_for(table, recordings.labels, train, step, shown.steps)
     if settings.input.refractory == Settings().input.refractory:
         return reading
-    return reading._replace(
-        refractory=shown.input.refractory_steps, lost=table.lost(step, shown.input.refractory_steps)
-    )
+    chosen = shown.input.refractory_steps
+    return reading._replace(refractory=chosen, lost=table.lost(step, chosen))
 
 
 def longest_ms(recordings) -> float:

@@ -117,11 +117,9 @@ def outputs_of(network, stepped, inputs, settings, advance=None, reset="value"):
     for start in range(0, len(inputs), AT_ONCE):
         part = inputs[start : start + AT_ONCE]
         presented = graph_inputs(network, part, settings.steps)
-        simulated = simulate(network, presented, stepped.seconds, stepped.method, reset)
-        outputs.append(simulated.outputs.reshape(*simulated.outputs.shape[:2], -1))
-        counts.append(
-            {n: _in_places(s.sum(1, dtype=np.int64)) for n, s in simulated.spikes.items()}
-        )
+        answer = simulate(network, presented, stepped.seconds, stepped.method, reset)
+        outputs.append(answer.outputs.reshape(*answer.outputs.shape[:2], -1))
+        counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in answer.spikes.items()})
         if advance is not None:
             advance(len(part))
     joined = {name: np.concatenate([part[name] for part in counts]) for name in counts[0]}

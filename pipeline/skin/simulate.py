@@ -119,10 +119,11 @@ def simulate(
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_batch)(seed, batch, parameters, size) for batch in batches)
-    for done in results_of(work, jobs):
-        parts += done
-        if advance:
-            advance(len(done))
+    with results_of(work, jobs) as results:
+        for done in results:
+            parts += done
+            if advance:
+                advance(len(done))
     return collect(
         parts,
         labels=[sample.digit for sample in samples],

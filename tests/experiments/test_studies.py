@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle
-from experiments import adapt, document, speed, studies
+from experiments import adapt, document, speed, studies, tables
 from experiments.__main__ import OTHERS, main
-from experiments.tables import table
 from pipeline.data.library import recordings_of
 from pipeline.results.study import Case
 from pipeline.settings import Settings
@@ -57,10 +56,13 @@ def test_the_paper_is_beside_random_splits_only():
         for seed in range(3)
         for split in ("random", "writers")
     ]
-    found = table(rows, against=BY_NAME["table2"].pairs)
+    found = tables.table(rows, against=BY_NAME["table2"].pairs)
     random, writers = (studies.cells(BY_NAME["table2"], found, s) for s in ("random", "writers"))
     assert [line[-1] for line in random] == ["paper, real data", "0.89 (0.01)", "0.86 (0.02)"]
     assert len(writers[0]) == len(random[0]) - 1
+    titles = {line.name: line.title for line in BY_NAME["table2"].lines}
+    pairs = [tuple(cells[:3]) for cells in tables.comparisons_cells(found, titles)[1:]]
+    assert (titles["loihi"], titles["cnn"], "random") in pairs
     text = studies.text(BY_NAME["table2"], found)
     assert missing(text, "random splits", "writers splits", "this row", "against", "Holm") == []
     assert "difficulty.json" in text
@@ -186,7 +188,7 @@ def test_every_result_is_a_table_of_the_documents(path):
     content = json.loads(path.read_text())
     for entry in content.get("rows", ()):
         if entry.get("values") and len(entry["values"]) > 1 and "split" in entry:
-            expected = table(
+            expected = tables.table(
                 [
                     {**row(entry["name"], seed, [0], entry["split"]), "accuracy": value,
                      "n_train": entry["n_train"], "n_test": entry["n_test"]}

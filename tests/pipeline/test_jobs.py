@@ -52,6 +52,20 @@ def test_a_killed_process_is_a_failure():
     assert "killed" in results[2].error
 
 
+def say_something(path):
+    path.write_text("working")
+
+
+def test_jobs_work_while_this_process_does_something_else(tmp_path):
+    """The pipe is read here, which waits for the job that writes it."""
+    pipe, read = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    jobs = [pipe, tmp_path / "file"]
+    done = dict(run_jobs(say_something, jobs, 2, meanwhile=lambda: read.append(pipe.read_text())))
+    assert read == ["working"]
+    assert done == dict.fromkeys(jobs)
+
+
 def slow(number):
     time.sleep(600)  # ended by who asked for it
 

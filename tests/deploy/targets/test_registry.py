@@ -12,6 +12,7 @@ from deploy.network.build import build
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
+from deploy.targets import NAMES
 from deploy.targets.registry import TARGETS, _loihi_simulator, answer, target_named
 from tests.deploy.fast_networks import random_spec
 from tests.deploy.networks import conv, random_checks, readout, small_spec
@@ -136,6 +137,12 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
 
 
 # The targets that need no board.
+
+
+def test_the_names_that_the_help_lists_are_those_of_the_targets():
+    assert tuple(TARGETS) == NAMES
+
+
 ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.hardware)
 
 
