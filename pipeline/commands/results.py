@@ -16,7 +16,7 @@ def status(run: options.Run, as_json: options.Json = False):
     Nothing is made or changed.
     """
     from pipeline.artifacts import OUTDATED
-    from pipeline.results.status import status_of, status_text
+    from pipeline.results.status import status_of, status_text, unread_note
     from pipeline.roads import road_of
     from pipeline.settings import read_settings
 
@@ -28,7 +28,10 @@ def status(run: options.Run, as_json: options.Json = False):
         as_json,
         marked=OUTDATED,
     )
-    imported = road_of(read_settings(folder.experiment)).imported
+    settings = read_settings(folder.experiment)
+    if (note := unread_note(settings)) is not None:
+        options.say(note)
+    imported = road_of(settings).imported
     if imported is not None and (note := imported.changed_note()) is not None:
         options.say(note)
 

@@ -175,7 +175,8 @@ def inference(run: Run) -> dict:
     """Costs of an inference of a run's network, as plain values.
 
     Operations and times are those of the stage named by ``counted_on``, or None without a
-    result.  Networks on events with early decisions also have ``writing``: the mean share of the
+    result; ``operations_per_mac`` is relative to the paper's CNN, and None for other classes than
+    digits.  Networks on events with early decisions also have ``writing``: the mean share of the
     writing until the decision, and its accuracy.
     """
     spec = run.spec
@@ -185,6 +186,7 @@ def inference(run: Run) -> dict:
     operations = sum(counted.values()) / result["n_samples"] if stage else None
     step_ms = 1000 * spec.stimulus.step_seconds
     early = result.get("while_written", {}).get("by_itself")
+    of_digits = is_written(*spec.input_shape[:2], classes_of(spec))
     return {
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
@@ -196,7 +198,7 @@ def inference(run: Run) -> dict:
         "chips": run.chips,
         "counted_on": stage,
         "synaptic_operations": operations,
-        "operations_per_mac": operations / CNN_MACS if stage else None,
+        "operations_per_mac": operations / CNN_MACS if stage and of_digits else None,
         "steps": spec.presentation.steps,
         "step_ms": step_ms,
         "stable_after_median": result.get("stable_after_median"),
@@ -337,7 +339,7 @@ def _accuracy_lines(compared, letters):
     if any(cells[-1].endswith("*") for cells in rows):
         lines.append(f"*: p below {SIGNIFICANCE:g}, uncorrected for several tests")
     if unpaired:
-        lines.append("unpaired: the samples are different; p is that of Fisher's exact test")
+        lines.append("unpaired: the samples or their sources differ; p is Fisher's exact test")
     return lines
 
 

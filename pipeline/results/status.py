@@ -177,6 +177,15 @@ def _dataset_origin(run, settings):
     return dataset_origin(settings, content, kind)
 
 
+def unread_note(settings: Settings) -> str | None:
+    """Why a run's recordings could not be compared with those that it was made from, or None."""
+    try:
+        identity_of(settings)
+    except UserError as error:
+        return f"the recordings are not compared with the run's: {error}"
+    return None
+
+
 def _parts(run, road, dataset):
     """The states of a road's parts, with accuracies and durations from their records."""
     statuses = {}

@@ -167,7 +167,7 @@ PART = Part("counts", "counts", ("metrics.json", SCORES), (), _fit, action="fitt
 
 REFERENCE = Reference(
     "Event counts",
-    "logistic regression on event counts, the simplest classifier",
+    "logistic regression on the numbers of events in up to eight slices of time",
     "counts",
     _respond,
     _versions,

@@ -439,8 +439,8 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     if interval[0] <= likeliest:
         say(
             "nir: hardly better than chance; was the graph trained on inputs in this order (ON and "
-            "OFF, rows from the top, columns), in steps of this duration (--step) and with the "
-            "classes in this order?"
+            "OFF, rows from the top, columns), in steps of this duration (--step), with this "
+            "refractory period of the input (input.refractory) and the classes in this order?"
         )
     return metrics
 

@@ -241,6 +241,6 @@ function drawBelief(context, { seconds, chances, classes }, x, y, high, width) {
     seconds.forEach((at, step) => context.lineTo(x(at), y + high - (chances[step * n + label] / 255) * high));
     context.stroke();
     context.textAlign = "left";
-    context.fillText(classes[label].slice(0, 12), width - RIGHT + 6, y + 11 + i * 14);
+    context.fillText(classes[label].slice(0, 12), width - RIGHT + 6, y + 4 + i * 12);
   });
 }

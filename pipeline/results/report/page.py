@@ -135,7 +135,9 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
 def _settings(inputs):
     """The settings that the bundle was made with, and the files that it was made from."""
     files = {name: path for name in PATHS if (path := inputs.settings.value(name))}
-    return files | settings_read(inputs.bundle.spec)
+    values = files | settings_read(inputs.bundle.spec)
+    unset = [name for name, value in values.items() if name.endswith(".epochs") and value == 0]
+    return values | dict.fromkeys(unset, "0, the recipe's number")
 
 
 def title_of(stage: str) -> str:

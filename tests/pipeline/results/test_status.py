@@ -112,8 +112,9 @@ def test_moved_recordings_are_still_the_same(tmp_path, capsys):
     assert call("train", run, "--data", tmp_path / "a.zip", *tiny) == 0
     before = (run / "cnn" / "weights.npz").stat().st_mtime_ns
     moved = (tmp_path / "a.zip").rename(tmp_path / "there" / "a.zip")
-    found = states(run, capsys)  # while nothing lies at the old place
-    assert found["cnn"]["state"] == "current"
+    assert states(run, capsys)["cnn"]["state"] == "current"  # while nothing lies at the old place
+    assert call("status", run) == 0
+    assert "a.zip" in capsys.readouterr().err  # the recordings could not be compared
     assert call("train", run, "--data", moved) == 0
     assert (run / "cnn" / "weights.npz").stat().st_mtime_ns == before
     assert read_json(RunFolder(run).dataset, "")["made_from"]["contents"].keys() >= {"recordings"}

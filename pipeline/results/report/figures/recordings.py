@@ -61,7 +61,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
     axes.set(xlim=(0, duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel address")
-    axes.legend(loc="upper right", markerscale=3, frameon=True)
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
     return figure
 
 
