@@ -225,11 +225,11 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, width)
         }
     }
   const axis = x === null ? ", while the image is presented" : "";
-  caption(context, `${name}: ${neurons} neurons, ${spikes} spikes${axis}`, y);
+  caption(context, `${name}: ${neurons} ${name === "input" ? "lines" : "neurons"}, ${spikes} spikes${axis}`, y);
 }
 
 function drawBelief(context, { seconds, chances, classes }, x, y, high, width) {
-  caption(context, "belief", y);
+  caption(context, "belief: softmax of the outputs, 0 to 1", y);
   const n = classes.length;
   if (!seconds.length) return;
   const last = (seconds.length - 1) * n;

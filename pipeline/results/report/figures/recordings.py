@@ -93,7 +93,9 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     width = 0.6 * per_digit + 0.1 + margin
     height = 0.6 * len(digits) + 0.5
     figure = Figure(figsize=(width, height))
-    figure.suptitle(_source(recordings), y=1 - 0.1 / height, va="top")
+    figure.suptitle(
+        _source(recordings), x=0.1 / width, y=1 - 0.1 / height, ha="left", va="top", size=9
+    )
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
     figure.subplots_adjust(margin / width, 0.01, 0.99, 1 - 0.45 / height, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
