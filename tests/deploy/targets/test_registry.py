@@ -136,13 +136,11 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
         answer(spec, np.zeros((1, 6, 6, 1)), "emulator")
 
 
-# The targets that need no board.
-
-
 def test_the_names_that_the_help_lists_are_those_of_the_targets():
     assert tuple(TARGETS) == NAMES
 
 
+# The targets that need no board.
 ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.hardware)
 
 
