@@ -31,10 +31,10 @@ UPDATES_BY_ROOT = 60
 HANDWRITING_EPOCHS = 80
 
 # Number of training samples below which spikes are left out of training with this probability.
-FEW, FEW_DROPOUT = 2000, 0.3
+FEW, FEW_DROPOUT = 2000, 0.5
 
-# Neurons of the hidden layer for few samples or more than this many classes.
-WIDE, MANY_CLASSES = 128, 10
+# Neurons of the hidden layer for few samples, for more than this many classes, and otherwise.
+HIDDEN_FEW, HIDDEN_MANY, HIDDEN, MANY_CLASSES = 256, 128, 64, 10
 
 # Refractory periods, in steps, and numbers of parts of a recording, among which is chosen.
 REFRACTORY_STEPS, PARTS = (0, 1, 3, 7), (1, 4, 8)
@@ -104,7 +104,9 @@ def epochs_for(samples: int, batch_size: int, handwriting: bool) -> int:
 
 def hidden_for(samples: int, classes: int) -> int:
     """Neurons of the hidden layer for touch that is not handwriting."""
-    return WIDE if samples < FEW or classes > MANY_CLASSES else 64
+    if samples < FEW:
+        return HIDDEN_FEW
+    return HIDDEN_MANY if classes > MANY_CLASSES else HIDDEN
 
 
 def dropout_for(samples: int, default: float) -> float:
