@@ -26,6 +26,33 @@ TEMPORARY = ".tmp"
 
 
 @contextlib.contextmanager
+def reporting_os_errors(path, what, remedy):
+    """Turn an error of the operating system in the block into one line for the user.
+
+    Parameters
+    ----------
+    path : path-like
+        The file or folder that the block reads or writes.
+    what : str
+        What failed, such as "cannot read".
+    remedy : str
+        The user's remedy, at the end of the error message.
+
+    Raises
+    ------
+    UserError
+    """
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{path}: {what} ({error.strerror or error}); {remedy}") from error
+
+
+# Remedy if a file cannot be written.
+FREE_IT = "check the folder's permissions and the free space"
+
+
+@contextlib.contextmanager
 def replacing(path, mode="wb"):
     """Open a temporary file beside ``path`` that takes its place when the block succeeds.
 
@@ -53,20 +80,16 @@ def replacing(path, mode="wb"):
     if path.exists() and not path.is_file():  # would replace /dev/null
         raise UserError(f"{path}: cannot write (not a file); choose another name")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(TEMPORARY, f".{path.name}.", str(path.parent))
-        options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
-        with os.fdopen(handle, mode, **options) as file:
-            yield file
-            file.flush()
-            os.fchmod(handle, 0o666 & ~_umask())  # mkstemp's files are for their owner only
-        os.replace(temporary, str(path))
-        temporary = None
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot write ({error.strerror or error}); "
-            "check the folder's permissions and the free space"
-        ) from error
+        with reporting_os_errors(path, "cannot write", FREE_IT):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, temporary = tempfile.mkstemp(TEMPORARY, f".{path.name}.", str(path.parent))
+            options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}
+            with os.fdopen(handle, mode, **options) as file:
+                yield file
+                file.flush()
+                os.fchmod(handle, 0o666 & ~_umask())  # mkstemp's files are for their owner only
+            os.replace(temporary, str(path))
+            temporary = None
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):
@@ -116,15 +139,17 @@ def open_regular(path, mode="rb", **options):
 
 
 @contextlib.contextmanager
-def locked(path, taken: str):
+def locked(path, taken: str, remedy: str):
     """Lock a file of this program against other processes while the block runs.
 
     Parameters
     ----------
     path : path-like
-        Created if it does not exist.  A symbolic link is not followed.
+        Created with its folders if it does not exist.  A symbolic link is not followed.
     taken : str
         Message of the error if another process holds the lock.
+    remedy : str
+        The user's remedy if the file cannot be written, at the end of the error message.
 
     Yields
     ------
@@ -136,12 +161,11 @@ def locked(path, taken: str):
     UserError
         Another process holds the lock, or the file cannot be opened.
     """
-    try:
+    folder = Path(path).parent
+    with reporting_os_errors(folder, "cannot write", remedy):
+        folder.mkdir(parents=True, exist_ok=True)
+    with reporting_os_errors(path, "cannot write", remedy):
         handle = os.open(str(path), os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o666)
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot write ({error.strerror}); choose another folder"
-        ) from error
     with os.fdopen(handle, "a+b", buffering=0) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -205,14 +229,12 @@ def read_json(path, remedy):
     UserError
         The file is missing, unreadable, or not a JSON object.
     """
+    with reporting_os_errors(path, "cannot read", remedy), open_regular(path) as file:
+        content = file.read(limits.TEXT_BYTES + 1)
+    if len(content) > limits.TEXT_BYTES:
+        raise UserError(f"{path}: larger than any file of this kind; {remedy}")
     try:
-        with open_regular(path) as file:
-            content = file.read(limits.TEXT_BYTES + 1)
-        if len(content) > limits.TEXT_BYTES:
-            raise UserError(f"{path}: larger than any file of this kind; {remedy}")
         value = json.loads(content.decode("utf-8"), parse_constant=_no_number)
-    except OSError as error:
-        raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid JSON ({error}); {remedy}") from error
     if not isinstance(value, dict):
@@ -276,14 +298,13 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
         The file is missing, damaged, too large, or has anything but plain arrays.
     """
     try:
-        with open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
+        reporting = reporting_os_errors(path, "cannot read", remedy)
+        with reporting, open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
             if sum(member.file_size for member in archive.zip.infolist()) > most:
                 raise UserError(f"{path}: arrays of more than {most >> 20} MB; {remedy}")
             arrays = {name: archive[name] for name in archive.files}
     except UserError:
         raise
-    except OSError as error:
-        raise UserError(f"{path}: cannot read ({error.strerror or error}); {remedy}") from error
     except Exception as error:  # NumPy, zipfile and zlib have many errors for damaged archives
         raise UserError(f"{path}: damaged or not an .npz of plain arrays; {remedy}") from error
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):

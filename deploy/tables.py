@@ -44,21 +44,14 @@ def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) 
     width : int
         Maximum number of characters of a line.
     """
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    blocks: List[List[int]] = [[]]
-    used = 0
-    stem = sum(widths[:left]) + 2 * (left - 1)
-    for column in range(left, len(widths)):
-        if blocks[-1] and used + 2 + widths[column] > width:
-            blocks.append([])
-        if not blocks[-1]:
-            used = stem
-        blocks[-1].append(column)
-        used += 2 + widths[column]
-    lines: List[str] = []
-    for block in blocks:
-        chosen = [*range(left), *block]
-        lines += ([""] if lines else []) + aligned([[row[i] for i in chosen] for row in rows], left)
+    fitting = left + 1
+    for columns in range(left + 1, len(rows[0]) + 1):
+        if max(map(len, aligned([row[:columns] for row in rows], left))) <= width:
+            fitting = columns
+    lines = aligned([row[:fitting] for row in rows], left)
+    if fitting < len(rows[0]):
+        rest = [[*row[:left], *row[fitting:]] for row in rows]
+        lines += ["", *in_blocks(rest, left, width)]
     return lines
 
 

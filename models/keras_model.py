@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import sha256_of
+from deploy.files import reporting_os_errors, sha256_of
 from models.architecture import MAX_LAYERS, MAX_VALUES, Architecture, Convolution, Dense, Pooling
 
 # Random images on which the architecture is compared with the model.
@@ -75,14 +75,15 @@ def read_keras(path) -> KerasModel:
     Raises
     ------
     ModelFileError
-        The file cannot be loaded, or the model is not supported; the message names the file, the
-        layer if any, and a remedy.
+        The file is no model, or the model is not supported; the message names the file, the layer
+        if any, and a remedy.
+    UserError
+        The file cannot be read.
     """
     path = Path(path)
     try:
-        return _read(path, sha256_of(path))
-    except OSError as error:
-        raise ModelFileError(f"{path}: cannot read ({error.strerror}); check the path") from error
+        with reporting_os_errors(path, "cannot read", "check the path"):
+            return _read(path, sha256_of(path))
     except ModelFileError as error:
         raise ModelFileError(f"{path}: {error}") from error
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from deploy import limits
 from deploy.errors import UserError
+from deploy.files import reporting_os_errors
 
 # Nodes whose output is spikes.
 SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
@@ -148,13 +149,13 @@ def read_nir(source) -> NirNetwork:
     NirError
         The source is not a NIR graph, or cannot be used: it is not a chain, or has unknown nodes,
         or shapes or values that do not fit.  The message names the file, the node and a remedy.
+    UserError
+        The file cannot be read.
     """
     if hasattr(source, "to_dict"):
         return _network(source.to_dict())
-    try:
+    with reporting_os_errors(source, "cannot read", "check the path"):
         content = Path(source).read_bytes()
-    except OSError as error:
-        raise NirError(f"{source}: cannot read ({error.strerror}); check the path") from error
     try:
         return _parsed(content)
     except NirError as error:

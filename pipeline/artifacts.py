@@ -91,11 +91,6 @@ class Origin:
         text = json.dumps(self.to_json(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def without(self, *names: str) -> Origin:
-        """The origin without some settings, for work that can be continued if these change."""
-        kept = {name: value for name, value in self.settings.items() if name not in names}
-        return replace(self, settings=kept)
-
     def with_content(self, name: str, value: str) -> Origin:
         """The origin with another content."""
         return replace(self, contents={**self.contents, name: value})

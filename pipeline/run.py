@@ -139,13 +139,7 @@ class RunFolder:
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"
         )
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(
-                f"{error.filename}: cannot write ({error.strerror}); choose another RUN"
-            ) from error
-        with locked(self.path / LOCK, taken):
+        with locked(self.path / LOCK, taken, "choose another RUN"):
             refuse_linked_folders(self.path)
             remove_leftovers(self.path)
             yield

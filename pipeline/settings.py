@@ -18,7 +18,7 @@ from typing import Annotated
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.files import open_regular, replacing
+from deploy.files import open_regular, replacing, reporting_os_errors
 from deploy.loading import Limit, WrongValue, between, load, one_of
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
@@ -488,14 +488,12 @@ def read_own_settings(path) -> Settings:
 
 def _read(path):
     """The values in a file of settings, and the names of those that were chosen."""
+    with reporting_os_errors(path, "cannot read", "check the path"), open_regular(path) as file:
+        content = file.read(limits.SETTINGS_BYTES + 1)
+    if len(content) > limits.SETTINGS_BYTES:
+        raise UserError(f"{path}: larger than any file of settings; correct or delete it")
     try:
-        with open_regular(path) as file:
-            content = file.read(limits.SETTINGS_BYTES + 1)
-        if len(content) > limits.SETTINGS_BYTES:
-            raise UserError(f"{path}: larger than any file of settings; correct or delete it")
         values = tomllib.loads(content.decode("utf-8"))
-    except OSError as error:
-        raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); correct or delete it") from error
     chosen = values.pop("chosen", [])

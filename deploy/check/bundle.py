@@ -30,11 +30,13 @@ import numpy as np
 from .. import limits
 from ..errors import UserError
 from ..files import (
+    FREE_IT,
     TEMPORARY,
     read_arrays,
     read_json,
     refuse_linked_folder,
     replacing,
+    reporting_os_errors,
     sha256_of,
     write_arrays,
     write_json,
@@ -138,7 +140,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         "seed": np.int64(checks.seed),
     }
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
-    try:
+    with reporting_os_errors(path, "cannot write", FREE_IT):
         require_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(TEMPORARY, ".bundle.", str(path.parent)) as temporary:
@@ -153,11 +155,6 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
             write_json(made / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
             read_bundle(made)
             _exchange(made, path, Path(temporary) / "old")
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot write ({error.strerror or error}); "
-            "check the folder's permissions and the free space"
-        ) from error
     return read_bundle(path)
 
 

@@ -13,7 +13,7 @@ from typing import Dict, Iterator, List, Optional
 import numpy as np
 
 from ..errors import UserError
-from ..files import locked, write_json
+from ..files import locked, reporting_os_errors, write_json
 from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
@@ -144,15 +144,11 @@ def answered(work: Work) -> Iterator[dict]:
         if responses.notes:
             record["notes"] = responses.notes
         begun = now
-        try:
-            with open(str(work.saved), "ab", buffering=0) as file:
-                file.write(b"\n" + json.dumps(record).encode())
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise UserError(
-                f"{work.saved}: cannot write ({error.strerror}); the previous streams are saved: "
-                "free some space and run the same command again"
-            ) from error
+        remedy = "free some space and run the same command again: the other streams are saved"
+        reporting = reporting_os_errors(work.saved, "cannot write", remedy)
+        with reporting, open(str(work.saved), "ab", buffering=0) as file:
+            file.write(b"\n" + json.dumps(record).encode())
+            os.fsync(file.fileno())
         yield record
 
 
@@ -254,11 +250,7 @@ def open_check(
     # Other recordings may have been put in the place of the bundle's, also with the same ids.
     check["samples"] = bundle.checks.sha256
     taken = f"{out}: another process is writing this result; wait for it or use another --out"
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{out}: cannot write ({error.strerror}); choose another --out") from error
-    with locked(saved, taken) as file:
+    with locked(saved, taken, "choose another --out") as file:
         try:
             done = _resume(file, check, _streams(bundle))
             yield OpenCheck(bundle, check, out, saved, done, advance, options)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import open_regular
+from deploy.files import open_regular, reporting_os_errors
 from deploy.tables import in_blocks, shortened_apart
 from deploy.terminal import printable
 from pipeline.data.eventfiles import UNITS, EventRecording
@@ -122,10 +122,8 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
         The file cannot be read, or is not a recording.
     """
     try:
-        with open_regular(path) as opened:
-            recording = read_file(path.name, read_limited(opened))
-    except OSError as error:
-        raise UserError(f"{path}: cannot read ({error.strerror}); check the path") from error
+        with reporting_os_errors(path, "cannot read", "check the path"), open_regular(path) as file:
+            recording = read_file(path.name, read_limited(file))
     except BadRecording as error:
         raise UserError(
             f"{path}: {error}; expected a recording as ST-MNIST has them, or a file of events "

@@ -17,7 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import locked, open_regular, refuse_linked_folders, remove_leftovers, replacing
+from deploy.files import (
+    locked,
+    open_regular,
+    refuse_linked_folders,
+    remove_leftovers,
+    replacing,
+    reporting_os_errors,
+)
 from pipeline.data.events import Sensor, TaxelMap
 from pipeline.data.matfile import (
     BadRecording,
@@ -143,14 +150,8 @@ class Keeper:
             f"{self.folder}: another 'stmnist live' saves recordings there; "
             "end it, or choose another folder with --record"
         )
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UserError(
-                f"{self.folder}: cannot save recordings there ({error.strerror}); "
-                "choose another folder with --record"
-            ) from error
-        self._held.enter_context(locked(self.folder / LOCK, taken))
+        remedy = "choose another folder with --record"
+        self._held.enter_context(locked(self.folder / LOCK, taken, remedy))
         refuse_linked_folders(self.folder)
         remove_leftovers(self.folder)
 
@@ -162,12 +163,8 @@ class Keeper:
         UserError
             The folder cannot be read.
         """
-        try:
+        with reporting_os_errors(self.folder, "cannot read", "check its permissions"):
             files = _list(self.folder, self._places)
-        except OSError as error:
-            raise UserError(
-                f"{self.folder}: cannot be read ({error.strerror}); check its permissions"
-            ) from error
         self._kept = sorted(files, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
@@ -233,13 +230,10 @@ class Keeper:
         UserError
             The recording could not be removed.
         """
+        path = self.folder / kept.name
         with self._guard:
-            try:
-                (self.folder / kept.name).unlink(missing_ok=True)
-            except OSError as error:
-                raise UserError(
-                    f"{self.folder / kept.name}: cannot be removed ({error.strerror})"
-                ) from error
+            with reporting_os_errors(path, "cannot remove", "check the folder's permissions"):
+                path.unlink(missing_ok=True)
             self.look()
 
     def is_writer(self, number: int):

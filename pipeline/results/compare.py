@@ -362,7 +362,6 @@ def _inference_lines(runs, letters):
     def early(run):
         return run["writing"]
 
-    of_digits = all(is_written(*run["input_shape"][:2], run["classes"]) for run in runs)
     rows = [
         ["an inference", *letters],
         row("input", "input"),
@@ -372,14 +371,14 @@ def _inference_lines(runs, letters):
         row("chips", "chips"),
         row("counted on", "counted_on"),
         row("synaptic operations", "synaptic_operations", "{:,.0f}"),
-        *([row("times the CNN's", "operations_per_mac", "{:.2f}")] if of_digits else []),
+        row("times the CNN's", "operations_per_mac", "{:.2f}"),
         row("steps of presentation", "steps"),
         row("answer stable after step", "stable_after_median", "{:g}"),
         row("early decision after", "share", "{:.0%} of recording", early),
         row("its accuracy", "accuracy", "{:.3f}", early),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])])
-    if of_digits:
+    if any(run["operations_per_mac"] is not None for run in runs):
         lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
     if any(run["stable_after_median"] is not None for run in runs):
         lines.append("answer stable after: median step after which the answer did not change;")

@@ -19,7 +19,14 @@ from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
-from deploy.files import open_regular, read_arrays, replacing, sha256_of, write_arrays
+from deploy.files import (
+    open_regular,
+    read_arrays,
+    replacing,
+    reporting_os_errors,
+    sha256_of,
+    write_arrays,
+)
 from deploy.network.responses import Responses
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
@@ -435,16 +442,15 @@ def read_history(path) -> list:
         The file cannot be read, or is not a table of numbers with an accuracy and at least one row.
     """
     try:
-        with open_regular(path, "r", newline="", encoding="utf-8") as file:
+        with (
+            reporting_os_errors(path, "cannot read", DELETE_ITS_FOLDER),
+            open_regular(path, "r", newline="", encoding="utf-8") as file,
+        ):
             text = file.read(limits.SETTINGS_BYTES * 16)
         rows = [
             {key: float(value) for key, value in row.items()}
             for row in csv.DictReader(io.StringIO(text, newline=""), strict=True)
         ]
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot read ({error.strerror or error}); {DELETE_ITS_FOLDER}"
-        ) from error
     except (ValueError, TypeError, csv.Error) as error:
         raise UserError(f"{path}: not a learning curve ({error}); {DELETE_ITS_FOLDER}") from error
     finite = all(math.isfinite(value) for row in rows for value in row.values())

@@ -122,11 +122,11 @@ def test_leftovers_of_killed_processes_are_removed(tmp_path):
 
 
 def test_a_lock_has_one_owner(tmp_path):
-    with locked(tmp_path / ".lock", "taken") as file:
+    with locked(tmp_path / ".lock", "taken", "mend") as file:
         file.write(b"kept")
-        with pytest.raises(UserError, match="taken"), locked(tmp_path / ".lock", "taken"):
+        with pytest.raises(UserError, match="taken"), locked(tmp_path / ".lock", "taken", "mend"):
             pass
-    with locked(tmp_path / ".lock", "taken"):
+    with locked(tmp_path / ".lock", "taken", "mend"):
         assert (tmp_path / ".lock").read_bytes() == b"kept"
 
 

@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
+from deploy.errors import UserError
 from models.nir_graph import NirError, read_nir
 from tests.command import missing
 from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, tree_of
@@ -168,7 +169,7 @@ def test_files_that_are_no_nir(tmp_path, path):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
     for name, fact in (("other.h5", "'?node"), ("missing", "path"), (".", "directory")):
-        with pytest.raises(NirError, match=f"^{tmp_path / name}: .*{fact}"):
+        with pytest.raises(UserError, match=f"^{tmp_path / name}: .*{fact}"):
             read_nir(tmp_path / name)
 
 
