@@ -55,7 +55,6 @@ function describe() {
   document.title = digits ? "Write a digit on the skin" : `${about.trained_on}: draw on the sensor`;
   $("title").textContent = digits ? "Write a digit" : document.title;
   $("falls").hidden = about.polarities === 1;
-  if (!digits) $("about").textContent = `Drawing here presses a simulated skin of ${rows} x ${columns} taxels, not your sensor.`;
   $("hint").textContent = !canDraw() ? "Show me an example" : digits ? "Write here, large" : "Draw here, large";
   $("keep-title").textContent = digits ? "It was a …" : "It was …";
   $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"} to save the recording.`;
@@ -229,8 +228,12 @@ link.on("ready", (network) => {
   $("lead").textContent =
     `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch.`;
   $("status").textContent = canDraw()
-    ? `Ready: ${about.digits ? "write" : "draw"} with finger, pen or mouse.`
+    ? about.digits ? "Ready: write with finger, pen or mouse."
+      : `Ready: draw with finger, pen or mouse. This presses a simulated skin of ${about.rows} x ${about.columns} taxels, not your sensor.`
     : "Ready: this sensor is too large for drawing; play examples instead.";
+  $("meaning").textContent = network.threshold === null
+    ? "Sure, bars, belief: softmax of the outputs."
+    : "Sure: estimated probability of being right. Bars, belief: softmax of the outputs.";
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
   document.body.dataset.ready = "yes";
@@ -246,6 +249,7 @@ link.on("cleared", (message) => {
   if (recording === null) pen.settled = true; // no events will say so
   if (message.example) showExample(message.example);
   $("hint").classList.toggle("gone", recording !== null);
+  $("told").textContent = "";
   complain(null);
 });
 
@@ -482,7 +486,7 @@ function draw() {
         announce();
         afterPaint(answer.last_ms);
       }
-      $("count").textContent = events.taxel.length ? `${events.taxel.length} events` : "";
+      $("race").dataset.events = events.taxel.length;
       if (ready) drawRace($("race"), {
         events, time, classes: about.classes, steps: ready.steps, firstStep: ready.first_step,
         windowS: ready.window_s, usualS: ready.usual_s, verdict: shown?.verdict ?? null,

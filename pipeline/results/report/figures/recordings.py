@@ -37,7 +37,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
     events, sensor = recordings[index], recordings.sensor
     duration_s = _duration_s(recordings, events)
     figure = Figure(figsize=(10, 7), layout="constrained")
-    figure.suptitle(_title(recordings, index))
+    figure.suptitle(_title(recordings, index), x=0.01, ha="left")
     frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
     ends = np.arange(1, FRAMES + 1) * duration_s / FRAMES
     grown = np.zeros((FRAMES, sensor.rows, sensor.columns))
@@ -56,12 +56,14 @@ def recording(recordings: Recordings, index: int) -> Figure:
             *(seconds[chosen], events.taxel[chosen] + 1, 14, colour(name)),
             marker="|",
             linewidths=1.2,
-            label=name.upper(),
+            label=f"{name.upper()}: pressure {'rises' if polarity > 0 else 'falls'}",
         )
     axes.set(xlim=(0, duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
     axes.set_xlabel("time (s)")
-    axes.set_ylabel("taxel address")
+    is_grid = sensor.rows > 1 and sensor.columns > 1 and taxels.positions is None
+    axes.set_ylabel("taxel" + ", counted down the columns" * is_grid)
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
+    _scale(figure, *figure.get_size_inches(), "most events")
     return figure
 
 
@@ -109,17 +111,18 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
                 _show_over_time(axes, recordings, index)
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
-    _scale(figure, width, height)
+    figure.text(0.1 / width, 1 - 0.42 / height, "class (recordings)", size=8)
+    _scale(figure, width, height, "most of a recording")
     return figure
 
 
-def _scale(figure, width, height):
+def _scale(figure, width, height, most):
     """The scale of the shades, in the upper right corner."""
     axes = figure.add_axes((1 - 2.05 / width, 1 - 0.22 / height, 0.7 / width, 0.12 / height))
     axes.imshow(np.linspace(0, 1, 64)[None], cmap="Blues", aspect="auto")
     axes.set(xticks=[], yticks=[])
     axes.text(-0.06, 0.5, "no event", transform=axes.transAxes, ha="right", va="center", size=8)
-    axes.text(1.06, 0.5, "most of a recording", transform=axes.transAxes, va="center", size=8)
+    axes.text(1.06, 0.5, most, transform=axes.transAxes, va="center", size=8)
 
 
 def _duration_s(recordings, events):

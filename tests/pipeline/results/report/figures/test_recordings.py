@@ -29,7 +29,7 @@ def drawn(figure):
 
 def test_recording(recordings):
     figure = data_figures.recording(recordings, 0)
-    *frames, raster = figure.get_axes()
+    *frames, raster, _ = figure.get_axes()  # the last is the scale
     first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[0], frames[-1]))
     assert len(frames) == 8
     assert first[3, 0] > 0
@@ -63,7 +63,7 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     strip = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
                     Sensor(1, 3, duration_s=1.0, classes=("a", "b")))  # fmt: skip
     first, second, _ = data_figures.sheet(strip, per_digit=1).get_axes()
-    *_, last, _ = data_figures.recording(strip, 0).get_axes()
+    *_, last, _, _ = data_figures.recording(strip, 0).get_axes()
     if positions:
         for axes, expected in ((first, [1, 0, 1]), (second, [0, 1, 0]), (last, [1, 0, 1])):
             (points,) = axes.collections
