@@ -1,47 +1,86 @@
-"""Train a spiking network on events with SLAYER (paper, Section 3.2.3)."""
+"""SLAYER: spike response neurons trained directly on events (paper, Section 3.2.3).
 
+The equations and their sections in Shrestha and Orchard, "SLAYER: Spike Layer Error Reassignment in
+Time" (NeurIPS 2018) are below.  Time t counts steps; ``*`` is convolution and ``(x)`` correlation
+in time; l is the layer, W its weights (a convolution or a dense layer, without bias).
+
+=========================  =====================================================  ===============
+spike response             a = eps * s,  eps(t) = t/tau_s exp(1 - t/tau_s)        Section 2.1
+refractory response        nu(t) = -scale_ref theta t/tau_r exp(1 - t/tau_r)      Section 2.1
+membrane potential         u_l = W_l a_(l-1) + nu * s_l                           Section 2.1
+spikes                     s_l(t) = 1 where u_l(t) >= theta                       Section 2.1
+spike escape rate          rho(t) = scale_rho/tau exp(-abs(u(t) - theta)/tau),    Section 3.2
+                           tau = tau_rho theta
+error of the layer         e_l = W_(l+1)^T delta_(l+1)                            Section 3.3
+credit over time           delta_l = rho_l . (eps (x) e_l)                        Section 3.3
+gradient                   dE/dW_l = sum over t of delta_l(t) a_(l-1)(t)^T        Section 3.3
+error of the output        e(t) = (count - desired count)/T                       Section 3.1
+=========================  =====================================================  ===============
+
+rho replaces the derivative of a spike with respect to the potential (the stochastic neuron of
+Section 3.2); the correlation distributes an error at time t over the earlier inputs that caused it.
+As in the paper, the refractory response influences rho through u but is not differentiated.
+
+Both kernels are impulse responses of a second-order linear filter: with d = exp(-1/tau),
+
+    p(t) = d p(t-1) + s(t),    q(t) = d (q(t-1) + p(t-1)),    (eps * s)(t) = e/tau q(t).
+
+The filter and the weights are linear, so that weights are applied to spikes, and responses are
+computed for a layer's neurons rather than for its inputs:  W (eps * s) = eps * (W s).
+"""
+
+import functools
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy.linalg.cython_blas  # noqa: F401  (Numba's products call it; its threads are limited)
-from threadpoolctl import threadpool_limits
 
-from experiments.slayer_network import SlayerNetwork, SpikeResponse
 from models.architecture import parse
+from models.keras2 import quiet_compiler, tf
+from models.spiking import scan, weighted_sums
 from pipeline.data.events import Recordings
-from pipeline.paper import DURATION_S
+from pipeline.data.steps import spike_frames
 from pipeline.training.events import Checkpoint, train_epochs
+
+_compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
 
 
 @dataclass(frozen=True)
 class Slayer:
     """The recipe of a training with SLAYER (paper, Section 3.2.3).
 
+    What the paper does not state is as in the SLAYER authors' published example on N-MNIST, a
+    similar data set, except the batch size: theirs is 12.
+
     Attributes
     ----------
     architecture : str
-        Notation as for the CNN, with a channel for each polarity.
+        Notation as for the CNN, with a channel for each polarity.  Average pooling acts on the
+        spikes and has no neurons.
     bins : int
-        Time steps that a recording of two seconds is divided into; 10 ms each (paper).
+        Time steps that a recording is divided into; of two seconds, 10 ms each (paper).
     epochs : int
         Passes over the training samples.
     batch_size : int
-        Samples per training step.  Not given in the paper; the SLAYER authors' code has 12 for this
-        kind of network.
+        Samples per training step.
     learning_rate : float
-        Not given in the paper; like the optimiser, it is from the examples of the SLAYER authors.
+        Of Adam with the AMSGrad variant.
     true_count, false_count : float
         Desired spikes of the correct class's output neuron and of each other one (paper).
     tau_s, tau_r : float
-        Time constants in seconds of a neuron's response to a spike and of its refractory response.
-        Not given in the paper; the SLAYER authors' examples have 10 and 1 time steps.
-    conv_scale : float
-        Range of the initial weights of a convolution, in units of 1/sqrt(inputs): that of the
-        SLAYER authors' code, which the paper used unmodified.  10 gives a higher accuracy.
-    dense_scale : float
-        Range of the initial weights of the output layer, from the same code.
+        Time constants of the spike response and of the refractory response, in time steps.
+    scale_ref : float
+        Depth of the refractory response in units of the threshold.
+    theta : float
+        Threshold.
+    tau_rho : float
+        Width of the escape rate in units of the threshold.
+    scale_rho : float
+        Integral of the escape rate on either side of the threshold.
+    conv_scale, dense_scale : float
+        Range of the initial weights of convolutions and dense layers, in units of 1/sqrt(inputs).
+        A tenth of `conv_scale` gives a higher accuracy.
     """
 
     architecture: str = "10x10x2-6c2-24c3-10o"
@@ -51,15 +90,163 @@ class Slayer:
     learning_rate: float = 0.01
     true_count: float = 60.0
     false_count: float = 10.0
-    tau_s: float = 0.1
-    tau_r: float = 0.01
+    tau_s: float = 10.0
+    tau_r: float = 1.0
+    scale_ref: float = 2.0
+    theta: float = 10.0
+    tau_rho: float = 1.0
+    scale_rho: float = 1.0
     conv_scale: float = 100.0
     dense_scale: float = 10.0
 
 
-# In one thread: matrix products of a few steps take ten times as long in several threads on a busy
-# machine.
-_one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
+def _filter(tau):
+    """Decay per step, and factor of q, of a kernel of unit peak with a time constant in steps."""
+    return float(np.exp(-1 / tau)), float(np.e / tau)
+
+
+class SlayerNetwork:
+    """A network of convolutions and dense layers with spike response neurons.
+
+    Parameters
+    ----------
+    recipe : Slayer
+    seed : int
+        Seed of the initial weights, which are uniform.
+
+    Attributes
+    ----------
+    architecture : Architecture
+    kernels : list of tf.Variable
+        The kernel of each convolution, shape (k, k, input channels, filters), and of each dense
+        layer, shape (inputs, units), the output last.
+    """
+
+    def __init__(self, recipe: Slayer, seed: int = 0):
+        quiet_compiler()
+        self.recipe, self.architecture = recipe, parse(recipe.architecture)
+        rng, self.kernels = np.random.default_rng(seed), []
+        for name, shape in self.architecture.weight_shapes.items():
+            if name.endswith(".kernel"):
+                scale = recipe.conv_scale if len(shape) == 4 else recipe.dense_scale
+                reach = scale / np.sqrt(np.prod(shape[:-1]))
+                self.kernels.append(tf.Variable(rng.uniform(-reach, reach, shape).astype("f4")))
+
+    def layers(self, frames) -> list:
+        """Potentials and spikes of every layer with weights, in order.
+
+        Parameters
+        ----------
+        frames : tensor, shape (steps, samples, rows, columns, channels)
+            1 where there is an event in the step, 0 elsewhere; any type.
+
+        Returns
+        -------
+        list of (potential, spikes)
+            Each of shape (steps, samples, rows, columns, filters) or (steps, samples, units): u,
+            including the refractory response, and 1 or 0.
+        """
+        signal, layers, kernels = tf.cast(frames, tf.float32), [], iter(self.kernels)
+        for layer in self.architecture.layers:
+            if layer.kind == "pool":
+                signal = _pooled(signal, layer.size)
+            else:
+                layers.append(fire(weighted_sums(layer, next(kernels), signal), self.recipe))
+                signal = layers[-1][1]
+        return layers
+
+    def gradients(self, frames, desired) -> tuple:
+        """The spike count loss E = 1/2 sum over all t of e(t)^2, e(t) = (count - desired)/T.
+
+        Parameters
+        ----------
+        frames : tensor, shape (steps, samples, rows, columns, channels)
+            As in :meth:`layers`.
+        desired : tensor, shape (samples, outputs)
+            Desired spike counts.
+
+        Returns
+        -------
+        loss : tensor
+            Mean over the samples.
+        counts : tensor, shape (samples, outputs)
+        gradients : list of tensor
+            Of the loss with respect to each of `kernels`.
+        """
+        steps, samples = frames.shape[:2]
+        decay, gain = _filter(self.recipe.tau_s)
+        t = np.arange(steps)
+        # The correlation eps (x) 1 with the error, which is constant.
+        constant = np.cumsum(gain * t * decay**t)[::-1].astype(np.float32)[:, None, None]
+        with tf.GradientTape() as tape:
+            spikes = self.layers(frames)[-1][1]
+            counts = tf.reduce_sum(spikes, 0)
+            error = tf.stop_gradient(counts - desired) / steps
+            credited = tf.reduce_sum(constant * error * spikes) / samples
+        loss = 0.5 * steps * tf.reduce_sum(error**2) / samples
+        return loss, counts, tape.gradient(credited, self.kernels)
+
+
+def _pooled(signal, size):
+    """Means over windows that do not overlap, shape (steps, samples, rows, columns, channels)."""
+    frames = tf.reshape(signal, (-1, *signal.shape[2:]))
+    means = tf.nn.avg_pool2d(frames, size, size, "VALID")
+    return tf.reshape(means, (*signal.shape[:2], *means.shape[1:]))
+
+
+def fire(drive, recipe: Slayer) -> tuple:
+    """Potential and spikes of neurons, with SLAYER's gradient of the spikes.
+
+    Parameters
+    ----------
+    drive : tensor, shape (steps, ...)
+        Weighted sums W s of the spikes that arrive.
+    recipe : Slayer
+
+    Returns
+    -------
+    potential, spikes : tensor, shape (steps, ...)
+        u, and 1 or 0.
+    """
+
+    @tf.custom_gradient
+    def spiking(drive):
+        potential = _potential(tf.stop_gradient(drive), recipe)
+        spikes = tf.cast(potential >= recipe.theta, tf.float32)
+        return (potential, spikes), lambda _, error: _credit(error, potential, recipe)
+
+    return spiking(drive)
+
+
+@_compiled
+def _potential(drive, recipe):
+    (decay, gain), (after, back) = _filter(recipe.tau_s), _filter(recipe.tau_r)
+    back *= -recipe.scale_ref * recipe.theta
+
+    def step(t, state):
+        p, q, own_p, own_q = state
+        q, own_q = decay * (q + p), after * (own_q + own_p)
+        potential = gain * q + back * own_q
+        fired = tf.cast(potential >= recipe.theta, tf.float32)
+        return (decay * p + drive[t], q, after * own_p + fired, own_q), (potential,)
+
+    (potential,) = scan(step, drive, (tf.zeros_like(drive[0]),) * 4, 1)
+    return potential
+
+
+@_compiled
+def _credit(error, potential, recipe):
+    """The gradient eps (x) (rho . error) of the drive, for that of the spikes, eps (x) e."""
+    (decay, gain), tau = _filter(recipe.tau_s), recipe.tau_rho * recipe.theta
+    delta = error * recipe.scale_rho / tau * tf.exp(-tf.abs(potential - recipe.theta) / tau)
+
+    def step(t, state):
+        p, q = state
+        q = decay * (q + p)
+        return (decay * p + delta[t], q), (gain * q,)
+
+    (credit,) = scan(step, error, (tf.zeros_like(error[0]),) * 2, 1, backwards=True)
+    return credit
 
 
 @dataclass(frozen=True)
@@ -69,7 +256,7 @@ class TrainedSlayer:
     Attributes
     ----------
     kernels : list of ndarray
-        See :class:`experiments.slayer_network.SlayerNetwork`.
+        See :class:`SlayerNetwork`.
     history : list of dict
         One row per epoch: ``epoch``, ``loss``, ``accuracy`` (of the training samples during
         training), ``test_accuracy`` (for the history only), ``seconds``.
@@ -83,22 +270,14 @@ class TrainedSlayer:
 
 
 def train_slayer(
-    settings: Slayer,
-    frames,
-    labels,
-    train,
-    test,
-    seed: int,
-    checkpoint: Checkpoint | None = None,
-    advance=None,
-    duration_s: float = DURATION_S,
+    recipe: Slayer, frames, labels, train, test, seed: int, checkpoint=None, advance=None
 ) -> TrainedSlayer:
     """Train for all epochs, then evaluate the test samples.
 
     Parameters
     ----------
-    settings : Slayer
-    frames : ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
+    recipe : Slayer
+    frames : ndarray of uint8, shape (bins, n_samples, rows, columns, 2)
         See :func:`bin_events`.
     labels : ndarray of int, shape (n_samples,)
     train, test : ndarray of int
@@ -106,129 +285,61 @@ def train_slayer(
     seed : int
         Seed of the initial weights and of the order of the samples.
     checkpoint : Checkpoint, optional
-        File for the state after each epoch; an interrupted training resumes from it, with the same
-        result as without the interruption.  Its key must identify all arguments but the number of
-        epochs, which may differ.
+        File for the state after each epoch; an interrupted training resumes from it.  Its key must
+        identify all arguments but the number of epochs, which may differ.
     advance : callable, optional
         ``advance(1, note)`` after each epoch, including those of an earlier session.
-    duration_s : float
-        Length of a recording, which is divided into bins.
-
-    Returns
-    -------
-    TrainedSlayer
 
     Raises
     ------
     UserError
         The checkpoint is damaged.
     """
-    trainer = Trainer(settings, frames, labels, seed, duration_s)
+    network, size = SlayerNetwork(recipe, seed), recipe.batch_size
+    optimizer = tf.keras.optimizers.Adam(recipe.learning_rate, amsgrad=True)
+    optimizer.build(network.kernels)
+    wanted = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
+    desired = recipe.false_count + wanted * (recipe.true_count - recipe.false_count)
 
-    def watch():
-        right = trainer.count(test).argmax(1) == labels[test]
-        return {"test_accuracy": float(np.mean(right))}
+    @tf.function(autograph=False)
+    def update(frames, desired):
+        loss, counts, gradients = network.gradients(frames, desired)
+        optimizer.apply_gradients(zip(gradients, network.kernels, strict=True))
+        return loss, counts
 
-    history = train_epochs(
-        lambda epoch: trainer.epoch(train, epoch),
-        settings.epochs,
-        trainer.state,
-        checkpoint,
-        watch,
-        advance,
+    counted = tf.function(
+        lambda frames: tf.reduce_sum(network.layers(frames)[-1][1], 0), autograph=False
     )
-    return TrainedSlayer(trainer.network.kernels, history, trainer.count(test))
 
+    def count(indices):
+        some = np.array_split(indices, -(-len(indices) // size))
+        return np.concatenate([counted(tf.constant(frames[:, each])) for each in some])
 
-def spike_response(settings: Slayer, duration_s: float = DURATION_S) -> SpikeResponse:
-    """The neuron that the settings describe, in time steps of one bin."""
-    return SpikeResponse(duration_s / settings.bins, settings.tau_s, settings.tau_r)
-
-
-class Trainer:
-    """The network and the optimiser."""
-
-    def __init__(self, settings, frames, labels, seed, duration_s):
-        self.settings, self.seed, self.frames, self.labels = settings, seed, frames, labels
-        architecture = parse(settings.architecture)
-        neuron = spike_response(settings, duration_s)
-        scales = settings.conv_scale, settings.dense_scale
-        self.network = SlayerNetwork(architecture, neuron, seed, *scales)
-        self.optimizer = Adam(self.network.kernels, settings.learning_rate)
-        outputs = np.eye(architecture.outputs, dtype=np.float32)[labels]
-        self.desired = settings.false_count + outputs * (settings.true_count - settings.false_count)
-
-    @_one_thread
-    def epoch(self, train, epoch):
-        """Train for one epoch; returns the mean loss and the share of right answers."""
-        order = np.random.default_rng([self.seed, epoch, 0x51A]).permutation(train)
+    def train_for(epoch):
+        order = np.random.default_rng([seed, epoch, 0x51A]).permutation(train)
         loss, right = 0.0, 0
-        for start in range(0, len(order), self.settings.batch_size):
-            batch = order[start : start + self.settings.batch_size]
-            batch_loss, counts, gradients = self.network.gradients(
-                self.frames[batch], self.desired[batch]
-            )
-            self.optimizer.apply(gradients)
-            loss += batch_loss * len(batch)
-            right += int(np.sum(counts.argmax(1) == self.labels[batch]))
+        for start in range(0, len(order), size):
+            batch = order[start : start + size]
+            of_batch, counts = update(tf.constant(frames[:, batch]), desired[batch])
+            loss += float(of_batch) * len(batch)
+            right += int(np.sum(np.argmax(counts, 1) == labels[batch]))
         return {"loss": loss / len(order), "accuracy": right / len(order)}
 
-    @_one_thread
-    def count(self, indices):
-        """Spike counts of the outputs, shape (n, outputs)."""
-        return self.network.counts(self.frames[i] for i in indices)
+    def watch():
+        return {"test_accuracy": float(np.mean(count(test).argmax(1) == labels[test]))}
 
-    @property
-    def state(self):
-        """All arrays that the next epoch depends on, by name; they are changed in place."""
-        kernels = {f"kernel{i}": kernel for i, kernel in enumerate(self.network.kernels)}
-        return kernels | self.optimizer.state
-
-
-class Adam:
-    """Adam with the AMSGrad variant, as in Keras (Reddi, Kale and Kumar 2018, Algorithm 2).
-
-    Parameters
-    ----------
-    weights : list of ndarray of float32
-        Changed in place by :meth:`apply`.
-    learning_rate : float
-
-    Attributes
-    ----------
-    state : dict of str to ndarray
-        Its own arrays, by name, changed in place.
-    """
-
-    BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-7
-
-    def __init__(self, weights, learning_rate: float):
-        self.weights, self.learning_rate = weights, learning_rate
-        self.state = {"updates": np.zeros((), np.int64)}
-        for i, array in enumerate(weights):
-            for name in ("mean", "square", "largest"):
-                self.state[f"{name}{i}"] = np.zeros_like(array)
-
-    def apply(self, gradients):
-        """Update the weights with their gradients, a list of arrays of the same shapes."""
-        self.state["updates"] += 1
-        n = int(self.state["updates"])
-        rate = self.learning_rate * np.sqrt(1 - self.BETA_2**n) / (1 - self.BETA_1**n)
-        for i, (array, gradient) in enumerate(zip(self.weights, gradients, strict=True)):
-            mean, square, largest = (self.state[f"{k}{i}"] for k in ("mean", "square", "largest"))
-            mean += (gradient - mean) * np.float32(1 - self.BETA_1)
-            square += (gradient**2 - square) * np.float32(1 - self.BETA_2)
-            np.maximum(largest, square, out=largest)
-            array -= np.float32(rate) * mean / (np.sqrt(largest) + np.float32(self.EPSILON))
+    variables = (*network.kernels, *optimizer.variables)
+    state = {f"variable{i}": variable for i, variable in enumerate(variables)}
+    history = train_epochs(train_for, recipe.epochs, state, checkpoint, watch, advance)
+    return TrainedSlayer([k.numpy() for k in network.kernels], history, count(test))
 
 
 def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     """Frames that mark the events of each polarity in each bin (paper, Section 3.2.3).
 
     The bins divide a recording's duration evenly: of two seconds, 200 bins are 10 ms each.
-    Several events of one taxel and polarity in one bin count as one spike.  The result is therefore
-    the same whether or not the decoder's repeated columns were merged before.  Events
-    after the duration are left out.
+    Several events of one taxel and polarity in one bin count as one spike.  Events after the
+    duration are left out.
 
     Parameters
     ----------
@@ -237,25 +348,14 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
 
     Returns
     -------
-    ndarray of uint8, shape (n_samples, bins, rows, columns, 2)
-        1 or 0 for each sample, bin, row and column of the tactile image, and polarity: first ON,
-        then OFF, which is empty for a sensor that has only ON events.
+    ndarray of uint8, shape (bins, n_samples, rows, columns, 2)
+        1 or 0; polarities are first ON, then OFF.
     """
     events, taxels, sensor = recordings.events, recordings.taxels, recordings.sensor
-    shape = (len(recordings), bins, sensor.rows, sensor.columns, 2)
-    frames = np.zeros(shape, np.uint8)
-    duration_ns = sensor.duration_s * 1e9
-    time = (events.time_ns * bins / duration_ns).astype(np.int64)
-    inside = (time >= 0) & (time < bins)
-    taxel = events.taxel[inside]
-    frames[
-        recordings.sample_of_event[inside],
-        time[inside],
-        taxels.row[taxel],
-        taxels.column[taxel],
-        (events.polarity[inside] < 0).astype(np.int64),
-    ] = 1
-    return frames
+    step = events.time_ns * (bins / (sensor.duration_s * 1e9))
+    place = taxels.row[events.taxel], taxels.column[events.taxel], (events.polarity < 0).astype(int)
+    size = sensor.rows, sensor.columns
+    return spike_frames(recordings.sample_of_event, step, *place, len(recordings), bins, size)
 
 
 def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Path) -> tuple:
@@ -283,16 +383,14 @@ def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Pat
     size = f"{sensor.rows}x{sensor.columns}x2"
     architecture = "-".join([size, *layers, f"{len(sensor.classes)}o"])
     recipe = Slayer(architecture=architecture, conv_scale=conv_scale)
-    frames = bin_events(recordings, recipe.bins)
-    made_from = f"{recipe} {seed} {dataset.origin.key}"
+    key = hashlib.sha256(f"{recipe} {seed} {dataset.origin.key}".encode()).hexdigest()
     trained = train_slayer(
         recipe,
-        frames,
+        bin_events(recordings, recipe.bins),
         recordings.labels,
         dataset.split.train,
         index,
         seed,
-        Checkpoint(checkpoint, hashlib.sha256(made_from.encode()).hexdigest()),
-        duration_s=sensor.duration_s,
+        Checkpoint(checkpoint, key),
     )
     return trained.counts.argmax(1), trained.history

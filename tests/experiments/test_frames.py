@@ -24,13 +24,13 @@ def test_events_by_hand():
             [[1_999_999_999, 99, -1, 1]],
         )
     )
-    assert frames.shape == (2, 200, 10, 10, 2)
+    assert frames.shape == (200, 2, 10, 10, 2)
     assert frames.dtype == np.uint8
     assert [tuple(map(int, at)) for at in np.argwhere(frames)] == [
         (0, 0, 0, 0, 0),
         (0, 0, 7, 3, 1),  # taxel 37: row 37 % 10, column 37 // 10
-        (0, 1, 7, 3, 0),
-        (1, 199, 9, 9, 1),
+        (1, 0, 7, 3, 0),
+        (199, 1, 9, 9, 1),
     ]
 
 
