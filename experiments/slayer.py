@@ -249,29 +249,9 @@ def _credit(error, potential, recipe):
     return credit
 
 
-@dataclass(frozen=True)
-class TrainedSlayer:
-    """A network trained with SLAYER.
-
-    Attributes
-    ----------
-    kernels : list of ndarray
-        See :class:`SlayerNetwork`.
-    history : list of dict
-        One row per epoch: ``epoch``, ``loss``, ``accuracy`` (of the training samples during
-        training), ``test_accuracy`` (for the history only), ``seconds``.
-    counts : ndarray, shape (n_test, outputs)
-        Spike counts of the test samples after the last epoch; the largest is the prediction.
-    """
-
-    kernels: list
-    history: list
-    counts: np.ndarray
-
-
 def train_slayer(
     recipe: Slayer, frames, labels, train, test, seed: int, checkpoint=None, advance=None
-) -> TrainedSlayer:
+) -> tuple:
     """Train for all epochs, then evaluate the test samples.
 
     Parameters
@@ -289,6 +269,15 @@ def train_slayer(
         identify all arguments but the number of epochs, which may differ.
     advance : callable, optional
         ``advance(1, note)`` after each epoch, including those of an earlier session.
+
+    Returns
+    -------
+    network : SlayerNetwork
+    history : list of dict
+        One row per epoch: ``epoch``, ``loss``, ``accuracy`` (of the training samples during
+        training), ``test_accuracy`` (for the history only), ``seconds``.
+    counts : ndarray, shape (n_test, outputs)
+        Spike counts of the test samples after the last epoch; the largest is the prediction.
 
     Raises
     ------
@@ -331,7 +320,7 @@ def train_slayer(
     variables = (*network.kernels, *optimizer.variables)
     state = {f"variable{i}": variable for i, variable in enumerate(variables)}
     history = train_epochs(train_for, recipe.epochs, state, checkpoint, watch, advance)
-    return TrainedSlayer([k.numpy() for k in network.kernels], history, count(test))
+    return network, history, count(test)
 
 
 def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
@@ -376,7 +365,7 @@ def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Pat
     -------
     predictions : ndarray of int, shape (n,)
     history : list of dict
-        See :class:`TrainedSlayer`.
+        See :func:`train_slayer`.
     """
     recordings, sensor = dataset.recordings, dataset.recordings.sensor
     layers = Slayer().architecture.split("-")[1:-1]
@@ -384,13 +373,9 @@ def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Pat
     architecture = "-".join([size, *layers, f"{len(sensor.classes)}o"])
     recipe = Slayer(architecture=architecture, conv_scale=conv_scale)
     key = hashlib.sha256(f"{recipe} {seed} {dataset.origin.key}".encode()).hexdigest()
-    trained = train_slayer(
-        recipe,
-        bin_events(recordings, recipe.bins),
-        recordings.labels,
-        dataset.split.train,
-        index,
-        seed,
-        Checkpoint(checkpoint, key),
+    frames, labels = bin_events(recordings, recipe.bins), recordings.labels
+    kept = Checkpoint(checkpoint, key)
+    _, history, counts = train_slayer(
+        recipe, frames, labels, dataset.split.train, index, seed, kept
     )
-    return trained.counts.argmax(1), trained.history
+    return counts.argmax(1), history

@@ -114,6 +114,15 @@ def _chip(name, title, changes=None, **more):
     )  # fmt: skip
 
 
+def _on_events(trained, chip, **more):
+    """A network on events as trained, and on the emulated chip."""
+    title, more = "SNN on events", {"input": "events", **more}
+    return (
+        Line(trained, title, "trained", **more),
+        Line(chip, f"{title}, emulated Loihi, readout on host", "fast", **more),
+    )
+
+
 def _presented(name, stage, steps, rate=150.0, **sections):
     """The paper's network with choices that the paper leaves open."""
     title = f"{'NengoDL' if stage == 'spiking-lif' else 'emulated Loihi'}, {name}"
@@ -138,7 +147,6 @@ ARCHITECTURES = (
     *("10x10-12c4s3-48-10o", "10x10-6c4-16c3s2-10o"),
 )
 
-ON_EVENTS = {"input": "events"}
 # The networks on events have augmentation; this is the CNN with as much of it.
 CNN_AUGMENTED = Line(
     "cnn-augmented",
@@ -152,7 +160,7 @@ EXPERIMENTS = (
     Experiment(
         "table2",
         "The paper's Table 2",
-        "40 min; SLAYER 5 h, events 80 min",
+        "40 min; SLAYER 30 h, events 80 min",
         (
             Line("cnn", "CNN, the paper's recipe", "cnn"),
             Line("ann-snn", "ANN-SNN (NengoDL)", "spiking-lif", PAPER),
@@ -168,14 +176,7 @@ EXPERIMENTS = (
             CNN_AUGMENTED,
             Line("own-ann-snn", "ANN-SNN (NengoDL), own training", "spiking-lif", OWN),
             *_chip("own-loihi", "ANN-SNN, own training", OWN),
-            Line("events", "SNN on events", "trained", on_request=True, **ON_EVENTS),
-            Line(
-                "events-loihi",
-                "SNN on events, emulated Loihi, readout on host",
-                "fast",
-                on_request=True,
-                **ON_EVENTS,
-            ),
+            *_on_events("events", "events-loihi", on_request=True),
         ),
         (
             *(("ann-snn", "cnn"), ("loihi", "cnn"), ("loihi", "ann-snn"), ("slayer", "cnn")),
@@ -200,14 +201,7 @@ EXPERIMENTS = (
                 for n in (100, 50)
                 for line in _chip(f"chip-{n}", f"{n} steps", {"presentation": {"steps": n}})
             ),
-            Line("trained", "SNN on events", "trained", on_request=True, **ON_EVENTS),
-            Line(
-                "events-chip",
-                "SNN on events, emulated Loihi, readout on host",
-                "fast",
-                on_request=True,
-                **ON_EVENTS,
-            ),
+            *_on_events("trained", "events-chip", on_request=True),
         ),
         (
             *((name, "cnn-matched") for name in ("cnn", "rate-lif", "spiking-lif")),
@@ -229,7 +223,7 @@ EXPERIMENTS = (
         "The value of timing: networks trained and tested on reduced events",
         "20 min a seed",
         (
-            *(Line(n, text, "fast", alter=n, **ON_EVENTS) for n, text in VARIANTS.items()),
+            *(Line(n, text, "fast", alter=n, input="events") for n, text in VARIANTS.items()),
             CNN_AUGMENTED,
         ),
         tuple((name, "as-is") for name in (*VARIANTS, CNN_AUGMENTED.name) if name != "as-is"),
@@ -255,10 +249,7 @@ EXPERIMENTS = (
             Line("cnn", "CNN on images", "cnn"),
             Line("rate-lif", "rate-based LIF on images", "rate-lif"),
             Line("chip", "SNN on images, emulated Loihi, readout on host", "fast", OWN),
-            Line("trained", "SNN on events", "trained", **ON_EVENTS),
-            Line(
-                "events-chip", "SNN on events, emulated Loihi, readout on host", "fast", **ON_EVENTS
-            ),
+            *_on_events("trained", "events-chip"),
         ),
         (
             *(("chip", "rate-lif"), ("events-chip", "trained"), ("chip", "counts")),

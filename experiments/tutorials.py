@@ -49,10 +49,8 @@ def executed(notebook: dict, folder) -> tuple:
         for cell in notebook["cells"]:
             if cell["cell_type"] == "code":
                 count += 1
-                code, text = (
-                    compile("".join(cell["source"]), f"cell {count}", "exec"),
-                    io.StringIO(),
-                )
+                text = io.StringIO()
+                code = compile("".join(cell["source"]), f"cell {count}", "exec")
                 with contextlib.redirect_stdout(text):
                     exec(code, names)
                 outputs = []

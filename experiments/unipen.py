@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import open_regular
+from deploy.files import open_regular, reporting_os_errors
 from pipeline.skin.handwriting import Trace
 from pipeline.skin.shape_model import boxed
 
@@ -44,13 +44,9 @@ def read(path) -> tuple:
         follow its ``.SEGMENT``, or there is no digit.
     """
     path = Path(path)
-    try:
-        with open_regular(path, "r", encoding="utf-8", errors="replace") as file:
-            lines = file.read(MOST_TEXT).splitlines()
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot read ({error.strerror or error}); give a UNIPEN file"
-        ) from error
+    reporting = reporting_os_errors(path, "cannot read", "give a UNIPEN file")
+    with reporting, open_regular(path, "r", encoding="utf-8", errors="replace") as file:
+        lines = file.read(MOST_TEXT).splitlines()
     traces, segment, strokes, pen_down = [], None, [], False
     begin, x_y = 1, (0, 1)  # line of the segment, places of x and y
 

@@ -33,17 +33,14 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
     lasts_ns : float
         Duration of each recording, see :func:`only_counts`.
     """
-    if variant == "no-polarity":
-        return without_polarity(recordings)
-    if variant == "even":
-        return even(recordings)
-    if variant == "shuffled":
-        return shuffled(recordings, seed)
-    if variant == "counts":
-        return only_counts(recordings, lasts_ns)
-    if variant == "as-is":
-        return recordings
-    raise ValueError(f"no variant {variant!r}")
+    made = {
+        "as-is": lambda: recordings,
+        "no-polarity": lambda: without_polarity(recordings),
+        "even": lambda: even(recordings),
+        "shuffled": lambda: shuffled(recordings, seed),
+        "counts": lambda: only_counts(recordings, lasts_ns),
+    }
+    return made[variant]()
 
 
 def varied(dataset: Dataset, variant: str, seed: int) -> Dataset:
