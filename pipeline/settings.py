@@ -175,7 +175,8 @@ class SplitShares(Section):
     #: samples; ``auto``, the published one if there is one, otherwise random.
     kind: Annotated[str, one_of("auto", "random", "published", "writers")] = "auto"
 
-    #: Share of all samples that is used for testing (paper: 80-20 splits).
+    #: Share of all samples that is used for testing (paper: 80-20 splits); not of a published
+    #: split, which has its own.
     test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
     #: Share of the training samples that is held out for choosing settings.
     validation_fraction: Annotated[float, FROM_0_BELOW_1] = 0.0

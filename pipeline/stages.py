@@ -275,6 +275,7 @@ def convert(opened: Opened) -> Bundle:
         **({"time_unit": source.time_unit} if source.time_unit else {}),
         **_of_the_sensor(view, dataset.recordings.taxels),
         **_trained_on(dataset),
+        "in_both_parts": dataset.split.kind == PUBLISHED and len(in_both_parts(dataset.recordings)),
     }
     spec = seen.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)

@@ -29,7 +29,7 @@ def test_the_runs_folder_holds_what_the_contract_names(tiny_run):
 def test_the_data_are_called_simulated_everywhere(tiny_run):
     dataset = read_json(tiny_run / "dataset.json", "")
     assert dataset["simulated"] is True
-    assert (dataset["samples"], dataset["samples_per_digit"]) == (600, [60] * 10)
+    assert (dataset["samples"], {*dataset["samples_per_class"].values()}) == (600, {60})
     assert len(dataset["sha256"]) == 64
     assert read_bundle(tiny_run / "bundle").spec.provenance["simulated"] is True
     for stage in STAGES:
@@ -109,7 +109,7 @@ def test_real_data_are_not_called_simulated(tmp_path, capsys):
     assert call("data", "import", tmp_path / "st.zip", "--json", "--jobs", 1) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["simulated"] is False
-    assert (facts["samples"], facts["samples_per_digit"]) == (30, [3] * 10)
+    assert (facts["samples"], {*facts["samples_per_class"].values()}) == (30, {3})
 
 
 def test_inspecting_the_real_recording(real_recording, capsys):

@@ -45,6 +45,14 @@ def test_the_ladder_has_the_user_s_classes_and_as_many_samples_as_there_are(fold
     assert spec.input_shape == (9, 12, 1 if kind == "image" else 2)
 
 
+def test_the_accuracy_of_training_is_that_of_the_ladder(folder):
+    """Both wait for the last spikes as long as the chip, and the check has all test samples."""
+    metrics = read_json(folder / "events" / "snn" / "metrics.json", "")
+    rows = read_json(folder / "events" / "ladder.json", "")["rows"]
+    accuracy = {row["stage"]: row["accuracy"] for row in rows}
+    assert metrics["accuracy"]["test"] == accuracy["trained"]
+
+
 def test_few_recordings_choose_no_early_decision(folder):
     presentation = read_bundle(folder / "events" / "bundle").spec.presentation
     assert presentation.confidence == 1

@@ -188,7 +188,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
 def estimate_text(value: EnergyEstimate) -> str:
     """Format an estimate as a table and a few lines."""
     heads = ["layer", "where", "synaptic operations", "neuron updates", "Loihi"]
-    rows = [[*heads, "CNN CPU", "CNN GPU"]]
+    rows = [[*heads, "dense CPU", "dense GPU"]]
     for layer in (*value.layers, value):
         total = layer is value
         rows.append(
@@ -208,8 +208,8 @@ def estimate_text(value: EnergyEstimate) -> str:
         f"{1 - value.share_of_updates:.0%} synaptic operations",
         "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ",
         "  (Davies et al. 2018: simulations of the circuits before the chip was made)",
-        "CNN: (multiply-accumulates + neurons) x 8.6 nJ on a CPU, 0.3 nJ on a GPU",
-        "  (Degnan et al. 2016)",
+        "dense: the same network without spikes, (multiply-accumulates + neurons) x 8.6 nJ",
+        "  on a CPU, 0.3 nJ on a GPU (Degnan et al. 2016)",
     ]
     if not all(layer.on_chip for layer in value.layers):
         lines.append("*: computed on the host, estimated as if it were on the chip")

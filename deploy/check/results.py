@@ -133,7 +133,7 @@ def _while_written(bundle, decisions, labels, samples) -> dict:
     return {"while_written": value}
 
 
-def read_result(path, remedy="run 'stmnist check run' again") -> dict:
+def read_result(path, remedy="run the check again") -> dict:
     """Read and validate a result.
 
     Parameters

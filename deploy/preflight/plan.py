@@ -299,10 +299,11 @@ def plan_text(plan: Plan) -> str:
         rows.append(cells)
     lines = in_blocks(rows, left=3)
     lines.append(
-        f"{len(plan.cores)} cores on {plan.chips} chip(s); percentages of a core's limits; "
-        "'at': chip.core;\n'pop': type of the input axons; 'input', 'current': the worst case for\n"
-        "these weights, relative to where integers wrap around; 'threshold': relative to\n"
-        "the highest voltage"
+        f"{len(plan.cores)} cores on {plan.chips} chip(s); percentages of a core's limits;\n"
+        "'at': chip.core; 'pop': type of the input axons; a compartment is a neuron, an axon\n"
+        "a spike's way in or out, an AxonCfg register the place of a way out; 'input',\n"
+        "'current': the worst case for these weights, relative to where integers wrap\n"
+        "around; 'threshold': relative to the highest voltage"
     )
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]

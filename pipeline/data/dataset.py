@@ -14,7 +14,7 @@ from pipeline.artifacts import Origin
 from pipeline.data.events import Recordings
 from pipeline.data.images import tactile_images
 from pipeline.data.library import recordings_of
-from pipeline.data.splits import Split, split_of, split_problem
+from pipeline.data.splits import PUBLISHED, Split, split_of, split_problem
 from pipeline.data.steps import EventTable
 from pipeline.settings import SIMULATED, Image, Settings
 
@@ -23,9 +23,6 @@ AT_ONCE = 500
 
 # Share of merged events above which a warning is printed.
 MOST_LOST = 0.1
-
-# Settings that a split depends on.
-SPLIT_READS = ("seed", "split")
 
 # Entry of a bundle's provenance with the hashes of the recordings that it was made with.
 TRAINED_ON = "training_recordings"
@@ -134,7 +131,9 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     kind : str
         Kind of the split, see :class:`pipeline.data.splits.Split`.
     """
-    reads = [*SPLIT_READS, "data.skip_bad", "skin"]
+    reads = ["seed", "split.kind", "split.validation_fraction", "data.skip_bad", "skin"]
+    if kind != PUBLISHED:
+        reads.append("split.test_fraction")
     if settings.data.source == SIMULATED:
         reads += ["data.simulation_seed", "data.samples_per_digit"]
     else:

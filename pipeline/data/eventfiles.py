@@ -14,6 +14,7 @@ can have.
 """
 
 import io
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterable, Sequence
@@ -261,6 +262,9 @@ def _camera(content, suffix):
     return replace(recording, size=(int(rows), int(columns)))
 
 
+_BOOLEAN = re.compile(r"\b(true|false)\b", re.IGNORECASE)
+
+
 def _csv(content):
     """Columns by the names in the first line, or four columns of numbers."""
     try:
@@ -270,6 +274,7 @@ def _csv(content):
     first = text.lstrip().partition("\n")[0]
     separator = next((mark for mark in ",;\t" if mark in first), None)
     words = [word.strip().strip('"').lower() for word in first.split(separator)]
+    text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
     known = {name for names in NAMES.values() for name in names}
     has_names = any(word in known for word in words)
     try:

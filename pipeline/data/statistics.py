@@ -10,20 +10,17 @@ from deploy.files import open_regular, reporting_os_errors
 from deploy.tables import in_blocks, shortened_apart
 from deploy.terminal import printable
 from pipeline.data.eventfiles import UNITS, EventRecording
-from pipeline.data.events import DIGITS, TICK_NS, Recordings, Sensor, is_written
+from pipeline.data.events import TICK_NS, Recordings, Sensor, is_written
 from pipeline.data.matfile import LATEST_S, BadRecording, read_limited
 from pipeline.data.sensor import UNIT_NAMES, recognised, to_ns
 from pipeline.data.source import read_file
 
 
 def facts_of(recordings: Recordings) -> dict:
-    """The source, the sensor and the number of recordings of each class, as plain values.
-
-    If the classes are the digits, these are also in a separate list.
-    """
+    """The source, the sensor and the number of recordings of each class, as plain values."""
     source, sensor = recordings.source, recordings.sensor
     counts = np.bincount(recordings.labels, minlength=len(sensor.classes)).tolist()
-    facts = {
+    return {
         "source": source.name,
         "sha256": source.sha256,
         "simulated": source.simulated,
@@ -39,7 +36,6 @@ def facts_of(recordings: Recordings) -> dict:
             "duration_s": sensor.duration_s,
         },
     }
-    return {**facts, "samples_per_digit": counts} if sensor.classes == DIGITS else facts
 
 
 def facts_with_events(recordings: Recordings) -> dict:
@@ -83,10 +79,8 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         kind = "recordings, written by hand on the simulated skin,"
-    of_each = facts.get("samples_per_digit") or _of_classes(facts["samples_per_class"])
-    of_what = "digit" if "samples_per_digit" in facts else "class"
-    source = printable(facts["source"])
-    text = f"{facts['samples']} {kind} in {source}; of each {of_what}: {of_each}\n"
+    of_each, source = _of_classes(facts["samples_per_class"]), printable(facts["source"])
+    text = f"{facts['samples']} {kind} in {source}; of each class: {of_each}\n"
     if facts["columns"] == facts["events"]:
         text += f"{facts['events']} events"
     else:

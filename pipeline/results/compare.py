@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.check.bundle import read_bundle
-from deploy.check.intervals import fisher, mcnemar, wilson_interval
+from deploy.check.intervals import fisher, mcnemar
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
@@ -20,7 +20,8 @@ from pipeline.data.dataset import classes_of
 from pipeline.data.events import is_written
 from pipeline.paper import CNN_MACS
 from pipeline.results.status import outdated, remedy_text, status_of
-from pipeline.roads import REFERENCES
+from pipeline.roads import REFERENCES, road_of
+from pipeline.roads.road import FROM_ELSEWHERE
 from pipeline.run import RunFolder
 from pipeline.settings import Settings, read_settings
 from pipeline.stages import settings_read
@@ -164,7 +165,11 @@ def _different_settings(runs):
     contents = {run.spec.provenance.get("source_sha256") for run in runs}
     if len(contents) > 1:  # not the same recordings in another place
         different.append({"name": "data.source", "values": [r.settings.data.source for r in runs]})
-    for name in names:
+    imported = [road_of(run.settings).imported for run in runs]
+    if len({one and one.sha256 for one in imported}) > 1:
+        files = [one.file if one else "training" for one in imported]
+        different.append({"name": "network from", "values": files})
+    for name in (name for name in names if name not in FROM_ELSEWHERE):
         values = [settings.get(name) for settings in read]
         if len({repr(value) for value in values if value is not None}) > 1:
             different.append({"name": name, "values": values})
@@ -222,11 +227,7 @@ def _stage(stage, runs):
 
 
 def _accuracy(result):
-    return result and {
-        "n_samples": result["n_samples"],
-        "accuracy": result["accuracy"],
-        "accuracy_ci95": list(wilson_interval(_right(result), result["n_samples"])),
-    }
+    return result and {name: result[name] for name in ("n_samples", "accuracy", "accuracy_ci95")}
 
 
 def _right(result):
@@ -373,7 +374,7 @@ def _inference_lines(runs, letters):
         row("synaptic operations", "synaptic_operations", "{:,.0f}"),
         row("times the CNN's", "operations_per_mac", "{:.2f}"),
         row("steps of presentation", "steps"),
-        row("answer stable after step", "stable_after_median", "{:g}"),
+        ["answer stable after", *map(_stable_text, runs)],
         row("early decision after", "share", "{:.0%} of recording", early),
         row("its accuracy", "accuracy", "{:.3f}", early),
     ]
@@ -381,9 +382,14 @@ def _inference_lines(runs, letters):
     if any(run["operations_per_mac"] is not None for run in runs):
         lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
     if any(run["stable_after_median"] is not None for run in runs):
-        lines.append("answer stable after: median step after which the answer did not change;")
+        lines.append("answer stable after: median time after which the answer did not change;")
         lines.append("known only in hindsight")
     return lines
+
+
+def _stable_text(run):
+    after = run["stable_after_median"]
+    return "" if after is None else f"{after * run['step_ms']:g} ms"
 
 
 def _fitted(rows):

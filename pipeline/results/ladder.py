@@ -164,6 +164,7 @@ def ladder_json(results, layers=None, classes=None) -> dict:
         "classes": list(classes),
         "rows": ladder_rows(results),
         "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
+        "against_reference": _against(reference, results[-1]),
         "against_counts": _against(by_stage.get("counts"), results[-1]),
         "while_written": results[-1].get("while_written"),
         "layers": layers,
@@ -172,11 +173,11 @@ def ladder_json(results, layers=None, classes=None) -> dict:
     }
 
 
-def _against(counts, last):
-    """Comparison of the last stage with the classifier of event counts; None without it."""
-    if counts is None or counts is last:
+def _against(other, last):
+    """Comparison of the last stage with another; None without that."""
+    if other is None or other is last:
         return None
-    compared = compare_results(counts, last)
+    compared = compare_results(other, last)
     return {"difference": 0.0 - compared.accuracy_drop, "mcnemar_p": compared.p_value}
 
 
@@ -252,17 +253,14 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
         table.append(cells)
     by_stage, last = {row["stage"]: row for row in ladder["rows"]}, ladder["rows"][-1]
     first = by_stage[compared_with(by_stage)]
-    lines = [
-        f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
-        *aligned(table),
-        f"from {first['stage']} to {last['stage']}: "
-        + points_text(100 * (last["accuracy"] - first["accuracy"])),
-    ]
-    if (simplest := ladder.get("against_counts")) is not None:
-        lines.append(
-            f"from counts to {last['stage']}: {points_text(100 * simplest['difference'])}, "
-            f"p {p_text(simplest['mcnemar_p'])}"
-        )
+    lines = [f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage", *aligned(table)]
+    compared = {first["stage"]: ladder["against_reference"]}
+    compared["counts"] = simplest = ladder["against_counts"]
+    for stage, against in compared.items():
+        if against is not None:
+            change = points_text(100 * against["difference"])
+            p_value = p_text(against["mcnemar_p"])
+            lines.append(f"from {stage} to {last['stage']}: {change}, p {p_value}")
     if any(cells[-1] for cells in table):
         lines.append(f"*: p below {SIGNIFICANCE:g}, uncorrected for several tests")
     for stage in (row["stage"] for row in ladder["rows"]):

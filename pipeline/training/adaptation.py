@@ -543,7 +543,7 @@ def text_of(adapted: Adapted, place) -> str:
     chosen = f" (best of {len(PULLS) * len(REHEARSALS)} settings, so optimistic)"
     for who, before, after in (
         (f"this person, cross-validated{chosen}", fit.before, fit.after),
-        ("the bundle's own check", adapted.others_before, adapted.others_after),
+        ("the bundle's check, each sample from rest", adapted.others_before, adapted.others_after),
     ):
         if len(before):
             lines.append(f"{who}: {_share(before)} before, {_share(after)} after")

@@ -212,8 +212,8 @@ class TrainedOnEvents:
         )
 
     def logits(self, frames) -> np.ndarray:
-        """Outputs at the last step, shape (n_samples, classes)."""
-        return self.answers(frames).outputs[:, -1]
+        """Outputs at the last step, delayed as on the chip, shape (n_samples, classes)."""
+        return arriving(self.answers(frames).outputs, self.recipe)[:, -1]
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,8 @@ class Reading(NamedTuple):
     lost : float
         Share of the events that are merged in a step or ignored in the refractory period.
     accuracy, complete : float
-        Cross-validated accuracy of the linear classifier with this refractory period, and without
-        any, on average over all numbers of parts.
+        Cross-validated accuracy of the linear classifier with this number of parts, with the
+        refractory period and without any.
     """
 
     refractory: int
@@ -80,7 +80,7 @@ class Reading(NamedTuple):
         return (
             f"refractory period of {self.refractory * step_ms:g} ms and readout weights for {how} "
             f"of a recording: {self.lost:.0%} of the events are merged or ignored; a linear "
-            f"classifier, cross-validated on the training samples, has {self.accuracy:.3f} "
+            f"classifier of what is left, cross-validated in training, has {self.accuracy:.3f} "
             f"(without the period {self.complete:.3f})"
         )
 
@@ -151,7 +151,8 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
         share = accuracy[refractory, chosen]
         if accuracy[refractory, parts] > share + math.sqrt(share * (1 - share) / len(some)):
             chosen = parts
-    return Reading(refractory, chosen, table.lost(step_ms, refractory), mean[refractory], mean[0])
+    lost = table.lost(step_ms, refractory)
+    return Reading(refractory, chosen, lost, accuracy[refractory, chosen], accuracy[0, chosen])
 
 
 def _spikes(table, indices, step_ms, steps, refractory):

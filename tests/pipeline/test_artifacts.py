@@ -108,6 +108,12 @@ def test_no_path_is_part_of_an_origin():
     assert one == two
 
 
+def test_a_published_split_does_not_depend_on_a_share():
+    one, two = SETTINGS, changed("split.test_fraction", 0.4)
+    assert dataset_origin(one, "ab", "published") == dataset_origin(two, "ab", "published")
+    assert dataset_origin(one, "ab") != dataset_origin(two, "ab")
+
+
 def test_variants_lie_side_by_side(tmp_path):
     library = Library(tmp_path)
     one, two = (Origin.of(changed("cnn.epochs", n), ["cnn"]) for n in (1, 2))

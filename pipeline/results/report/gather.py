@@ -54,25 +54,21 @@ def gather(folder: RunFolder) -> Inputs:
     chosen = choose_samples(results[-1])
     with progress("replay samples", len(chosen)) as advance:
         replays = replay(bundle, chosen, settings.seed, advance)
-    titles = {}
+    titles, metrics, histories = {}, {}, {}
     for reference in road.references.values():
         titles.setdefault(folder.folder(road.part(reference.part).folder), reference.title)
-    files = {title: path for path, title in titles.items()}
+    for path, title in titles.items():
+        if (path / "metrics.json").exists():
+            metrics[title] = _test_accuracy(path / "metrics.json")
+        if (path / "history.csv").exists():
+            histories[title] = read_history(path / "history.csv")
     return Inputs(
         name=str(folder.path),
         settings=settings,
         bundle=bundle,
         results=results,
-        metrics={
-            title: _test_accuracy(path / "metrics.json")
-            for title, path in files.items()
-            if (path / "metrics.json").exists()
-        },
-        histories={
-            title: read_history(path / "history.csv")
-            for title, path in files.items()
-            if (path / "history.csv").exists()
-        },
+        metrics=metrics,
+        histories=histories,
         plan=make_plan(bundle.spec, MANY_CHIPS).to_json(),
         replays=replays,
         outdated=outdated(status_of(folder)),

@@ -110,6 +110,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         source=provenance["source"],
         source_sha256=provenance["source_sha256"],
         simulated=provenance["simulated"],
+        in_both_parts=provenance.get("in_both_parts"),
         settings=_settings(inputs),
         seed=inputs.settings.seed,
         classes=inputs.classes,

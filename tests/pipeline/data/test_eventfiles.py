@@ -50,6 +50,7 @@ FILES = {
     "columns first.npy": npy(np.asfortranarray(np.stack([X, Y, T, P], 1))),
     "lines.csv": CSV.encode(),
     "named.csv": NAMED_CSV.encode(),
+    "truth values.csv": NAMED_CSV.replace(";1;", ";True;").replace(";0;", ";false;").encode(),
 }
 
 

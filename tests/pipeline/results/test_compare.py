@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from deploy.check.intervals import fisher
+from deploy.check.intervals import fisher, wilson_interval
 from deploy.errors import UserError
 from pipeline.data.dataset import dataset_origin
 from pipeline.results import compare
@@ -26,6 +26,7 @@ def result(stage, predictions, labels=LABELS, ids=None, operations=None, **more)
         "target": stage,
         "n_samples": len(labels),
         "accuracy": right / len(labels),
+        "accuracy_ci95": list(wilson_interval(right, len(labels))),
         "samples": [
             {"id": name, "label": label, "prediction": prediction}
             for name, label, prediction in zip(ids, labels, predictions, strict=True)
@@ -105,6 +106,14 @@ def test_settings_that_differ_and_no_others():
     ]
     assert compare_runs([a, a])["settings"] == []
     assert "seed" not in runs_text(compare_runs([a, a]))
+
+
+def test_where_a_network_comes_from():
+    graph = {"nir": {"file": "graph.nir", "sha256": "a" * 64}, "input": {"kind": "events"}}
+    runs = [run("a", [result("fast", ALL)]), run("b", [result("fast", ALL)], changes=graph)]
+    values = {row["name"]: row["values"] for row in compare_runs(runs)["settings"]}
+    assert values["network from"] == ["training", "graph.nir"]
+    assert "nir.sha256" not in values
 
 
 def test_what_an_inference_takes_by_hand(monkeypatch):
