@@ -87,19 +87,15 @@ def replacing(path, mode="wb"):
             with os.fdopen(handle, mode, **options) as file:
                 yield file
                 file.flush()
-                os.fchmod(handle, 0o666 & ~_umask())  # mkstemp's files are for their owner only
+                mask = os.umask(0)
+                os.umask(mask)
+                os.fchmod(handle, 0o666 & ~mask)  # mkstemp's files are for their owner only
             os.replace(temporary, str(path))
             temporary = None
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
-
-
-def _umask():
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def remove_leftovers(folder):

@@ -160,7 +160,7 @@ EXPERIMENTS = (
     Experiment(
         "table2",
         "The paper's Table 2",
-        "40 min; SLAYER 30 h, events 80 min",
+        "40 min; SLAYER 20 h, events 80 min",
         (
             Line("cnn", "CNN, the paper's recipe", "cnn"),
             Line("ann-snn", "ANN-SNN (NengoDL)", "spiking-lif", PAPER),

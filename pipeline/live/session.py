@@ -272,9 +272,8 @@ class Session:
             "recording": recording.number,
             "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
             "seconds": (recording.curve.seconds - START_S).round(4).tolist(),
-            "chances": base64.b64encode(
-                np.rint(255 * recording.curve.shares).astype(np.uint8).tobytes()
-            ).decode(),
+            "chances": _bytes(recording.curve.shares),
+            "sure": _bytes(recording.curve.values),
         }
 
     def _pen(self, message):
@@ -418,7 +417,7 @@ def problem(text: str) -> dict:
 def _answer(recording, events, said: Answer):
     recording.spikes, recording.curve = said.spikes, said.curve
     verdict, shares = recording.verdict, said.shares
-    if verdict is not None and not verdict.early:
+    if verdict is not None:
         shares = said.curve.shares_at(verdict.seconds)
     return {
         "type": "answer",
@@ -430,6 +429,11 @@ def _answer(recording, events, said: Answer):
         "shares": shares.round(4).tolist(),
         "verdict": verdict and {**verdict._asdict(), "seconds": verdict.seconds - START_S},
     }
+
+
+def _bytes(shares):
+    """Shares from 0 to 1, a byte each."""
+    return base64.b64encode(np.rint(255 * shares).astype(np.uint8).tobytes()).decode()
 
 
 def _number(message, name):

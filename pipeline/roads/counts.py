@@ -166,7 +166,7 @@ def _respond(stage, opened, bundle, advance):
 PART = Part("counts", "counts", ("metrics.json", SCORES), (), _fit, action="fitting")
 
 REFERENCE = Reference(
-    "Event counts",
+    "Logistic regression on event counts",
     "logistic regression on the numbers of events in up to eight slices of time",
     "counts",
     _respond,

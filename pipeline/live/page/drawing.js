@@ -40,6 +40,7 @@ export function setSensor(sensor) {
 }
 const row = (taxel) => taxel % rows;
 const column = (taxel) => Math.floor(taxel / rows);
+const rowByRow = (taxel) => row(taxel) * columns + column(taxel); // the order of the network's input
 const DOTS = 4096; // maximum number of taxels that are drawn at rest; more would not be visible
 
 // Returns whether the drawing still changes.
@@ -129,13 +130,14 @@ function fillDots(context, counts, place, radius) {
 
 const SPANS = [0.1, 0.2, 0.5, 1, 2, 4, 10, 20, 60]; // lengths of a time axis in seconds
 const spanOf = (seconds) => SPANS.find((span) => seconds <= span * 1.001) ?? seconds;
-const [LEFT, RIGHT, BELOW, ABOVE, GAP] = [10, 90, 22, 17, 6];
+const [LEFT, BELOW, ABOVE, GAP] = [10, 36, 17, 5];
 const LINES = ["--s1", "--s2", "--s3", "--s4"];
+const FONT = "12px system-ui, sans-serif";
 
 // Everything on one time axis: events of the sensor, spikes of each layer, belief in the likeliest
 // classes; the end of what the network receives, and the decision as a line.
 // race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, usualS, seconds, chances,
-//         classes, verdict }
+//         sure, threshold, classes, verdict }
 // A network on images is presented the image so far again and again: its spikes have an axis of their own.
 export function drawRace(canvas, race) {
   const { context, width, height } = fitted(canvas);
@@ -143,7 +145,11 @@ export function drawRace(canvas, race) {
   const start = race.events.s[0] ?? 0; // the network's time begins with the first event
   const window = onEvents ? start + race.windowS : Infinity;
   const end = onEvents ? Math.max(start + race.usualS, race.time) : spanOf(Math.max(race.time, 1));
-  const x = (seconds) => LEFT + (seconds / end) * (width - LEFT - RIGHT);
+  context.font = FONT;
+  const names = race.classes.map((name) => context.measureText(name.slice(0, 12)).width);
+  const right = Math.max(...names, context.measureText("sure").width) + 14;
+  const lane = width - LEFT - right;
+  const x = (seconds) => LEFT + (seconds / end) * lane;
   const parts = ["touch", ...race.layers, "belief"];
   const free = height - BELOW - parts.length * (ABOVE + GAP);
   const weights = parts.map((part) => (part === "belief" ? 1.6 : 1));
@@ -153,18 +159,29 @@ export function drawRace(canvas, race) {
     const [y, high] = [top + ABOVE, unit * weights[i]];
     top = y + high + GAP;
     context.fillStyle = colour("--paper");
-    context.fillRect(LEFT, y, width - LEFT - RIGHT, high);
+    context.fillRect(LEFT, y, lane, high);
+    context.save();
+    context.beginPath();
+    context.rect(LEFT, top - high - ABOVE - GAP, lane, high + ABOVE + 1); // recordings may last longer than the axis
+    context.clip();
     if (part === "touch") drawEvents(context, race, x, y, high);
-    else if (part === "belief") drawBelief(context, race, x, y, high, width);
-    else drawSpikes(context, part, race, onEvents ? x : null, y, high, width);
+    else if (part === "belief") drawBelief(context, race, x, y, high, lane);
+    else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
+    if (race.verdict?.early) { // what comes after the decision does not count
+      context.fillStyle = colour("--panel");
+      context.globalAlpha = 0.6;
+      context.fillRect(x(race.verdict.seconds), y, lane, high);
+    }
+    context.restore();
+    if (part === "belief") nameCurves(context, race, LEFT + lane + 6, y);
   });
   const bottom = top - GAP;
-  context.font = "12px system-ui, sans-serif";
+  context.font = FONT;
   const mark = spanOf(end) / 4;
   for (let tick = 0; tick <= end * 1.001; tick += mark) {
     context.fillStyle = colour("--soft");
     context.textAlign = tick === 0 ? "left" : "center";
-    context.fillText(`${+tick.toFixed(3)} s`, x(tick), height - 6);
+    context.fillText(`${+tick.toFixed(3)} s`, x(tick), bottom + 16);
     context.fillStyle = colour("--line");
     context.fillRect(x(tick), bottom, 1, 4);
   }
@@ -176,15 +193,16 @@ export function drawRace(canvas, race) {
   }
   if (race.verdict) {
     const at = x(Math.min(race.verdict.seconds, end));
-    context.fillStyle = colour(race.verdict.early ? "--wrong" : "--ink");
-    context.fillRect(at - 1, ABOVE, 2, bottom - ABOVE);
+    const { early, seconds } = race.verdict;
+    context.fillStyle = colour(early ? "--wrong" : "--ink");
+    context.fillRect(at - 1, ABOVE, 2, bottom - ABOVE + 20);
     context.textAlign = at > width / 2 ? "right" : "left";
-    context.fillText(race.verdict.early ? "decided" : "end", at + (at > width / 2 ? -5 : 5), bottom - 6);
+    context.fillText(`${early ? "decided after" : "end,"} ${seconds.toFixed(2)} s`, at, height - 4);
   }
 }
 
 function caption(context, text, y) {
-  context.font = "12px system-ui, sans-serif";
+  context.font = FONT;
   context.fillStyle = colour("--soft");
   context.textAlign = "left";
   context.fillText(text, LEFT, y - 5);
@@ -192,22 +210,22 @@ function caption(context, text, y) {
 
 function drawEvents(context, { events }, x, y, high) {
   const taxels = rows * columns;
-  caption(context, `the touch: ${taxels} taxels, ${events.s.length} events`, y);
+  caption(context, `the touch: ${taxels} taxels row by row, ${events.s.length} events`, y);
   const tall = Math.max(high / taxels, 1.5);
   for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
     context.fillStyle = colour(name);
     for (let i = 0; i < events.s.length; i++)
       if (events.polarity[i] === polarity)
-        context.fillRect(x(events.s[i]), y + ((events.taxel[i] + 0.5) * high) / taxels, 2, tall);
+        context.fillRect(x(events.s[i]), y + ((rowByRow(events.taxel[i]) + 0.5) * high) / taxels, 2, tall);
   }
 }
 
 // packed: spikes of each step, eight neurons per byte; x is null where the steps have an axis of their own.
-function drawSpikes(context, { name, neurons, packed }, race, x, y, high, width) {
+function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) {
   const { steps, firstStep, windowS, events } = race;
   const shownSteps = steps + firstStep; // firstStep is negative: the network rests before the presentation
   const place = (step) => x === null
-    ? LEFT + ((step - firstStep) / steps) * (width - LEFT - RIGHT)
+    ? LEFT + ((step - firstStep) / steps) * lane
     : x((events.s[0] ?? 0) + (step / shownSteps) * windowS);
   const tall = Math.max(high / neurons, 1.5);
   const bytes = packed.length / steps;
@@ -225,22 +243,44 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, width)
         }
     }
   const axis = x === null ? ", while the image is presented" : "";
-  caption(context, `${name}: ${neurons} ${name === "input" ? "lines" : "neurons"}, ${spikes} spikes${axis}`, y);
+  const unit = name === "input" ? "lines" : "neurons";
+  caption(context, `${name}: ${neurons} ${unit}, ${spikes} spikes${axis}`, y);
 }
 
-function drawBelief(context, { seconds, chances, classes }, x, y, high, width) {
-  caption(context, "belief: softmax of the outputs, 0 to 1", y);
-  const n = classes.length;
+// The decided class, or else the likeliest, and the likeliest others.
+function curvesOf({ seconds, chances, classes, verdict }) {
+  const last = (seconds.length - 1) * classes.length;
+  const rank = (label) => (label === verdict?.label ? 256 : chances[last + label]);
+  return [...classes.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, LINES.length);
+}
+
+function drawBelief(context, race, x, y, high, lane) {
+  const { seconds, chances, sure, threshold, classes } = race;
+  caption(context, threshold === null ? "belief, 0 to 1" : "belief, and how sure (dashed; decides at the dotted line), 0 to 1", y);
   if (!seconds.length) return;
-  const last = (seconds.length - 1) * n;
-  const order = [...classes.keys()].sort((a, b) => chances[last + b] - chances[last + a]);
-  order.slice(0, LINES.length).forEach((label, i) => {
-    context.strokeStyle = context.fillStyle = colour(LINES[i]);
-    context.lineWidth = i === 0 ? 2.5 : 1.2;
+  const draw = (values, name, wide, dash = []) => {
+    context.strokeStyle = colour(name);
+    context.lineWidth = wide;
+    context.setLineDash(dash);
     context.beginPath();
-    seconds.forEach((at, step) => context.lineTo(x(at), y + high - (chances[step * n + label] / 255) * high));
+    seconds.forEach((at, step) => context.lineTo(x(at), y + high - (values(step) / 255) * high));
     context.stroke();
-    context.textAlign = "left";
-    context.fillText(classes[label].slice(0, 12), width - RIGHT + 6, y + 4 + i * 12);
+  };
+  curvesOf(race).forEach((label, i) => draw((step) => chances[step * classes.length + label], LINES[i], i === 0 ? 2.5 : 1.2));
+  if (threshold === null) return;
+  draw((step) => sure[step], "--ink", 1.5, [5, 3]);
+  context.setLineDash([1, 3]);
+  context.beginPath();
+  context.moveTo(LEFT, y + high * (1 - threshold));
+  context.lineTo(LEFT + lane, y + high * (1 - threshold));
+  context.stroke();
+}
+
+function nameCurves(context, race, left, y) {
+  if (!race.seconds.length) return;
+  context.textAlign = "left";
+  curvesOf(race).forEach((label, i) => {
+    context.fillStyle = colour(LINES[i]);
+    context.fillText(race.classes[label].slice(0, 12), left, y + 4 + i * 12);
   });
 }

@@ -233,7 +233,7 @@ link.on("ready", (network) => {
     : "Ready: this sensor is too large for drawing; play examples instead.";
   $("meaning").textContent = network.threshold === null
     ? "Sure, bars, belief: softmax of the outputs."
-    : "Sure: estimated probability of being right. Bars, belief: softmax of the outputs.";
+    : `Sure: estimated on ${about.simulated ? "simulated writers, yours may differ" : "recordings of the training"}. Bars, belief: softmax.`;
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
   document.body.dataset.ready = "yes";
@@ -247,11 +247,17 @@ link.on("cleared", (message) => {
   if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
   if (recording === null) pen.settled = true; // no events will say so
+  document.body.classList.toggle("example", Boolean(message.example));
   if (message.example) showExample(message.example);
   $("hint").classList.toggle("gone", recording !== null);
-  $("told").textContent = "";
+  $("told").textContent = message.example ? "An example cannot be saved; clear it and write one." : "";
+  unmark();
   complain(null);
 });
+
+function unmark() {
+  for (const button of $("labels").children) button.removeAttribute("aria-pressed");
+}
 
 link.on("events", (message) => {
   if (message.recording !== recording) return;
@@ -294,6 +300,7 @@ link.on("spikes", (message) => {
   spikes = {
     seconds: message.seconds,
     chances: bytes(message.chances),
+    sure: bytes(message.sure),
     layers: ready.layers.map(({ name, neurons }) => ({ name, neurons, packed: bytes(message.layers[name]) })),
   };
   stale.rest = true;
@@ -302,13 +309,15 @@ link.on("spikes", (message) => {
 
 link.on("saved", (message) => {
   kept = true;
-  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events.`;
+  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events. Undo takes it back.`;
+  $(`label-${message.label}`).setAttribute("aria-pressed", "true");
   complain(null);
 });
 
 link.on("undone", (message) => {
   kept = false; // the drawing can be saved as another class
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
+  unmark();
   complain(null);
 });
 
@@ -489,8 +498,8 @@ function draw() {
       $("race").dataset.events = events.taxel.length;
       if (ready) drawRace($("race"), {
         events, time, classes: about.classes, steps: ready.steps, firstStep: ready.first_step,
-        windowS: ready.window_s, usualS: ready.usual_s, verdict: shown?.verdict ?? null,
-        ...(spikes ?? { seconds: [], chances: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
+        windowS: ready.window_s, usualS: ready.usual_s, threshold: ready.threshold, verdict: shown?.verdict ?? null,
+        ...(spikes ?? { seconds: [], chances: [], sure: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
       });
     }
     if (stale.skin) draw();
@@ -507,7 +516,7 @@ painted.port1.onmessage = ({ data: last }) => {
   const sorted = latencies.toSorted((a, b) => a - b);
   const median = sorted[Math.floor(sorted.length / 2)];
   $("latency").textContent =
-    `From the last event to the decision on this screen: ${median.toFixed(0)} ms (median of ${sorted.length}).`;
+    `From the last event to the decision on this screen: ${median.toFixed(0)} ms (median of the last ${sorted.length} answers).`;
   $("latency").dataset.median = median.toFixed(2);
   $("latency").dataset.ninetieth = sorted[Math.floor(0.9 * sorted.length)].toFixed(2);
   $("latency").dataset.count = sorted.length;

@@ -16,7 +16,7 @@ from pipeline.look import colour
 from pipeline.results.report.samples import replay
 
 # Number of frames in total, per second, and at the end, where nothing moves.
-FRAMES, FRAMES_A_SECOND, STILL = 48, 16, 16
+FRAMES, FRAMES_A_SECOND, STILL = 48, 16, 48
 
 # Number of classes whose probability is drawn: the most likely at the end, and the right one.
 SHOWN_CLASSES = 4
@@ -69,15 +69,17 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     picture = left.subplots()
     panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     kind = "simulated " if spec.provenance.get("simulated") else ""
-    shown = f"{kind}sample {bundle.checks.ids[index]}"
+    shown = f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}"
     figure.suptitle(shown)
     growing = _growing(bundle.checks.inputs[index])
     draw = _picture(picture, growing, positions_of(spec))
-    picture.set(xticks=[], yticks=[])
+    picture.set(xticks=[], yticks=[], title="events of each taxel so far")
+    clocks = [axes.axvline(0, color=colour("wrong"), linewidth=1) for axes in panels]
     marks = []
     for axes, (name, size, steps, neurons) in zip(panels, played.layers, strict=False):
         axes.set(ylim=(size - 0.5, -0.5), xlim=(0, seconds), yticks=[])
-        axes.set_ylabel(f"{name}\n{size}", rotation=0, ha="right", va="center")
+        unit = "lines" if name == "input" else "neurons"
+        axes.set_ylabel(f"{name}\n{size} {unit}", rotation=0, ha="right", va="center")
         (mark,) = axes.plot([], [], "|", color=colour("s1"), markersize=4)
         marks.append((mark, (steps + 0.5) * step, neurons))
     scores = panels[-1]
@@ -86,11 +88,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
         for n, c in enumerate(top, 1)
     }
-    scores.legend(loc="upper left", fontsize=9)
+    scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     times = step * (start + 1 + np.arange(len(chances)))
-    verdict = f"answered {classes[answer]}" + (
-        ", which is right" if answer == label else f", was {classes[label]}"
-    )
+    verdict = f"answered {classes[answer]}, which is {'right' if answer == label else 'wrong'}"
     # The writers derive the format from the name, and do not write atomically.
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / f"animation{path.suffix.lower()}"
@@ -98,6 +98,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             for number in range(FRAMES + STILL):
                 now = seconds * min(1.0, number / (FRAMES - 1))
                 draw(growing[min(int(now / step), len(growing) - 1)])
+                for clock in clocks:
+                    clock.set_xdata([now, now])
                 for mark, at, neurons in marks:
                     mark.set_data(at[at <= now], neurons[at <= now])
                 for c, line in lines.items():

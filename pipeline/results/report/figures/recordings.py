@@ -47,7 +47,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
     grown = np.cumsum(grown, axis=0) / max(len(events) and grown.sum(axis=0).max(), 1)
     for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
         _show(axes, recordings.taxels, image, 2 * TILE)
-        axes.set_title(f"to {end:.2f} s", fontsize=9)
+        axes.set_title(f"up to {end:.2f} s", fontsize=9)
     axes = raster.subplots()
     seconds = events.time_ns * 1e-9
     for polarity, name in ((1, "on"), (-1, "off")):
@@ -112,7 +112,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
     figure.text(0.1 / width, 1 - 0.42 / height, "class (recordings)", size=8)
-    _scale(figure, width, height, "most of a recording")
+    _scale(figure, width, height, "most of the picture")
     return figure
 
 
