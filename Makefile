@@ -63,7 +63,7 @@ report: loihi-emulate  ## Write the results of RUN as one HTML file, RUN/report.
 	@$(STMNIST) report "$(RUN)"
 
 live: setup  ## Write digits in the browser (RUN: its network; PORT; RECORD: folder)
-	@$(STMNIST) live $(if $(filter file,$(origin RUN)),,"$(RUN)") $(SOURCE_OPTIONS) $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
+	@$(STMNIST) live $(if $(filter file,$(origin RUN)),,"$(RUN)") $(if $(PORT),--port $(PORT)) $(if $(RECORD),--record "$(RECORD)")
 
 shipped-bundle: setup  ## Train the network that comes with the package, in pipeline/live/bundle, again
 	@$(STMNIST) convert runs/shipped --settings pipeline/live/shipped.toml --jobs $(JOBS)

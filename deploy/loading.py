@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import numbers
+import os
 from dataclasses import MISSING, field, fields, is_dataclass
 from typing import Callable, NamedTuple, Union, get_type_hints
 
@@ -151,11 +152,13 @@ def _built(hint, value, name, extra):
     elif origin is int:
         whole = isinstance(value, numbers.Integral) and type(value) is not bool  # NumPy's too
         _require(whole, name, "a whole number", value)
+        return int(value)
     elif origin is float:
         number = isinstance(value, numbers.Real) and type(value) is not bool
-        _require(number and -LARGEST <= value <= LARGEST, name, "a finite number", value)
+        _require(number and -LARGEST <= float(value) <= LARGEST, name, "a finite number", value)
         return float(value)
     elif origin is str:
+        value = os.fspath(value) if isinstance(value, os.PathLike) else value
         _require(_is_text(value), name, "text", value)
     elif origin is dict:
         _require(isinstance(value, dict), name, "a table of values", value)

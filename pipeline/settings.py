@@ -645,6 +645,8 @@ def _merged(old, changes):
 def _suggestion(error):
     """The known name that is most similar to an unknown one."""
     unknown = error.problem == "is unknown"
+    if unknown and error.name in Settings().flat():
+        return " as one name: give each section its own dict"
     near = difflib.get_close_matches(error.name, Settings().flat(), n=1) if unknown else []
     return f" (did you mean {near[0]!r}?)" if near else ""
 

@@ -67,7 +67,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     result = told(capsys)
     assert set(result) == {
         "before", "after", "others_before", "others_after", "bundle", "samples", "trained_on",
-        "in_check",
+        "in_check", "kept_before", "kept_after",
     }  # fmt: skip
     assert result["samples"] == 50
     assert result["after"] > result["before"] + 0.1
@@ -134,6 +134,16 @@ def test_labels_that_are_all_wrong_change_nothing(run, tmp_path, capsys):
     assert "nothing" in capsys.readouterr().out
     assert not (tmp_path / "new").exists()
     assert contents(run) == before
+
+
+def test_the_reason_for_which_nothing_changes():
+    from pipeline.training.adaptation import Adapted, Refit, text_of
+
+    right, wrong = np.ones(10, bool), np.zeros(10, bool)
+    for after, kept, reason in ((wrong, right, "no improvement"), (right, wrong, "100.0 points")):
+        fit = Refit(np.zeros((2, 3)), 1.0, 1.0, wrong, after, right, kept)
+        assert not fit.helps
+        assert reason in text_of(Adapted(None, fit, right, right), None)
 
 
 def named(recordings: Recordings) -> Recordings:

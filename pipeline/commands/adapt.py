@@ -36,7 +36,7 @@ def adapt(
     """Fit the readout to one person from a few labelled recordings, in a new bundle.
 
     Nothing is written if the accuracy in cross-validation on the person's recordings does not
-    improve.  The original bundle is not changed.
+    improve, or the network's training samples lose too much.  The original bundle is not changed.
     """
     from pipeline.results import elsewhere
     from pipeline.training import adaptation  # Nengo takes a second to import
@@ -65,6 +65,8 @@ def adapt(
         "after": float(adapted.fit.after.mean()),
         "others_before": _mean(adapted.others_before),
         "others_after": _mean(adapted.others_after),
+        "kept_before": float(adapted.fit.kept_before.mean()),
+        "kept_after": float(adapted.fit.kept_after.mean()),
         "bundle": None if place is None else str(place),
         "samples": len(recordings),
         "trained_on": int(elsewhere.trained_on(bundle, recordings).sum()),

@@ -67,7 +67,7 @@ VERBS = {
         "Compare settings by accuracy, synaptic operations, cores and steps, on held-out samples.",
         "sweep.sweep",
     ),
-    "report": ("Write the run's results so far as one self-contained HTML file.", "results.report"),
+    "report": ("Write a run's ladder as one self-contained HTML file.", "results.report"),
     "animate": (
         "Write an animation of a sample: touch, spikes and probabilities over time.",
         "results.animate",

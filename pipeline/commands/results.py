@@ -57,7 +57,7 @@ def report(
         typer.Option(help="The file to write (default: report.html in the run's folder)."),
     ] = None,
 ):
-    """Write the run's results so far as one self-contained HTML file."""
+    """Write a run's ladder as one self-contained HTML file."""
     from pipeline.results.report import write_report
 
     path = write_report(run, out)

@@ -181,6 +181,8 @@ def _named(events):
         unit = str(chosen["t"]).strip().lower().partition("t_")[2]
         return {name: events[key] for name, key in chosen.items()}, unit
     is_four = isinstance(events, (tuple, list)) and len(events) == 4
+    if is_four and all(isinstance(row, (list, tuple)) and len(row) == 4 for row in events):
+        raise BadRecording("is four lists of four: rows or columns? give a dict of x, y, t and p")
     if is_four and all(np.ndim(array) == 1 for array in events):
         return dict(zip(ARRAYS, events, strict=True)), ""
     rows = np.asarray(events)
@@ -271,7 +273,7 @@ def _csv(content):
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
-    first = text.lstrip().partition("\n")[0]
+    first = text.lstrip("# \t\r\n").partition("\n")[0]  # NumPy begins its first line with "#"
     separator = next((mark for mark in ",;\t" if mark in first), None)
     words = [word.strip().strip('"').lower() for word in first.split(separator)]
     text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
@@ -403,9 +405,19 @@ def write_recordings(
         raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
     if parts is not None and not set(parts) <= {"train", "test"}:
         raise UserError(f"{path}: a part is 'train' or 'test', for each recording")
+    if writers is not None and not all(
+        isinstance(writer, (int, np.integer)) and writer >= 0 for writer in writers
+    ):
+        raise UserError(f"{path}: a writer is a whole number from 0, for each recording")
     if classes is None:
         classes = getattr(recordings, "classes", None)
     names, written, problems = list(map(str, () if classes is None else classes)), 0, {}
+    if len(set(names)) < len(names):
+        raise UserError(f"{path}: two of the classes have the same name")
+    for values in (writers, parts):
+        known = values is not None and hasattr(recordings, "__len__")
+        if known and len(values) != len(recordings):
+            raise UserError(f"{path}: give a writer or a part for each of the recordings")
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         for index, (events, label) in enumerate(recordings):
             try:

@@ -49,13 +49,10 @@ def facts_with_events(recordings: Recordings) -> dict:
 
 def reading_text(recordings: Recordings) -> str:
     """Summary of a source in one line: numbers, sizes, durations and the unit of times."""
-    events, offsets, sensor = recordings.events, recordings.offsets, recordings.sensor
+    time_ns, offsets, sensor = recordings.events.time_ns, recordings.offsets, recordings.sensor
     some = np.diff(offsets) > 0
-    first, last = (
-        events.time_ns[offsets[:-1][some]],
-        events.time_ns[np.maximum(offsets[1:][some] - 1, 0)],
-    )
-    lasts = (last - first) * 1e-9 if some.any() else np.zeros(1)
+    lasts = (time_ns[offsets[1:][some] - 1] - time_ns[offsets[:-1][some]]) * 1e-9
+    lasts = lasts if some.any() else np.zeros(1)
     parts = [
         f"{len(recordings)} recordings",
         size_text(sensor),

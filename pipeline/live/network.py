@@ -15,16 +15,18 @@ from pipeline.live import RECORD
 SHIPPED = Path(__file__).with_name("bundle")
 
 
-def network_in(folder: Path) -> Bundle | None:
-    """The bundle in the folder of a bundle or of a run; None if there is none.
+def network_in(folder: Path) -> Bundle:
+    """The bundle in the folder of a bundle or of a run.
 
     Raises
     ------
     UserError
-        The bundle is damaged.
+        There is no bundle, or it is damaged.
     """
     place = folder if (folder / "MANIFEST.json").exists() else folder / "bundle"
-    return read_bundle(place) if place.exists() else None
+    if not place.exists():
+        raise UserError(f"{folder}: no network; 'stmnist ladder' makes a run's, or check the path")
+    return read_bundle(place)
 
 
 def sensor_of(bundle: Bundle) -> Sensor:

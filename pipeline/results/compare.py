@@ -290,7 +290,7 @@ def runs_text(compared: dict) -> str:
         if stale := run["results_of_an_earlier_bundle"]:
             notes.append(f"left out, of an earlier bundle: {', '.join(stale)}")
         if run["outdated"]:
-            reasons = "; ".join(dict.fromkeys(run["outdated"].values()))
+            reasons = "; ".join(dict.fromkeys("; ".join(run["outdated"].values()).split("; ")))
             notes.append(
                 f"OUTDATED, these results were made with other settings: {reasons}; "
                 f"{remedy_text(run['name'], run['outdated'])} makes them again"

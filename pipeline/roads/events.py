@@ -313,6 +313,8 @@ def presentation_choices(settings: Settings, recordings) -> tuple:
     if step != settings.input.step:
         changes["input"] = {"step": step, "refractory": step}
     part = "as long as the recordings last"
+    if longest < (steps - 1) * step:
+        part = f"the fewest; the recordings last up to {longest / 1000:.2g} s"
     if longest >= steps * step:
         part = (
             f"the first {steps * step / 1000:g} s of recordings of up to {longest / 1000:.4g} s "

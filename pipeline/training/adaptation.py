@@ -545,17 +545,20 @@ def text_of(adapted: Adapted, place) -> str:
         (f"this person, cross-validated{chosen}", fit.before, fit.after),
         ("the bundle's check, each sample from rest", adapted.others_before, adapted.others_after),
     ):
-        if len(before):
+        if len(before) and (place is not None or before is fit.before):
             lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
     if adapted.fitted:
         lines.append(
             f"{adapted.fitted} of the {adapted.fitted + len(adapted.others_before)} samples of the "
             "bundle's check are among these recordings and are not counted"
         )
-    if place is None:
-        lines.append("no improvement: nothing was changed")
-    else:
+    if place is not None:
         lines.append(f"bundle: written to {place}")
+    elif fit.after.sum() > fit.before.sum():
+        lost = 100 * (fit.kept_before.mean() - fit.kept_after.mean())
+        lines.append(f"{lost:.1f} points lost on samples of the training: nothing was changed")
+    else:
+        lines.append("no improvement: nothing was changed")
     return "\n".join(lines)
 
 

@@ -2,6 +2,7 @@ import json
 import tomllib
 from dataclasses import fields
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -110,6 +111,17 @@ def test_a_wrong_setting_is_named(case):
 
 def test_a_whole_number_will_do_for_a_fraction():
     assert Settings().with_values({"snn": {"max_rates": [100]}}, "").snn.max_rates == (100.0,)
+
+
+def test_values_of_numpy_and_paths_become_plain(tmp_path):
+    changes = {
+        "data": {"samples_per_digit": np.int64(3), "source": tmp_path / "a.zip"},
+        "events": {"dropout": np.float32(0.5)},
+    }
+    settings = Settings().with_values(changes, "here")
+    write_settings(tmp_path / "own.toml", settings)
+    assert read_settings(tmp_path / "own.toml").data == settings.data
+    assert settings.events.dropout == 0.5
 
 
 def test_assignments_of_the_command_line():

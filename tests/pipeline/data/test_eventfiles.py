@@ -50,6 +50,7 @@ FILES = {
     "columns first.npy": npy(np.asfortranarray(np.stack([X, Y, T, P], 1))),
     "lines.csv": CSV.encode(),
     "named.csv": NAMED_CSV.encode(),
+    "by NumPy.csv": b"# x,y,t,p\n" + CSV.encode(),
     "truth values.csv": NAMED_CSV.replace(";1;", ";True;").replace(";0;", ";false;").encode(),
 }
 
@@ -170,7 +171,7 @@ def test_damaged_event_files_are_refused_or_read(data):
 def test_arrays_of_many_forms():
     for events in (
         (X, Y, T, P),
-        [list(X), list(Y), list(T), list(P)],
+        [X, Y, T, P],
         {"x": X, "y": Y, "t": T, "p": P == 1},
         {"Column": X, "row": Y, "timestamp": T, "polarity": P},
         structured(),
@@ -244,3 +245,23 @@ def test_a_published_split_of_arrays(tmp_path):
     assert read.parts == ("train",) * 8 + ("test",) * 4
     with pytest.raises(UserError, match="'train' or 'test'"):
         write_recordings(path, gestures(3), CLASSES, parts=["val"] * 12)
+
+
+@pytest.mark.parametrize(("changes", "fact"), [
+    ({"writers": [0] * 11}, "each"),
+    ({"parts": ["train"] * 13}, "each"),
+    ({"writers": [0.5] * 12}, "whole number"),
+    ({"writers": [-1] * 12}, "whole number"),
+    ({"classes": ["a", "b", "a", "c"]}, "same name"),
+])  # fmt: skip
+def test_writers_parts_and_classes_that_do_not_fit(tmp_path, changes, fact):
+    with pytest.raises(UserError, match=fact):
+        write_recordings(tmp_path / "a.zip", gestures(3), **{"classes": CLASSES, **changes})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_four_events_in_lists_are_rows_or_columns():
+    rows = [[1, 2, 0, 1], [2, 2, 1, 0], [3, 3, 5, 1], [0, 1, 9, 0]]
+    with pytest.raises(BadRecording, match="rows or columns"):
+        recording_of(rows)
+    np.testing.assert_array_equal(recording_of(np.array(rows)).x, [1, 2, 3, 0])

@@ -119,6 +119,12 @@ def test_a_bundle_copied_from_elsewhere_will_do(live, tiny_run, tmp_path):
         assert write_and_label(page, 4)["type"] == "saved"
 
 
+def test_a_run_without_a_network_is_one_line(tmp_path, capsys):
+    assert call("live", tmp_path / "none", "--port", 0, "--no-browser") == 2
+    assert "stmnist ladder" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_port_in_use_is_one_line(tiny_run, tmp_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
