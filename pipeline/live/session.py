@@ -379,11 +379,9 @@ class Session:
 
     def _undo(self, message):
         recording = self.recording
-        if recording is not None and not recording.complete:
-            return self._clear(message)  # it is not in the folder yet
         saved = recording and recording.saved_as
         if saved is None:
-            return [problem("nothing on the skin is saved; only that can be undone")]
+            return [problem("nothing on the skin is saved; Clear erases a drawing")]
         self._keeper.remove(saved)
         recording.saved_as = None  # it can be saved as another class
         return [{"type": "undone", "label": saved.label, "name": saved.name}, self.state()]

@@ -167,11 +167,7 @@ export function drawRace(canvas, race) {
     if (part === "touch") drawEvents(context, race, x, y, high);
     else if (part === "belief") drawBelief(context, race, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
-    if (race.verdict?.early) { // what comes after the decision does not count
-      context.fillStyle = colour("--panel");
-      context.globalAlpha = 0.6;
-      context.fillRect(x(race.verdict.seconds), y, lane, high);
-    }
+    if (race.verdict) drawVerdict(context, race.verdict, x(Math.min(race.verdict.seconds, end)), y, lane, high);
     context.restore();
     if (part === "belief") nameCurves(context, race, LEFT + lane + 6, y);
   });
@@ -195,10 +191,22 @@ export function drawRace(canvas, race) {
     const at = x(Math.min(race.verdict.seconds, end));
     const { early, seconds } = race.verdict;
     context.fillStyle = colour(early ? "--wrong" : "--ink");
-    context.fillRect(at - 1, ABOVE, 2, bottom - ABOVE + 20);
+    context.fillRect(at - 1, bottom, 2, 20);
     context.textAlign = at > width / 2 ? "right" : "left";
     context.fillText(`${early ? "decided after" : "end,"} ${seconds.toFixed(2)} s`, at, height - 4);
   }
+}
+
+// The time of the decision as a line; what comes after an early one does not count, and is faded.
+function drawVerdict(context, { early }, at, y, lane, high) {
+  if (early) {
+    context.fillStyle = colour("--panel");
+    context.globalAlpha = 0.6;
+    context.fillRect(at, y, lane, high);
+    context.globalAlpha = 1;
+  }
+  context.fillStyle = colour(early ? "--wrong" : "--ink");
+  context.fillRect(at - 1, y, 2, high);
 }
 
 function caption(context, text, y) {
@@ -247,28 +255,30 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
   caption(context, `${name}: ${neurons} ${unit}, ${spikes} spikes${axis}`, y);
 }
 
-// The decided class, or else the likeliest, and the likeliest others.
+// The decided class and its strongest rivals at any time; before a decision, the likeliest ones now.
 function curvesOf({ seconds, chances, classes, verdict }) {
+  const most = classes.map((_, label) => seconds.reduce((most, _, step) => Math.max(most, chances[step * classes.length + label]), 0));
   const last = (seconds.length - 1) * classes.length;
-  const rank = (label) => (label === verdict?.label ? 256 : chances[last + label]);
+  const rank = (label) => (label === verdict?.label ? 1000 : verdict ? most[label] : chances[last + label]);
   return [...classes.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, LINES.length);
 }
 
 function drawBelief(context, race, x, y, high, lane) {
   const { seconds, chances, sure, threshold, classes } = race;
-  caption(context, threshold === null ? "belief, 0 to 1" : "belief, and how sure (dashed; decides at the dotted line), 0 to 1", y);
+  caption(context, threshold === null ? "belief, 0 to 1" : "belief; dashed: how sure; dotted: decides", y);
   if (!seconds.length) return;
-  const draw = (values, name, wide, dash = []) => {
+  const draw = (values, name, wide, dash = [], until = Infinity) => {
     context.strokeStyle = colour(name);
     context.lineWidth = wide;
     context.setLineDash(dash);
     context.beginPath();
-    seconds.forEach((at, step) => context.lineTo(x(at), y + high - (values(step) / 255) * high));
+    seconds.forEach((at, step) => at <= until && context.lineTo(x(at), y + high - (values(step) / 255) * high));
     context.stroke();
   };
   curvesOf(race).forEach((label, i) => draw((step) => chances[step * classes.length + label], LINES[i], i === 0 ? 2.5 : 1.2));
   if (threshold === null) return;
-  draw((step) => sure[step], "--ink", 1.5, [5, 3]);
+  const until = race.verdict?.early ? race.verdict.seconds : Infinity;
+  draw((step) => sure[step], "--ink", 1.5, [5, 3], until);
   context.setLineDash([1, 3]);
   context.beginPath();
   context.moveTo(LEFT, y + high * (1 - threshold));

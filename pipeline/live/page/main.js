@@ -309,7 +309,7 @@ link.on("spikes", (message) => {
 
 link.on("saved", (message) => {
   kept = true;
-  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events. Undo takes it back.`;
+  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events. Undo takes that back.`;
   $(`label-${message.label}`).setAttribute("aria-pressed", "true");
   complain(null);
 });
@@ -464,7 +464,7 @@ function showDecision(message) {
   } else {
     const right = example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
     $("decided").textContent =
-      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : "sure at the end") + right;
+      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : "sure at the end") + right + ". Belief at that time:";
   }
   const items = [...$("scores").children];
   let best = classes.map((_, label) => label);

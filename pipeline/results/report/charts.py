@@ -142,13 +142,13 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
         bottom = y + panel.height
         marks.append(_segment("axis", LEFT, bottom, width - RIGHT, bottom))
         if isinstance(panel, Raster):
-            y_axis = _Axis(0, panel.rows, bottom, y, exact=True)
-            marks.append(_text(LEFT - 7, y + 10, str(panel.rows), "end"))
-            marks.append(_text(LEFT - 7, bottom, "1", "end"))
+            y_axis = _Axis(0, panel.rows, y, bottom, exact=True)
+            marks.append(_text(LEFT - 7, y + 10, "1", "end"))
+            marks.append(_text(LEFT - 7, bottom, str(panel.rows), "end"))
             tall = max(2.0, panel.height / panel.rows)
             for name, times, units in panel.groups:
                 path = "".join(
-                    f"M{x_axis(t):.1f} {y_axis(u + 1):.1f}v{tall:.1f}"
+                    f"M{x_axis(t):.1f} {y_axis(u):.1f}v{tall:.1f}"
                     for t, u in zip(times, units, strict=True)
                 )
                 marks.append(f'<path class="event {name}" d="{path}"/>')

@@ -119,9 +119,9 @@ def _picture(axes, growing, positions):
     shades = {"cmap": "Blues", "vmin": 0, "vmax": growing[-1].max()}
     if positions is None:
         rows, columns = growing.shape[1:3]
-        image = axes.imshow(
-            growing[0] * 0, aspect="auto" if 1 in (rows, columns) else "equal", **shades
-        )
+        image = axes.imshow(growing[0] * 0, aspect="auto", **shades)
+        axes.set_box_aspect(max(0.1, rows / columns))
+        axes.set_xlabel(f"{rows} x {columns} taxels")
         return image.set_data
     dots = axes.scatter(*positions.T, 120, 0 * positions[:, 0], edgecolors="0.7", **shades)
     axes.set_aspect("equal", adjustable="datalim")

@@ -50,18 +50,19 @@ def recording(recordings: Recordings, index: int) -> Figure:
         axes.set_title(f"up to {end:.2f} s", fontsize=9)
     axes = raster.subplots()
     seconds = events.time_ns * 1e-9
+    is_grid = sensor.rows > 1 and sensor.columns > 1 and taxels.positions is None
+    place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
     for polarity, name in ((1, "on"), (-1, "off")):
         chosen = events.polarity == polarity
         axes.scatter(
-            *(seconds[chosen], events.taxel[chosen] + 1, 14, colour(name)),
+            *(seconds[chosen], place[events.taxel[chosen]] + 1, 14, colour(name)),
             marker="|",
             linewidths=1.2,
             label=f"{name.upper()}: pressure {'rises' if polarity > 0 else 'falls'}",
         )
-    axes.set(xlim=(0, duration_s), ylim=(0.5, len(recordings.taxels) + 0.5))
+    axes.set(xlim=(0, duration_s), ylim=(place.max() + 1.5, 0.5))
     axes.set_xlabel("time (s)")
-    is_grid = sensor.rows > 1 and sensor.columns > 1 and taxels.positions is None
-    axes.set_ylabel("taxel" + ", counted down the columns" * is_grid)
+    axes.set_ylabel("taxel" + ", row by row" * is_grid)
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
     _scale(figure, *figure.get_size_inches(), "most events")
     return figure
@@ -112,7 +113,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
     figure.text(0.1 / width, 1 - 0.42 / height, "class (recordings)", size=8)
-    _scale(figure, width, height, "most of the picture")
+    _scale(figure, width, height, "most, in each picture")
     return figure
 
 

@@ -28,7 +28,7 @@ def test_marks_of_a_timeline_share_their_time_axis():
     (_, first), (_, second) = re.findall(r"M([\d.]+) ([\d.]+)", path)
     x = [float(at) for at, _ in re.findall(r"M([\d.]+) ([\d.]+)", path)]
     middle = root.find(".//*[@class='line s1']").get("points").split()[1].split(",")[0]
-    assert float(first) > float(second)  # unit 9 is above unit 0
+    assert float(first) < float(second)  # unit 0 is above unit 9
     assert x[1] == float(middle) == float(root.find(".//*[@class='reference']").get("x1"))
 
 

@@ -36,10 +36,13 @@ def test_recording(recordings):
     assert first[0, 7] == first[3, 0]  # one event each within the first quarter of a second
     assert last[0, 7] == 1.0  # two events at the end, the most of all
     assert last[3, 0] == 0.5
-    assert (raster.get_xlim(), raster.get_ylim()) == ((0, 2), (0.5, 100.5))
+    assert (raster.get_xlim(), raster.get_ylim()) == (
+        (0, 2),
+        (100.5, 0.5),
+    )  # row by row, from above
     on, off = raster.collections
-    np.testing.assert_allclose(on.get_offsets(), [[0.1, 4], [1.5, 71]])
-    np.testing.assert_allclose(off.get_offsets(), [[0.2, 71]])
+    np.testing.assert_allclose(on.get_offsets(), [[0.1, 31], [1.5, 8]])
+    np.testing.assert_allclose(off.get_offsets(), [[0.2, 8]])
     for marks, name in ((on, "on"), (off, "off")):
         assert to_hex(marks.get_facecolor()[0]) == colour(name)
     assert "simulated" in figure.get_suptitle()
