@@ -25,6 +25,7 @@ from pipeline.commands import options
 from pipeline.data.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case
+from pipeline.roads import fitted
 
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"
@@ -325,8 +326,10 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
     """
     lines = chosen(experiment, only)
     recordings = recordings_of(settings, workers.processes, say)
-    inputs = dict.fromkeys(line.input for line in lines)
-    by_input = study.fitted_to_inputs(settings, inputs, recordings, say)
+    by_input = {}
+    for kind in dict.fromkeys(line.input for line in lines):
+        of_kind = settings.with_values({"input": {"kind": kind}}, "experiment")
+        by_input[kind] = fitted(of_kind, recordings, say=say)
     splits = splits_of(experiment, settings, recordings)
     folder.save_settings(settings)
     cases = cases_of(

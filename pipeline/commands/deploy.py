@@ -63,6 +63,9 @@ def export(
         return
     write_nir(out, opened.spec)
     show(f"written to {out}")
+    if not (shown := opened.spec.stimulus).static:
+        step, silent = 1000 * shown.step_seconds, 1000 * shown.step_seconds * shown.refractory
+        show(f"convert with --step {step:g} --set input.refractory={silent:g} for the same input")
     if inputs is not None:
         checks = opened.checks
         write_arrays(inputs, spikes=input_spikes(opened.spec, checks.inputs), labels=checks.labels)

@@ -142,8 +142,9 @@ def _warnings(bundle, recordings):
             f"the events are in {reached[0]} of {rows} rows and {reached[1]} of {columns} columns; "
             "if these are recordings of a smaller sensor, the network is not for them"
         )
-    if spec.provenance.get("polarities") == 1 and (events.polarity < 0).any():
-        yield "there are OFF events, and the recordings of the training had none"
+    has_off = bool((events.polarity < 0).any())
+    if has_off != (spec.provenance.get("polarities", 2) == 2):
+        yield f"there are {'' if has_off else 'no '}OFF events, unlike in those of the training"
     if isinstance(spec.stimulus, EventFrames):
         step_ms, steps = 1000 * spec.stimulus.step_seconds, spec.presentation.steps
         if line := cut_text(EventTable.of(recordings), step_ms, steps):
@@ -223,6 +224,7 @@ def with_accuracies(
             "sha256": source.sha256,
             "recordings": len(recordings),
             "trained_on": int(trained_on(bundle, recordings)[chosen].sum()),
+            "warnings": list(_warnings(bundle, recordings)),
         },
         "classes": list(classes),
         "confusion": confusion_matrix(labels, predictions, len(classes)).tolist(),

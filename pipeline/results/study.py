@@ -31,7 +31,6 @@ from pipeline.data.dataset import Dataset
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden, progress
-from pipeline.roads import fitted
 from pipeline.settings import Settings
 from pipeline.stages import opened_in
 
@@ -349,30 +348,6 @@ def costs_of(spec, responses) -> dict:
         "stable": responses.stable_after_median,
         "spikes": {name: float(counts.mean()) for name, counts in responses.spikes.items()},
     }
-
-
-def fitted_to_inputs(settings: Settings, kinds, recordings, say: Callable) -> dict:
-    """Choose what the settings leave open, for each kind of input.
-
-    Parameters
-    ----------
-    settings : Settings
-    kinds : iterable of str
-        Values of ``input.kind``.
-    recordings : Recordings
-        Recordings that the settings name.
-    say : callable
-        Called with a message about each chosen setting.
-
-    Returns
-    -------
-    dict of str to Settings
-    """
-    by_kind = {}
-    for kind in kinds:
-        of_kind = replace(settings, input=replace(settings.input, kind=kind))
-        by_kind[kind] = fitted(of_kind, recordings, say=say)
-    return by_kind
 
 
 def _silent(line):

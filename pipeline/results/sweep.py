@@ -19,8 +19,8 @@ from deploy.targets.registry import TARGETS
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import kind_of
 from pipeline.paper import CNN_MACS
-from pipeline.results.study import Case, Workers, fitted_to_inputs, study
-from pipeline.roads import road_of
+from pipeline.results.study import Case, Workers, study
+from pipeline.roads import fitted, road_of
 from pipeline.run import RunFolder
 from pipeline.settings import Settings, parse_assignments, put
 
@@ -35,7 +35,7 @@ STAGES = ("rate-lif", "trained", "fast")
 SAMPLES_APART = ("seed", "data", "split", "check")
 
 
-def points_of(base: Settings, grid) -> list:
+def points_of(base: Settings, grid, fit=lambda settings: settings) -> list:
     """Every combination of the grid's values.
 
     Parameters
@@ -44,6 +44,8 @@ def points_of(base: Settings, grid) -> list:
     grid : sequence of str
         Such as ``"presentation.steps=50,100"`` or ``"snn.max_rates=[100,150],[150,150]"``; a single
         number is taken as a list of one.
+    fit : callable
+        ``fit(settings) -> settings``, which chooses what the settings of a point leave open.
 
     Returns
     -------
@@ -66,7 +68,9 @@ def points_of(base: Settings, grid) -> list:
         values: dict = {}
         for name, value in combination:
             put(values, name, value, "--grid")
-        points.append((dict(combination), base.with_values(values, "--grid")))
+        # What was chosen may have replaced a value of the grid that is also the default.
+        point = fit(base.with_values(values, "--grid")).with_values(values, "--grid")
+        points.append((dict(combination), point))
     return points
 
 
@@ -118,16 +122,19 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     UserError
         As in :func:`points_of`, or the recordings cannot be read or are too few.
     """
-    recordings, kind = recordings_of(settings, workers.processes, say), settings.input.kind
+    recordings = recordings_of(settings, workers.processes, say)
     fraction = settings.split.validation_fraction or VALIDATION
-    chosen = fitted_to_inputs(settings, (kind,), recordings, say)[kind]
-    base = chosen.with_values({"split": {"validation_fraction": fraction}}, "sweep")
+    settings = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
+    base = fitted(settings, recordings, say=say)
     split, road = kind_of(base.split.kind, recordings), road_of(base)
-    points = points_of(base, grid or road.grid)
+    points = points_of(settings, grid or road.grid, lambda one: fitted(one, recordings))
     stages = [stage for stage in STAGES if stage in road.references or stage in TARGETS]
-    cases = []
-    for number, (_, of_point) in enumerate(points):
+    cases, said = [], set()
+    for number, (changes, of_point) in enumerate(points):
         road_of(of_point).require_fit(recordings)
+        for line in set(road_of(of_point).notes(recordings)) - said:
+            say(f"{line} ({changes})")
+            said.add(line)
         for stage in stages:
             name = f"point-{number}-{stage}"
             cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from hypothesis.extra.numpy import arrays
 
 from deploy.errors import UserError
 from deploy.files import read_json
+from pipeline.data.library import load_recordings
 from pipeline.results import sweep
-from pipeline.roads import EventRoad, ImageRoad
+from pipeline.roads import EventRoad, ImageRoad, fitted
 from pipeline.settings import Settings, read_settings
 from tests.command import call
+from tests.own_sensor import write_folder
 
 SMALL = Settings().with_values(
     {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"
@@ -29,6 +32,21 @@ def test_every_combination_of_the_grid():
     assert points[-1][0] == {"presentation.steps": 50, "snn.max_rates": [120]}
     assert points[-1][1].snn.max_rates == (120.0,)
     assert points[-1][1].presentation.steps == 50
+
+
+def test_what_is_open_is_chosen_for_each_point(tmp_path):
+    """Half the step takes twice the steps, and four slices another network."""
+    source = str(write_folder(tmp_path / "own", per_class=5))
+    recordings = load_recordings(source, jobs=1)
+    fit = partial(fitted, recordings=recordings)
+    own = Settings().with_values({"data": {"source": source}, "input": {"kind": "events"}}, "")
+    fine, coarse = sweep.points_of(own, ["input.step=5,10"], fit)
+    assert fine[1].input.step == 5
+    assert fine[1].steps == pytest.approx(2 * coarse[1].steps, abs=1)
+    images = own.with_values({"input": {"kind": "image"}}, "")
+    (_, sliced), (_, plain) = sweep.points_of(images, ["image.slices=4,1"], fit)
+    assert sliced.cnn.architecture.startswith("9x12x4")
+    assert plain.cnn.architecture.startswith("9x12-")
 
 
 @pytest.mark.parametrize(
