@@ -232,7 +232,7 @@ def _notes(opened, choices):
 def _notes_on_published(opened):
     """Lines on a published split whose parts are not independent, or which is small."""
     source, n_test = opened.settings.data.source, len(opened.dataset.split.test)
-    if pairs := in_both_parts(opened.dataset.recordings):
+    if pairs := _doubled(opened.dataset):
         train, test = pairs[0]
         yield (
             f"{WARNING}{source}: {len(pairs)} of {n_test} recordings of the test part are also in "
@@ -275,7 +275,7 @@ def convert(opened: Opened) -> Bundle:
         **({"time_unit": source.time_unit} if source.time_unit else {}),
         **_of_the_sensor(view, dataset.recordings.taxels),
         **_trained_on(dataset),
-        "in_both_parts": dataset.split.kind == PUBLISHED and len(in_both_parts(dataset.recordings)),
+        "in_both_parts": len(_doubled(dataset)),
     }
     spec = seen.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
@@ -290,6 +290,11 @@ def convert(opened: Opened) -> Bundle:
             "training; compare the predictions of 'stmnist ladder', or use fewer neurons"
         )
     return bundle
+
+
+def _doubled(dataset):
+    """Pairs of the same recording in both parts of a published split."""
+    return in_both_parts(dataset.recordings) if dataset.split.kind == PUBLISHED else []
 
 
 def _of_the_sensor(settings, taxels):

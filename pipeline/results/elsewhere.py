@@ -110,7 +110,7 @@ def recordings_for(
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
     if warn is not None:
-        for line in _warnings(bundle, recordings):
+        for line in [*_known(bundle, recordings), *_limits(bundle.spec, recordings)]:
             warn(f"{WARNING}{source}: {line}")
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
 
@@ -127,14 +127,18 @@ def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
     return np.isin(recordings.hashes(), list(training_hashes(bundle.spec)))
 
 
-def _warnings(bundle, recordings):
-    """What limits the meaning of the network's accuracy on other recordings."""
-    spec, events, taxels = bundle.spec, recordings.events, recordings.taxels
+def _known(bundle, recordings):
+    """A line on the recordings that were used to make the network."""
     if number := int(trained_on(bundle, recordings).sum()):
         yield (
             f"{number} of {len(recordings)} recordings were used to make the network; its accuracy "
             "on them says little about others"
         )
+
+
+def _limits(spec, recordings):
+    """Lines on what the network does not see, or never saw in its training."""
+    events, taxels = recordings.events, recordings.taxels
     rows, columns = spec.input_shape[:2]
     reached = [int(axis[events.taxel].max(initial=0)) + 1 for axis in (taxels.row, taxels.column)]
     if reached[0] < REACHED * rows or reached[1] < REACHED * columns:
@@ -224,7 +228,7 @@ def with_accuracies(
             "sha256": source.sha256,
             "recordings": len(recordings),
             "trained_on": int(trained_on(bundle, recordings)[chosen].sum()),
-            "warnings": list(_warnings(bundle, recordings)),
+            "warnings": list(_limits(bundle.spec, recordings)),
         },
         "classes": list(classes),
         "confusion": confusion_matrix(labels, predictions, len(classes)).tolist(),

@@ -124,20 +124,21 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     """
     recordings = recordings_of(settings, workers.processes, say)
     fraction = settings.split.validation_fraction or VALIDATION
-    settings = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
-    base = fitted(settings, recordings, say=say)
+    divided = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
+    base = fitted(divided, recordings, say=say)
     split, road = kind_of(base.split.kind, recordings), road_of(base)
-    points = points_of(settings, grid or road.grid, lambda one: fitted(one, recordings))
+    points = points_of(divided, grid or road.grid, lambda one: fitted(one, recordings))
     stages = [stage for stage in STAGES if stage in road.references or stage in TARGETS]
-    cases, said = [], set()
+    cases, said = [], {}
     for number, (changes, of_point) in enumerate(points):
         road_of(of_point).require_fit(recordings)
-        for line in set(road_of(of_point).notes(recordings)) - said:
-            say(f"{line} ({changes})")
-            said.add(line)
+        for line in road_of(of_point).notes(recordings):
+            said.setdefault(line, changes)
         for stage in stages:
             name = f"point-{number}-{stage}"
             cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
+    for line, changes in said.items():
+        say(f"{line} ({changes})")
     folder.save_settings(base, settings)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     summary = summarise([changes for changes, _ in points], rows)

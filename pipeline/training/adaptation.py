@@ -541,12 +541,11 @@ def text_of(adapted: Adapted, place) -> str:
     """
     fit, lines = adapted.fit, []
     chosen = f" (best of {len(PULLS) * len(REHEARSALS)} settings, so optimistic)"
-    for who, before, after in (
-        (f"this person, cross-validated{chosen}", fit.before, fit.after),
-        ("the bundle's check, each sample from rest", adapted.others_before, adapted.others_after),
-    ):
-        if len(before) and (place is not None or before is fit.before):
-            lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
+    compared = [(f"this person, cross-validated{chosen}", fit.before, fit.after)]
+    if place is not None and len(others := adapted.others_before):
+        compared.append(("the bundle's check, each sample from rest", others, adapted.others_after))
+    for who, before, after in compared:
+        lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
     if adapted.fitted:
         lines.append(
             f"{adapted.fitted} of the {adapted.fitted + len(adapted.others_before)} samples of the "

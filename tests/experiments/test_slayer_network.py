@@ -145,7 +145,7 @@ def test_refractory_response_separates_spikes():
 
 @pytest.mark.parametrize("distance", [0.0, 0.3, -1.7, 20.0, -60.0])
 def test_the_gradient_of_a_spike_is_the_escape_rate(distance):
-    """Of the last of two steps with respect to the spikes that arrive in the first."""
+    """The gradient of a spike in the second step, for the weighted spikes of the first."""
     kernel = np.e / 4 * np.exp(-1 / 4)  # t = 1, tau_s = 4 steps
     drive = tf.constant([[NEURON.theta * (1 + distance) / kernel], [0]], tf.float32)
     with tf.GradientTape() as tape:

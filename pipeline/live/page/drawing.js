@@ -147,7 +147,8 @@ export function drawRace(canvas, race) {
   const end = onEvents ? Math.max(start + race.usualS, race.time) : spanOf(Math.max(race.time, 1));
   context.font = FONT;
   const names = race.classes.map((name) => context.measureText(name.slice(0, 12)).width);
-  const right = Math.max(...names, context.measureText("sure").width) + 14;
+  const right = Math.max(...names) + 14;
+  const curves = race.seconds.length ? curvesOf(race) : [];
   const lane = width - LEFT - right;
   const x = (seconds) => LEFT + (seconds / end) * lane;
   const parts = ["touch", ...race.layers, "belief"];
@@ -165,11 +166,11 @@ export function drawRace(canvas, race) {
     context.rect(LEFT, top - high - ABOVE - GAP, lane, high + ABOVE + 1); // recordings may last longer than the axis
     context.clip();
     if (part === "touch") drawEvents(context, race, x, y, high);
-    else if (part === "belief") drawBelief(context, race, x, y, high, lane);
+    else if (part === "belief") drawBelief(context, race, curves, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
     if (race.verdict) drawVerdict(context, race.verdict, x(Math.min(race.verdict.seconds, end)), y, lane, high);
     context.restore();
-    if (part === "belief") nameCurves(context, race, LEFT + lane + 6, y);
+    if (part === "belief") nameCurves(context, race.classes, curves, LEFT + lane + 6, y);
   });
   const bottom = top - GAP;
   context.font = FONT;
@@ -263,7 +264,7 @@ function curvesOf({ seconds, chances, classes, verdict }) {
   return [...classes.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, LINES.length);
 }
 
-function drawBelief(context, race, x, y, high, lane) {
+function drawBelief(context, race, curves, x, y, high, lane) {
   const { seconds, chances, sure, threshold, classes } = race;
   caption(context, threshold === null ? "belief, 0 to 1" : "belief; dashed: how sure; dotted: decides", y);
   if (!seconds.length) return;
@@ -275,7 +276,7 @@ function drawBelief(context, race, x, y, high, lane) {
     seconds.forEach((at, step) => at <= until && context.lineTo(x(at), y + high - (values(step) / 255) * high));
     context.stroke();
   };
-  curvesOf(race).forEach((label, i) => draw((step) => chances[step * classes.length + label], LINES[i], i === 0 ? 2.5 : 1.2));
+  curves.forEach((label, i) => draw((step) => chances[step * classes.length + label], LINES[i], i === 0 ? 2.5 : 1.2));
   if (threshold === null) return;
   const until = race.verdict?.early ? race.verdict.seconds : Infinity;
   draw((step) => sure[step], "--ink", 1.5, [5, 3], until);
@@ -286,11 +287,10 @@ function drawBelief(context, race, x, y, high, lane) {
   context.stroke();
 }
 
-function nameCurves(context, race, left, y) {
-  if (!race.seconds.length) return;
+function nameCurves(context, classes, curves, left, y) {
   context.textAlign = "left";
-  curvesOf(race).forEach((label, i) => {
+  curves.forEach((label, i) => {
     context.fillStyle = colour(LINES[i]);
-    context.fillText(race.classes[label].slice(0, 12), left, y + 4 + i * 12);
+    context.fillText(classes[label].slice(0, 12), left, y + 4 + i * 12);
   });
 }

@@ -50,7 +50,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
         axes.set_title(f"up to {end:.2f} s", fontsize=9)
     axes = raster.subplots()
     seconds = events.time_ns * 1e-9
-    is_grid = sensor.rows > 1 and sensor.columns > 1 and taxels.positions is None
+    is_grid = taxels.positions is None and not _is_strip(taxels)
     place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
     for polarity, name in ((1, "on"), (-1, "off")):
         chosen = events.polarity == polarity
