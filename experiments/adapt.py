@@ -48,8 +48,15 @@ class People:
     parameters: parameters.Parameters
 
 
-def people_of(pen: Path, fold: int) -> People:
+def people_of(pen: Path, fold: int, writers: int = 0) -> People:
     """Every third person of a file.
+
+    Parameters
+    ----------
+    pen : Path
+    fold : int
+    writers : int
+        Number of simulated people; 0 for the published number.
 
     Raises
     ------
@@ -63,12 +70,13 @@ def people_of(pen: Path, fold: int) -> People:
     except ValueError as error:
         raise UserError(f"{pen}: {error}, without fold {fold}; give more people") from error
     own = tuple(trace for trace in traces if trace.writer in people)
-    return People(own, replace(parameters.load(), shapes=shapes))
+    return People(own, replace(parameters.load(writers), shapes=shapes))
 
 
 def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     """Train the network of a fold and fit it to each of the fold's people; for :func:`study`."""
-    people, settings = people_of(pen, int(case.alter.partition(" ")[2])), case.resolved
+    settings, fold = case.resolved, int(case.alter.partition(" ")[2])
+    people = people_of(pen, fold, settings.data.writers)
     seed, each = settings.data.simulation_seed, settings.data.samples_per_digit
     counts = [each] * 10 if each else list(SAMPLES_PER_DIGIT)
     training = simulated(seed, counts, 1, parameters=people.parameters)

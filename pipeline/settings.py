@@ -97,6 +97,9 @@ class Data(Section):
     simulation_seed: Annotated[int, SEED] = 0
     #: Simulated recordings of each digit; 0 for the published numbers, 6,953 in all.
     samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = 0
+    #: Simulated people; 0 for the paper's 23.  More of them help with people who are not among
+    #: them (docs/simulation.md).
+    writers: Annotated[int, between(0, limits.SAMPLES)] = 0
     #: Leave out files that cannot be read instead of stopping.
     skip_bad: bool = False
     #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the

@@ -31,9 +31,9 @@ from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact, Library, Origin
 from pipeline.data.dataset import TRAINED_ON, Dataset
+from pipeline.data.events import facts_of
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import PUBLISHED, in_both_parts
-from pipeline.data.statistics import facts_of
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.roads import Road, fitted, new_run_text, road_of, split_text

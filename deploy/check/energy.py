@@ -197,8 +197,8 @@ def estimate_text(value: EnergyEstimate) -> str:
                 "" if total else "chip" if layer.on_chip else "host*",
                 f"{layer.synaptic_operations:.0f}",
                 f"{layer.neuron_updates:.0f}",
-                _joules(layer.chip_joules),
-                *(_joules(layer.cnn_joules(device)) for device in MAC),
+                joules_text(layer.chip_joules),
+                *(joules_text(layer.cnn_joules(device)) for device in MAC),
             ]
         )
     lines = [
@@ -222,7 +222,8 @@ def estimate_text(value: EnergyEstimate) -> str:
     )
 
 
-def _joules(value):
+def joules_text(value: float) -> str:
+    """Format an energy in joules, with three digits and its unit."""
     for unit, size in (("mJ", 1e-3), ("uJ", 1e-6), ("nJ", 1e-9)):
         if value >= size:
             return f"{value / size:.3g} {unit}"

@@ -24,7 +24,7 @@ SCHEMA = "stmnist-check/1"
 
 # Fields of a sample in a result. The last two only exist with a confidence for early decisions, and
 # for targets that record single spikes.
-PUBLISHED = ("id", "label", "prediction", "scores", "stable_after", "stopped_at", "spike_hash")
+PUBLISHED = ("id", "label", "prediction", "scores", "stopped_at", "spike_hash")
 
 # Shares of the writing time at which the accuracy is computed.
 SHARES = tuple(tenths / 10 for tenths in range(1, 11))
@@ -51,7 +51,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     seed : int
     samples : list of dict
         One dict per sample of the bundle's check, in order: ``id``, ``label``, ``prediction``,
-        ``scores``, ``stable_after`` (None without a decision), ``decisions`` (at each step),
+        ``scores``, ``decisions`` (at each step),
         ``spikes`` and ``operations`` (of each layer).
     wall_seconds : float
         Time spent on the samples, over all sessions.
@@ -69,7 +69,6 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     decisions[:, -1] = [sample["prediction"] for sample in samples]  # also of an empty output
     right = decisions == labels[:, None]
     correct = int(right[:, -1].sum())
-    stable = [sample["stable_after"] for sample in samples if sample["stable_after"] is not None]
     extra = dict(extra or {})
 
     def total(name):
@@ -85,7 +84,6 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "n_samples": len(samples),
         "accuracy": correct / len(samples),
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
-        "stable_after_median": float(np.median(stable)) if stable else None,
         "anytime_accuracy": [float(share) for share in right.mean(0)],
         **_while_written(bundle, decisions, labels, samples),
         "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
@@ -185,7 +183,6 @@ class _Sample:
     label: int = limited(COUNT)
     prediction: int = limited(COUNT)
     scores: List[float]
-    stable_after: Optional[int] = limited(COUNT)
     stopped_at: Optional[int] = limited(COUNT, None)
     spike_hash: Optional[str] = None
 
@@ -236,7 +233,6 @@ class _Result:
     samples: List[_Sample] = limited(Limit(len, "a sample or more"))
     accuracy: float = limited(SHARE)
     accuracy_ci95: List[float] = limited(INTERVAL)
-    stable_after_median: Optional[float]
     anytime_accuracy: List[float] = limited(SHARES_OF_1)
     steps_per_sample: int = limited(COUNT)
     simulated: Optional[bool]

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Dict, Iterator, List, Optional
 
-import numpy as np
-
 from ..errors import UserError
 from ..files import locked, reporting_os_errors, write_json
 from ..loading import load
@@ -30,7 +28,6 @@ class _Answer:
     label: int
     prediction: int
     scores: List[float]
-    stable_after: Optional[int]
     decisions: List[int]
     spikes: Dict[str, int]
     operations: Dict[str, int]
@@ -261,14 +258,13 @@ def open_check(
 
 def records_of(checks: CheckSet, responses: Responses) -> list:
     """The saved fields of each sample."""
-    hashes, stops, stable = responses.spike_hashes, responses.stopped_at, responses.stable_after
+    hashes, stops = responses.spike_hashes, responses.stopped_at
     return [
         {
             "id": checks.ids[i],
             "label": int(checks.labels[i]),
             "prediction": int(responses.predictions[i]),
             "scores": [float(score) for score in responses.scores[i]],
-            "stable_after": None if np.isnan(stable[i]) else int(stable[i]),
             "decisions": [int(decision) for decision in responses.decisions[i]],
             "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
             "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},

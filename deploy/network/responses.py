@@ -62,23 +62,6 @@ class Responses:
         last = self.decisions[:, -1]
         return np.where(last < 0, self.scores.argmax(1), last)
 
-    @property
-    def stable_after(self) -> np.ndarray:
-        """Step (from 1) after which each sample's decision did not change, shape (n_samples,).
-
-        NaN if there was never a decision.  This is known only in hindsight: it is no latency.
-        """
-        differs = self.decisions != self.decisions[:, -1:]
-        steps = self.decisions.shape[1]
-        after = np.where(differs.any(1), steps + 1 - np.argmax(differs[:, ::-1], 1), 1)
-        return np.where(self.decisions[:, -1] < 0, np.nan, after)
-
-    @property
-    def stable_after_median(self) -> Optional[float]:
-        """Median of `stable_after` over the samples with a decision; None if there are none."""
-        after = self.stable_after[~np.isnan(self.stable_after)]
-        return float(np.median(after)) if len(after) else None
-
 
 class ShortOfSteps(Exception):
     """A simulator or board returned an impossible number of steps or spikes."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.events import DIGITS, GRID, Events, Recordings
+from pipeline.data.events import Events, Recordings, is_handwriting
 
 
 @dataclass(frozen=True)
@@ -42,18 +42,6 @@ AUGMENTATIONS = {
 def augmentation_for(recordings: Recordings) -> str:
     """The augmentation that suits recordings: ``space`` for handwriting, otherwise ``time``."""
     return "space" if is_handwriting(recordings) else "time"
-
-
-def is_handwriting(recordings: Recordings) -> bool:
-    """True for handwriting on the skin.
-
-    This is what people wrote on the simulated skin, and digits that were simulated or are in
-    ST-MNIST's format on its array.
-    """
-    source, sensor = recordings.source, recordings.sensor
-    is_st_mnist = not source.time_unit and (sensor.rows, sensor.columns) == (GRID, GRID)
-    is_digits = sensor.classes == DIGITS
-    return bool(source.written or (is_digits and (source.simulated or is_st_mnist)))
 
 
 def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarity, size=(10, 10)):

@@ -26,6 +26,8 @@ GRID = 10
 # Classes of the published recordings.
 DIGITS = tuple("0123456789")
 
+UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -331,3 +333,60 @@ def are_digits(classes) -> bool:
 def is_written(rows: int, columns: int, classes) -> bool:
     """True for digits on ST-MNIST's sensor, to which the paper's figures apply."""
     return are_digits(classes) and rows == columns == GRID
+
+
+def is_handwriting(recordings: Recordings) -> bool:
+    """True for handwriting on the skin.
+
+    This is what people wrote on the simulated skin, and digits that were simulated or are in
+    ST-MNIST's format on its array.
+    """
+    source, sensor = recordings.source, recordings.sensor
+    is_st_mnist = not source.time_unit and (sensor.rows, sensor.columns) == (GRID, GRID)
+    is_digits = sensor.classes == DIGITS
+    return bool(source.written or (is_digits and (source.simulated or is_st_mnist)))
+
+
+def facts_of(recordings: Recordings) -> dict:
+    """The source, the sensor and the number of recordings of each class, as plain values."""
+    source, sensor = recordings.source, recordings.sensor
+    counts = np.bincount(recordings.labels, minlength=len(sensor.classes)).tolist()
+    return {
+        "source": source.name,
+        "sha256": source.sha256,
+        "simulated": source.simulated,
+        "written": source.written,
+        "samples": len(recordings),
+        "files_left_out": len(source.left_out),
+        "samples_per_class": dict(zip(sensor.classes, counts, strict=True)),
+        "sensor": {
+            "rows": sensor.rows,
+            "columns": sensor.columns,
+            "taxels": len(recordings.taxels),
+            "polarities": sensor.polarities,
+            "duration_s": sensor.duration_s,
+        },
+    }
+
+
+def reading_text(recordings: Recordings) -> str:
+    """Summary of a source in one line: numbers, sizes, durations and the unit of times."""
+    time_ns, offsets, sensor = recordings.events.time_ns, recordings.offsets, recordings.sensor
+    some = np.diff(offsets) > 0
+    lasts = (time_ns[offsets[1:][some] - 1] - time_ns[offsets[:-1][some]]) * 1e-9
+    lasts = lasts if some.any() else np.zeros(1)
+    parts = [
+        f"{len(recordings)} recordings",
+        size_text(sensor),
+        f"{len(sensor.classes)} class{'es' * (len(sensor.classes) != 1)}",
+        f"{lasts.min():.2g} to {lasts.max():.2g} s",
+    ]
+    if recordings.source.time_unit:
+        parts.append(f"times read as {UNIT_NAMES[recordings.source.time_unit]}")
+    return ", ".join(parts)
+
+
+def size_text(sensor: Sensor) -> str:
+    """Rows and columns in words."""
+    rows, columns = sensor.rows, sensor.columns
+    return f"{rows} row{'s'[: rows != 1]} x {columns} column{'s'[: columns != 1]}"

@@ -21,6 +21,7 @@ from pipeline.data.splits import PUBLISHED, RANDOM
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.settings import SIMULATED, Settings
+from pipeline.skin import parameters
 from pipeline.skin.simulate import simulate, source_of
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
@@ -40,6 +41,7 @@ def load_recordings(
     jobs: int = 2,
     warn=None,
     reading: Reading = AS_FOUND,
+    writers: int = 0,
 ) -> Recordings:
     """Recordings of a source, which are simulated or imported on first use and cached.
 
@@ -59,6 +61,8 @@ def load_recordings(
         Called with one line for each file that was left out.
     reading : pipeline.data.sensor.Reading
         Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
+    writers : int
+        Number of simulated people; 0 for the published number, 23.
 
     Returns
     -------
@@ -72,7 +76,8 @@ def load_recordings(
     if source == SIMULATED:
         size = (reading.rows or GRID, reading.columns or GRID)
         counts = _counts(samples_per_digit)
-        return simulated(simulation_seed, counts, jobs, size=size)
+        people = parameters.load(writers)
+        return simulated(simulation_seed, counts, jobs, size=size, parameters=people)
     return _imported(Path(source), skip_bad, jobs, warn, reading)
 
 
@@ -81,8 +86,9 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     data, reading = settings.data, Reading(settings.skin.rows, settings.skin.columns)
     # An artifact may read only the settings that apply to its recordings (dataset_origin).
     if data.source == SIMULATED:
+        numbers = data.simulation_seed, data.samples_per_digit
         return load_recordings(
-            SIMULATED, data.simulation_seed, data.samples_per_digit, jobs=jobs, reading=reading
+            SIMULATED, *numbers, jobs=jobs, reading=reading, writers=data.writers
         )
     reading = replace(reading, time_unit=data.time_unit, downsample=data.downsample)
     return load_recordings(
@@ -109,7 +115,8 @@ def identity_of(settings: Settings) -> tuple:
     if data.source == SIMULATED:
         size = (skin.rows or GRID, skin.columns or GRID)
         counts = _counts(data.samples_per_digit)
-        sha256 = source_of(data.simulation_seed, counts, size=size).sha256
+        people = parameters.load(data.writers)
+        sha256 = source_of(data.simulation_seed, counts, people, size=size).sha256
         return sha256, RANDOM if kind == "auto" else kind
     listing = sources.list_source(data.source)
     if kind == "auto":

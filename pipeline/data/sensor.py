@@ -16,10 +16,8 @@ import numpy as np
 
 from deploy.errors import UserError
 from pipeline.data.eventfiles import UNITS, EventRecording
-from pipeline.data.events import DIGITS, GRID, N_TAXELS, Sensor, TaxelMap
+from pipeline.data.events import DIGITS, GRID, N_TAXELS, UNIT_NAMES, Sensor, TaxelMap
 from pipeline.data.matfile import LATEST_S, MAX_SIDE, BadRecording
-
-UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 
 # Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
 # recordings would be shorter is excluded.

@@ -10,32 +10,18 @@ from deploy.files import open_regular, reporting_os_errors
 from deploy.tables import in_blocks, shortened_apart
 from deploy.terminal import printable
 from pipeline.data.eventfiles import UNITS, EventRecording
-from pipeline.data.events import TICK_NS, Recordings, Sensor, is_written
+from pipeline.data.events import (
+    TICK_NS,
+    UNIT_NAMES,
+    Recordings,
+    Sensor,
+    facts_of,
+    is_written,
+    reading_text,
+)
 from pipeline.data.matfile import LATEST_S, BadRecording, read_limited
-from pipeline.data.sensor import UNIT_NAMES, recognised, to_ns
+from pipeline.data.sensor import recognised, to_ns
 from pipeline.data.source import read_file
-
-
-def facts_of(recordings: Recordings) -> dict:
-    """The source, the sensor and the number of recordings of each class, as plain values."""
-    source, sensor = recordings.source, recordings.sensor
-    counts = np.bincount(recordings.labels, minlength=len(sensor.classes)).tolist()
-    return {
-        "source": source.name,
-        "sha256": source.sha256,
-        "simulated": source.simulated,
-        "written": source.written,
-        "samples": len(recordings),
-        "files_left_out": len(source.left_out),
-        "samples_per_class": dict(zip(sensor.classes, counts, strict=True)),
-        "sensor": {
-            "rows": sensor.rows,
-            "columns": sensor.columns,
-            "taxels": len(recordings.taxels),
-            "polarities": sensor.polarities,
-            "duration_s": sensor.duration_s,
-        },
-    }
 
 
 def facts_with_events(recordings: Recordings) -> dict:
@@ -45,29 +31,6 @@ def facts_with_events(recordings: Recordings) -> dict:
         "events": len(recordings.events),
         "columns": int(recordings.events.columns.sum(dtype=np.int64)),
     }
-
-
-def reading_text(recordings: Recordings) -> str:
-    """Summary of a source in one line: numbers, sizes, durations and the unit of times."""
-    time_ns, offsets, sensor = recordings.events.time_ns, recordings.offsets, recordings.sensor
-    some = np.diff(offsets) > 0
-    lasts = (time_ns[offsets[1:][some] - 1] - time_ns[offsets[:-1][some]]) * 1e-9
-    lasts = lasts if some.any() else np.zeros(1)
-    parts = [
-        f"{len(recordings)} recordings",
-        size_text(sensor),
-        f"{len(sensor.classes)} class{'es' * (len(sensor.classes) != 1)}",
-        f"{lasts.min():.2g} to {lasts.max():.2g} s",
-    ]
-    if recordings.source.time_unit:
-        parts.append(f"times read as {UNIT_NAMES[recordings.source.time_unit]}")
-    return ", ".join(parts)
-
-
-def size_text(sensor: Sensor) -> str:
-    """Rows and columns in words."""
-    rows, columns = sensor.rows, sensor.columns
-    return f"{rows} row{'s'[: rows != 1]} x {columns} column{'s'[: columns != 1]}"
 
 
 def recordings_text(facts: dict, recordings: Recordings) -> str:

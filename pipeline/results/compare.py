@@ -189,7 +189,6 @@ def inference(run: Run) -> dict:
     result = run.results.get(stage, {})
     counted = result.get("synaptic_operations", {})
     operations = sum(counted.values()) / result["n_samples"] if stage else None
-    step_ms, stable = 1000 * spec.stimulus.step_seconds, result.get("stable_after_median")
     early = result.get("while_written", {}).get("by_itself")
     of_digits = is_written(*spec.input_shape[:2], classes_of(spec))
     return {
@@ -205,9 +204,7 @@ def inference(run: Run) -> dict:
         "synaptic_operations": operations,
         "operations_per_mac": operations / CNN_MACS if stage and of_digits else None,
         "steps": spec.presentation.steps,
-        "step_ms": step_ms,
-        "stable_after_median": stable,
-        "stable_after_ms": stable and stable * step_ms,
+        "step_ms": 1000 * spec.stimulus.step_seconds,
         "writing": None
         if not early or early["confidence"] >= 1  # which decides at the end
         else {
@@ -375,16 +372,12 @@ def _inference_lines(runs, letters):
         row("synaptic operations", "synaptic_operations", "{:,.0f}"),
         row("times the CNN's", "operations_per_mac", "{:.2f}"),
         row("steps of presentation", "steps"),
-        row("answer stable after", "stable_after_ms", "{:g} ms"),
         row("early decision after", "share", "{:.0%} of recording", early),
         row("its accuracy", "accuracy", "{:.3f}", early),
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])])
     if any(run["operations_per_mac"] is not None for run in runs):
         lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
-    if any(run["stable_after_median"] is not None for run in runs):
-        lines.append("answer stable after: median time after which the answer did not change;")
-        lines.append("known only in hindsight")
     return lines
 
 

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from deploy.check.results import compare_results, loss_text, read_result
+from deploy.check.results import compare_results, read_result
 from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
@@ -81,7 +81,7 @@ def _hash_of(value):
 
 
 def ladder_rows(results) -> list:
-    """Compare each result with the previous one.
+    """Compare each result with the previous one, and none with ``counts``, the simplest baseline.
 
     Parameters
     ----------
@@ -92,8 +92,9 @@ def ladder_rows(results) -> list:
     -------
     list of dict
         The ladder's rows: ``stage``, ``accuracy``, ``accuracy_ci95`` (Wilson's interval);
-        compared with the stage above, and None in the first row: ``change`` of the accuracy, number
-        of ``disagreements`` of the predictions, and ``mcnemar_p`` of the exact test;
+        compared with the stage above, and None in the first row and below ``counts``: ``change`` of
+        the accuracy, number of ``disagreements`` of the predictions, and ``mcnemar_p`` of the exact
+        test;
         ``confusion``, the numbers of samples by label (row) and prediction (column).
 
     Raises
@@ -103,7 +104,8 @@ def ladder_rows(results) -> list:
     """
     rows = []
     for above, result in itertools.pairwise([None, *results]):
-        against = compare_results(above, result) if above is not None else None
+        is_first = above is None or above["target"] == "counts"
+        against = None if is_first else compare_results(above, result)
         samples = result["samples"]
         answers = ([sample[key] for sample in samples] for key in ("label", "prediction"))
         rows.append(
@@ -155,7 +157,6 @@ def ladder_json(results, layers=None, classes=None) -> dict:
     by_stage = {result["target"]: result for result in results}
     trained = next((result for result in results if result["target"] in TRAINED), None)
     reference = by_stage[compared_with(by_stage)]
-    after = list(by_stage).index(reference["target"]) + 1
     return {
         "schema": "stmnist-ladder/1",
         "bundle": first["bundle"],
@@ -169,7 +170,6 @@ def ladder_json(results, layers=None, classes=None) -> dict:
         "while_written": results[-1].get("while_written"),
         "layers": layers,
         "least_faithful_layer": layers and least_faithful(layers),
-        "losses": [text for result in results[after:] if (text := loss_text(reference, result))],
     }
 
 
@@ -268,7 +268,6 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
             lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder.get("while_written"):
         lines.append(early_text(ladder["while_written"], last))
-    lines += ladder.get("losses", [])
     losing = losing_stages(ladder, limit, by_chance)
     for a, b, points in losing:
         lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}, more than {limit:g}")

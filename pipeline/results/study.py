@@ -333,8 +333,8 @@ def costs_of(spec, responses) -> dict:
     dict
         ``operations``: synaptic, readout included; ``per_cnn`` and ``per_dense``: the same relative
         to the multiply-accumulates of the paper's CNN and of the dense form of this network;
-        ``updates`` of neurons on the chip; ``cores``; ``steps`` of a presentation; median
-        step after which the answer was ``stable``; ``spikes`` by layer.
+        ``updates`` of neurons on the chip; ``cores``; ``steps`` of a presentation;
+        ``spikes`` by layer.
     """
     operations = float(sum(counts.mean() for counts in responses.operations.values()))
     neurons = sum(layer.size for layer in spec.layers if layer.neurons)
@@ -345,7 +345,6 @@ def costs_of(spec, responses) -> dict:
         "updates": neurons * spec.presentation.period,
         "cores": len(make_plan(spec).to_json()["cores"]),
         "steps": spec.presentation.steps,
-        "stable": responses.stable_after_median,
         "spikes": {name: float(counts.mean()) for name, counts in responses.spikes.items()},
     }
 

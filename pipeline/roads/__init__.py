@@ -9,10 +9,9 @@ is an error; all errors are reported together before anything is trained.
 
 from deploy.errors import SeveralErrors, UserError
 from pipeline.data.dataset import NO_SPLIT, TOO_SMALL
-from pipeline.data.events import Recordings
+from pipeline.data.events import Recordings, reading_text
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import PUBLISHED, WRITERS, kind_of, split_of, split_problem
-from pipeline.data.statistics import reading_text
 from pipeline.roads.events import EventRoad
 from pipeline.roads.image import ImageRoad
 from pipeline.roads.nir import NirRoad

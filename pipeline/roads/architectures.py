@@ -10,8 +10,7 @@ from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
 from models.chain import deployed, links_of
-from pipeline.data.events import Sensor
-from pipeline.data.statistics import size_text
+from pipeline.data.events import Sensor, size_text
 from pipeline.settings import Deployment
 
 # Rows and columns of the first convolution's output on images, at most, on average.

@@ -15,9 +15,9 @@ from models import chain
 from models.architecture import parse
 from models.integers import from_integers
 from pipeline.artifacts import DELETE_IT
-from pipeline.data.altering import augmentation_for, is_handwriting
+from pipeline.data.altering import augmentation_for
 from pipeline.data.dataset import Dataset, event_warnings
-from pipeline.data.events import Sensor
+from pipeline.data.events import Sensor, is_handwriting
 from pipeline.data.splits import split_of
 from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS

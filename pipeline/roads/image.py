@@ -15,8 +15,8 @@ from deploy.targets.fast import firing_rates
 from models import chain
 from models.architecture import parse
 from models.keras_model import read_keras
-from pipeline.data.altering import augmentation_for
 from pipeline.data.dataset import Dataset, require_images_fit
+from pipeline.data.events import is_handwriting
 from pipeline.data.images import AlteredImages, typical_duration_ms
 from pipeline.roads import counts
 from pipeline.roads.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
@@ -66,6 +66,15 @@ def _respond(stage, opened, bundle, advance):
     logits = network(settings, weights).logits(images)[:, None]
     advance(len(images))
     return responses_of(logits, settings.presentation)
+
+
+# Settings of the neurons, and those that have an effect in each recipe of the spiking network.
+NEURONS = ("snn.recipe", "snn.max_rates", "snn.tau_rc", "snn.tau_ref")
+SNN_SETTINGS = {
+    "loihi": ("snn", "cnn.augment"),
+    "paper": (*NEURONS, "snn.epochs", "snn.batch_size", "snn.learning_rate"),
+    "as-is": NEURONS,
+}
 
 
 class ImageRoad(Road):
@@ -130,7 +139,7 @@ class ImageRoad(Road):
         cnn = ["cnn.model_sha256"]
         if not self.settings.cnn.model:
             cnn = ["cnn.epochs", "cnn.batch_size", "cnn.learning_rate", "cnn.augment"]
-        files, further = ("metrics.json", "weights.npz"), ("snn", "cnn.augment")
+        files, further = ("metrics.json", "weights.npz"), SNN_SETTINGS[self.settings.snn.recipe]
         reads = ("input.kind", "image", "cnn.architecture", *cnn)
         return (
             counts.PART,
@@ -311,13 +320,13 @@ def _trained_further(name, function, opened, artifact):
     from pipeline.training.networks import snn_recipe
 
     settings, dataset = opened.settings, opened.dataset
-    data, how = dataset.part("train"), settings.cnn.augment
-    if how == "auto":
-        # On validation samples of handwriting, alterations in space help the CNN (by 0.2 and 1.8
-        # points) and not the spiking network (by 0.5 points).
-        how = "none" if augmentation_for(dataset.recordings) == "space" else "time"
-    if settings.snn.recipe != "loihi":
-        how = "none"
+    data, how = dataset.part("train"), "none"
+    if settings.snn.recipe == "loihi":
+        how = settings.cnn.augment
+        if how == "auto":
+            # On validation samples of handwriting, alterations in space help the CNN (by 0.2 and
+            # 1.8 points) and not the spiking network (by 0.5 points).
+            how = "none" if is_handwriting(dataset.recordings) else "time"
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
     altered = _altered(how, settings, dataset)
     arguments = settings, data, settings.seed, opened.weights("cnn"), altered, watched(dataset)

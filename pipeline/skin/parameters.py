@@ -80,10 +80,11 @@ CALIBRATION = Path(__file__).with_name("calibration.json")
 
 
 @functools.cache
-def load() -> Parameters:
-    """The built-in settings."""
+def load(writers: int = 0) -> Parameters:
+    """The built-in settings, with another number of people if it is not 0."""
     values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
     fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
+    values["writers"]["count"] = writers or values["writers"]["count"]
     sections = {name: _section(name, entries) for name, entries in values.items()}
     forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
     return Parameters(**sections, forms=forms, shapes=shape_model.load())

@@ -228,8 +228,8 @@ def snn_recipe(snn, n_samples: int) -> Recipe:
 def build_rate_network(settings: Settings) -> tf.keras.Model:
     """Build the network with rate-based LIF neurons, as ``snn.recipe`` defines it."""
     snn, architecture = settings.snn, parse(settings.cnn.architecture)
-    on_chip = snn.is_on_chip
-    costs = _spike_costs(settings, architecture) if on_chip and snn.spike_penalty else None
+    on_chip, is_noisy = snn.is_on_chip, snn.recipe == "loihi"
+    costs = _spike_costs(settings, architecture) if is_noisy and snn.spike_penalty else None
 
     def neurons(index):
         return RateLIF(
@@ -237,8 +237,8 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             snn.tau_rc,
             snn.tau_ref,
             on_chip=on_chip,
-            noise=snn.noise if on_chip else 0.0,
-            dropout=snn.dropout if on_chip else 0.0,
+            noise=snn.noise if is_noisy else 0.0,
+            dropout=snn.dropout if is_noisy else 0.0,
             spike_costs=costs and costs[index],
         )
 

@@ -142,6 +142,10 @@ DEPENDS = {
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
     ),
+    ("data.writers", 99): (
+        "dataset cnn cnn-matched rate-lif bundle",
+        "dataset events threshold bundle",
+    ),
     ("data.samples_per_digit", 9): (
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",

@@ -249,7 +249,7 @@ link.on("cleared", (message) => {
   if (recording === null) pen.settled = true; // no events will say so
   document.body.classList.toggle("example", Boolean(message.example));
   if (message.example) showExample(message.example);
-  $("hint").classList.toggle("gone", recording !== null);
+  for (const id of ["hint", "status"]) $(id).classList.toggle("gone", recording !== null);
   $("told").textContent = message.example ? "An example cannot be saved; clear it and write one." : "";
   unmark();
   complain(null);
@@ -347,6 +347,7 @@ link.on("gone", ({ code, reason, opened }) => {
   delete document.body.dataset.ready;
   document.body.classList.add("offline");
   $("status").textContent = "Not connected.";
+  $("status").classList.remove("gone");
   if (code !== REFUSED && code !== TOO_MANY) // of these, the server has said the reason itself
     complain(opened
       ? `The server has ended or cannot be reached${reason ? ` (${reason})` : ""}. Saved recordings are safe; start 'stmnist live' again and open the address that it prints.`

@@ -156,7 +156,7 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
             y_axis = _Axis(0, 1, bottom, y, exact=True)
             for tick in (0, 0.5, 1):
                 marks.append(_segment("grid", LEFT, y_axis(tick), width - RIGHT, y_axis(tick)))
-                marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{tick:g}", "end"))
+                marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
             marks += [_line(x_axis, y_axis, s, n) for n, s in enumerate(panel.series, 1)]
         y = bottom + gap
     end = y - gap
@@ -238,7 +238,7 @@ class _Axis:
         return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
 
     def ticks(self):
-        first = np.ceil(self.low / self.step - 1e-9) * self.step
+        first = np.ceil(self.low / self.step - 1e-9) * self.step + 0.0  # no "-0"
         return np.arange(first, self.high + self.step * 1e-6, self.step)
 
     def label(self, value):

@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.check.bundle import Bundle
-from deploy.check.energy import estimate_energy, estimate_text
+from deploy.check.energy import MAC, estimate_energy, joules_text
 from deploy.check.intervals import wilson_interval
 from deploy.check.results import compare_results
 from deploy.network.operations import multiply_accumulates
@@ -28,9 +28,6 @@ from pipeline.stages import settings_read
 
 # Largest number of classes for which a confusion matrix is drawn.
 MOST_IN_A_MATRIX = 40
-
-# Number of classes whose probability is drawn: the most likely at the end, and the right one.
-SHOWN_CLASSES = 4
 
 
 @dataclass(frozen=True)
@@ -217,10 +214,13 @@ def class_table(inputs: Inputs) -> list:
 def layer_table(bundle: Bundle, plan: dict, result: dict) -> list:
     """Each layer: kind, output shape, weights, neurons, place, activity per sample.
 
-    ``rate`` is in spikes per second and neuron; values that do not exist are None.
+    ``rate`` is in spikes per second and neuron, ``energy`` an estimate for the chip; values that do
+    not exist are None.
     """
     spec, n = bundle.spec, result["n_samples"]
     cores = [core["layer"] for core in plan["cores"]]
+    estimate = estimate_energy(spec, result).layers if result["spikes"] else []
+    energy = {layer.layer: layer.chip_joules for layer in estimate}
     seconds = seconds_per_sample(spec)
 
     def row(name, kind, shape, weights, neurons):
@@ -236,6 +236,7 @@ def layer_table(bundle: Bundle, plan: dict, result: dict) -> list:
             "spikes": None if spikes is None else spikes / n,
             "rate": None if spikes is None else spikes / n / neurons / seconds,
             "operations": None if operations is None else operations / n,
+            "energy": joules_text(energy[name]) if name in energy else None,
         }
 
     rows = [row("input", "input", spec.input_shape, None, int(np.prod(spec.input_shape)))]
@@ -275,11 +276,11 @@ def _over_time(inputs):
         label = f"steps of {1000 * spec.stimulus.step_seconds:g} ms"
     if len(y) < 2:
         return None
-    band = tuple(wilson_interval(round(n * a), n) for a in y)
-    series = charts.Series(name, tuple(x), tuple(y), band)
+    band = tuple(tuple(100 * v for v in wilson_interval(round(n * a), n)) for a in y)
+    series = charts.Series(name, tuple(x), tuple(100 * a for a in y), band)
     early = written and written.get("by_itself")
     return {
-        "chart": charts.line_chart([series], label, "accuracy", "Accuracy over time"),
+        "chart": charts.line_chart([series], label, "accuracy, %", "Accuracy over time"),
         "name": name,
         "early": early if early and early["confidence"] < 1 else None,
         "on_events": bool(written),
@@ -352,27 +353,24 @@ def _stories(inputs):
     for index, replay in inputs.replays.items():
         sample = result["samples"][index]
         answered = sample["prediction"]
-        top = list(np.argsort(-replay.chances[-1], kind="stable")[:SHOWN_CLASSES])
-        if sample["label"] not in top:
-            top[-1] = sample["label"]
         at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
         drawn = drawn_steps(len(at_ms))
         lines = charts.Lines(
-            "probability of the classes",
+            "probability of the classes, %",
             tuple(
                 charts.Series(classes[c], tuple(at_ms[drawn]), tuple(replay.chances[drawn, c]))
-                for c in top
+                for c in replay.shown(sample["label"])
             ),
         )
         layers = [
-            _touch(spec, size, steps, neurons)
-            if name == "input" and not spec.stimulus.static
-            else charts.Raster(
-                f"{name}: {size} neurons, {len(steps)} spikes",
-                (("s1", (steps + 0.5) * step_ms, neurons),),
-                size,
+            charts.Raster(
+                f"{layer.name}: {layer.size} {layer.unit}, "
+                f"{sum(len(steps) for _, steps, _ in layer.groups)} "
+                f"{'events' if layer.name == 'sensor' else 'spikes'}",
+                [(kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups],
+                layer.size,
             )
-            for name, size, steps, neurons in replay.layers
+            for layer in replay.layers
         ]
         extent = spec.presentation.steps * step_ms
         chances = final_probabilities(spec, sample["scores"])
@@ -403,16 +401,6 @@ def _stopped(sample, spec):
     return sample.get("stopped_at", spec.presentation.steps) < spec.presentation.steps
 
 
-def _touch(spec, size, steps, neurons):
-    """The input spikes of a network on events, by taxel and polarity."""
-    milliseconds, is_on = 1000 * spec.stimulus.step_seconds * (steps + 0.5), neurons % 2 == 0
-    groups = tuple(
-        (kind, milliseconds[mask], neurons[mask] // 2)
-        for kind, mask in (("on", is_on), ("off", ~is_on))
-    )
-    return charts.Raster(f"sensor: {size // 2} taxels, {len(steps)} events", groups, size // 2, 110)
-
-
 def drawn_steps(n: int) -> np.ndarray:
     """The steps of a curve that are drawn: at most about 200, and always the last one."""
     every = max(1, n // 100)
@@ -428,13 +416,13 @@ def _learning_curves(histories):
             charts.Series(
                 title,
                 tuple(row["epoch"] for row in rows),
-                tuple(row[f"{part}accuracy"] for row in rows),
+                tuple(100 * row[f"{part}accuracy"] for row in rows),
             )
             for part, title in parts.items()
             if f"{part}accuracy" in rows[0]
         ]
         if series:
-            chart = charts.line_chart(series, "epoch", "accuracy", f"Learning curve of {name}")
+            chart = charts.line_chart(series, "epoch", "accuracy, %", f"Learning curve of {name}")
             legend = charts.legend([s.name for s in series])
             curves.append({"title": name, "chart": chart, "legend": legend})
     return curves
@@ -443,4 +431,9 @@ def _learning_curves(histories):
 def _energy(inputs):
     if not inputs.results[-1]["spikes"]:
         return None
-    return estimate_text(estimate_energy(inputs.bundle.spec, inputs.results[-1]))
+    estimate = estimate_energy(inputs.bundle.spec, inputs.results[-1])
+    return {
+        "loihi": joules_text(estimate.chip_joules),
+        "share_of_updates": estimate.share_of_updates,
+        **{device: joules_text(estimate.cnn_joules(device)) for device in MAC},
+    }

@@ -1,12 +1,35 @@
 """Some samples of a check again, with every spike and the probabilities at each step."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.network.responses import decoded, running_sums
 from deploy.targets.fast import Emulation
+
+# Number of classes whose probability is drawn: the most likely at the end, and the right one.
+SHOWN_CLASSES = 4
+
+
+class Spikes(NamedTuple):
+    """The spikes of a layer in a sample, or the events of the sensor.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name of the layer, and of what has a row each, such as ``"neurons"``.
+    size : int
+        Number of rows.
+    groups : tuple of (str, ndarray of int, ndarray of int)
+        Colour, the step of each spike, from 0 at the start of the presentation, and its row.
+    """
+
+    name: str
+    unit: str
+    size: int
+    groups: tuple
 
 
 @dataclass(frozen=True)
@@ -15,15 +38,18 @@ class Replay:
 
     Attributes
     ----------
-    layers : tuple of (str, int, ndarray of int, ndarray of int)
-        Of each spiking layer: its name and number of neurons; the step of each spike, from 0 at the
-        start of the presentation, and its neuron.
+    layers : tuple of Spikes
     chances : ndarray of float, shape (steps - readout_start, classes)
         Probabilities of the classes at each step.
     """
 
     layers: tuple
     chances: np.ndarray
+
+    def shown(self, label: int) -> list:
+        """The classes whose probability is drawn, for a sample of a class."""
+        top = np.argsort(-self.chances[-1], kind="stable")[:SHOWN_CLASSES].tolist()
+        return top if label in top else [*top[:-1], label]
 
 
 def softmax(scores) -> np.ndarray:
@@ -92,8 +118,17 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
             for name in spec.spiking_layers:
                 bits = packed[index - part.start][name][0, shown.gap :]
                 steps, neurons = np.nonzero(np.unpackbits(bits, axis=1, count=sizes[name]))
-                layers.append((name, sizes[name], steps, neurons))
+                layers.append(_spikes(spec, name, sizes[name], steps, neurons))
             replays[index] = Replay(tuple(layers), chances[index - part.start])
             if advance is not None:
                 advance(1)
     return {index: replays[index] for index in indices}
+
+
+def _spikes(spec, name, size, steps, neurons):
+    if name != "input" or spec.stimulus.static:
+        unit = "lines" if name == "input" else "neurons"
+        return Spikes(name, unit, size, (("s1", steps, neurons),))
+    taxels, is_on = neurons // 2, neurons % 2 == 0
+    groups = (("on", steps[is_on], taxels[is_on]), ("off", steps[~is_on], taxels[~is_on]))
+    return Spikes("sensor", "taxels", size // 2, groups)

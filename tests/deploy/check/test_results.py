@@ -24,16 +24,9 @@ def result(predictions=(0, 1, 2, 3), labels=(0, 1, 2, 3), target="nengo", **chan
         "accuracy": right / len(labels),
         "accuracy_ci95": [0.0, 1.0],
         "samples": [
-            {
-                "id": f"x/{i}",
-                "label": label,
-                "prediction": p,
-                "scores": [0.0] * 10,
-                "stable_after": 1,
-            }
+            {"id": f"x/{i}", "label": label, "prediction": p, "scores": [0.0] * 10}
             for i, (label, p) in enumerate(zip(labels, predictions, strict=True))
         ],
-        "stable_after_median": 1.0,
         "anytime_accuracy": [right / len(labels)],
         "spikes": {"conv1": 10},
         "synaptic_operations": {"output": 100},

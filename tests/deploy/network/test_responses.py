@@ -64,14 +64,11 @@ def test_the_readout_on_the_chip_has_no_bias_to_add():
 
 
 @pytest.mark.parametrize(
-    ("decisions", "step"),
-    [([-1, 3, 3], 2), ([3, 3, 3], 1), ([-1, 3, 4], 3), ([-1, 4, 3, 3], 3), ([-1, -1, -1], None)],
+    ("decisions", "answer"), [([-1, 3, 4], 4), ([-1, 4, 3], 3), ([-1, -1, -1], 7)]
 )
-def test_an_answer_is_stable_after_its_last_change(decisions, step):
+def test_an_answer_is_the_last_decision_or_without_any_the_highest_score(decisions, answer):
     responses = Responses(np.eye(10)[[7]], np.array([decisions]), {}, {})
-    np.testing.assert_array_equal(responses.stable_after, [np.nan if step is None else step])
-    assert responses.stable_after_median == step
-    assert responses.predictions.tolist() == [7 if step is None else decisions[-1]]
+    assert responses.predictions.tolist() == [answer]
 
 
 def unbiased(spec):
@@ -87,8 +84,6 @@ def test_an_empty_output_is_not_the_answer_class_0():
     output[2, 0] = [0, 0, 2]
     responses = read_output(spec, output, spikes_of(spec, 3))
     assert responses.decisions.tolist() == [[-1, -1, 0, 0], [-1] * 4, [2] * 4]
-    np.testing.assert_array_equal(responses.stable_after, [3, np.nan, 1])
-    assert responses.stable_after_median == 2
 
 
 def test_no_early_decision_on_an_empty_output():

@@ -34,6 +34,15 @@ def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, 
     assert len(recordings_of(seen)) == (20 if own else 60)
 
 
+def test_other_simulated_people_are_other_recordings():
+    more = SMALL.with_values({"data": {"writers": 31, "samples_per_digit": 31}}, "test")
+    recordings = recordings_of(more)
+    assert set(recordings.writers) == set(range(31))
+    assert recordings.source.sha256 == identity_of(more)[0]
+    fewer = more.with_values({"data": {"writers": 0}}, "test")
+    assert identity_of(fewer)[0] != identity_of(more)[0]
+
+
 def test_inputs_and_labels_are_those_of_the_recordings(dataset):
     assert len(dataset) == 60
     np.testing.assert_array_equal(dataset.labels, np.repeat(np.arange(10), 6))

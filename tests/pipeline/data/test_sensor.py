@@ -6,12 +6,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from pipeline.data.events import Sensor
+from pipeline.data.events import Sensor, reading_text
 from pipeline.data.images import tactile_images
 from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading, class_order
 from pipeline.data.source import read_source
-from pipeline.data.statistics import reading_text
 from pipeline.settings import Image
 from tests.command import missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures

@@ -117,7 +117,7 @@ def test_where_a_network_comes_from():
 
 
 def test_what_an_inference_takes_by_hand(monkeypatch):
-    counts = {"operations": {"conv1": 600, "conv2": 200}, "stable_after_median": 25.0}
+    counts = {"operations": {"conv1": 600, "conv2": 200}}
     images = run("a", [result("nengo", ALL), result("emulator", ALL, **counts)])
     first, second = compare_runs([images, run("b", [result("nengo", ALL)])])["runs"]
     assert first["counted_on"] == "emulator"
@@ -127,7 +127,6 @@ def test_what_an_inference_takes_by_hand(monkeypatch):
     monkeypatch.setattr(compare, "is_written", lambda rows, columns, classes: True)
     assert inference(images)["operations_per_mac"] == pytest.approx(100 / 43104)
     assert first["neurons"] == 64 + 72
-    assert first["stable_after_median"] == 25
     assert (second["counted_on"], second["synaptic_operations"]) == (None, None)
 
 
@@ -138,7 +137,7 @@ def test_time_to_decide_of_events():
         "accuracy": 0.75,
         "accuracy_ci95": [0.4, 0.9],
     }
-    counts = {"operations": {"conv1": 8}, "stable_after_median": 12.0}
+    counts = {"operations": {"conv1": 8}}
     answer = result("fast", ALL, **counts, while_written={"by_itself": early})
     changes = {"input": {"kind": "events"}}
     events = run("b", [answer], spec=events_spec(), changes=changes)

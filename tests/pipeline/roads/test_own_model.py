@@ -126,6 +126,14 @@ def test_it_goes_into_the_bundle_and_through_the_ladder(run):
     assert rows["emulator"] > 0.3
 
 
+def test_a_setting_of_the_training_changes_nothing_of_a_network_that_is_not_trained(run, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    before = read_bundle(copy / "bundle").id
+    assert call("convert", copy, "--set", "snn.epochs=9", "--set", "snn.noise=0.3") == 0
+    assert read_bundle(copy / "bundle").id == before
+
+
 def test_a_later_version_and_another_split_are_reported(run, files, tmp_path, capsys):
     copy, path = tmp_path / "run", files / "good.keras"
     shutil.copytree(run, copy)

@@ -18,9 +18,6 @@ from pipeline.results.report.samples import replay
 # Number of frames in total, per second, and at the end, where nothing moves.
 FRAMES, FRAMES_A_SECOND, STILL = 48, 16, 48
 
-# Number of classes whose probability is drawn: the most likely at the end, and the right one.
-SHOWN_CLASSES = 4
-
 LONGEST_NAME = 32
 
 
@@ -59,9 +56,6 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     step, start = spec.stimulus.step_seconds, spec.presentation.readout_start
     seconds = step * spec.presentation.steps
     label, answer = int(bundle.checks.labels[index]), int(chances[-1].argmax())
-    top = np.argsort(-chances[-1], kind="stable")[:SHOWN_CLASSES].tolist()
-    if label not in top:
-        top[-1] = label
 
     heights = [1.0] * len(played.layers) + [1.4]
     figure = Figure(figsize=(10, 1.6 + 1.2 * len(heights)), layout="constrained")
@@ -76,17 +70,20 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     picture.set(xticks=[], yticks=[], title="events of each taxel so far")
     clocks = [axes.axvline(0, color=colour("wrong"), linewidth=1) for axes in panels]
     marks = []
-    for axes, (name, size, steps, neurons) in zip(panels, played.layers, strict=False):
-        axes.set(ylim=(size - 0.5, -0.5), xlim=(0, seconds), yticks=[])
-        unit = "lines" if name == "input" else "neurons"
-        axes.set_ylabel(f"{name}\n{size} {unit}", rotation=0, ha="right", va="center")
-        (mark,) = axes.plot([], [], "|", color=colour("s1"), markersize=4)
-        marks.append((mark, (steps + 0.5) * step, neurons))
+    for axes, layer in zip(panels, played.layers, strict=False):
+        axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, seconds), yticks=[])
+        title = f"{layer.name}\n{layer.size} {layer.unit}"
+        axes.set_ylabel(title, rotation=0, ha="right", va="center")
+        for kind, steps, rows in layer.groups:
+            (mark,) = axes.plot([], [], "|", color=colour(kind), markersize=4, label=kind.upper())
+            marks.append((mark, (steps + 0.5) * step, rows))
+        if len(layer.groups) > 1:
+            axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     scores = panels[-1]
     scores.set(ylim=(0, 1.02), xlabel="seconds of the presentation", ylabel="probability")
     lines = {
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
-        for n, c in enumerate(top, 1)
+        for n, c in enumerate(played.shown(label), 1)
     }
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     times = step * (start + 1 + np.arange(len(chances)))

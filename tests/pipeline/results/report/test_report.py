@@ -83,7 +83,7 @@ def test_it_is_complete_and_needs_nothing_else(html, tiny_run):
     bundle = read_bundle(tiny_run / "bundle")
     assert bundle.id in text
     for stage in ("cnn", "emulator"):
-        assert f"{read_result(tiny_run / f'checks/{stage}.json')['accuracy']:.3f}" in text
+        assert f"{100 * read_result(tiny_run / f'checks/{stage}.json')['accuracy']:.1f} %" in text
     used = make_plan(bundle.spec).cores[0].used
     assert f"core 0 {used['compartments']} {used['input axons']}" in text
     assert page.count('class="thumb"') == len(bundle.checks)
