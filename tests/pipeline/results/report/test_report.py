@@ -140,9 +140,10 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     for index, sample in played.items():
         assert sample.chances.shape == (9, 10)
         np.testing.assert_allclose(sample.chances.sum(1), 1)
-        for name, size, steps, neurons in sample.layers:
-            assert len(steps) == counted[name][index]
-            assert neurons.max(initial=0) < size
+        for layer in sample.layers:
+            ((_, steps, neurons),) = layer.groups
+            assert len(steps) == counted[layer.name][index]
+            assert neurons.max(initial=0) < layer.size
             assert steps.max(initial=0) < 12
 
 
