@@ -216,9 +216,15 @@ def _notes(opened, choices):
     if run.experiment.exists() and (text := split_text(recordings, opened.settings)):
         yield f"{run.path}: {text}"
     yield from choices
-    yield from road.notes(recordings)
     if road.imported is not None and (note := road.imported.changed_note()) is not None:
         yield note
+    yield from _notes_on_recordings(opened)
+
+
+def _notes_on_recordings(opened):
+    """Lines on what is not presented, on parts that are not independent, and on what is missing."""
+    recordings = opened.dataset.recordings
+    yield from opened.road.notes(recordings)
     if opened.dataset.split.kind == PUBLISHED:
         yield from _notes_on_published(opened)
     classes = recordings.sensor.classes
@@ -231,8 +237,9 @@ def _notes(opened, choices):
 
 def _notes_on_published(opened):
     """Lines on a published split whose parts are not independent, or which is small."""
-    source, n_test = opened.settings.data.source, len(opened.dataset.split.test)
-    if pairs := _doubled(opened.dataset):
+    recordings, n_test = opened.dataset.recordings, len(opened.dataset.split.test)
+    source = recordings.source.name
+    if pairs := in_both_parts(recordings):
         train, test = pairs[0]
         yield (
             f"{WARNING}{source}: {len(pairs)} of {n_test} recordings of the test part are also in "
@@ -275,7 +282,11 @@ def convert(opened: Opened) -> Bundle:
         **({"time_unit": source.time_unit} if source.time_unit else {}),
         **_of_the_sensor(view, dataset.recordings.taxels),
         **_trained_on(dataset),
-        "in_both_parts": len(_doubled(dataset)),
+        "warnings": [
+            line.removeprefix(WARNING)
+            for line in _notes_on_recordings(seen)
+            if line.startswith(WARNING)
+        ],
     }
     spec = seen.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
@@ -290,11 +301,6 @@ def convert(opened: Opened) -> Bundle:
             "training; compare the predictions of 'stmnist ladder', or use fewer neurons"
         )
     return bundle
-
-
-def _doubled(dataset):
-    """Pairs of the same recording in both parts of a published split."""
-    return in_both_parts(dataset.recordings) if dataset.split.kind == PUBLISHED else []
 
 
 def _of_the_sensor(settings, taxels):
