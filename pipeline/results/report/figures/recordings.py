@@ -44,7 +44,8 @@ def recording(recordings: Recordings, index: int) -> Figure:
     frame = np.minimum(events.time_ns * 1e-9 * FRAMES / duration_s, FRAMES - 1).astype(int)
     taxels = recordings.taxels
     np.add.at(grown, (frame, taxels.row[events.taxel], taxels.column[events.taxel]), 1)
-    grown = np.cumsum(grown, axis=0) / max(len(events) and grown.sum(axis=0).max(), 1)
+    most = max(int(grown.sum(axis=0).max()), 1)
+    grown = np.cumsum(grown, axis=0) / most
     for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
         _show(axes, recordings.taxels, image, 2 * TILE)
         axes.set_title(f"up to {end:.2f} s", fontsize=9)
@@ -64,7 +65,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel" + ", row by row" * is_grid)
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
-    _scale(figure, *figure.get_size_inches(), "most events")
+    _scale(figure, *figure.get_size_inches(), f"{most} event{'s' * (most > 1)}")
     return figure
 
 
@@ -147,7 +148,7 @@ def _show(axes, taxels, image, width):
         axes.invert_yaxis()
         axes.margins(0.1)
     elif _is_strip(taxels):
-        axes.imshow(image.reshape(-1, 1), aspect="auto", origin="lower", **grey)
+        axes.imshow(image.reshape(-1, 1), aspect="auto", **grey)
     else:
         axes.imshow(image, **grey)
     axes.set(xticks=[], yticks=[])
@@ -159,7 +160,7 @@ def _show_over_time(axes, recordings, index):
     duration_ns = 1e9 * _duration_s(recordings, events)
     ranges = ((0, n), (0, duration_ns))
     counts, _, _ = np.histogram2d(events.taxel, events.time_ns, (n, BINS), ranges)
-    axes.imshow(np.sqrt(counts), aspect="auto", origin="lower", cmap="Blues", vmin=0)
+    axes.imshow(np.sqrt(counts), aspect="auto", cmap="Blues", vmin=0)
     axes.set(xticks=[], yticks=[])
 
 
