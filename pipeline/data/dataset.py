@@ -21,7 +21,7 @@ from pipeline.settings import SIMULATED, Image, Settings
 # Recordings whose frames of events are made at once, which bounds the memory.
 AT_ONCE = 500
 
-# Share of merged events above which a warning is printed.
+# Share of merged events above which a shorter step is suggested.
 MOST_LOST = 0.1
 
 # Entry of a bundle's provenance with the hashes of the recordings that it was made with.
@@ -295,7 +295,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
         f"polarity in the same step of {step:g} ms"
     ]
     if shared > MOST_LOST:
-        lines[0] = WARNING + lines[0] + "; a shorter input.step merges fewer"
+        lines[0] += "; a shorter input.step merges fewer"
     if lost > shared:
         lines.append(
             f"events: {lost - shared:.1%} more are ignored in their taxel's refractory period, "
