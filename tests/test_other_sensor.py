@@ -60,8 +60,6 @@ def test_names_and_sizes_in_the_run(run):
 def test_names_in_the_ladder(run):
     table = read_json(run / "ladder.json", "")
     assert tuple(table["classes"]) == NAMES
-    for row in table["rows"]:
-        assert np.shape(row["confusion"]) == (5, 5)
     rows = {row["stage"]: row["accuracy"] for row in table["rows"]}
     assert rows["cnn"] >= 0.8
     assert rows["emulator"] >= 0.6

@@ -94,8 +94,7 @@ def ladder_rows(results) -> list:
         The ladder's rows: ``stage``, ``accuracy``, ``accuracy_ci95`` (Wilson's interval);
         compared with the stage above, and None in the first row and below ``counts``: ``change`` of
         the accuracy, number of ``disagreements`` of the predictions, and ``mcnemar_p`` of the exact
-        test;
-        ``confusion``, the numbers of samples by label (row) and prediction (column).
+        test.
 
     Raises
     ------
@@ -106,8 +105,6 @@ def ladder_rows(results) -> list:
     for above, result in itertools.pairwise([None, *results]):
         is_first = above is None or above["target"] == "counts"
         against = None if is_first else compare_results(above, result)
-        samples = result["samples"]
-        answers = ([sample[key] for sample in samples] for key in ("label", "prediction"))
         rows.append(
             {
                 "stage": result["target"],
@@ -116,7 +113,6 @@ def ladder_rows(results) -> list:
                 "change": against and 0.0 - against.accuracy_drop,
                 "disagreements": against and len(against.disagreements),
                 "mcnemar_p": against and against.p_value,
-                "confusion": confusion_matrix(*answers, len(samples[0]["scores"])).tolist(),
             }
         )
     return rows
@@ -149,7 +145,7 @@ def ladder_json(results, layers=None, classes=None) -> dict:
     layers : list of dict, optional
         From :func:`pipeline.roads.diagnosis.layers_json`.
     classes : sequence of str, optional
-        Class names in the order of the confusion matrices; default: numbers from 0.
+        Class names in the order of the scores; default: numbers from 0.
     """
     first = results[0]
     if classes is None:
