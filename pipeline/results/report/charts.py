@@ -164,7 +164,8 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
         marks.append(_segment("reference", x_axis(mark), top, x_axis(mark), end))
     for tick in x_axis.ticks():
         marks.append(_segment("axis", x_axis(tick), end, x_axis(tick), end + 4))
-        marks.append(_text(x_axis(tick), end + 18, x_axis.label(tick), "middle"))
+        anchor = "end" if x_axis(tick) > width - 2 * RIGHT else "middle"
+        marks.append(_text(x_axis(tick), end + 18, x_axis.label(tick), anchor))
     marks.append(_text((LEFT + width) / 2, end + 36, x_label, "middle"))
     return _svg(width, end + 42, marks, description, "timeline")
 
