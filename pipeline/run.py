@@ -182,6 +182,11 @@ def refuse_other_folders(path: Path, of_results: bool = False):
             f"{path}: is a run, whose settings would be replaced; give another folder for "
             "the results"
         )
+    if not of_results and (path / "rows").is_dir() and not (path / "dataset.json").is_file():
+        raise UserError(
+            f"{path}: has the results of a sweep or an experiment, and is not a run; give another "
+            "folder as RUN"
+        )
     if of_results or not path.is_dir() or (path / "experiment.toml").exists():
         return
     names = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
@@ -200,8 +205,8 @@ def require_run(run: RunFolder):
     UserError
         It has no settings of a run: it is a bundle, has other files, or is not there.
     """
+    refuse_other_folders(run.path)
     if not run.experiment.is_file():
-        refuse_other_folders(run.path)
         raise UserError(
             f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
             f"with 'stmnist ladder {run.path}'"

@@ -125,14 +125,17 @@ def test_of_images(tiny_run, person, tmp_path, capsys):
     assert read_bundle(result["bundle"]).spec.stimulus.static
 
 
-def test_labels_that_are_all_wrong_change_nothing(run, tmp_path, capsys):
+def test_labels_that_are_all_wrong_cost_others_as_little_as_is_promised(run, tmp_path, capsys):
     recordings = strange_hand(3)
     labels = np.random.default_rng(0).permutation(recordings.labels)
     write_zip(tmp_path / "wrong.zip", named(replace(recordings, labels=labels)))
     before = contents(run)
-    assert call("adapt", run, "--data", tmp_path / "wrong.zip", "--out", tmp_path / "new") == 0
-    assert "nothing" in capsys.readouterr().out
-    assert not (tmp_path / "new").exists()
+    arguments = ("--data", tmp_path / "wrong.zip", "--out", tmp_path / "new", "--json")
+    assert call("adapt", run, *arguments) == 0
+    fit = told(capsys)
+    is_kept = fit["kept_before"] - fit["kept_after"] <= 0.015
+    assert (fit["bundle"] is not None) == (is_kept and fit["after"] > fit["before"])
+    assert (tmp_path / "new").exists() == (fit["bundle"] is not None)
     assert contents(run) == before
 
 
@@ -210,6 +213,14 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     chosen, name = adapt._of_one(several, 4)
     assert (len(chosen), name, set(chosen.writers)) == (10, "4", {4})
     assert not (tmp_path / "new").exists()
+    # The network was made with the recordings of writer 3, which matters for that writer only.
+    bundle = read_bundle(SHIPPED)
+    hashes = [several.hashes()[index] for index in np.flatnonzero(several.writers == 3)]
+    provenance = {**bundle.spec.provenance, "training_recordings": hashes}
+    bundle = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
+    for writer, number in ((3, 10), (4, 0)):
+        said = " ".join(elsewhere.warnings_on(bundle, adapt._of_one(several, writer)[0]))
+        assert (f"{number} of 10 recordings were used" in said) == (number > 0)
 
 
 def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):

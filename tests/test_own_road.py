@@ -95,7 +95,7 @@ def test_the_own_recordings_are_said_to_be_known(folder, capsys):
     shown = ("--target", "fast", "--data", folder / "own", "--samples", 0, "--out", out)
     assert call("check", "run", folder / "image", *shown) == 0
     assert read_result(out)["n_samples"] == 100
-    assert missing(capsys.readouterr().err, "warning", folder / "own") == []
+    assert missing(capsys.readouterr().err, "warning", "own: 80 of 100") == []
 
 
 @pytest.mark.parametrize("kind", QUICK)
@@ -120,17 +120,19 @@ def test_cut_ends_new_polarities_and_a_smaller_sensor_are_said(folder, tmp_path)
     slow = [((x, y, 2 * t, p), label) for (x, y, t, p), label in gestures(3, seed=5)]
     ends = [events[2][-1] - events[2][0] for events, _ in slow]
     source = write_recordings(tmp_path / "slow.zip", slow, CLASSES, "s")
-    bundle, said = read_bundle(folder / "events" / "bundle"), []
+    bundle = read_bundle(folder / "events" / "bundle")
     of_one = replace(bundle.spec, provenance={**bundle.spec.provenance, "polarities": 1})
-    settings = elsewhere.settings_around(bundle)
-    elsewhere.recordings_for(replace(bundle, spec=of_one), str(source), settings, warn=said.append)
+    settings, changed = elsewhere.settings_around(bundle), replace(bundle, spec=of_one)
+    read = elsewhere.recordings_for(changed, str(source), settings)
+    said = elsewhere.warnings_on(changed, read)
     cut = sum(end >= bundle.spec.presentation.steps * 0.01 for end in ends)
     assert 0 < cut < len(ends)
     assert missing(" ".join(said), f"{cut} of {len(ends)} recordings are longer", "OFF") == []
     small = [((x // 3, y // 3, t, p), label) for (x, y, t, p), label in gestures(3)]
-    source, said = write_recordings(tmp_path / "small.zip", small, CLASSES, "s"), []
-    elsewhere.recordings_for(bundle, str(source), settings, warn=said.append)
-    assert missing(" ".join(said), "3 of 9 rows and 4 of 12 columns") == []
+    source = write_recordings(tmp_path / "small.zip", small, CLASSES, "s")
+    read = elsewhere.recordings_for(bundle, str(source), settings)
+    said = " ".join(elsewhere.warnings_on(bundle, read))
+    assert missing(said, "3 of 9 rows and 4 of 12 columns") == []
 
 
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):

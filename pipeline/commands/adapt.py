@@ -46,6 +46,8 @@ def adapt(
     settings = elsewhere.settings_around(bundle, skip_bad)
     everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
     recordings, who = _of_one(everyone, writer)
+    for line in elsewhere.warnings_on(bundle, recordings):
+        options.say(line)
     adaptation.require_fit(bundle.spec, recordings)
     place = out or beside / who
     if out is None:

@@ -161,6 +161,8 @@ def _on_others(bundle, target, others, seed, out, check):
 
     settings = elsewhere.settings_around(bundle, others.skip_bad)
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
+    for line in elsewhere.warnings_on(bundle, recordings):
+        options.say(line)
     presented, indices = elsewhere.with_recordings(
         bundle, recordings, others.samples, seed, settings.image
     )

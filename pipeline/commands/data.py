@@ -31,7 +31,7 @@ Reading = Annotated[
     typer.Option(
         "--set",
         help="A setting of reading: data.time_unit=us, data.downsample=4, data.skip_bad=true, "
-        "skin.rows=16, skin.columns=16; repeatable.",
+        "skin.rows=16, skin.columns=16, data.writers=100; repeatable.",
     ),
 ]
 
@@ -43,9 +43,9 @@ def _recordings(source, reading, jobs, **data):
 
 
 def _settings(source, reading, **data):
-    """The settings of recordings."""
+    """The settings of recordings; ``--set`` has precedence over the values of other options."""
     requested = options.Requested(data=source, assignments=reading).changes()
-    return Settings().with_values(options.merged(requested, {"data": data}), "command line")
+    return Settings().with_values(options.merged({"data": data}, requested), "command line")
 
 
 def import_(

@@ -219,6 +219,8 @@ def _members(path):
         return sorted(files), folders, refused
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
+    if path.suffix.lower() in SUFFIXES:
+        raise UserError(f"{path}: is one recording; give the zip or folder of all of them")
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()

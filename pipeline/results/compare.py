@@ -22,7 +22,7 @@ from pipeline.paper import CNN_MACS
 from pipeline.results.status import outdated, remedy_text, status_of
 from pipeline.roads import REFERENCES, road_of
 from pipeline.roads.road import FROM_ELSEWHERE
-from pipeline.run import RunFolder
+from pipeline.run import RunFolder, require_run
 from pipeline.settings import Settings, read_settings
 from pipeline.stages import settings_read
 
@@ -98,8 +98,7 @@ def read_runs(paths) -> list:
 
 def _read_run(path):
     folder = RunFolder(path)
-    if not folder.experiment.is_file():
-        raise UserError(f"{path}: not a run (it has no {folder.experiment.name}); check the path")
+    require_run(folder)
     if not folder.bundle.is_dir():
         raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
     bundle = read_bundle(folder.bundle)

@@ -71,7 +71,7 @@ def recordings_for(
     jobs : int
         Processes.
     warn : callable, optional
-        Called with a warning.
+        Called with a line for each file that was left out.
 
     Raises
     ------
@@ -109,9 +109,6 @@ def recordings_for(
         )
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
-    if warn is not None:
-        for line in [*_known(bundle, recordings), *_limits(bundle.spec, recordings)]:
-            warn(f"{WARNING}{source}: {line}")
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
 
 
@@ -127,13 +124,15 @@ def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
     return np.isin(recordings.hashes(), list(training_hashes(bundle.spec)))
 
 
-def _known(bundle, recordings):
-    """A line on the recordings that were used to make the network."""
+def warnings_on(bundle: Bundle, recordings: Recordings):
+    """Yield lines on recordings that the network was made with, or that it does not see whole."""
+    start = f"{WARNING}{recordings.source.name}: "
     if number := int(trained_on(bundle, recordings).sum()):
         yield (
-            f"{number} of {len(recordings)} recordings were used to make the network; its accuracy "
-            "on them says little about others"
+            f"{start}{number} of {len(recordings)} recordings were used to make the network; its "
+            "accuracy on them says little about others"
         )
+    yield from (start + line for line in _limits(bundle.spec, recordings))
 
 
 def _limits(spec, recordings):

@@ -16,6 +16,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import in_blocks, plain
 from deploy.targets.registry import TARGETS
+from pipeline.data.dataset import dataset_origin
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import kind_of
 from pipeline.paper import CNN_MACS
@@ -129,14 +130,19 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     split, road = kind_of(base.split.kind, recordings), road_of(base)
     points = points_of(divided, grid or road.grid, lambda one: fitted(one, recordings))
     stages = [stage for stage in STAGES if stage in road.references or stage in TARGETS]
-    cases, said = [], {}
+    cases, said, unused = [], {}, set(points[0][0])
     for number, (changes, of_point) in enumerate(points):
-        road_of(of_point).require_fit(recordings)
-        for line in road_of(of_point).notes(recordings):
+        own = road_of(of_point)
+        own.require_fit(recordings)
+        origin = dataset_origin(of_point, recordings.source.sha256, split)
+        unused -= own.bundle_origin(origin).settings.keys()
+        for line in own.notes(recordings):
             said.setdefault(line, changes)
         for stage in stages:
             name = f"point-{number}-{stage}"
             cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
+    if unused:
+        raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
     for line, changes in said.items():
         say(f"{line} ({changes})")
     folder.save_settings(base, settings)

@@ -22,6 +22,15 @@ def archive(tmp_path, capsys):
     return path
 
 
+def test_options_and_settings_of_the_simulation_are_the_same(tmp_path):
+    one, other = tmp_path / "one.zip", tmp_path / "other.zip"
+    options = ("--samples-per-digit", 2, "--seed", 5)
+    settings = ("--set", "data.samples_per_digit=2", "--set", "data.simulation_seed=5")
+    for path, words in ((one, options), (other, settings)):
+        assert call("data", "simulate", "--out", path, *words, "--jobs", 1) == 0
+    assert one.read_bytes() == other.read_bytes()
+
+
 def test_simulated_zip_is_read_back_and_counted(archive, capsys):
     recordings = read_source(archive, jobs=1)
     assert recordings.source.simulated

@@ -143,6 +143,22 @@ def test_its_networks_were_never_shown_the_test_split(tiny_sweep):
     assert read_settings(tiny_sweep / "experiment.toml").split.validation_fraction == 0.15
 
 
+def test_a_sweep_is_no_run(tiny_sweep, refused):
+    for verb in ("convert", "status", "report", "ladder"):
+        assert "results of a sweep" in refused(verb, tiny_sweep)
+    assert "results of a sweep" in refused("compare", tiny_sweep, tiny_sweep)
+    assert not (tiny_sweep / "bundle").exists()
+
+
+def test_a_setting_without_effect_is_no_grid(tmp_path, refused):
+    few = ("--set", "data.samples_per_digit=40", "--jobs", 1)
+    line = refused("sweep", tmp_path / "out", "--grid", "events.epochs=2,3", *few)
+    assert "events.epochs" in line
+    as_is = (*few, "--set", "snn.recipe=as-is")
+    assert "snn.epochs" in refused("sweep", tmp_path / "out", "--grid", "snn.epochs=2,3", *as_is)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
     folder = tmp_path / "out"
     shutil.copytree(tiny_sweep, folder)

@@ -94,14 +94,13 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
         )
     }
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
-    width = 0.6 * per_digit + 0.1 + margin
+    source, tiles = _source(recordings), 0.6 * per_digit + margin
+    width = max(tiles + 0.1, 2.5 + CHARACTER * len(source))  # the source and the scale above
     height = 0.6 * len(digits) + 0.5
     figure = Figure(figsize=(width, height))
-    figure.suptitle(
-        _source(recordings), x=0.1 / width, y=1 - 0.1 / height, ha="left", va="top", size=9
-    )
+    figure.suptitle(source, x=0.1 / width, y=1 - 0.1 / height, ha="left", va="top", size=9)
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
-    figure.subplots_adjust(margin / width, 0.01, 0.99, 1 - 0.45 / height, 0.06, 0.06)
+    figure.subplots_adjust(margin / width, 0.01, tiles / width, 1 - 0.45 / height, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
