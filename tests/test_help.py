@@ -27,7 +27,7 @@ finally:
 
 
 @pytest.mark.parametrize(
-    ("typed", "offered"), [("stmnist com", "compare"), ("stmnist ladder --li", "--limit")]
+    ("typed", "offered"), [("stmnist com", "compare"), ("stmnist ladder --sa", "--samples")]
 )
 def test_completion_offers_commands_and_options_without_tensorflow(typed, offered):
     done = subprocess.run(

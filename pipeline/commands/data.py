@@ -17,15 +17,8 @@ SimulationSeed = Annotated[
     int, typer.Option("--seed", help="Seed of simulated recordings.", min=0, max=2**31 - 1)
 ]
 PerDigit = Annotated[
-    int,
-    typer.Option(
-        help="Number of recordings of each digit; 0 for the published numbers.",
-        min=0,
-        max=limits.SAMPLES,
-    ),
+    int, typer.Option(help="Recordings of each digit; 0: as published.", min=0, max=limits.SAMPLES)
 ]
-
-
 Reading = Annotated[
     list[str] | None,
     typer.Option(

@@ -94,22 +94,12 @@ def ladder(
     run: options.Run,
     requested: options.RunRequested,
     jobs: options.Jobs = 2,
-    limit: Annotated[
-        float | None,
-        typer.Option(
-            help="Loss in points from which a stage's layers are listed (default: 3, if it is "
-            "significant)."
-        ),
-    ] = None,
     as_json: options.Json = False,
 ):
     """Run the missing stages up to the emulator, and print the loss of each stage."""
-    if limit is not None and not -100 <= limit <= 100:  # no loss exceeds NaN
-        raise UserError(f"--limit {limit:g}: must be from -100 to 100 points")
     from pipeline.results.ladder import ladder_text, measure_ladder
 
     with options.opened(run, requested, jobs) as opened:
         table = measure_ladder(opened, jobs)
-    most, asked = 3.0 if limit is None else limit, limit is not None
-    options.tell(table, lambda ladder: "\n" + ladder_text(ladder, most, asked), as_json)
+    options.tell(table, lambda ladder: "\n" + ladder_text(ladder), as_json)
     options.suggest("report", run)

@@ -24,6 +24,9 @@ BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
 # The network from which the bundle is made; later losses are caused by the conversion.
 TRAINED = ("rate-lif", "trained")
 
+# Loss in points above which the layers are listed.
+MOST_LOST = 3.0
+
 
 def ladder_stages(road: Road) -> list:
     """Stages of the ladder of a road, in order: without ``fast``, which answers as ``emulator``."""
@@ -58,7 +61,7 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
     state = artifact.state()
     if state.is_current:
         with reporting_damage(artifact.record, DELETE_IT):
-            ladder_text(state.record, limit=-100.0, by_chance=True)  # an error if damaged
+            ladder_text(state.record)  # an error if damaged
         return state.record
     seen = opened.restricted(bundle.spec.provenance["made_from"]["settings"])
     with progress("compare layers", len(bundle.checks)) as advance:
@@ -198,13 +201,12 @@ def early_text(value: dict, row: dict) -> str:
     )
 
 
-def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
-    """Find the stages that lose more than ``limit`` points, as (from, to, points).
+def losing_stages(ladder: dict) -> list:
+    """Find the stages that lose more than :data:`MOST_LOST` points, as (from, to, points).
 
     Stages from the trained network on (the rate-based network, or the one trained on events) are
     compared with the stage above, and the last one also with the trained network.  Losses that are
-    not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) count only with
-    ``by_chance``.
+    not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) do not count.
     """
     stages = [row["stage"] for row in ladder["rows"]]
     trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
@@ -217,23 +219,13 @@ def losing_stages(ladder: dict, limit: float, by_chance: bool = False) -> list:
     drops = [
         (a["stage"], b["stage"], 100 * (a["accuracy"] - b["accuracy"]))
         for a, b, p_value in pairs
-        if by_chance or p_value < SIGNIFICANCE
+        if p_value < SIGNIFICANCE
     ]
-    return [(a, b, points) for a, b, points in drops if points > limit + 1e-9]
+    return [(a, b, points) for a, b, points in drops if points > MOST_LOST + 1e-9]
 
 
-def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> str:
-    """The ladder as a table, followed by the layers if a stage loses too much.
-
-    Parameters
-    ----------
-    ladder : dict
-        From :func:`ladder_json`.
-    limit : float
-        Points that a stage after the rate-based network may lose.
-    by_chance : bool
-        Also warn of losses that are not significant.
-    """
+def ladder_text(ladder: dict) -> str:
+    """The ladder, from :func:`ladder_json`, as a table; with the layers if a stage loses much."""
     what = "simulated samples" if ladder["simulated"] else "samples"
     table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
     for row in ladder["rows"]:
@@ -264,9 +256,9 @@ def ladder_text(ladder: dict, limit: float = 1.0, by_chance: bool = False) -> st
             lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder.get("while_written"):
         lines.append(early_text(ladder["while_written"], last))
-    losing = losing_stages(ladder, limit, by_chance)
+    losing = losing_stages(ladder)
     for a, b, points in losing:
-        lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}, more than {limit:g}")
+        lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}")
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
     if simplest and simplest["difference"] < 0 and simplest["mcnemar_p"] < SIGNIFICANCE:
