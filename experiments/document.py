@@ -130,10 +130,10 @@ def by_split(content: dict) -> dict:
 
 
 def markdown(cells) -> str:
-    """A table of text, the heads first."""
-    heads, *rows = cells
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"|{'|'.join(line)}|" for line in lines)
+    """A table of text, the heads first, without empty columns."""
+    columns = [column for column in zip(*cells, strict=True) if any(column[1:])]
+    heads, *rows = zip(*columns, strict=True)
+    return "\n".join(f"|{'|'.join(line)}|" for line in (heads, ["---"] * len(heads), *rows))
 
 
 def with_parts(text: str) -> str:

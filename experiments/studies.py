@@ -387,7 +387,7 @@ def cells(experiment: Experiment, found: dict, split: str) -> list:
     heads = ["accuracy (SD)", "95 % interval", "splits", "operations / CNN", "/ dense"]
     heads += ["neuron updates"]
     heads += ["early after", "early accuracy"] if early else []
-    lines = [[f"{split} splits", *heads, *(["paper, real data"] if paper else [])]]
+    lines = [[f"network, {split} splits", *heads, *(["paper, real data"] if paper else [])]]
     for row in found["rows"]:
         if row["split"] != split:
             continue
