@@ -97,8 +97,8 @@ class Data(Section):
     simulation_seed: Annotated[int, SEED] = 0
     #: Simulated recordings of each digit; 0 for the published numbers, 6,953 in all.
     samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = 0
-    #: Simulated people; 0 for the paper's 23.  More of them help with people who are not among
-    #: them (docs/simulation.md).
+    #: Simulated people; 0 for the paper's 23.  Others write all digits alike in place, size and
+    #: force; a thousand of them help with people who are not among them (docs/simulation.md).
     writers: Annotated[int, between(0, limits.SAMPLES)] = 0
     #: Leave out files that cannot be read instead of stopping.
     skip_bad: bool = False

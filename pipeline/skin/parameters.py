@@ -79,14 +79,27 @@ class Parameters:
 CALIBRATION = Path(__file__).with_name("calibration.json")
 
 
+# People in general: their spread of size and place, and size and place of each digit.
+PEOPLE = {"size": 0.12, "place": [0.4, 0.4]}
+ANY_DIGIT = {"height": 8.2, "width": 8.2, "down": 4.5, "right": 4.5}
+
+
 @functools.cache
 def load(writers: int = 0) -> Parameters:
-    """The built-in settings, with another number of people if it is not 0."""
+    """The built-in settings; with a number of people, those of people in general.
+
+    In the paper's recordings, digits differ in place, size and force (Table 1).  People in general
+    write all digits alike in these, around the middle of the skin, and differ more.
+    """
     values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
     fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
-    values["writers"]["count"] = writers or values["writers"]["count"]
+    if writers:
+        values["writers"] |= {"count": writers, **PEOPLE}
     sections = {name: _section(name, entries) for name, entries in values.items()}
     forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
+    if writers:
+        means = {name: sum(getattr(form, name) for form in forms) / 10 for name in vars(forms[0])}
+        forms = (Form(**{**means, **ANY_DIGIT}),) * 10
     return Parameters(**sections, forms=forms, shapes=shape_model.load())
 
 

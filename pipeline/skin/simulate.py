@@ -147,8 +147,8 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size
         for stroke in trace.strokes:
             digest.update(np.ascontiguousarray(stroke).tobytes())
     name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
-    count = parameters.writers.count
-    name += "" if traces or count == settings.load().writers.count else f", {count} people"
+    if not traces and parameters.writers != settings.load().writers:
+        name += f", {parameters.writers.count} people"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)
 
