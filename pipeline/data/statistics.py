@@ -7,7 +7,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
-from deploy.tables import in_blocks, shortened_apart
+from deploy.tables import in_blocks, listed, shortened_apart
 from deploy.terminal import printable
 from pipeline.data.eventfiles import UNITS, EventRecording
 from pipeline.data.events import (
@@ -39,7 +39,8 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         kind = "recordings, written by hand on the simulated skin,"
-    of_each, source = _of_classes(facts["samples_per_class"]), printable(facts["source"])
+    of_each = listed(f"{name} {count}" for name, count in facts["samples_per_class"].items())
+    source = printable(facts["source"])
     text = f"{facts['samples']} {kind} in {source}; of each class: {of_each}\n"
     if facts["columns"] == facts["events"]:
         text += f"{facts['events']} events"
@@ -48,17 +49,6 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     if sensor != Sensor():
         text += f"\n{reading_text(recordings)}"
     return text
-
-
-# Maximum number of classes whose recordings are counted separately in a line.
-MOST_NAMED = 12
-
-
-def _of_classes(counts):
-    """Number of recordings of each class; the range if there are many classes."""
-    if len(counts) > MOST_NAMED:
-        return f"{min(counts.values())} to {max(counts.values())} (stmnist data stats)"
-    return ", ".join(f"{printable(name)} {count}" for name, count in counts.items())
 
 
 def facts_of_file(path: Path, time_unit: str = "") -> dict:

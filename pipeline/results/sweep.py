@@ -222,7 +222,7 @@ def sweep_text(sweep: dict) -> str:
         return "\n".join(lines)
     kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
     heads = ["accuracy", "95 % interval", "operations", "cores", "presented", "trained"]
-    rows = [["", "#", *heads, *(_short(name, sweep["names"]) for name in sweep["names"])]]
+    rows = [["", "#", *heads, *sweep["names"]]]
     for number, point in enumerate(points, 1):
         low, high = point["accuracy_ci95"]
         trained = point["trained_accuracy"]
@@ -246,9 +246,3 @@ def sweep_text(sweep: dict) -> str:
             *lines,
         ]
     )
-
-
-def _short(name, names):
-    """The last word of a setting's name, or the whole name if the last word is not unique."""
-    word = name.rpartition(".")[2]
-    return word if [n.rpartition(".")[2] for n in names].count(word) == 1 else name

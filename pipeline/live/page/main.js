@@ -453,7 +453,8 @@ function showDecision(message) {
   const output = $("decision");
   output.textContent = label === null ? "" : classes[label];
   output.dataset.events = message === null ? 0 : message.events; // to which it is the answer
-  output.classList.toggle("open", verdict === null);
+  const unsure = verdict !== null && verdict.confidence < 0.5;
+  output.classList.toggle("open", verdict === null || unsure);
   output.classList.toggle("right", verdict !== null && example === String(label));
   output.classList.toggle("wrong", verdict !== null && example !== "" && example !== String(label));
   $("confidence").textContent = label === null ? "" : percent(verdict?.confidence ?? message.confidence);
@@ -465,7 +466,8 @@ function showDecision(message) {
   } else {
     const right = example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
     $("decided").textContent =
-      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : "sure at the end") + right + ". Belief at that time:";
+      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : unsure ? "sure only, at the end" : "sure at the end")
+      + right + ". Belief at that time:";
   }
   const items = [...$("scores").children];
   let best = classes.map((_, label) => label);

@@ -113,9 +113,10 @@ def interval_chart(rows, x_label: str, description: str = "") -> Markup:
     marks.append(_text(WIDTH / 2, height - 4, x_label, "middle"))
     for number, (name, value, (low, high)) in enumerate(rows):
         y = top + step * (number + 0.7)
-        title = f"{name}: {100 * value:.1f} %, {100 * low:.1f} to {100 * high:.1f} %"
+        label = f"{name}: {100 * value:.1f} %"
+        title = f"{label}, {100 * low:.1f} to {100 * high:.1f} %"
         marks.append(
-            f"<g>{_title(title)}{_text(left, y - 12, name, 'start')}"
+            f"<g>{_title(title)}{_text(left, y - 12, label, 'start')}"
             f"{_segment('line s1', axis(low), y, axis(high), y)}"
             f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y:.1f}" r="4.5"/></g>'
         )

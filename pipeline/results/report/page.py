@@ -95,7 +95,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         lstrip_blocks=True,
     )
     environment.filters["p"] = p_text
-    environment.filters["percent"] = lambda share: f"{100 * share:.1f} %"
+    environment.filters["percent"] = lambda share: f"{100 * share:.1f}\u00a0%"
     package = resources.files("pipeline.results.report")
     now = now or datetime.datetime.now(datetime.UTC)
     provenance = inputs.bundle.spec.provenance

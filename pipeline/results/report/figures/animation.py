@@ -75,7 +75,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         title = f"{layer.name}\n{layer.size} {layer.unit}"
         axes.set_ylabel(title, rotation=0, ha="right", va="center")
         for kind, steps, rows in layer.groups:
-            (mark,) = axes.plot([], [], "|", color=colour(kind), markersize=4, label=kind.upper())
+            (mark,) = axes.plot([], [], "|", color=colour(kind), markersize=6, label=kind.upper())
             marks.append((mark, (steps + 0.5) * step, rows))
         if len(layer.groups) > 1:
             axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)

@@ -25,8 +25,8 @@ NAME, CHARACTER = 24, 0.085
 def recording(recordings: Recordings, index: int) -> Figure:
     """The tactile image as it grows, above a raster of all taxels (paper, Figure 4).
 
-    A sensor with known positions of its taxels is drawn as it is; without them, taxels in one row
-    are drawn as a column beside the raster's axis.
+    A sensor with known positions of its taxels is drawn as it is; of taxels in one row without
+    positions there is only the raster.
 
     Parameters
     ----------
@@ -36,19 +36,13 @@ def recording(recordings: Recordings, index: int) -> Figure:
     """
     events, sensor = recordings[index], recordings.sensor
     duration_s = _duration_s(recordings, events)
-    figure = Figure(figsize=(10, 7), layout="constrained")
+    taxels, figure = recordings.taxels, Figure(figsize=(10, 7), layout="constrained")
     figure.suptitle(_title(recordings, index), x=0.01, ha="left")
-    frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
-    ends = np.arange(1, FRAMES + 1) * duration_s / FRAMES
-    grown = np.zeros((FRAMES, sensor.rows, sensor.columns))
-    frame = np.minimum(events.time_ns * 1e-9 * FRAMES / duration_s, FRAMES - 1).astype(int)
-    taxels = recordings.taxels
-    np.add.at(grown, (frame, taxels.row[events.taxel], taxels.column[events.taxel]), 1)
-    most = max(int(grown.sum(axis=0).max()), 1)
-    grown = np.cumsum(grown, axis=0) / most
-    for axes, end, image in zip(frames.subplots(1, FRAMES), ends, grown, strict=True):
-        _show(axes, recordings.taxels, image, 2 * TILE)
-        axes.set_title(f"up to {end:.2f} s", fontsize=9)
+    raster = figure
+    if not _is_strip(taxels):
+        frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
+        most = _draw_growing(frames, recordings, events, duration_s)
+        _scale(figure, *figure.get_size_inches(), f"{most} event{'s' * (most > 1)}")
     axes = raster.subplots()
     seconds = events.time_ns * 1e-9
     is_grid = taxels.positions is None and not _is_strip(taxels)
@@ -65,8 +59,22 @@ def recording(recordings: Recordings, index: int) -> Figure:
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel" + ", row by row" * is_grid)
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
-    _scale(figure, *figure.get_size_inches(), f"{most} event{'s' * (most > 1)}")
     return figure
+
+
+def _draw_growing(figure, recordings, events, duration_s):
+    """The tactile image up to some times; returns the most events of a taxel."""
+    taxels, sensor = recordings.taxels, recordings.sensor
+    ends = np.arange(1, FRAMES + 1) * duration_s / FRAMES
+    grown = np.zeros((FRAMES, sensor.rows, sensor.columns))
+    frame = np.minimum(events.time_ns * 1e-9 * FRAMES / duration_s, FRAMES - 1).astype(int)
+    np.add.at(grown, (frame, taxels.row[events.taxel], taxels.column[events.taxel]), 1)
+    most = max(int(grown.sum(axis=0).max()), 1)
+    grown = np.cumsum(grown, axis=0) / most
+    for axes, end, image in zip(figure.subplots(1, FRAMES), ends, grown, strict=True):
+        _show(axes, recordings.taxels, image, 2 * TILE)
+        axes.set_title(f"up to {end:.2f} s", fontsize=9)
+    return most
 
 
 def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
@@ -112,7 +120,8 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
                 _show_over_time(axes, recordings, index)
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
-    figure.text(0.1 / width, 1 - 0.42 / height, "class (recordings)", size=8)
+    what = "; each: time to the right, taxels down" if _is_strip(recordings.taxels) else ""
+    figure.text(0.1 / width, 1 - 0.42 / height, f"class (recordings){what}", size=8)
     _scale(figure, width, height, "most, in each picture")
     return figure
 
@@ -146,8 +155,6 @@ def _show(axes, taxels, image, width):
         axes.set_aspect("equal", adjustable="datalim")
         axes.invert_yaxis()
         axes.margins(0.1)
-    elif _is_strip(taxels):
-        axes.imshow(image.reshape(-1, 1), aspect="auto", **grey)
     else:
         axes.imshow(image, **grey)
     axes.set(xticks=[], yticks=[])
