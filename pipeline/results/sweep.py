@@ -7,7 +7,6 @@ samples without a held-out validation part, and tested on that part.
 import functools
 import itertools
 import re
-import textwrap
 
 import numpy as np
 
@@ -217,19 +216,18 @@ def sweep_text(sweep: dict) -> str:
     points, lines = sweep["points"], []
     for point in sweep["failed"]:
         changed = ", ".join(f"{k}={plain(v)}" for k, v in point["changes"].items())
-        lines.append(f"failed: {changed}: {textwrap.shorten(point['error'], 120)}")
+        lines.append(f"failed: {changed}: {point['error']}")
     if not points:
         return "\n".join(lines)
     kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
     heads = ["accuracy", "95 % interval", "operations", "cores", "presented", "trained"]
     rows = [["", "#", *heads, *sweep["names"]]]
     for number, point in enumerate(points, 1):
-        low, high = point["accuracy_ci95"]
         trained = point["trained_accuracy"]
         rows.append(
             [
                 *("*" if point["pareto"] else "", str(number), f"{point['accuracy']:.3f}"),
-                *(f"{low:.3f} to {high:.3f}", f"{point['per_cnn']:.2f} x"),
+                *("{:.3f} to {:.3f}".format(*point["accuracy_ci95"]), f"{point['per_cnn']:.2f} x"),
                 *(str(point["cores"]), str(point["steps"])),
                 "" if trained is None else f"{trained:.3f}",
                 *(plain(point["changes"][name]) for name in sweep["names"]),

@@ -93,13 +93,12 @@ def load(writers: int = 0) -> Parameters:
     """
     values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
     fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
-    if writers:
-        values["writers"] |= {"count": writers, **PEOPLE}
-    sections = {name: _section(name, entries) for name, entries in values.items()}
     forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
     if writers:
         means = {name: sum(getattr(form, name) for form in forms) / 10 for name in vars(forms[0])}
         forms = (Form(**{**means, **ANY_DIGIT}),) * 10
+        values["writers"] |= {"count": writers, **PEOPLE}
+    sections = {name: _section(name, entries) for name, entries in values.items()}
     return Parameters(**sections, forms=forms, shapes=shape_model.load())
 
 

@@ -127,8 +127,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
 
 def _spikes(spec, name, size, steps, neurons):
     if name != "input" or spec.stimulus.static:
-        unit = "lines" if name == "input" else "neurons"
-        return Spikes(name, unit, size, (("s1", steps, neurons),))
+        return Spikes(name, "neurons", size, (("s1", steps, neurons),))
     taxels, is_on = neurons // 2, neurons % 2 == 0
     groups = (("on", steps[is_on], taxels[is_on]), ("off", steps[~is_on], taxels[~is_on]))
     return Spikes("sensor", "taxels", size // 2, groups)
