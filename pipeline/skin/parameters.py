@@ -89,17 +89,20 @@ def load(writers: int = 0) -> Parameters:
     """The built-in settings; with a number of people, those of people in general.
 
     In the paper's recordings, digits differ in place, size and force (Table 1).  People in general
-    write all digits alike in these, around the middle of the skin, and differ more.
+    write all digits alike in these, around the middle of the skin, and differ more; some of them
+    write a 1 as a straight line.
     """
     values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
     fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
     forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
+    shapes = shape_model.load()
     if writers:
         means = {name: sum(getattr(form, name) for form in forms) / 10 for name in vars(forms[0])}
         forms = (Form(**{**means, **ANY_DIGIT}),) * 10
         values["writers"] |= {"count": writers, **PEOPLE}
+        shapes = shape_model.with_plain_one(shapes)
     sections = {name: _section(name, entries) for name, entries in values.items()}
-    return Parameters(**sections, forms=forms, shapes=shape_model.load())
+    return Parameters(**sections, forms=forms, shapes=shapes)
 
 
 def _section(name, values):
