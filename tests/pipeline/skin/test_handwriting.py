@@ -108,3 +108,16 @@ def test_placing_by_hand():
     place = handwriting.placing(handwriting.NOBODY, np.random.default_rng(0), still, form, 4)
     corners = place(np.array([[-0.5, -0.5], [0.5, 0.5]]))
     np.testing.assert_allclose(corners, [[1, 4], [9, 8]])
+
+
+def test_people_in_general_write_all_digits_alike_and_some_a_plain_1():
+    p = parameters.load(60)
+    assert len(set(p.forms)) == 1
+    ways = p.shapes.allographs[1]
+    people = writers(np.random.default_rng(0), p.writers, p.shapes)
+    assert len(people) == 60
+    assert 12 <= sum(who.allographs[1] == len(ways) - 1 for who in people) <= 28
+    (line,) = ways[-1].strokes(np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(line[[0, -1]], [[-0.5, 0], [0.5, 0]], atol=1e-9)
+    assert np.ptp(line[:, 1]) < 0.01
+    assert (np.diff(line[:, 0]) > 0).all()
