@@ -114,7 +114,7 @@ def test_people_in_general_write_all_digits_alike_and_some_a_plain_1():
     p = parameters.load(60)
     assert len(set(p.forms)) == 1
     ways = p.shapes.allographs[1]
-    people = writers(np.random.default_rng(0), p.writers, p.shapes)
+    people = handwriting.writers(np.random.default_rng(0), p.writers, p.shapes)
     assert len(people) == 60
     assert 12 <= sum(who.allographs[1] == len(ways) - 1 for who in people) <= 28
     (line,) = ways[-1].strokes(np.zeros(3), np.zeros(3))
