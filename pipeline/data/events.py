@@ -342,9 +342,9 @@ def is_handwriting(recordings: Recordings) -> bool:
     ST-MNIST's format on its array.
     """
     source, sensor = recordings.source, recordings.sensor
-    is_st_mnist = not source.time_unit and (sensor.rows, sensor.columns) == (GRID, GRID)
-    is_digits = sensor.classes == DIGITS
-    return bool(source.written or (is_digits and (source.simulated or is_st_mnist)))
+    is_simulated = source.simulated and are_digits(sensor.classes)
+    is_st_mnist = is_written(sensor.rows, sensor.columns, sensor.classes) and not source.time_unit
+    return bool(source.written or is_simulated or is_st_mnist)
 
 
 def facts_of(recordings: Recordings) -> dict:

@@ -39,7 +39,9 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         kind = "recordings, written by hand on the simulated skin,"
-    of_each = listed(f"{name} {count}" for name, count in facts["samples_per_class"].items())
+    of_each = listed(
+        f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
+    )
     source = printable(facts["source"])
     text = f"{facts['samples']} {kind} in {source}; of each class: {of_each}\n"
     if facts["columns"] == facts["events"]:

@@ -62,6 +62,8 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
     if state.is_current:
         with reporting_damage(artifact.record, DELETE_IT):
             ladder_text(state.record)  # an error if damaged
+            if state.record["layers"]:
+                layers_text(state.record["layers"])
         return state.record
     seen = opened.restricted(bundle.spec.provenance["made_from"]["settings"])
     with progress("compare layers", len(bundle.checks)) as advance:

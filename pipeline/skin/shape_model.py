@@ -220,17 +220,12 @@ def load() -> ShapeModel:
     return read(MODEL)
 
 
-def with_plain_one(model: ShapeModel, share: float = 0.5) -> ShapeModel:
+def with_plain_one(model: ShapeModel) -> ShapeModel:
     """The model with another way of writing a 1: one straight stroke, downwards.
 
     Of the people whose handwriting was measured hardly anyone wrote it, and others do.  Its
-    components are the change of the speed along the stroke, its slant and its bow.
-
-    Parameters
-    ----------
-    model : ShapeModel
-    share : float
-        How often it is, relative to all other ways together.
+    components are the change of the speed along the stroke, its slant and its bow.  A third of the
+    people get it: its share is half of that of all other ways together.
     """
     even = np.linspace(-0.5, 0.5, POINTS)
     eased, nowhere = 1.5 * even - 2 * even**3, np.zeros(POINTS)
@@ -238,7 +233,7 @@ def with_plain_one(model: ShapeModel, share: float = 0.5) -> ShapeModel:
     parts = ((even + eased) / 2, nowhere), ((even - eased) / 2, nowhere), (nowhere, 0.2 * even)
     mean, *rows = (np.stack(part, 1).ravel() for part in (*parts, (nowhere, bow)))
     half = np.sqrt(0.5) * np.eye(len(rows))
-    plain = Allograph(share, (POINTS,), mean, np.array(rows), half, half)
+    plain = Allograph(0.5, (POINTS,), mean, np.array(rows), half, half)
     zero, one, *others = model.allographs
     return replace(model, allographs=(zero, (*one, plain), *others))
 

@@ -147,7 +147,7 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size
         for stroke in trace.strokes:
             digest.update(np.ascontiguousarray(stroke).tobytes())
     name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
-    if not traces and parameters.writers != settings.load().writers:
+    if not traces and vars(parameters.writers) != vars(settings.load().writers):
         name += f", {parameters.writers.count} people"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)

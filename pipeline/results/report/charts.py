@@ -17,6 +17,8 @@ from pipeline.look import colour
 
 WIDTH, HEIGHT = 360, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
+# Height of a panel of a timeline.
+PANEL = 90
 # Points of a line that have a tooltip of their own.
 MOST_TOOLTIPS = 60
 
@@ -50,13 +52,11 @@ class Raster:
         Marks, each group in one colour.
     rows : int
         Number of units.
-    height : int
     """
 
     title: str
     groups: tuple
     rows: int
-    height: int = 90
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,6 @@ class Lines:
 
     title: str
     series: tuple
-    height: int = 90
 
 
 def line_chart(series, x_label: str, y_label: str, description: str = "") -> Markup:
@@ -140,13 +139,13 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
     marks, y = [], top
     for panel in panels:
         marks.append(_text(LEFT, y - 6, panel.title, "start"))
-        bottom = y + panel.height
+        bottom = y + PANEL
         marks.append(_segment("axis", LEFT, bottom, width - RIGHT, bottom))
         if isinstance(panel, Raster):
             y_axis = _Axis(0, panel.rows, y, bottom, exact=True)
             marks.append(_text(LEFT - 7, y + 10, "1", "end"))
             marks.append(_text(LEFT - 7, bottom, str(panel.rows), "end"))
-            tall = max(2.0, panel.height / panel.rows)
+            tall = max(2.0, PANEL / panel.rows)
             for name, times, units in panel.groups:
                 path = "".join(
                     f"M{x_axis(t):.1f} {y_axis(u):.1f}v{tall:.1f}"

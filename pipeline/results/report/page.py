@@ -98,7 +98,9 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     environment.filters["percent"] = lambda share: f"{100 * share:.1f}\u00a0%"
     package = resources.files("pipeline.results.report")
     now = now or datetime.datetime.now(datetime.UTC)
-    provenance = inputs.bundle.spec.provenance
+    spec, result = inputs.bundle.spec, inputs.results[-1]
+    provenance = spec.provenance
+    estimate = estimate_energy(spec, result) if result["spikes"] else None
     return environment.get_template("report.html.j2").render(
         style=look.STYLE + package.joinpath("report.css").read_text(encoding="utf-8"),
         made=now.strftime("%Y-%m-%d %H:%M UTC"),
@@ -123,9 +125,9 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         groups=_groups(inputs),
         stories=_stories(inputs),
         curves=_learning_curves(inputs.histories),
-        layers=layer_table(inputs.bundle, inputs.plan, inputs.results[-1]),
+        layers=layer_table(inputs.bundle, inputs.plan, inputs.results[-1], estimate),
         plan=inputs.plan,
-        energy=_energy(inputs),
+        energy=estimate and _energy(estimate),
         versions=inputs.results[-1]["versions"],
     )
 
@@ -211,16 +213,21 @@ def class_table(inputs: Inputs) -> list:
     ]
 
 
-def layer_table(bundle: Bundle, plan: dict, result: dict) -> list:
+def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list:
     """Each layer: kind, output shape, weights, neurons, place, activity per sample.
 
     ``rate`` is in spikes per second and neuron, ``energy`` an estimate for the chip; values that do
     not exist are None.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    plan, result : dict
+    estimate : deploy.check.energy.EnergyEstimate, optional
     """
     spec, n = bundle.spec, result["n_samples"]
     cores = [core["layer"] for core in plan["cores"]]
-    estimate = estimate_energy(spec, result).layers if result["spikes"] else []
-    energy = {layer.layer: layer.chip_joules for layer in estimate}
+    energy = {layer.layer: layer.chip_joules for layer in estimate.layers} if estimate else {}
     seconds = seconds_per_sample(spec)
 
     def row(name, kind, shape, weights, neurons):
@@ -428,10 +435,7 @@ def _learning_curves(histories):
     return curves
 
 
-def _energy(inputs):
-    if not inputs.results[-1]["spikes"]:
-        return None
-    estimate = estimate_energy(inputs.bundle.spec, inputs.results[-1])
+def _energy(estimate):
     return {
         "loihi": joules_text(estimate.chip_joules),
         "share_of_updates": estimate.share_of_updates,

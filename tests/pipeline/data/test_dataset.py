@@ -39,7 +39,9 @@ def test_other_simulated_people_are_other_recordings():
     recordings = recordings_of(more)
     assert set(recordings.writers) == set(range(31))
     assert recordings.source.sha256 == identity_of(more)[0]
+    assert recordings.source.name == "simulated, seed 0, 31 people"
     fewer = more.with_values({"data": {"writers": 0}}, "test")
+    assert recordings_of(fewer).source.name == "simulated, seed 0"
     assert identity_of(fewer)[0] != identity_of(more)[0]
 
 
