@@ -6,6 +6,7 @@ import hashlib
 import json
 import tomllib
 from dataclasses import dataclass
+from math import fsum
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,8 @@ def load(writers: int = 0) -> Parameters:
     forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
     shapes = shape_model.load()
     if writers:
-        means = {name: sum(getattr(form, name) for form in forms) / 10 for name in vars(forms[0])}
+        # fsum rounds alike on every Python; sum does not since 3.12.
+        means = {n: fsum(getattr(form, n) for form in forms) / len(forms) for n in vars(forms[0])}
         forms = (Form(**{**means, **ANY_DIGIT}),) * 10
         values["writers"] |= {"count": writers, **PEOPLE}
         shapes = shape_model.with_plain_one(shapes)
