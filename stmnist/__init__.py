@@ -33,7 +33,6 @@ PLACES = {
     "deploy.errors": ("UserError",),
     "fastloihi": ("FastSimulator", "accelerate"),
     "deploy.network.nir": ("write_nir",),
-    "deploy.network.operations": ("multiply_accumulates",),
     "deploy.preflight.plan": ("make_plan", "plan_text"),
     "deploy.targets.registry": ("TARGETS", "answer"),
     "models.nir_graph": ("read_nir",),

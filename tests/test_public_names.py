@@ -42,7 +42,7 @@ def test_files_called_as_our_packages_break_nothing(tmp_path):
     for name in ("deploy.py", "models.py", "pipeline.py"):
         (tmp_path / name).write_text(RAISES)
     done = python(
-        "from stmnist import Settings, Dataset, multiply_accumulates, make_plan\n"
+        "from stmnist import Settings, Dataset, make_plan\n"
         "from models.architecture import parse\n"
         "import models\n"
         "print(Settings().cnn.architecture, parse('6x6-4c3-5o').outputs, models.__file__)\n",

@@ -30,7 +30,6 @@ from typing import List
 
 from ..errors import UserError
 from ..network.chip import LOIHI
-from ..network.operations import multiply_accumulates
 from ..network.spec import NetworkSpec
 from ..tables import aligned
 
@@ -54,7 +53,7 @@ class LayerEstimate:
     on_chip : bool
         False for a readout on the host, which is estimated as if it were on the chip.
     synaptic_operations, neuron_updates : float
-        Mean over the check's samples; see :mod:`deploy.network.operations`.
+        Mean over the check's samples; see ``NetworkSpec.synaptic_operations``.
     multiply_accumulates, neurons : int
         Numbers of the same layer of the CNN.
     """
@@ -170,14 +169,13 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
             "the result has no synaptic operations of this network; "
             "run 'stmnist check run' with --target emulator or fast"
         )
-    macs = multiply_accumulates(spec)
     layers = [
         LayerEstimate(
             layer=layer.name,
             on_chip=layer.placement == "chip",
             synaptic_operations=counted[layer.name] / result["n_samples"],
             neuron_updates=layer.size * shown.period,
-            multiply_accumulates=macs[layer.name],
+            multiply_accumulates=layer.multiply_accumulates,
             neurons=layer.size,
         )
         for layer in spec.layers

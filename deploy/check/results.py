@@ -15,7 +15,6 @@ from ..files import read_json
 from ..loading import Limit, WrongValue, between, limited, load
 from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
-from ..network.operations import multiply_accumulates
 from ..network.stimulus import last_steps
 from ..terminal import WARNING
 from .intervals import mcnemar, wilson_interval
@@ -89,7 +88,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
         "spikes": total("spikes"),
         "synaptic_operations": total("operations"),
-        "multiply_accumulates": multiply_accumulates(bundle.spec),
+        "multiply_accumulates": bundle.spec.multiply_accumulates,
         "wall_seconds": wall_seconds,
         "versions": {**versions(), **extra.pop("versions", {})},
         **extra,

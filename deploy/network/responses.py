@@ -16,7 +16,6 @@ import numpy as np
 
 from .chip import LOIHI
 from .decision import decide
-from .operations import synaptic_operations
 from .spec import NetworkSpec
 
 
@@ -210,7 +209,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
         scores=settled(scores[:, -1], score_unit(spec)),
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
-        operations=synaptic_operations(spec, spikes),
+        operations=spec.synaptic_operations(spikes),
         stopped_at=stopped,
     )
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Optional, Tuple
+from typing import Dict, Optional, Tuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from ..errors import UserError
 from ..loading import Limit, WrongValue, between, check, limited, load, one_of
 from .chip import LOIHI
 from .decision import Estimator
-from .geometry import convolution_fan_out, convolution_shape, pooled_shape
-from .rehearsal import Rehearsal
+from .geometry import convolution_fan_out, convolution_shape, pooled_shape, unpooled
 from .stimulus import KINDS, Stimulus
 
 TAU = between(1e-6, limits.SECONDS, " seconds")
@@ -221,6 +220,27 @@ class Layer:
             self.read_shape, self.kernel, self.shape[-1], self.stride, self.padding
         )
 
+    @property
+    def fan_out(self) -> np.ndarray:
+        """Number of synapses of each neuron of the previous layer onto this one, shape (n_inputs,).
+
+        Neurons near the edge of a convolution reach fewer positions; those outside of complete
+        pooling windows reach none.  Zeros that pad a kernel are not counted.
+        """
+        if self.pool == 1:
+            return self.read_fan_out.ravel()
+        return unpooled(self.read_fan_out, self.input_shape, self.pool).ravel()
+
+    @property
+    def multiply_accumulates(self) -> int:
+        """Multiply-accumulates of the same layer of a CNN, one inference.
+
+        Pooling before the layer is included: one operation for each value that it reads.
+        """
+        pooling = int(np.prod(self.read_shape)) * self.pool**2 if self.pool > 1 else 0
+        loop = 0 if self.recurrent is None else self.size**2
+        return int(self.read_fan_out.sum()) + pooling + loop
+
 
 @dataclass(frozen=True)
 class Presentation:
@@ -269,6 +289,60 @@ class Presentation:
             raise WrongValue(
                 "readout_start", f"must be from 0 to below presentation.steps ({self.steps})"
             )
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """Responses to some training samples, so that a readout can be refitted without forgetting.
+
+    The readout on the host is linear: its scores are ``weights @ x + bias``, where ``x`` is the
+    mean of its input while a sample is read, the low-pass filtered spikes of the last layer of
+    neurons.  For a readout in parts, ``x`` has the sums of each part, divided by the steps of all.
+
+    Attributes
+    ----------
+    responses : ndarray of float32, shape (n_samples, inputs of the readout)
+        ``x`` of each sample.
+    labels : ndarray of uint16, shape (n_samples,)
+    """
+
+    responses: np.ndarray
+    labels: np.ndarray
+
+    def __len__(self):
+        return len(self.labels)
+
+    def arrays(self) -> dict:
+        """The arrays by name, for a file; half precision is sufficient for the responses."""
+        responses = self.responses.astype(np.float16)
+        return {"rehearsal.responses": responses, "rehearsal.labels": self.labels}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict, inputs: int, classes: int) -> Optional[Rehearsal]:
+        """The inverse of :meth:`arrays`, for a readout's numbers of inputs and classes.
+
+        Returns None if none of its arrays exists; other arrays are ignored.
+
+        Raises
+        ------
+        UserError
+            An array has another shape, or invalid values.
+        KeyError
+            An array is missing.
+        """
+        if not any(name.startswith("rehearsal.") for name in arrays):
+            return None
+        responses, labels = arrays["rehearsal.responses"], arrays["rehearsal.labels"]
+        valid = (
+            (responses.dtype.kind, labels.ndim) == ("f", 1)
+            and labels.dtype.kind in "iu"
+            and responses.shape == (len(labels), inputs)
+            and 1 <= len(labels) <= limits.SAMPLES
+            and np.isfinite(responses).all()
+            and 0 <= labels.min() <= labels.max() < classes
+        )
+        _require(valid, "rehearsal", "its arrays do not fit the readout")
+        return cls(responses.astype(np.float32), labels.astype(np.uint16))
 
 
 @dataclass(frozen=True)
@@ -329,6 +403,36 @@ class NetworkSpec:
     def spiking_layers(self) -> tuple:
         """Names of the layers that spike, the input neurons (``"input"``) first."""
         return ("input", *(layer.name for layer in self.layers if layer.neurons))
+
+    @property
+    def multiply_accumulates(self) -> Dict[str, int]:
+        """Multiply-accumulates of each layer of the CNN of the same architecture, one inference."""
+        return {layer.name: layer.multiply_accumulates for layer in self.layers}
+
+    def synaptic_operations(self, spikes: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
+        """Synaptic operations by the receiving layer.
+
+        They are the spikes that arrive at a layer times their fan-out: each spike of a neuron of
+        the previous layer (for the first layer, of the input) counts once for every synapse of that
+        neuron, wherever the layer is computed.  An operation is the counterpart of a
+        multiply-accumulate of the CNN (Davies et al. 2018).
+
+        Parameters
+        ----------
+        spikes : dict of str to ndarray, shape (..., n_neurons)
+            Spikes of each neuron of each spiking layer.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (...)
+        """
+        senders = ("input", *(layer.name for layer in self.layers))
+        operations = {}
+        for sender, layer in zip(senders, self.layers):
+            operations[layer.name] = spikes[sender] @ layer.fan_out
+            if layer.recurrent is not None:
+                operations[layer.name] += np.sum(spikes[layer.name], axis=-1) * layer.size
+        return operations
 
     def with_presentation(self, **changes) -> NetworkSpec:
         """The same network with changes of the presentation."""

@@ -21,7 +21,6 @@ from deploy import __version__
 from deploy.errors import CheckFailed, UserError
 from deploy.files import read_arrays, read_json, write_json
 from deploy.network.decision import share_of_time
-from deploy.network.operations import multiply_accumulates
 from deploy.network.stimulus import last_steps
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
@@ -341,7 +340,7 @@ def costs_of(spec, responses) -> dict:
     return {
         "operations": operations,
         "per_cnn": operations / CNN_MACS,
-        "per_dense": operations / sum(multiply_accumulates(spec).values()),
+        "per_dense": operations / sum(spec.multiply_accumulates.values()),
         "updates": neurons * spec.presentation.period,
         "cores": len(make_plan(spec).to_json()["cores"]),
         "steps": spec.presentation.steps,

@@ -25,9 +25,8 @@ from deploy.check.bundle import Bundle
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.network.decision import choose_threshold
-from deploy.network.rehearsal import Rehearsal
 from deploy.network.responses import decoded, running_sums
-from deploy.network.spec import NetworkSpec
+from deploy.network.spec import NetworkSpec, Rehearsal
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.tables import listed
 from deploy.targets.fast import Emulation
@@ -328,7 +327,7 @@ class Responder:
         Returns
         -------
         ndarray, shape (n_samples, parts * inputs)
-            See :mod:`deploy.network.rehearsal`.
+            See :mod:`deploy.network.spec.Rehearsal`.
         """
         start, readout = self.spec.presentation.readout_start, self.spec.layers[-1]
         batches = [np.empty((0, readout.by_class.shape[1]))]

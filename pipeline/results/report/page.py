@@ -13,7 +13,6 @@ from deploy.check.bundle import Bundle
 from deploy.check.energy import MAC, estimate_energy, joules_text
 from deploy.check.intervals import wilson_interval
 from deploy.check.results import compare_results
-from deploy.network.operations import multiply_accumulates
 from deploy.network.responses import seconds_per_sample
 from deploy.tables import SIGNIFICANCE, p_text
 from deploy.targets.registry import TARGETS
@@ -180,7 +179,7 @@ def verdict(results: list, bundle: Bundle, plan: dict) -> dict:
             }
         )
     operations = sum(deployed["synaptic_operations"].values()) / deployed["n_samples"]
-    products = sum(multiply_accumulates(bundle.spec).values())
+    products = sum(bundle.spec.multiply_accumulates.values())
     return {
         "title": title_of(deployed["target"]),
         "accuracy": deployed["accuracy"],

@@ -11,7 +11,6 @@ from deploy.network.blocks import block_shapes, default_block, parts_of, scaled_
 from deploy.network.build import _transform, build
 from deploy.network.geometry import windows
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.operations import fan_out, multiply_accumulates
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
@@ -81,7 +80,7 @@ def test_a_layer_in_nengo_is_the_one_described(layer):
     expected = matrix_by_hand(layer)
     np.testing.assert_allclose(matrix_of(layer), expected, atol=1e-12)
     # Random weights are never zero: what is not zero is a synapse.
-    np.testing.assert_array_equal(fan_out(layer), np.count_nonzero(expected, axis=0))
+    np.testing.assert_array_equal(layer.fan_out, np.count_nonzero(expected, axis=0))
 
 
 def spec_of(shape, *layers, classes=3):
@@ -96,9 +95,9 @@ def test_multiply_accumulates_of_an_averaging_by_hand():
     rng = np.random.default_rng(0)
     layer = conv("conv1", (7, 6, 2), 3, 2, rng, pool=2)  # 3x3x2 averaged, 2x2x3 out
     spec = spec_of((7, 6, 2), layer)
-    macs = multiply_accumulates(spec)
+    macs = spec.multiply_accumulates
     assert macs["conv1"] == 2 * 2 * 3 * (2 * 2 * 2) + 6 * 6 * 2
-    assert fan_out(layer).reshape(7, 6, 2)[6].tolist() == [[0, 0]] * 6
+    assert layer.fan_out.reshape(7, 6, 2)[6].tolist() == [[0, 0]] * 6
 
 
 def test_the_cut_with_the_fewest_axons():

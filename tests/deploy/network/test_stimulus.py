@@ -10,7 +10,6 @@ from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.operations import synaptic_operations
 from deploy.network.responses import show
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, last_steps
@@ -90,7 +89,7 @@ def test_operations_of_events_by_hand():
     spec = events_spec()
     counts = {"input": np.zeros((1, 72)), "conv1": np.zeros((1, 36)), "dense1": np.zeros((1, 5))}
     counts["input"][0, 0] = 2  # a corner reaches one position of 4 filters
-    operations = synaptic_operations(spec, counts)
+    operations = spec.synaptic_operations(counts)
     assert operations["conv1"].tolist() == [2 * 4]
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.network.blocks import block_shapes
-from deploy.network.operations import multiply_accumulates, synaptic_operations
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames
 from deploy.preflight.plan import make_plan
@@ -61,9 +60,9 @@ def test_spikes_come_back_one_step_later(target):
 def test_operations_and_the_plan_count_the_loop():
     spec = recurrent_spec()
     spikes = {"input": np.ones((1, 24)), "dense1": np.ones((1, 12))}
-    counted = synaptic_operations(spec, spikes)
+    counted = spec.synaptic_operations(spikes)
     assert counted["dense1"].tolist() == [24 * 12 + 12 * 12]
-    assert multiply_accumulates(spec)["dense1"] == 24 * 12 + 12 * 12
+    assert spec.multiply_accumulates["dense1"] == 24 * 12 + 12 * 12
     plan = make_plan(spec)
     assert plan.problems == []
     (core,) = [core for core in plan.cores if core.layer == "dense1"]

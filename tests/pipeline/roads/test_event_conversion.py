@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from deploy.network.decision import Estimator, decide
-from deploy.network.operations import synaptic_operations
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
@@ -81,8 +80,8 @@ def test_every_spike_is_that_of_the_trained_network(architecture, starts, target
         np.testing.assert_array_equal(
             found.decisions[sample, begun + late :], mine[sample, begun : STEPS + GAP - late]
         )
-    counted = synaptic_operations(
-        spec, {"input": frames.sum(1).reshape(len(table), -1), **expected.spikes}
+    counted = spec.synaptic_operations(
+        {"input": frames.sum(1).reshape(len(table), -1), **expected.spikes}
     )
     np.testing.assert_allclose(np.stack(list(counted.values()), 1), expected.operations)
 

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deploy.network.operations import multiply_accumulates
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
@@ -135,7 +134,7 @@ def test_what_is_folded_counts_as_the_architecture_does():
     spec = to_spec(settings_of(architecture), random_weights(architecture), {})
     assert [layer.name for layer in spec.layers] == ["conv1", "output"]
     assert spec.layers[0].pool == 3
-    ours, whole = multiply_accumulates(spec), parse(architecture).multiply_accumulates
+    ours, whole = spec.multiply_accumulates, parse(architecture).multiply_accumulates
     assert sum(ours.values()) == sum(whole.values())
     assert ours["conv1"] == whole["pool1"] + whole["conv1"]
 
