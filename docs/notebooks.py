@@ -27,20 +27,21 @@ def on_page_markdown(markdown, page, **_):
 
 def page(notebook: dict, name: str) -> str:
     """A notebook as Markdown: text, code, and what the code printed and drew."""
-    parts = []
+    parts, title = [], ""
     for cell in notebook["cells"]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
             parts.append(re.sub(r"(\]\([\w./-]+)\.ipynb", r"\1.md", source))
+            title = (re.findall(r"^#+ (.+)", source, re.MULTILINE) or [title])[-1]
             continue
         parts.append(f"```python\n{source}\n```")
         for output in cell["outputs"]:
             data = output.get("data", {})
             if "image/png" in data:
                 picture = "".join(data["image/png"]).replace("\n", "")
-                parts.append(f"![What the cell draws](data:image/png;base64,{picture})")
+                parts.append(f"![{title}: what this code draws](data:image/png;base64,{picture})")
             else:
                 text = "".join(output.get("text", data.get("text/plain", "")))
                 parts.append(f"```text\n{text.rstrip()}\n```")
-    parts.append(f"[This page as a notebook]({name})")
+    parts.insert(1, f"[This page as a notebook]({name})")
     return "\n\n".join(parts) + "\n"

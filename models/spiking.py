@@ -352,7 +352,7 @@ def _length(tensor, axis):
 def operations(architecture: Architecture, frames, spikes):
     """Synaptic operations of each sample by the receiving layer; differentiable.
 
-    A spike counts once for each synapse that it reaches, as in :mod:`deploy.network.operations`.
+    A spike counts once for each synapse that it reaches, as in ``NetworkSpec.synaptic_operations``.
 
     Parameters
     ----------

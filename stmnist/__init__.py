@@ -43,6 +43,7 @@ PLACES = {
     "pipeline.data.eventfiles": ("write_recordings",),
     "pipeline.results.report": ("write_report",),
     "pipeline": ("stages",),
+    "pipeline.results.elsewhere": ("predict",),
     "pipeline.results.compare": ("compare_runs", "read_runs", "runs_text"),
     "pipeline.roads.image": ("deployed",),
     "pipeline.roads": ("fitted",),

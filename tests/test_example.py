@@ -1,5 +1,6 @@
 """The code in docs/python.md runs in a user's environment and prints what the page says."""
 
+import numpy as np
 import pytest
 
 from tests.command import printed_by, users_environment
@@ -35,7 +36,16 @@ def test_the_page_on_python(tmp_path):
         },
     )
     (tmp_path / "page.py").write_text(code, encoding="utf-8")
+    (tmp_path / "new" / "today").mkdir(parents=True)  # a recording without a label
+    np.savez(tmp_path / "new/today/000.npz", x=[3, 9], y=[0, 9], t=[0, 900_000], p=[1, 0])
     out = printed_by(SHOWN, "page.py", env=users_environment(), cwd=tmp_path)
-    for said in ("rate-lif: ", "nengo: ", "fast: ", "ESTIMATE", "2 cores on 1 chip"):
+    for said in (
+        "'today/000': ",
+        "rate-lif: ",
+        "nengo: ",
+        "fast: ",
+        "ESTIMATE",
+        "2 cores on 1 chip",
+    ):
         assert said in out
     assert (tmp_path / "mine" / "network.nir").is_file()

@@ -157,7 +157,6 @@ def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
     from pipeline.results.report.figures import animation
 
     monkeypatch.setattr(animation, "FRAMES", 4)
-    monkeypatch.setattr(animation, "STILL", 1)
     assert call("animate", folder / kind, "--out", tmp_path / "a.gif") == 0
     with Image.open(tmp_path / "a.gif") as picture:
         assert picture.n_frames >= 4  # equal ones are joined

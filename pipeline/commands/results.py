@@ -84,6 +84,6 @@ def animate(
     if sample and sample not in ids:
         raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
     index = ids.index(sample) if sample else 0
-    with progress("animate", animation.FRAMES + animation.STILL) as advance:
+    with progress("animate", animation.FRAMES) as advance:
         animation.animate(out, bundle, index, advance)
     options.say(f"animation: {out}")

@@ -10,6 +10,7 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
 from deploy.tables import listed
+from deploy.targets.registry import answer
 from deploy.terminal import WARNING
 from pipeline.data.dataset import (
     classes_of,
@@ -57,7 +58,7 @@ def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:
 
 
 def recordings_for(
-    bundle: Bundle, source: str, settings: Settings, jobs: int = 1, warn=None
+    bundle: Bundle, source: str, settings: Settings, jobs: int = 1, warn=None, labelled: bool = True
 ) -> Recordings:
     """Recordings for a bundle's network, with labels in the order of its outputs.
 
@@ -72,6 +73,8 @@ def recordings_for(
         Processes.
     warn : callable, optional
         Called with a line for each file that was left out.
+    labelled : bool
+        False if the names of the folders need not be classes of the network; the label is -1 then.
 
     Raises
     ------
@@ -102,7 +105,7 @@ def recordings_for(
     require_sensor_fits(bundle.spec, replace(recordings, sensor=actual))
     present = [sensor.classes[label] for label in np.unique(recordings.labels)]
     unknown = [name for name in present if name not in known]
-    if unknown:
+    if unknown and labelled:
         raise UserError(
             f"{source}: has classes that the network of {bundle.path} does not have: "
             f"{listed(unknown)}; its classes are {listed(known)}"
@@ -110,6 +113,35 @@ def recordings_for(
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
+
+
+def predict(bundle: Bundle, source, target: str = "fast") -> dict:
+    """Classify recordings, with or without labels.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    source : path-like
+        A zip or folder with recordings of the network's sensor, in folders of any names.
+    target : str
+        See :data:`deploy.targets.registry.TARGETS`.
+
+    Returns
+    -------
+    dict of str to str
+        For each recording's id (its folder and name), the name of the predicted class.
+
+    Raises
+    ------
+    UserError
+        The recordings cannot be read, or are from another sensor.
+    """
+    settings = settings_around(bundle)
+    recordings = recordings_for(bundle, str(source), settings, labelled=False)
+    inputs = inputs_for(bundle.spec, recordings, settings.image)
+    names = recordings.sensor.classes
+    predictions = answer(bundle.spec, inputs, target, bundle.seed).predictions
+    return {id: names[best] for id, best in zip(recordings.ids, predictions, strict=True)}
 
 
 def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:

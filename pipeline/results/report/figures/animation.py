@@ -1,11 +1,9 @@
 """An animation of a sample of a check: touch, spikes of the layers and probabilities over time."""
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
-from matplotlib.animation import PillowWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
@@ -15,8 +13,8 @@ from pipeline.data.dataset import positions_of
 from pipeline.look import colour
 from pipeline.results.report.samples import replay
 
-# Number of frames in total, per second, and at the end, where nothing moves.
-FRAMES, FRAMES_A_SECOND, STILL = 48, 16, 48
+# Number of frames, and the duration of each and of the last one in milliseconds.
+FRAMES, FRAME_MS, LAST_MS = 48, 60, 3000
 
 LONGEST_NAME = 32
 
@@ -47,10 +45,10 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     Raises
     ------
     UserError
-        See :func:`writer_for`; or the file cannot be written.
+        Another ending of the name, or the file cannot be written.
     """
     require_gif(path)
-    writer, spec = PillowWriter(fps=FRAMES_A_SECOND), bundle.spec
+    spec = bundle.spec
     played = replay(bundle, [index], bundle.seed)[index]
     classes, chances = spec.provenance["classes"], played.chances
     step, start = spec.stimulus.step_seconds, spec.presentation.readout_start
@@ -58,7 +56,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     label, answer = int(bundle.checks.labels[index]), int(chances[-1].argmax())
 
     heights = [1.0] * len(played.layers) + [1.4]
-    figure = Figure(figsize=(10, 1.6 + 1.2 * len(heights)), layout="constrained")
+    figure = Figure(figsize=(10, 1.6 + 1.2 * len(heights)), layout="constrained", dpi=90)
     left, right = figure.subfigures(1, 2, width_ratios=[1, 2.4])
     picture = left.subplots()
     panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
@@ -88,27 +86,28 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     times = step * (start + 1 + np.arange(len(chances)))
     verdict = f"answered {classes[answer]}, which is {'right' if answer == label else 'wrong'}"
-    # The writers derive the format from the name, and do not write atomically.
-    with tempfile.TemporaryDirectory() as folder:
-        written = Path(folder) / f"animation{path.suffix.lower()}"
-        with writer.saving(figure, written, dpi=90):
-            for number in range(FRAMES + STILL):
-                now = seconds * min(1.0, number / (FRAMES - 1))
-                draw(growing[min(int(now / step), len(growing) - 1)])
-                for clock in clocks:
-                    clock.set_xdata([now, now])
-                for mark, at, neurons in marks:
-                    mark.set_data(at[at <= now], neurons[at <= now])
-                for c, line in lines.items():
-                    line.set_data(times[times <= now], chances[times <= now, c])
-                if number >= FRAMES - 1:
-                    figure.suptitle(f"{shown}: {verdict}", weight="bold")
-                writer.grab_frame()
-                if advance is not None:
-                    advance()
-        content = written.read_bytes()
+    canvas, frames = FigureCanvasAgg(figure), []
+    canvas.draw()
+    figure.set_layout_engine("none")  # of the first frame, for all
+    for now in np.linspace(0, seconds, FRAMES):
+        draw(growing[min(int(now / step), len(growing) - 1)])
+        for clock in clocks:
+            clock.set_xdata([now, now])
+        for mark, at, neurons in marks:
+            mark.set_data(at[at <= now], neurons[at <= now])
+        for c, line in lines.items():
+            line.set_data(times[times <= now], chances[times <= now, c])
+        if len(frames) == FRAMES - 1:
+            figure.suptitle(f"{shown}: {verdict}", weight="bold")
+        canvas.draw()
+        frames.append(Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB"))
+        if advance is not None:
+            advance()
+    durations = [FRAME_MS] * (FRAMES - 1) + [LAST_MS]
     with replacing(path) as file:
-        file.write(content)
+        frames[0].save(
+            file, "gif", save_all=True, append_images=frames[1:], duration=durations, loop=0
+        )
 
 
 def _picture(axes, growing, positions):
