@@ -45,7 +45,7 @@ class Curve:
     classes : ndarray of int, shape (n,)
         The class with the highest score at these times.
     shares : ndarray of float, shape (n, n_classes)
-        The scores at these times as probabilities (softmax).
+        Probabilities of the classes at these times, see :func:`probabilities`.
     """
 
     seconds: np.ndarray
@@ -74,6 +74,32 @@ class Curve:
         return Verdict(int(self.classes[index]), float(self.values[index]), at, early)
 
 
+def probabilities(outputs, sure) -> np.ndarray:
+    """Probabilities of the classes, of which the largest is the confidence in the answer.
+
+    They are the softmax of the outputs at the temperature that gives this largest value, so that
+    one number says how sure the network is (C. Guo et al., "On calibration of modern neural
+    networks", ICML 2017, have one temperature for all samples).
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (..., n_classes)
+    sure : ndarray, shape (...)
+        Below the share of equal classes all are equal; if outputs are equal, the largest is less.
+
+    Returns
+    -------
+    ndarray, shape (..., n_classes)
+    """
+    least, most = np.full(np.shape(sure), -5.0), np.full(np.shape(sure), 3.0)
+    for _ in range(20):  # bisection of the logarithm of the inverse temperature
+        middle = (least + most) / 2
+        shares = softmax(10 ** middle[..., None] * outputs, axis=-1)
+        above = shares.max(axis=-1) > sure
+        least, most = np.where(above, least, middle), np.where(above, middle, most)
+    return shares
+
+
 class Verdict(NamedTuple):
     """The answer that counts: an early decision, or else the answer at the end of the writing.
 
@@ -100,13 +126,11 @@ class Answer:
     Attributes
     ----------
     scores : ndarray of float, shape (classes,)
-    shares : ndarray of float, shape (classes,)
-        The scores as probabilities (softmax), as in the training of the network.
     spikes : dict of str to ndarray of uint8, shape (steps, n_bytes)
         Spikes of each layer at each step of the network's time, eight neurons per byte
         (`numpy.packbits`).
     curve : Curve
-        Its last value is the present confidence.
+        Its last values are the present ones.
     decided : Verdict or None
         The network's early decision, if there is one.
     unit : float
@@ -114,7 +138,6 @@ class Answer:
     """
 
     scores: np.ndarray
-    shares: np.ndarray
     spikes: dict
     curve: Curve
     decided: Verdict | None = None
@@ -252,15 +275,15 @@ class ImageDecider(Decider):
         if shown is None:
             return None
         scores, spikes, sums = shown
-        shares, unit = softmax(scores), score_unit(self._spec)
+        unit = score_unit(self._spec)
         # The softmax was trained on the scores, which are means.  Sums of many steps would always
         # give a confidence of nearly 1 unless a threshold was chosen for them.
-        sure = shares.max() if self.threshold is None else self._confidence(sums)[-1]
+        sure = softmax(scores).max() if self.threshold is None else self._confidence(sums)[-1]
         now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
-        point = now, sure, int(np.argmax(settled(scores, unit))), shares
+        point = now, sure, int(np.argmax(settled(scores, unit))), probabilities(scores, sure)
         columns = zip(*before, point, strict=True)
         curve = Curve(*map(np.array, columns))
-        return point, Answer(scores, shares, spikes, curve, curve.first(self.threshold), unit)
+        return point, Answer(scores, spikes, curve, curve.first(self.threshold), unit)
 
 
 class _ImageDeciding:
@@ -330,12 +353,9 @@ class EventDecider(Decider):
             return None
         scores, spikes, sums = answered
         ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)
-        chances = softmax(sums, axis=1)
-        curve = Curve(ends, self._confidence(sums), sums.argmax(axis=1), chances)
-        decided = curve.first(self.threshold)
-        # The sums from the first event on are what the network's softmax was trained on.
-        shares = softmax(scores * (steps - shown.readout_start))
-        return Answer(scores, shares, spikes, curve, decided, score_unit(self._spec))
+        sure = self._confidence(sums)
+        curve = Curve(ends, sure, sums.argmax(axis=1), probabilities(sums, sure))
+        return Answer(scores, spikes, curve, curve.first(self.threshold), score_unit(self._spec))
 
 
 def decider_of(bundle: Bundle, sensor: Sensor) -> Decider:

@@ -224,7 +224,8 @@ class Live:
                         self._hands, session.handle, message["text"]
                     )
                 await _say(socket, replies)
-                if any(r["type"] == "events" and (r["ns"] or session.clocked) for r in replies):
+                events = [reply for reply in replies if reply["type"] == "events"]
+                if any(r["ns"] or r["settled"] or session.clocked for r in events):
                     page.wake.set()
         except BadMessage as error:
             await _say(socket, [problem(f"a message was refused: {error}; reload this page")])

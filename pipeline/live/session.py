@@ -273,7 +273,6 @@ class Session:
             "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
             "seconds": (recording.curve.seconds - START_S).round(4).tolist(),
             "chances": _bytes(recording.curve.shares),
-            "sure": _bytes(recording.curve.values),
         }
 
     def _pen(self, message):
@@ -354,7 +353,7 @@ class Session:
     def _label(self, message):
         label, recording = self._class(message), self.recording
         if recording is not None and recording.example is not None:
-            return [problem("this example is saved already; only your own recordings can be saved")]
+            return [problem("an example cannot be saved; clear it and write your own")]
         if recording is not None and recording.saved_as is not None:
             return [problem("this recording is saved already; write the next one")]
         if recording is None:
@@ -414,9 +413,8 @@ def problem(text: str) -> dict:
 
 def _answer(recording, events, said: Answer):
     recording.spikes, recording.curve = said.spikes, said.curve
-    verdict, shares = recording.verdict, said.shares
-    if verdict is not None:
-        shares = said.curve.shares_at(verdict.seconds)
+    verdict = recording.verdict
+    shares = said.curve.shares_at(math.inf if verdict is None else verdict.seconds)
     return {
         "type": "answer",
         "recording": recording.number,

@@ -57,7 +57,7 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
     : (taxel) => [(column(taxel) + 0.5) * wide, (row(taxel) + 0.5) * high];
   let moves = false;
   if (asItIs) fillDots(context, counts, place, cell * 0.3);
-  else if (!strokes.length) fillTaxels(context, counts, wide, high, 0.3);
+  else fillTaxels(context, counts, wide, high, 0.3);
   context.fillStyle = colour("--soft");
   if (flashes.length <= DOTS)
     for (let taxel = 0; taxel < flashes.length; taxel++) {
@@ -132,15 +132,18 @@ const SPANS = [0.1, 0.2, 0.5, 1, 2, 4, 10, 20, 60]; // lengths of a time axis in
 const spanOf = (seconds) => SPANS.find((span) => seconds <= span * 1.001) ?? seconds;
 const [LEFT, BELOW, ABOVE, GAP] = [10, 36, 17, 5];
 const LINES = ["--s1", "--s2", "--s3", "--s4"];
-const FONT = "12px system-ui, sans-serif";
+const FONT = "12px system-ui, sans-serif"; // of a page whose text has 16 pixels
 
 // Everything on one time axis: events of the sensor, spikes of each layer, belief in the likeliest
 // classes; the end of what the network receives, and the decision as a line.
 // race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, usualS, seconds, chances,
-//         sure, threshold, classes, verdict }
+//         threshold, classes, verdict }
 // A network on images is presented the image so far again and again: its spikes have an axis of their own.
 export function drawRace(canvas, race) {
-  const { context, width, height } = fitted(canvas);
+  const { context, width: wide, height: tall } = fitted(canvas);
+  const scale = parseFloat(getComputedStyle(document.body).fontSize) / 16;
+  context.scale(scale, scale);
+  const [width, height] = [wide / scale, tall / scale];
   const onEvents = race.windowS !== null;
   const start = race.events.s[0] ?? 0; // the network's time begins with the first event
   const window = onEvents ? start + race.windowS : Infinity;
@@ -151,9 +154,9 @@ export function drawRace(canvas, race) {
   const curves = race.seconds.length ? curvesOf(race) : [];
   const lane = width - LEFT - right;
   const x = (seconds) => LEFT + (seconds / end) * lane;
-  const parts = ["touch", ...race.layers, "belief"];
+  const parts = height < 160 ? ["touch", "belief"] : ["touch", ...race.layers, "belief"]; // a phone on its side
   const free = height - BELOW - parts.length * (ABOVE + GAP);
-  const weights = parts.map((part) => (part === "belief" ? 1.6 : 1));
+  const weights = parts.map((part) => (part === "belief" ? 2 : 1));
   const unit = free / weights.reduce((a, b) => a + b);
   let top = 0;
   parts.forEach((part, i) => {
@@ -191,7 +194,7 @@ export function drawRace(canvas, race) {
   if (race.verdict) {
     const at = x(Math.min(race.verdict.seconds, end));
     const { early, seconds } = race.verdict;
-    context.fillStyle = colour(early ? "--wrong" : "--ink");
+    context.fillStyle = colour("--ink");
     context.fillRect(at - 1, bottom, 2, 20);
     context.textAlign = at > width / 2 ? "right" : "left";
     context.fillText(`${early ? "decided after" : "end,"} ${seconds.toFixed(2)} s`, at, height - 4);
@@ -206,7 +209,7 @@ function drawVerdict(context, { early }, at, y, lane, high) {
     context.fillRect(at, y, lane, high);
     context.globalAlpha = 1;
   }
-  context.fillStyle = colour(early ? "--wrong" : "--ink");
+  context.fillStyle = colour("--ink");
   context.fillRect(at - 1, y, 2, high);
 }
 
@@ -265,21 +268,19 @@ function curvesOf({ seconds, chances, classes, verdict }) {
 }
 
 function drawBelief(context, race, curves, x, y, high, lane) {
-  const { seconds, chances, sure, threshold, classes } = race;
-  caption(context, threshold === null ? "belief, 0 to 1" : "belief; dashed: how sure; dotted: decides", y);
+  const { seconds, chances, threshold, classes } = race;
+  caption(context, `probability, 0 to 100 %${threshold === null ? "" : "; dotted: decides"}`, y);
   if (!seconds.length) return;
-  const draw = (values, name, wide, dash = [], until = Infinity) => {
-    context.strokeStyle = colour(name);
-    context.lineWidth = wide;
-    context.setLineDash(dash);
+  curves.forEach((label, i) => {
+    context.strokeStyle = colour(LINES[i]);
+    context.lineWidth = i === 0 ? 2.5 : 1.2;
     context.beginPath();
-    seconds.forEach((at, step) => at <= until && context.lineTo(x(at), y + high - (values(step) / 255) * high));
+    seconds.forEach((at, step) => context.lineTo(x(at), y + high - (chances[step * classes.length + label] / 255) * high));
     context.stroke();
-  };
-  curves.forEach((label, i) => draw((step) => chances[step * classes.length + label], LINES[i], i === 0 ? 2.5 : 1.2));
+  });
   if (threshold === null) return;
-  const until = race.verdict?.early ? race.verdict.seconds : Infinity;
-  draw((step) => sure[step], "--ink", 1.5, [5, 3], until);
+  context.strokeStyle = colour("--ink");
+  context.lineWidth = 1.5;
   context.setLineDash([1, 3]);
   context.beginPath();
   context.moveTo(LEFT, y + high * (1 - threshold));

@@ -205,10 +205,7 @@ link.on("hello", (message) => {
   setSensor(about);
   describe();
   $("folder").textContent = about.folder;
-  const hands = about.simulated && about.digits
-    ? `${about.trained_on}, with simulated writers only: its accuracy is lower on real handwriting`
-    : about.trained_on;
-  $("trained").textContent = `Network ${about.architecture}, trained on ${hands}.`
+  $("trained").textContent = `Network ${about.architecture}, trained on ${about.trained_on}.`
     + (about.outdated ? ` ${about.outdated}.` : "");
   $("share").hidden = !about.shared;
   if (about.shared) $("qr").src = "qr.svg";
@@ -232,13 +229,14 @@ link.on("ready", (network) => {
       : `Ready: draw with finger, pen or mouse. This presses a simulated skin of ${about.rows} x ${about.columns} taxels, not your sensor.`
     : "Ready: this sensor is too large for drawing; play examples instead.";
   $("meaning").textContent = network.threshold === null
-    ? "Sure, bars, belief: softmax of the outputs."
-    : `Sure: estimated on ${about.simulated ? "simulated writers, yours may differ" : "recordings of the training"}. Bars, belief: softmax.`;
+    ? "How sure: softmax of the outputs."
+    : `How sure: estimated on ${about.simulated && about.digits ? "simulated writers; real handwriting is harder" : "recordings of the training"}.`;
+  $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
   document.body.dataset.ready = "yes";
   showDecision(null);
-  draw();
+  redraw();
 });
 
 link.on("cleared", (message) => {
@@ -300,7 +298,6 @@ link.on("spikes", (message) => {
   spikes = {
     seconds: message.seconds,
     chances: bytes(message.chances),
-    sure: bytes(message.sure),
     layers: ready.layers.map(({ name, neurons }) => ({ name, neurons, packed: bytes(message.layers[name]) })),
   };
   stale.rest = true;
@@ -410,7 +407,7 @@ const remember = () => store("localStorage", remembered(), writer.number);
 
 function complain(text) {
   $("problem").hidden = text === null;
-  if (text !== null) $("problem-text").textContent = text;
+  if (text !== null) $("problem-text").textContent = text[0].toUpperCase() + text.slice(1);
 }
 $("dismiss").addEventListener("click", () => complain(null));
 
@@ -457,17 +454,17 @@ function showDecision(message) {
   output.classList.toggle("open", verdict === null || unsure);
   output.classList.toggle("right", verdict !== null && example === String(label));
   output.classList.toggle("wrong", verdict !== null && example !== "" && example !== String(label));
-  $("confidence").textContent = label === null ? "" : percent(verdict?.confidence ?? message.confidence);
+  const sure = label === null ? "" : percent(verdict?.confidence ?? message.confidence);
+  $("confidence").textContent = unsure ? `Not sure (${sure})` : sure;
   $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
   if (verdict === null) {
     const threshold = ready?.threshold ?? null;
-    $("decided").textContent = label !== null ? "sure so far"
+    $("decided").textContent = label !== null ? "so far"
       : threshold === null ? "The network decides at the end." : `The network decides when it is ${percent(threshold)} sure.`;
   } else {
     const right = example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
     $("decided").textContent =
-      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : unsure ? "sure only, at the end" : "sure at the end")
-      + right + ". Belief at that time:";
+      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : `${unsure ? "" : "sure"} at the end`) + right;
   }
   const items = [...$("scores").children];
   let best = classes.map((_, label) => label);
@@ -502,7 +499,7 @@ function draw() {
       if (ready) drawRace($("race"), {
         events, time, classes: about.classes, steps: ready.steps, firstStep: ready.first_step,
         windowS: ready.window_s, usualS: ready.usual_s, threshold: ready.threshold, verdict: shown?.verdict ?? null,
-        ...(spikes ?? { seconds: [], chances: [], sure: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
+        ...(spikes ?? { seconds: [], chances: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
       });
     }
     if (stale.skin) draw();

@@ -33,7 +33,7 @@ class Parrot:
         every = np.tile(shares, (len(events), 1))
         curve = Curve(seconds, values, np.full(len(events), label), every)
         spikes = {"input": np.zeros((3, 13), np.uint8)}
-        return Answer(np.log(shares), shares, spikes, curve, curve.first(self.threshold))
+        return Answer(np.log(shares), spikes, curve, curve.first(self.threshold))
 
 
 @contextmanager

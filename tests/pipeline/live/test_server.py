@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from tests.pipeline.live.conftest import served, stroke
+from tests.pipeline.live.conftest import Parrot, served, stroke
 
 pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 sync_client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -115,6 +115,27 @@ def test_the_own_page_is_welcome_and_a_digit_is_kept(server):
         saved = read_until(page, "saved")[-1]
     assert (server.keeper.folder / saved["name"]).is_file()
     assert len(server.keeper) == 1
+
+
+def test_a_network_that_waits_for_the_end_has_a_verdict_when_the_pen_rests(tmp_path):
+    class Waits(Parrot):
+        threshold = None
+
+    messages, received = list(stroke(seconds=0.1))[:-1], 0
+    later = (messages[-1]["now"] + passed_ms for passed_ms in range(5, 2000, 5))
+    messages += [{"type": "pen", "now": now_ms, "points": []} for now_ms in later]
+    with served(tmp_path / "kept", Waits) as server, connect(server) as page:
+        read_until(page, "ready")
+        for message in messages:
+            page.send(json.dumps(message))
+            events = read_until(page, "events")[-1]
+            received += len(events["ns"])
+            if events["settled"]:
+                break
+            while events["ns"] and read_until(page, "answer")[-1]["events"] < received:
+                pass
+        assert not events["ns"]  # nothing new but that there is nothing more
+        assert read_until(page, "answer")[-1]["verdict"] is not None
 
 
 def refused(page):
