@@ -95,6 +95,8 @@ def _read(path, sha256) -> KerasModel:
     if len(model.inputs) != 1 or len(model.outputs) != 1:
         raise ModelFileError("has several inputs or outputs; use one chain of layers")
     model_read = from_layers(model.inputs[0].shape[1:], [_layer(layer) for layer in model.layers])
+    if not model_read.architecture.spiking:
+        raise ModelFileError("has no layer of neurons before its output; add one with a ReLU")
     images = np.random.default_rng(0).uniform(0, 1, (TRIED, *model_read.architecture.input_shape))
     _compare(model, model_read, images.astype(np.float32))
     return model_read

@@ -11,9 +11,10 @@ import functools
 import inspect
 import json
 import math
+import os
 import textwrap
 import tomllib
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Annotated
 
 from deploy import limits
@@ -391,7 +392,10 @@ class Settings(Section):
             An unknown setting, or a value of the wrong kind or out of range.
         """
         try:
-            settings = load(Settings, _merged(self.to_json(), changes))
+            settings = load(Settings, merged(self.to_json(), changes))
+            if settings.data.source != SIMULATED:  # a run can be repeated from any folder
+                source = os.path.abspath(settings.data.source)
+                settings = replace(settings, data=replace(settings.data, source=source))
             _check_relations(settings)
         except WrongValue as error:
             raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
@@ -559,20 +563,12 @@ def settings_text(described: list, width: int = 80) -> str:
             lines += ["", f"# {section}"]
         value, default = _toml(row["value"]), _toml(row["default"])
         star, otherwise = ("*", f"  (default {default})") if value != default else (" ", "")
-        lines.append(_middle_cut(f"{star} {row['name']} = {value}{otherwise}", width))
+        lines.append(f"{star} {row['name']} = {value}{otherwise}")
         lines += [
             f"      {part}"
             for part in textwrap.wrap(row["meaning"], width - 6, break_on_hyphens=False)
         ]
     return "\n".join(lines[1:])
-
-
-def _middle_cut(line, width):
-    """A line, with its middle left out if it is too long; a path's end matters more."""
-    if len(line) <= width:
-        return line
-    half = (width - 3) // 2
-    return f"{line[: width - 3 - half]}...{line[-half:]}"
 
 
 def parse_assignments(assignments) -> dict:
@@ -635,10 +631,10 @@ def _toml(value):
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _merged(old, changes):
+def merged(old: dict, changes: dict) -> dict:
     """Nested values with some changed."""
     return old | {
-        name: _merged(old[name], value)
+        name: merged(old[name], value)
         if isinstance(value, dict) and isinstance(old.get(name), dict)
         else value
         for name, value in changes.items()
@@ -648,8 +644,6 @@ def _merged(old, changes):
 def _suggestion(error):
     """The known name that is most similar to an unknown one."""
     unknown = error.problem == "is unknown"
-    if unknown and error.name in Settings().flat():
-        return " as one name: give each section its own dict"
     near = difflib.get_close_matches(error.name, Settings().flat(), n=1) if unknown else []
     return f" (did you mean {near[0]!r}?)" if near else ""
 

@@ -419,7 +419,9 @@ def firing_rates(
     sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}
     window = presentation.steps - start
     counts = {name: [] for name in sizes}
-    for batch in _equal_streams(spec.stimulus.flat(samples), presentation):
+    flat = spec.stimulus.flat(samples)
+    streams = [flat[part] for part in presentation.streams(len(flat))]
+    for batch in map(np.stack, _batches(streams, lambda n_samples: STREAMS_AT_ONCE)):
         of_batch = {name: [] for name in sizes}
 
         def watch(spikes, of_batch=of_batch):
@@ -435,13 +437,3 @@ def firing_rates(
             advance(batch.shape[0] * batch.shape[1])
     seconds = window * spec.stimulus.step_seconds
     return {name: np.concatenate(parts) / seconds for name, parts in counts.items()}
-
-
-def _equal_streams(samples, presentation):
-    """Arrays of streams of equal length, shape (n_streams, n_samples, ...), in order."""
-    whole = presentation.streams(len(samples))
-    shorter = [whole.pop()] if len(samples) % presentation.stream_length else []
-    for first in range(0, len(whole), STREAMS_AT_ONCE):
-        yield np.stack([samples[part] for part in whole[first : first + STREAMS_AT_ONCE]])
-    for part in shorter:
-        yield samples[part][None]

@@ -79,22 +79,11 @@ def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
 TARGETS: Dict[str, Target] = {
     target.name: target
     for target in (
+        Target("nengo", run_nengo, "Nengo's reference simulator", slow=True, floating=True),
+        Target("simreal", run_simreal, "Loihi's network before rounding", slow=True, floating=True),
+        Target("emulator", run_emulator, "Emulated Loihi", slow=True),
         Target(
-            "nengo",
-            run_nengo,
-            "Nengo's reference simulator, in floating point",
-            slow=True,
-            floating=True,
-        ),
-        Target(
-            "simreal", run_simreal, "NengoLoihi before discretisation", slow=True, floating=True
-        ),
-        Target("emulator", run_emulator, "NengoLoihi's emulator, the chip's integers", slow=True),
-        Target(
-            "fast",
-            run_fast,
-            "NengoLoihi's emulator, many streams at once",
-            note="bit-identical to NengoLoihi's emulator",
+            "fast", run_fast, "Emulated Loihi (fast)", note="bit-identical to NengoLoihi's emulator"
         ),
         Target(
             "loihi",

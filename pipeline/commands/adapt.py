@@ -11,6 +11,7 @@ from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
 from deploy.tables import listed
 from pipeline.commands import options
+from pipeline.data.dataset import training_hashes
 from pipeline.data.events import Recordings
 from pipeline.run import RunFolder
 
@@ -57,6 +58,8 @@ def adapt(
             f"{place}: is the bundle to adapt, which is not changed; choose another --out"
         )
     require_replaceable(place)
+    if out is None and place.exists():
+        _require_same_person(place, bundle, recordings)
     adapted = adaptation.adapt(bundle, recordings, who, seed)
     if adapted.spec is None:
         place = None
@@ -75,6 +78,16 @@ def adapt(
         "in_check": adapted.fitted,
     }
     options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
+
+
+def _require_same_person(place, bundle, recordings):
+    """Refuse to replace a network that was fitted to none of these recordings."""
+    fitted_to = training_hashes(read_bundle(place).spec) - training_hashes(bundle.spec)
+    if fitted_to and fitted_to.isdisjoint(recordings.hashes()):
+        raise UserError(
+            f"{place}: is fitted to other recordings, perhaps another person's; "
+            "choose another --out, or delete it"
+        )
 
 
 def _mean(right):

@@ -10,7 +10,7 @@ from deploy import limits
 from deploy.errors import UserError
 from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.settings import SIMULATED, Settings
+from pipeline.settings import SIMULATED, Settings, merged
 
 Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
 SimulationSeed = Annotated[
@@ -38,7 +38,7 @@ def _recordings(source, reading, jobs, **data):
 def _settings(source, reading, **data):
     """The settings of recordings; ``--set`` has precedence over the values of other options."""
     requested = options.Requested(data=source, assignments=reading).changes()
-    return Settings().with_values(options.merged({"data": data}, requested), "command line")
+    return Settings().with_values(merged({"data": data}, requested), "command line")
 
 
 def import_(
@@ -127,9 +127,6 @@ def plot(
     sample: Annotated[
         str, typer.Option(help="Id of a recording, such as 8/0000 (default: the first one).")
     ] = "",
-    per_digit: Annotated[
-        int, typer.Option(help="Number of samples of each class on a sheet.", min=1)
-    ] = 16,
     reading: Reading = None,
     jobs: options.Jobs = 2,
 ):
@@ -144,10 +141,12 @@ def plot(
 
     if what not in FIGURES:
         raise UserError(f"{what!r} is not a figure; choose one of {', '.join(FIGURES)}")
+    if sample and what == "sheet":
+        raise UserError("--sample: a sheet draws its own; use 'stmnist data plot recording'")
     figures.format_of(out)  # reports a wrong format before the recordings are read
     recordings = _recordings(data, reading, jobs, simulation_seed=seed)
     if what == "sheet":
-        figure = drawn.sheet(recordings, per_digit, seed)
+        figure = drawn.sheet(recordings, seed)
     else:
         figure = drawn.recording(recordings, _index_of(recordings, sample))
     figures.save(figure, out)

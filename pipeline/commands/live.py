@@ -47,10 +47,12 @@ def live(
     Without RUN the page has a network for digits that is part of this package.  The page is served
     until Ctrl-C, to this machine only unless --host is given.
     """
-    from pipeline.live.network import SHIPPED, network_in
+    from deploy.check.bundle import read_bundle
+    from pipeline.live.network import SHIPPED
     from pipeline.live.serving import serve
 
     try:
-        serve(partial(network_in, run or SHIPPED), port, record, host, not no_browser, options.say)
+        network = partial(read_bundle, options.bundle_in(run or SHIPPED))
+        serve(network, port, record, host, not no_browser, options.say)
     except KeyboardInterrupt:  # the usual end
         sys.exit(INTERRUPTED)

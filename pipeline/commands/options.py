@@ -161,7 +161,7 @@ class Requested:
         UserError
             An assignment is malformed, or contradicts an option.
         """
-        from pipeline.settings import SIMULATED, parse_assignments, put  # import NumPy
+        from pipeline.settings import parse_assignments, put  # import NumPy
 
         changes = parse_assignments(self.assignments or [])
         for option, name, value in (
@@ -179,8 +179,6 @@ class Requested:
                     f"{option}: contradicts --set {name}={assigned}; give only one of them"
                 )
             put(changes, name, value, option)
-        if self.data not in (None, SIMULATED):  # the run can be repeated from any folder
-            put(changes, "data.source", str(Path(self.data).absolute()), "--data")
         return changes
 
 
@@ -223,6 +221,8 @@ def resolved(
     UserError
         A file or value is wrong, or another process is working in the folder.
     """
+    from pipeline.settings import merged  # imports NumPy
+
     folder = RunFolder(path)
     refuse_other_folders(path, of_results)
     with nothing_left_of_a_failure(path), folder.locked():
@@ -284,18 +284,8 @@ def bundle_in(path: Path) -> Path:
     return path / "bundle"
 
 
-def merged(first: dict, second: dict) -> dict:
-    """Nested settings in which those of ``second`` replace those of ``first``."""
-    both = {**first, **second}
-    for name in first.keys() & second.keys():
-        if isinstance(first[name], dict) and isinstance(second[name], dict):
-            both[name] = {**first[name], **second[name]}
-    return both
-
-
-def say(line: str):
-    """Print a line on standard error; results go to standard output."""
-    remark(line)
+# Prints a line on standard error; results go to standard output.
+say = remark
 
 
 def suggest(verb: str, *arguments):

@@ -31,7 +31,7 @@ TRAINED_ON = "training_recordings"
 TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
 
 # Remedy for too few samples for the split.
-NO_SPLIT = "give more data, or another split.test_fraction or split.kind"
+NO_SPLIT = "give other data, or another split.kind or split.test_fraction"
 
 # Version of the rules by which files become recordings; to be raised if they change, because files
 # that are read differently have the same hash.

@@ -47,7 +47,7 @@ class Reading:
         Side of the square of pixels of a file of events that becomes one taxel.
     usual_unit : str
         Unit of similar recordings, for files of events that do not have theirs, if
-        :attr:`time_unit` is empty; empty: inferred.
+        :attr:`time_unit` is empty and the recordings have a usual duration in it.
     """
 
     rows: int = 0
@@ -170,8 +170,8 @@ def _of_matrices(path, recordings, parts, lookup, is_strip, reading):
         rows, columns = rows or needed[0], columns or needed[1]
         if rows < needed[0] or columns < needed[1]:
             raise UserError(
-                f"{path}: LUT.mat has {needed[0]} rows and {needed[1]} columns, not {rows} and "
-                f"{columns}; give at least as many, or 0 for as many as there are"
+                f"{path}: recordings of a sensor of {needed[0]} x {needed[1]} taxels (LUT.mat), "
+                f"larger than {rows} x {columns}; give recordings of a sensor of that size"
             )
         return Settled(kept, events, refused, lookup, rows, columns)
     if not rows and not columns:
@@ -238,7 +238,11 @@ def _unit_of(path, recordings, parts, reading):
     if len(typical) > 1 and max(typical.values()) > MIXED * min(typical.values()) > 0:
         texts = {part: f"times of typically {span:.4g}" for part, span in typical.items()}
         _refuse_parts(path, "units of time", texts)
-    unit = next(iter(stated), reading.usual_unit) or recognised([r.time for r in recordings])
+    unit = next(iter(stated), "")
+    if not unit and (usual := reading.usual_unit):
+        usual_s = np.median([_span(recording.time) for recording in recordings]) * UNITS[usual]
+        unit = usual if SHORTEST_S <= usual_s <= LATEST_S else ""
+    unit = unit or recognised([recording.time for recording in recordings])
     if not unit:
         raise UserError(
             f"{path}: no unit of time fits recordings of up to {LATEST_S:g} s; give the unit "

@@ -91,7 +91,18 @@ def split_of(
         return writer_split(recordings.writers, seed, test_fraction)
     if kind == PUBLISHED:
         return published_split(recordings.parts, seed, validation_fraction)
-    return random_split(len(recordings), seed, test_fraction, validation_fraction)
+    split = random_split(len(recordings), seed, test_fraction, validation_fraction)
+    return _with_all_classes(split, recordings.labels)
+
+
+def _with_all_classes(split, labels):
+    """The split with a training sample of each class, instead of a test sample if necessary."""
+    missing = np.setdiff1d(labels, labels[split.train])
+    others = np.concatenate([split.test, split.validation])
+    moved = [others[labels[others] == label][0] for label in missing]
+    train = np.sort(np.concatenate([split.train, np.array(moved, int)]))
+    left = (part[~np.isin(part, moved)] for part in (split.validation, split.test))
+    return Split(train, *left, split.kind)
 
 
 def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
@@ -157,7 +168,7 @@ def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split
     parts = np.array(parts, dtype=str)
     train, test = (np.flatnonzero(parts == part) for part in ("train", "test"))
     if not len(train) or not len(test):
-        raise ValueError("has no published split, which is in folders train and test")
+        raise ValueError("has no folders train and test, of a published split")
     order = np.random.default_rng([seed, 0x9B71]).permutation(train)
     n_validation = round(len(train) * validation_fraction)
     test = np.random.default_rng(0x7E57).permutation(test)

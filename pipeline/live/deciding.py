@@ -133,20 +133,17 @@ class Answer:
         Its last values are the present ones.
     decided : Verdict or None
         The network's early decision, if there is one.
-    unit : float
-        See :func:`deploy.network.responses.score_unit`.
     """
 
     scores: np.ndarray
     spikes: dict
     curve: Curve
     decided: Verdict | None = None
-    unit: float = 1.0
 
     @property
     def decision(self) -> int:
         """The class with the highest score."""
-        return int(np.argmax(settled(self.scores, self.unit)))
+        return int(self.curve.classes[-1])
 
     @property
     def confidence(self) -> float:
@@ -167,9 +164,6 @@ class Decider:
 
     Attributes
     ----------
-    about : str
-        Continuation of the page's description of the spikes, after "One row for each neuron, every
-        mark is a spike; ".
     layers : tuple of DrawnLayer
         The spiking layers, in order.
     steps : int
@@ -191,7 +185,7 @@ class Decider:
     clocked = False
     window_s, usual_s, settles_s = None, None, 0.0
 
-    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int):
+    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
         self._spec = spec = bundle.spec
         self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
         self._emulation = Emulation(spec, seed)
@@ -256,14 +250,6 @@ class ImageDecider(Decider):
     seed : int
     """
 
-    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
-        super().__init__(bundle, sensor, seed)
-        self.about = (
-            "the left part is before the presentation. While the recording grows, the current "
-            "image is presented to this network again and again, for "
-            f"{self._spec.presentation.steps} steps of 1 ms from rest."
-        )
-
     def begin(self):
         """Begin a recording; its earlier answers are stored for the curve."""
         return _ImageDeciding(self)
@@ -275,15 +261,15 @@ class ImageDecider(Decider):
         if shown is None:
             return None
         scores, spikes, sums = shown
-        unit = score_unit(self._spec)
         # The softmax was trained on the scores, which are means.  Sums of many steps would always
         # give a confidence of nearly 1 unless a threshold was chosen for them.
         sure = softmax(scores).max() if self.threshold is None else self._confidence(sums)[-1]
         now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
-        point = now, sure, int(np.argmax(settled(scores, unit))), probabilities(scores, sure)
+        best = int(np.argmax(settled(scores, score_unit(self._spec))))
+        point = now, sure, best, probabilities(scores, sure)
         columns = zip(*before, point, strict=True)
         curve = Curve(*map(np.array, columns))
-        return point, Answer(scores, spikes, curve, curve.first(self.threshold), unit)
+        return point, Answer(scores, spikes, curve, curve.first(self.threshold))
 
 
 class _ImageDeciding:
@@ -322,13 +308,8 @@ class EventDecider(Decider):
         self.usual_s = step_s * spec.presentation.steps
         longer = spec.with_presentation(steps=min(SLOWER * spec.presentation.steps, limits.STEPS))
         super().__init__(replace(bundle, spec=longer), sensor, seed)
-        milliseconds = 1e3 * step_s
         self.window_s = step_s * longer.presentation.steps
         self.settles_s = self._spec.stimulus.step_seconds * (len(self._spec.layers) + 2)
-        self.about = (
-            "time runs to the right as it does on the sensor. This network receives the events, "
-            f"in steps of {milliseconds:g} ms, and decides while they arrive."
-        )
 
     def begin(self):
         """Begin a recording; its answers do not depend on earlier answers."""
@@ -355,7 +336,7 @@ class EventDecider(Decider):
         ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)
         sure = self._confidence(sums)
         curve = Curve(ends, sure, sums.argmax(axis=1), probabilities(sums, sure))
-        return Answer(scores, spikes, curve, curve.first(self.threshold), score_unit(self._spec))
+        return Answer(scores, spikes, curve, curve.first(self.threshold))
 
 
 def decider_of(bundle: Bundle, sensor: Sensor) -> Decider:

@@ -131,6 +131,12 @@ class Keeper:
 
     def _refuse_another_sensor(self):
         table = self.folder / TABLE
+        files = (path for path in self.folder.glob("[!.]*/[!.]*") if path.is_file())
+        if foreign := next((path for path in files if path.suffix != ".mat"), None):
+            raise UserError(
+                f"{self.folder}: has files of another kind than .mat, such as {foreign.name}; "
+                "choose another folder with --record"
+            )
         try:
             with open_regular(table) as file:
                 stored = read_lookup_table(read_limited(file))

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from deploy.check.bundle import Bundle, read_bundle
+from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
 from pipeline.data.dataset import classes_of, positions_of
@@ -13,20 +13,6 @@ from pipeline.live import RECORD
 # The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
 # settings of ``shipped.toml``.
 SHIPPED = Path(__file__).with_name("bundle")
-
-
-def network_in(folder: Path) -> Bundle:
-    """The bundle in the folder of a bundle or of a run.
-
-    Raises
-    ------
-    UserError
-        There is no bundle, or it is damaged.
-    """
-    place = folder if (folder / "MANIFEST.json").exists() else folder / "bundle"
-    if not place.exists():
-        raise UserError(f"{folder}: no network; 'stmnist ladder' makes a run's, or check the path")
-    return read_bundle(place)
 
 
 def sensor_of(bundle: Bundle) -> Sensor:
@@ -84,7 +70,6 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
         "folder": str(folder),
         "architecture": bundle.spec.architecture,
         "outdated": outdated,
-        "bundle": bundle.id[:12],
         "trained_on": name_of(bundle),
         "simulated": bool(bundle.spec.provenance.get("simulated", False)),
         "rows": sensor.rows,

@@ -30,7 +30,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import LONGEST_S, MOST_TAXELS, PAUSE_S, BadMessage, Session, problem
+from pipeline.live.session import MOST_TAXELS, BadMessage, Session, problem
 from pipeline.skin.writing import START_S
 
 # Default address of the page, which other machines cannot reach.
@@ -255,7 +255,6 @@ class Live:
         layers = [{"name": layer.name, "neurons": layer.neurons} for layer in decider.layers]
         ready = {
             "type": "ready",
-            "about": decider.about,
             "layers": layers,
             "steps": decider.steps,
             "first_step": decider.first_step,
@@ -290,12 +289,7 @@ class Live:
                 await asyncio.sleep(SPIKES_APART_S)
 
 
-_LIMITS = {
-    "longest_s": LONGEST_S,
-    "pause_s": PAUSE_S,
-    "start_s": START_S,
-    "most_taxels": MOST_TAXELS,
-}
+_LIMITS = {"start_s": START_S, "most_taxels": MOST_TAXELS}
 
 
 async def _say(socket, messages):

@@ -20,7 +20,7 @@ from pipeline.data.dataset import (
     training_hashes,
 )
 from pipeline.data.eventfiles import UNITS
-from pipeline.data.events import Recordings
+from pipeline.data.events import UNIT_NAMES, Recordings
 from pipeline.data.library import load_recordings
 from pipeline.data.sensor import Reading
 from pipeline.data.splits import draw_check_samples
@@ -28,7 +28,7 @@ from pipeline.data.steps import EventTable
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.results.ladder import confusion_matrix
 from pipeline.run import checks_beside, run_around
-from pipeline.settings import MOST_DOWNSAMPLED, Image, Settings, read_settings
+from pipeline.settings import Image, Settings, read_settings
 
 # Name of the folder in a run's results.
 FOLDER = "other"
@@ -86,11 +86,6 @@ def recordings_for(
     # A person who writes faster than the others of the training has the same unit of time.
     usual = recorded.get("time_unit")
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
-    if type(downsample) is not int or not 1 <= downsample <= MOST_DOWNSAMPLED:
-        raise UserError(
-            f"{bundle.path}: has a 'downsample' that is not a number from 1 to {MOST_DOWNSAMPLED}; "
-            "convert the run again"
-        )
     reading = Reading(rows, columns, data.time_unit, downsample, usual if usual in UNITS else "")
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
@@ -170,6 +165,10 @@ def warnings_on(bundle: Bundle, recordings: Recordings):
 def _limits(spec, recordings):
     """Lines on what the network does not see, or never saw in its training."""
     events, taxels = recordings.events, recordings.taxels
+    units = [recordings.source.time_unit, spec.provenance.get("time_unit")]
+    if all(units) and units[0] != units[1]:
+        read, usual = (UNIT_NAMES[unit] for unit in units)
+        yield f"times are read as {read}, those of the training as {usual}"
     rows, columns = spec.input_shape[:2]
     reached = [int(axis[events.taxel].max(initial=0)) + 1 for axis in (taxels.row, taxels.column)]
     if reached[0] < REACHED * rows or reached[1] < REACHED * columns:

@@ -93,7 +93,7 @@ class EventRoad(Road):
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "trained": Reference(
-            "Trained on events",
+            "Network as trained",
             "the spiking network as trained, with each sample from rest",
             "events",
             _respond,

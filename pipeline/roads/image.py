@@ -84,14 +84,14 @@ class ImageRoad(Road):
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "cnn": Reference(
-            "CNN, as the paper's",
+            "CNN of the paper",
             "the network without spikes, in the paper's training",
             "cnn",
             _respond,
             training_versions,
         ),
         "cnn-matched": Reference(
-            "CNN, matched",
+            "CNN with the same training",
             "the same network, trained as long and as well as the spiking one",
             "cnn-matched",
             _respond,

@@ -417,7 +417,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     ----------
     bundle : Bundle
     recordings : Recordings
-        Recordings of the person, of every class.
+        Recordings of the person, of every class; see :func:`require_fit`.
     writer : str
         Name of the person, for the new network's provenance.
     seed : int
@@ -426,11 +426,9 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     Raises
     ------
     UserError
-        The recordings are from another sensor or of other classes, a class is missing, or the
-        bundle cannot be fitted.
+        The bundle cannot be fitted.
     """
     spec = bundle.spec
-    require_fit(spec, recordings)
     try:
         responder = Responder(spec, seed)
     except UserError as error:

@@ -145,6 +145,9 @@ def bad(keras):
                                          layers.ReLU())  # fmt: skip
     models["relu_first"] = chain(layers.ReLU(name="early"))
     models["relu_at_the_end"] = chain(end=[layers.Flatten(), layers.Dense(3, "relu", name="out")])
+    models["no_hidden_layer"] = keras.Sequential(
+        [keras.Input((5, 4)), layers.Flatten(), layers.Dense(2, activation="softmax")]
+    )
     models["one_output"] = chain(end=[layers.Flatten(), layers.Dense(1, name="out")])
     models["sigmoid_output"] = chain(
         end=[layers.Flatten(), layers.Dense(3, activation="sigmoid", name="out")]

@@ -44,6 +44,7 @@ BAD = {
     "relu_after_pooling": ("'c'", "ReLU"),
     "relu_first": ("'early'", "Conv2D", "Dense"),
     "relu_at_the_end": ("'out'", "'softmax'"),
+    "no_hidden_layer": ("layer of neurons",),
     "one_output": ("'out'", "2"),
     "sigmoid_output": ("'out'", "'softmax'"),
     "softmax_within": ("'early'", "softmax"),

@@ -124,6 +124,12 @@ def test_values_of_numpy_and_paths_become_plain(tmp_path):
     assert settings.events.dropout == 0.5
 
 
+def test_recordings_are_found_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert Settings().with_values({"data": {"source": "own"}}).data.source == str(tmp_path / "own")
+    assert Settings().with_values({"seed": 1}).data.source == "simulated"
+
+
 def test_assignments_of_the_command_line():
     values = parse_assignments(
         [

@@ -91,35 +91,22 @@ def line_chart(series, x_label: str, y_label: str, description: str = "") -> Mar
     return _svg(WIDTH, HEIGHT, marks, description)
 
 
-def interval_chart(rows, x_label: str, description: str = "") -> Markup:
-    """A chart with one row per value: a dot with its interval.
+def interval(value: float, low: float, high: float, least: float) -> Markup:
+    """A value with its interval, for a cell of a table.
 
     Parameters
     ----------
-    rows : sequence of (name, value, (low, high))
-        Accuracies, 0 to 1.
-    x_label : str
-    description : str
+    value, low, high : float
+        Shares, 0 to 1.
+    least : float
+        Value at the left edge; the right one is 1.
     """
-    low = max(0.0, np.floor(min(low for _, _, (low, _) in rows) * 20) / 20)
-    left, top, step = 22, 12, 40
-    height = top + step * len(rows) + BOTTOM
-    axis = _Axis(low, 1.0, left, WIDTH - left)
-    marks = []
-    for tick in axis.ticks():
-        marks.append(_segment("grid", axis(tick), top, axis(tick), height - BOTTOM))
-        marks.append(_text(axis(tick), height - BOTTOM + 18, f"{100 * tick:.0f} %", "middle"))
-    marks.append(_text(WIDTH / 2, height - 4, x_label, "middle"))
-    for number, (name, value, (low, high)) in enumerate(rows):
-        y = top + step * (number + 0.7)
-        label = f"{name}: {100 * value:.1f} %"
-        title = f"{label}, {100 * low:.1f} to {100 * high:.1f} %"
-        marks.append(
-            f"<g>{_title(title)}{_text(left, y - 12, label, 'start')}"
-            f"{_segment('line s1', axis(low), y, axis(high), y)}"
-            f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y:.1f}" r="4.5"/></g>'
-        )
-    return _svg(WIDTH, height, marks, description)
+    axis, y = _Axis(least, 1, 8, WIDTH / 2, exact=True), 10
+    title = _title(f"{100 * value:.1f} %, {100 * low:.1f} to {100 * high:.1f} %")
+    dot = f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y}" r="4.5"/>'
+    line = _segment("line s1", axis(low), y, axis(high), y)
+    edges = (_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
+    return _svg(WIDTH / 2 + 8, 2 * y, [*edges, title, line, dot], "", "interval")
 
 
 def timeline(panels, extent: float, x_label: str, description: str = "", mark=None) -> Markup:
@@ -157,7 +144,7 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
             for tick in (0, 0.5, 1):
                 marks.append(_segment("grid", LEFT, y_axis(tick), width - RIGHT, y_axis(tick)))
                 marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
-            marks += [_line(x_axis, y_axis, s, n) for n, s in enumerate(panel.series, 1)]
+            marks += [_line(x_axis, y_axis, s, n, 100) for n, s in enumerate(panel.series, 1)]
         y = bottom + gap
     end = y - gap
     if mark is not None:
@@ -262,16 +249,17 @@ def _axes(x_axis, y_axis, x_label, y_label):
     return "".join(marks)
 
 
-def _line(x_axis, y_axis, series, number):
+def _line(x_axis, y_axis, series, number, scale=1):
+    """A line of percentages, or of shares, which a scale of 100 makes percentages."""
     points = _points(x_axis, y_axis, series.x, series.y)
     dots = ""
     if len(series.x) <= MOST_TOOLTIPS:
         dots = "".join(
             f'<circle class="hit" cx="{x_axis(x):.1f}" cy="{y_axis(y):.1f}" r="6">'
-            f"{_title(f'{series.name}: {y:.3g} at {x:.4g}')}</circle>"
+            f"{_title(f'{series.name}: {scale * y:.1f} % at {x:.4g}')}</circle>"
             for x, y in zip(series.x, series.y, strict=True)
         )
-    title = _title(f"{series.name}: {series.y[-1]:.3g} at the end")
+    title = _title(f"{series.name}: {scale * series.y[-1]:.1f} % at the end")
     return f'<g>{title}<polyline class="line s{number}" points="{points}"/>{dots}</g>'
 
 

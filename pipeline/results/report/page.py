@@ -25,6 +25,9 @@ from pipeline.roads import COMPARED_WITH, REFERENCES
 from pipeline.settings import PATHS, Settings
 from pipeline.stages import settings_read
 
+# Intervals of time of a small picture of a strip.
+BINS = 40
+
 # Largest number of classes for which a confusion matrix is drawn.
 MOST_IN_A_MATRIX = 40
 
@@ -122,6 +125,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         per_class=class_table(inputs),
         matrix=_matrix(inputs),
         groups=_groups(inputs),
+        over_time=not spec.stimulus.static and spec.input_shape[0] == 1,
         stories=_stories(inputs),
         curves=_learning_curves(inputs.histories),
         layers=layer_table(inputs.bundle, inputs.plan, inputs.results[-1], estimate),
@@ -257,14 +261,11 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
 
 def _ladder(results):
     rows = ladder_rows(results)
+    least = np.floor(min(row["accuracy_ci95"][0] for row in rows) * 20) / 20
     for row in rows:
         row["title"] = title_of(row["stage"])
-    chart = charts.interval_chart(
-        [(row["title"], row["accuracy"], row["accuracy_ci95"]) for row in rows],
-        "accuracy, with 95 % interval",
-        "Accuracy of each stage",
-    )
-    return {"rows": rows, "chart": chart, "n": results[0]["n_samples"]}
+        row["chart"] = charts.interval(row["accuracy"], *row["accuracy_ci95"], least)
+    return {"rows": rows, "least": float(least), "n": results[0]["n_samples"]}
 
 
 def _over_time(inputs):
@@ -279,7 +280,8 @@ def _over_time(inputs):
         start = spec.presentation.readout_start
         y = result["anytime_accuracy"][start:]
         x = range(start + 1, start + 1 + len(y))
-        label = f"steps of {1000 * spec.stimulus.step_seconds:g} ms"
+        x = [1000 * spec.stimulus.step_seconds * step for step in x]
+        label = "milliseconds of the presentation"
     if len(y) < 2:
         return None
     band = tuple(tuple(100 * v for v in wilson_interval(round(n * a), n)) for a in y)
@@ -323,11 +325,18 @@ def _matrix(inputs):
 def _groups(inputs):
     """Thumbnails of all samples by class and answer, wrong answers first, frequent ones first."""
     groups, positions = defaultdict(list), positions_of(inputs.bundle.spec)
-    images = inputs.bundle.checks.inputs
-    images = images.sum(-1) if images.ndim == 4 else images.sum((1, -1))
+    images, on_events = inputs.bundle.checks.inputs, not inputs.bundle.spec.stimulus.static
+    if on_events and images.shape[2] == 1 and positions is None:  # a strip: taxels down, over time
+        starts = np.linspace(0, images.shape[1], BINS, endpoint=False).astype(int)
+        images = np.add.reduceat(images.sum((2, -1)), starts, axis=1).swapaxes(1, 2)
+    else:
+        images = images.sum((1, -1) if on_events else -1)
     for index, (label, answer) in enumerate(zip(*_answers(inputs), strict=True)):
         groups[label, answer].append(index)
-    order = sorted(groups, key=lambda pair: (pair[0] == pair[1], -len(groups[pair]), pair))
+    order = sorted(
+        groups,
+        key=lambda pair: (pair[0] == pair[1], -len(groups[pair]) * (pair[0] != pair[1]), pair),
+    )
     return [
         {
             "key": f"{label}-{answer}",

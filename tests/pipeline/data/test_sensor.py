@@ -62,6 +62,14 @@ def test_the_unit_of_time_is_recognised_and_said(tmp_path, scale, kind, unit):
     assert missing(text, *facts) == []
 
 
+def test_the_unit_of_the_training_is_kept_where_it_fits(tmp_path):
+    """A gesture of a tenth of the usual duration is fast; a thousandth is another unit."""
+    for scale, unit in ((1e5, "us"), (1e3, "ms")):
+        archive(tmp_path / "own.zip", own(scale=scale))
+        read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(usual_unit="us"))
+        assert read.source.time_unit == unit
+
+
 def test_the_unit_that_is_given_counts(tmp_path):
     archive(tmp_path / "own.zip", own(scale=1e6))
     read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ns"))

@@ -14,7 +14,6 @@ from pipeline.skin import parameters
 class Parrot:
     """Decides for the number of events, modulo that of the classes; early, after some of them."""
 
-    about = "It is shown nothing."
     layers = (DrawnLayer("input", 100),)
     steps, first_step, clocked, threshold = 3, -1, False, 0.9
     window_s, usual_s, settles_s = 2.0, 2.0, 0.0

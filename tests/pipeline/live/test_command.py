@@ -96,7 +96,7 @@ def test_without_a_run_it_has_the_network_of_the_package(live):
     with socket_of(address(process)) as page:
         messages = iter(lambda: json.loads(page.recv(timeout=300)), None)
         hello = next(message for message in messages if message["type"] == "hello")
-        assert hello["bundle"] == read_bundle(SHIPPED).id[:12]
+        assert hello["architecture"] == read_bundle(SHIPPED).spec.architecture
         assert write_and_label(page, 4)["type"] == "saved"
 
 
@@ -121,7 +121,7 @@ def test_a_bundle_copied_from_elsewhere_will_do(live, tiny_run, tmp_path):
 
 def test_a_run_without_a_network_is_one_line(tmp_path, capsys):
     assert call("live", tmp_path / "none", "--port", 0, "--no-browser") == 2
-    assert "stmnist ladder" in capsys.readouterr().err
+    assert "stmnist convert" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 

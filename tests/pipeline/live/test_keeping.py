@@ -130,3 +130,6 @@ def test_recordings_of_another_sensor_are_not_mixed_with_these(keeper):
         Keeper(keeper.folder, Sensor(9, 12))
     with closing(Keeper(keeper.folder)) as again:  # nothing holds the folder
         assert len(again) == 1
+    (keeper.folder / "3" / "own.npz").touch()  # which no command reads beside .mat
+    with pytest.raises(UserError, match=r"own.npz.*--record"):
+        Keeper(keeper.folder)

@@ -252,7 +252,7 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert "outdated" not in capsys.readouterr().out
     assert stmnist("report", run) == 0
     assert stmnist("deploy", "energy", run / "bundle") == 0
-    assert "emulator" in (run / "report.html").read_text()
+    assert "Emulated Loihi" in (run / "report.html").read_text()
     saved = (run / "experiment.toml").read_bytes()
     other = write_folder(tmp_path / "own", per_class=5)  # of another sensor
     assert stmnist("ladder", run, "--data", other, "--jobs", "1") == 2

@@ -4,11 +4,17 @@ import io
 import warnings
 from pathlib import Path
 
+from matplotlib.colors import LinearSegmentedColormap
+
 from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.terminal import printable
+from pipeline.look import colour
 
 FORMATS = ("png", "svg", "pdf")
+
+# From no event to the most.
+SHADES = LinearSegmentedColormap.from_list("events", ["#ffffff", colour("on")])
 
 
 def format_of(path: Path) -> str:

@@ -11,6 +11,7 @@ from deploy.files import replacing
 from deploy.tables import shortened
 from pipeline.data.dataset import positions_of
 from pipeline.look import colour
+from pipeline.results.report.figures import SHADES
 from pipeline.results.report.samples import replay
 
 # Number of frames, and the duration of each and of the last one in milliseconds.
@@ -65,7 +66,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     figure.suptitle(shown)
     growing = _growing(bundle.checks.inputs[index])
     draw = _picture(picture, growing, positions_of(spec))
-    picture.set(xticks=[], yticks=[], title="events of each taxel so far")
+    picture.set(xticks=[], yticks=[], title="events of each taxel" + " so far" * (len(growing) > 1))
     clocks = [axes.axvline(0, color=colour("wrong"), linewidth=1) for axes in panels]
     marks = []
     for axes, layer in zip(panels, played.layers, strict=False):
@@ -73,7 +74,14 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         title = f"{layer.name}\n{layer.size} {layer.unit}"
         axes.set_ylabel(title, rotation=0, ha="right", va="center")
         for kind, steps, rows in layer.groups:
-            (mark,) = axes.plot([], [], "|", color=colour(kind), markersize=6, label=kind.upper())
+            (mark,) = axes.plot(
+                [],
+                [],
+                "|",
+                color=colour(kind),
+                markersize=max(1, 60 / layer.size),
+                label=kind.upper(),
+            )
             marks.append((mark, (steps + 0.5) * step, rows))
         if len(layer.groups) > 1:
             axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
@@ -112,7 +120,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
 
 def _picture(axes, growing, positions):
     """Draw an empty picture of the sensor; return the function that draws values on it."""
-    shades = {"cmap": "Blues", "vmin": 0, "vmax": growing[-1].max()}
+    shades = {"cmap": SHADES, "vmin": 0, "vmax": growing[-1].max()}
     if positions is None:
         rows, columns = growing.shape[1:3]
         image = axes.imshow(growing[0] * 0, aspect="auto", **shades)

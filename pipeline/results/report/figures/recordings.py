@@ -7,13 +7,16 @@ from deploy.tables import shortened, shortened_apart
 from pipeline.data.events import DIGITS, Recordings
 from pipeline.data.images import tactile_images
 from pipeline.look import colour
-from pipeline.results.report.figures import plain
+from pipeline.results.report.figures import SHADES, plain
 
 # Tactile images above the raster.
 FRAMES = 8
 
 # Intervals of time of a recording of a strip on a sheet.
 BINS = 40
+
+# Recordings of a class on a sheet, of half as many for more than this number of classes.
+SAMPLES, MANY_CLASSES = 16, 20
 
 # Width of a recording on a sheet in points.
 TILE = 43.0
@@ -38,31 +41,34 @@ def recording(recordings: Recordings, index: int) -> Figure:
     duration_s = _duration_s(recordings, events)
     taxels, figure = recordings.taxels, Figure(figsize=(10, 7), layout="constrained")
     figure.suptitle(_title(recordings, index), x=0.01, ha="left")
-    raster = figure
-    if not _is_strip(taxels):
-        frames, raster = figure.subfigures(2, 1, height_ratios=[1, 3])
+    if _is_strip(taxels):
+        axes = figure.subplots()
+    else:  # each picture is above its time
+        grid = figure.add_gridspec(2, FRAMES, height_ratios=[1, 4])
+        frames = [figure.add_subplot(grid[0, column]) for column in range(FRAMES)]
+        axes = figure.add_subplot(grid[1, :])
         most = _draw_growing(frames, recordings, events, duration_s)
         _scale(figure, *figure.get_size_inches(), f"{most} event{'s' * (most > 1)}")
-    axes = raster.subplots()
     seconds = events.time_ns * 1e-9
     is_grid = taxels.positions is None and not _is_strip(taxels)
     place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
-    for polarity, name in ((1, "on"), (-1, "off")):
+    known = recordings.source.simulated  # what the polarities mean
+    for polarity, name in ((1, "on"), (-1, "off")):  # the upper and lower half of a taxel's row
         chosen = events.polarity == polarity
-        axes.scatter(
-            *(seconds[chosen], place[events.taxel[chosen]] + 1, 14, colour(name)),
-            marker="|",
-            linewidths=1.2,
-            label=f"{name.upper()}: pressure {'rises' if polarity > 0 else 'falls'}",
-        )
+        middle = place[events.taxel[chosen]] + 1
+        meaning = f": pressure {'rises' if polarity > 0 else 'falls'}" * known
+        marks = {"colors": colour(name), "linewidths": 1.2, "label": name.upper() + meaning}
+        axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, **marks)
     axes.set(xlim=(0, duration_s), ylim=(place.max() + 1.5, 0.5))
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel" + ", row by row" * is_grid)
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
+    legend = axes.legend(loc="lower right", ncols=2)
+    for line in legend.get_lines():
+        line.set_linewidth(4)
     return figure
 
 
-def _draw_growing(figure, recordings, events, duration_s):
+def _draw_growing(frames, recordings, events, duration_s):
     """The tactile image up to some times; returns the most events of a taxel."""
     taxels, sensor = recordings.taxels, recordings.sensor
     ends = np.arange(1, FRAMES + 1) * duration_s / FRAMES
@@ -71,13 +77,13 @@ def _draw_growing(figure, recordings, events, duration_s):
     np.add.at(grown, (frame, taxels.row[events.taxel], taxels.column[events.taxel]), 1)
     most = max(int(grown.sum(axis=0).max()), 1)
     grown = np.cumsum(grown, axis=0) / most
-    for axes, end, image in zip(figure.subplots(1, FRAMES), ends, grown, strict=True):
+    for axes, end, image in zip(frames, ends, grown, strict=True):
         _show(axes, recordings.taxels, image, 2 * TILE)
         axes.set_title(f"up to {end:.2f} s", fontsize=9)
     return most
 
 
-def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
+def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     """Tactile images of samples drawn at random, a row for each class with its number of samples.
 
     Without known positions, recordings of taxels in one row are drawn as taxels (down) over time
@@ -86,12 +92,12 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     Parameters
     ----------
     recordings : Recordings
-    per_digit : int
     seed : int
         Seed of the draw.
     """
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)
+    per_digit = SAMPLES if len(digits) <= MANY_CLASSES else SAMPLES // 2
     images = tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
     numbers = np.bincount(recordings.labels)
@@ -108,7 +114,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
     figure = Figure(figsize=(width, height))
     figure.suptitle(source, x=0.1 / width, y=1 - 0.1 / height, ha="left", va="top", size=9)
     panels = figure.subplots(len(digits), per_digit, squeeze=False)
-    figure.subplots_adjust(margin / width, 0.01, tiles / width, 1 - 0.45 / height, 0.06, 0.06)
+    figure.subplots_adjust(margin / width, 0.01, tiles / width, 1 - 0.5 / height, 0.06, 0.06)
     for row, digit in zip(panels, digits, strict=True):
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
@@ -121,7 +127,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
     what = "; each: time to the right, taxels down" if _is_strip(recordings.taxels) else ""
-    figure.text(0.1 / width, 1 - 0.42 / height, f"class (recordings){what}", size=8)
+    figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
     _scale(figure, width, height, "most, in each picture")
     return figure
 
@@ -129,7 +135,7 @@ def sheet(recordings: Recordings, per_digit: int = 16, seed: int = 0) -> Figure:
 def _scale(figure, width, height, most):
     """The scale of the shades, in the upper right corner."""
     axes = figure.add_axes((1 - 2.05 / width, 1 - 0.22 / height, 0.7 / width, 0.12 / height))
-    axes.imshow(np.linspace(0, 1, 64)[None], cmap="Blues", aspect="auto")
+    axes.imshow(np.linspace(0, 1, 64)[None], cmap=SHADES, aspect="auto")
     axes.set(xticks=[], yticks=[])
     axes.text(-0.06, 0.5, "no event", transform=axes.transAxes, ha="right", va="center", size=8)
     axes.text(1.06, 0.5, most, transform=axes.transAxes, va="center", size=8)
@@ -147,7 +153,7 @@ def _is_strip(taxels):
 
 def _show(axes, taxels, image, width):
     """A tactile image, [row, column], whose axes are some points wide."""
-    grey = {"cmap": "Blues", "vmin": 0, "vmax": 1}
+    grey = {"cmap": SHADES, "vmin": 0, "vmax": 1}
     if taxels.positions is not None:
         size = (width / (2 * np.sqrt(len(taxels)))) ** 2
         values = image[taxels.row, taxels.column]
@@ -166,7 +172,7 @@ def _show_over_time(axes, recordings, index):
     duration_ns = 1e9 * _duration_s(recordings, events)
     ranges = ((0, n), (0, duration_ns))
     counts, _, _ = np.histogram2d(events.taxel, events.time_ns, (n, BINS), ranges)
-    axes.imshow(np.sqrt(counts), aspect="auto", cmap="Blues", vmin=0)
+    axes.imshow(np.sqrt(counts), aspect="auto", cmap=SHADES, vmin=0)
     axes.set(xticks=[], yticks=[])
 
 

@@ -29,7 +29,7 @@ def drawn(figure):
 
 def test_recording(recordings):
     figure = data_figures.recording(recordings, 0)
-    *frames, _, raster = figure.get_axes()  # between them is the scale
+    *frames, raster, _ = figure.get_axes()  # the last is the scale
     first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[0], frames[-1]))
     assert len(frames) == 8
     assert first[3, 0] > 0
@@ -41,16 +41,19 @@ def test_recording(recordings):
         (100.5, 0.5),
     )  # row by row, from above
     on, off = raster.collections
-    np.testing.assert_allclose(on.get_offsets(), [[0.1, 31], [1.5, 8]])
-    np.testing.assert_allclose(off.get_offsets(), [[0.2, 8]])
+    # ON in the upper half of a taxel's row, OFF in the lower half.
+    np.testing.assert_allclose(
+        on.get_segments(), [[[0.1, 31], [0.1, 30.55]], [[1.5, 8], [1.5, 7.55]]]
+    )
+    np.testing.assert_allclose(off.get_segments(), [[[0.2, 8], [0.2, 8.45]]])
     for marks, name in ((on, "on"), (off, "off")):
-        assert to_hex(marks.get_facecolor()[0]) == colour(name)
+        assert to_hex(marks.get_color()[0]) == colour(name)
     assert "simulated" in figure.get_suptitle()
     assert drawn(figure).startswith(b"\x89PNG")
 
 
 def test_sheet_has_a_row_for_each_digit(recordings):
-    figure = data_figures.sheet(recordings, per_digit=3)
+    figure = data_figures.sheet(recordings)
     *shown, _ = [axes for axes in figure.get_axes() if axes.get_visible()]  # the last is the scale
     assert [axes.get_ylabel() for axes in shown] == ["4 (1)", "8 (1)"]
     image = np.asarray(shown[1].images[0].get_array())
@@ -65,11 +68,13 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
     strip = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
                     Sensor(1, 3, duration_s=1.0, classes=("a", "b")))  # fmt: skip
-    first, second, _ = data_figures.sheet(strip, per_digit=1).get_axes()
-    *others, raster = data_figures.recording(strip, 0).get_axes()
-    np.testing.assert_allclose(raster.collections[0].get_offsets(), [[0, 1]])
+    shown = [axes for axes in data_figures.sheet(strip).get_axes() if axes.get_visible()]
+    first, second, _ = shown
+    panels = data_figures.recording(strip, 0).get_axes()
+    raster = panels[-2] if positions else panels[0]  # the scale is the last
+    np.testing.assert_allclose(raster.collections[0].get_segments(), [[[0, 1], [0, 0.55]]])
     if positions:
-        *_, last, _ = others
+        last = panels[-3]
         for axes, expected in ((first, [1, 0, 1]), (second, [0, 1, 0]), (last, [1, 0, 1])):
             (points,) = axes.collections
             np.testing.assert_array_equal(points.get_offsets(), positions)
@@ -78,4 +83,4 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     else:
         image = np.asarray(first.images[0].get_array())
         assert [list(place) for place in np.argwhere(image)] == [[0, 0], [2, 36]]
-        assert others == []
+        assert len(panels) == 1
