@@ -33,6 +33,7 @@ from pipeline.artifacts import DELETE_IT, Artifact, Library, Origin
 from pipeline.data.dataset import TRAINED_ON, Dataset
 from pipeline.data.events import facts_of
 from pipeline.data.library import recordings_of
+from pipeline.data.source import left_out_lines
 from pipeline.data.splits import PUBLISHED, in_both_parts
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
@@ -265,32 +266,32 @@ def convert(opened: Opened) -> Bundle:
     if (line := state.announcement("writing")) is not None:
         say(line)
     seen = opened.restricted(origin.settings)
-    view, dataset, source = seen.settings, seen.dataset, seen.dataset.recordings.source
-    test = dataset.split.test
+    view, dataset, recordings = seen.settings, seen.dataset, seen.dataset.recordings
+    source, test = recordings.source, dataset.split.test
     chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
     provenance = {
         "made_from": origin.to_json(),
         "source": source.name,
         "source_sha256": source.sha256,
         "simulated": source.simulated,
-        "polarities": dataset.recordings.sensor.polarities,
-        "classes": list(dataset.recordings.sensor.classes),
+        "polarities": recordings.sensor.polarities,
+        "classes": list(recordings.sensor.classes),
         "seed": view.seed,
         "recipe": seen.road.recipe,
         "image": asdict(view.image),
         "package": __version__,
         **({"time_unit": source.time_unit} if source.time_unit else {}),
-        **_of_the_sensor(view, dataset.recordings.taxels),
+        **_of_the_sensor(view, recordings.taxels),
         **_trained_on(dataset),
         "warnings": [
             line.removeprefix(WARNING)
-            for line in _notes_on_recordings(seen)
+            for line in (*left_out_lines(source.name, recordings), *_notes_on_recordings(seen))
             if line.startswith(WARNING)
         ],
     }
     spec = seen.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
-    some = dataset.recordings.part(chosen)
+    some = recordings.part(chosen)
     checks = CheckSet(dataset.inputs[chosen], some.labels, some.ids, view.seed)
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")

@@ -1,6 +1,7 @@
 """A folder of a user's own recordings: ladder, report and checks without any option."""
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -78,6 +79,21 @@ def test_other_recordings_are_answered_by_the_same_network(folder, kind, capsys)
     assert "writer" in said
     assert call("check", "run", run / "bundle", *others, "--samples", 5, "--json") == 0
     assert json.loads(capsys.readouterr().out)["n_samples"] == 5
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_recordings_without_labels_are_classified(folder, kind, tmp_path):
+    bundle = read_bundle(folder / kind / "bundle")
+    for name in CLASSES[:2]:
+        (tmp_path / "known" / name).mkdir(parents=True)
+        shutil.copy(folder / "own" / name / "003.npz", tmp_path / "known" / name)
+    known = elsewhere.predict(bundle, tmp_path / "known")
+    assert set(known) == {f"{name}/003" for name in CLASSES[:2]}
+    (tmp_path / "new" / "today").mkdir(parents=True)
+    for name in CLASSES[:2]:
+        shutil.copy(folder / "own" / name / "003.npz", tmp_path / "new" / "today" / f"{name}.npz")
+    unknown = elsewhere.predict(bundle, tmp_path / "new")
+    assert unknown == {f"today/{name}": known[f"{name}/003"] for name in CLASSES[:2]}
 
 
 def test_where_such_results_are_kept(folder):

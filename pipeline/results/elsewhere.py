@@ -111,7 +111,7 @@ def recordings_for(
 
 
 def predict(bundle: Bundle, source, target: str = "fast") -> dict:
-    """Classify recordings, with or without labels.
+    """Classify recordings, with or without labels, each with the network at rest before it.
 
     Parameters
     ----------
@@ -133,10 +133,10 @@ def predict(bundle: Bundle, source, target: str = "fast") -> dict:
     """
     settings = settings_around(bundle)
     recordings = recordings_for(bundle, str(source), settings, labelled=False)
-    inputs = inputs_for(bundle.spec, recordings, settings.image)
-    names = recordings.sensor.classes
-    predictions = answer(bundle.spec, inputs, target, bundle.seed).predictions
-    return {id: names[best] for id, best in zip(recordings.ids, predictions, strict=True)}
+    spec, names = bundle.spec.with_presentation(stream_length=1), recordings.sensor.classes
+    answers = answer(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
+    pairs = zip(recordings.ids, answers.predictions, strict=True)
+    return {name: names[prediction] for name, prediction in pairs}
 
 
 def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:

@@ -125,7 +125,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         per_class=class_table(inputs),
         matrix=_matrix(inputs),
         groups=_groups(inputs),
-        over_time=not spec.stimulus.static and spec.input_shape[0] == 1,
+        over_time=over_time(spec),
         stories=_stories(inputs),
         curves=_learning_curves(inputs.histories),
         layers=layer_table(inputs.bundle, inputs.plan, inputs.results[-1], estimate),
@@ -322,15 +322,20 @@ def _matrix(inputs):
     return rows
 
 
+def over_time(spec) -> bool:
+    """True if small pictures show taxels over time: of events of taxels in an unknown order."""
+    return not spec.stimulus.static and spec.input_shape[0] == 1 and positions_of(spec) is None
+
+
 def _groups(inputs):
     """Thumbnails of all samples by class and answer, wrong answers first, frequent ones first."""
     groups, positions = defaultdict(list), positions_of(inputs.bundle.spec)
-    images, on_events = inputs.bundle.checks.inputs, not inputs.bundle.spec.stimulus.static
-    if on_events and images.shape[2] == 1 and positions is None:  # a strip: taxels down, over time
+    images, static = inputs.bundle.checks.inputs, inputs.bundle.spec.stimulus.static
+    if over_time(inputs.bundle.spec):
         starts = np.linspace(0, images.shape[1], BINS, endpoint=False).astype(int)
         images = np.add.reduceat(images.sum((2, -1)), starts, axis=1).swapaxes(1, 2)
     else:
-        images = images.sum((1, -1) if on_events else -1)
+        images = images.sum(-1 if static else (1, -1))
     for index, (label, answer) in enumerate(zip(*_answers(inputs), strict=True)):
         groups[label, answer].append(index)
     order = sorted(
