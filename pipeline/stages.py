@@ -269,6 +269,7 @@ def convert(opened: Opened) -> Bundle:
     view, dataset, recordings = seen.settings, seen.dataset, seen.dataset.recordings
     source, test = recordings.source, dataset.split.test
     chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
+    lost = left_out_lines(source.name, recordings) if source.left_out else []
     provenance = {
         "made_from": origin.to_json(),
         "source": source.name,
@@ -285,7 +286,7 @@ def convert(opened: Opened) -> Bundle:
         **_trained_on(dataset),
         "warnings": [
             line.removeprefix(WARNING)
-            for line in (*left_out_lines(source.name, recordings), *_notes_on_recordings(seen))
+            for line in (*lost, *_notes_on_recordings(seen))
             if line.startswith(WARNING)
         ],
     }
