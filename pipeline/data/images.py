@@ -66,7 +66,7 @@ def tactile_images(recordings: Recordings, image: Image | None = None) -> np.nda
 
 
 def _as_images(counts, image):
-    """Images of the counts of :func:`sliced_counts`."""
+    """Images of the counts of :meth:`EventTable.sliced_counts`."""
     on, off = counts[..., 0], counts[..., 1]
     channels = {
         "count": [on + off],
@@ -83,7 +83,7 @@ def _as_images(counts, image):
 
 def _counts(recordings, image):
     weights = recordings.events.columns if image.aggregation == "columns" else None
-    return sliced_counts(recordings, image.slices, image.duration_ms, weights)
+    return EventTable.of(recordings).sliced_counts(image.slices, image.duration_ms, weights)
 
 
 class AlteredImages:
@@ -130,37 +130,3 @@ class AlteredImages:
             [np.bincount(cell, part, minlength=n * rows * columns) for part in values.T], axis=-1
         )
         return np.moveaxis(summed.reshape(n, rows, columns, slices, 2), 3, 1)
-
-
-def sliced_counts(
-    recordings: Recordings, slices: int, duration_ms: float, weights=None
-) -> np.ndarray:
-    """Count the events of each taxel and polarity in equal slices of time.
-
-    Parameters
-    ----------
-    recordings : Recordings
-    slices : int
-    duration_ms : float
-        Time from a recording's first event that is divided into slices.  Later events are counted
-        in the last one.
-    weights : ndarray, shape (n_events,), optional
-        Number that each event counts for; default: 1.
-
-    Returns
-    -------
-    ndarray of float32, shape (n_samples, slices, rows, columns, 2)
-        First ON, then OFF.
-    """
-    table = EventTable.of(recordings)
-    sample = np.repeat(np.arange(len(table)), np.diff(table.offsets))
-    part = np.minimum((table.time_ms * np.float32(slices / duration_ms)).astype(int), slices - 1)
-    shape = (len(table), slices, *table.size, 2)
-    cell = np.ravel_multi_index((sample, part, table.row, table.column, table.polarity), shape)
-    return np.bincount(cell, weights, minlength=np.prod(shape)).astype(np.float32).reshape(shape)
-
-
-def typical_duration_ms(recordings: Recordings) -> float:
-    """The time that nine recordings in ten do not exceed, in ms; at least 1."""
-    durations = EventTable.of(recordings).duration_ms
-    return max(float(np.quantile(durations, 0.9)), 1.0) if len(durations) else 1.0

@@ -60,6 +60,35 @@ class EventTable:
         some = np.diff(self.offsets) > 0
         return np.where(some, self.time_ms[last] if len(self.time_ms) else 0, 0).astype("f4")
 
+    @property
+    def typical_duration_ms(self) -> float:
+        """The time that nine recordings in ten do not exceed, in ms; at least 1."""
+        return max(float(np.quantile(self.duration_ms, 0.9)), 1.0) if len(self) else 1.0
+
+    def sliced_counts(self, slices: int, duration_ms: float, weights=None) -> np.ndarray:
+        """Count the events of each taxel and polarity in equal slices of time.
+
+        Parameters
+        ----------
+        slices : int
+        duration_ms : float
+            Time from a recording's first event that is divided into slices.  Later events are
+            counted in the last one.
+        weights : ndarray, shape (n_events,), optional
+            Number that each event counts for; default: 1.
+
+        Returns
+        -------
+        ndarray of float32, shape (n_samples, slices, rows, columns, 2)
+            First ON, then OFF.
+        """
+        sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
+        part = np.minimum((self.time_ms * np.float32(slices / duration_ms)).astype(int), slices - 1)
+        shape = (len(self), slices, *self.size, 2)
+        cell = np.ravel_multi_index((sample, part, self.row, self.column, self.polarity), shape)
+        counts = np.bincount(cell, weights, minlength=np.prod(shape))
+        return counts.astype(np.float32).reshape(shape)
+
     def pick(self, indices):
         """Events of some recordings, one recording after the other.
 

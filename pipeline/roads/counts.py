@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deploy.files import read_arrays, write_arrays
-from pipeline.data.images import sliced_counts, typical_duration_ms
+from pipeline.data.steps import EventTable
 from pipeline.roads.road import Part, Reference, accuracies, accuracy_text, responses_of
 from pipeline.run import DELETE_ITS_FOLDER
 
@@ -134,10 +134,10 @@ def _fit(opened, artifact):
     dataset, seed = opened.dataset, opened.settings.seed
     recordings, split = dataset.recordings, dataset.split
     begun = time.perf_counter()
-    duration = typical_duration_ms(recordings.part(split.train))
+    duration = EventTable.of(recordings.part(split.train)).typical_duration_ms
     features = 2 * recordings.sensor.rows * recordings.sensor.columns
     slices = max(SLICES) if features * max(SLICES) <= MOST_FEATURES else 1
-    counts = sliced_counts(recordings, slices, duration)
+    counts = EventTable.of(recordings).sliced_counts(slices, duration)
     classes = len(recordings.sensor.classes)
     baseline = fit_baseline(counts, dataset.labels, split.train, classes, seed)
     seconds = time.perf_counter() - begun

@@ -23,7 +23,6 @@ from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
 from pipeline.roads import counts
 from pipeline.roads.architectures import architecture_for, chosen_text, is_for, operations_of_input
-from pipeline.roads.image import training_versions
 from pipeline.roads.road import (
     Part,
     Reference,
@@ -31,6 +30,7 @@ from pipeline.roads.road import (
     accuracy_text,
     metrics_of,
     timed,
+    training_versions,
     write_network,
 )
 from pipeline.run import DELETE_ITS_FOLDER

@@ -1,6 +1,5 @@
 """The road of networks on tactile images: the paper's CNN, or a user's Keras model in its place."""
 
-import importlib.metadata
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +16,8 @@ from models.architecture import parse
 from models.keras_model import read_keras
 from pipeline.data.dataset import Dataset, require_images_fit
 from pipeline.data.events import is_handwriting
-from pipeline.data.images import AlteredImages, typical_duration_ms
+from pipeline.data.images import AlteredImages
+from pipeline.data.steps import EventTable
 from pipeline.roads import counts
 from pipeline.roads.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
 from pipeline.roads.diagnosis import activity, fastest_rate, layers_json, training_lines
@@ -31,17 +31,11 @@ from pipeline.roads.road import (
     metrics_of,
     responses_of,
     timed,
+    training_versions,
     watched,
     write_network,
 )
 from pipeline.settings import Image, Settings
-
-
-def training_versions() -> dict:
-    """Versions of the packages that trained networks need."""
-    names = ("tensorflow", "nengo-dl")
-    return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
-
 
 # Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
 # chosen by cross-validation within the training parts of two published data sets of real touch,
@@ -241,7 +235,7 @@ class ImageRoad(Road):
         # The user's own network has these images if it is for as many channels.
         sliced = not own or parse(cnn.architecture).input_shape[2] == 2 * SLICES
         if is_small and sliced and image == default.image:
-            duration = float(math.ceil(typical_duration_ms(recordings)))
+            duration = float(math.ceil(EventTable.of(recordings).typical_duration_ms))
             image = Image("polarities", SLICES, duration, "sqrt-max")
             changes["image"] = asdict(image)
             lines.append(

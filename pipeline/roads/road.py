@@ -6,6 +6,7 @@ recordings.  Nothing outside of this package asks what kind of network a run has
 """
 
 import csv
+import importlib.metadata
 import io
 import math
 import time
@@ -480,6 +481,12 @@ def read_weights(folder: Path, shapes: dict) -> dict:
             f"{path}: not the weights of the architecture in the settings; {DELETE_ITS_FOLDER}"
         )
     return weights
+
+
+def training_versions() -> dict:
+    """Versions of the packages that trained networks need."""
+    names = ("tensorflow", "nengo-dl")
+    return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
 
 
 def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:

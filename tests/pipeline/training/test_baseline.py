@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.data.images import sliced_counts, typical_duration_ms
+from pipeline.data.steps import EventTable
 from pipeline.roads.counts import fit_baseline
 
 
@@ -22,13 +22,14 @@ def recordings():
 
 def test_counts_by_hand():
     """Times count from the first event, and what comes later is in the last slice."""
-    counts = sliced_counts(recordings(), 2, 20.0)
+    table = EventTable.of(recordings())
+    counts = table.sliced_counts(2, 20.0)
     assert counts.shape == (2, 2, 1, 3, 2)
     assert counts[0, 0, 0].tolist() == [[2, 0], [0, 0], [0, 1]]
     assert counts[0, 1, 0].tolist() == [[0, 0], [1, 0], [0, 0]]
     assert counts[1, 0, 0].tolist() == [[0, 0], [0, 0], [0, 1]]
     assert counts[1, 1, 0].tolist() == [[0, 0], [0, 0], [1, 0]]
-    assert typical_duration_ms(recordings()) == pytest.approx(20 + 0.9 * 19)
+    assert table.typical_duration_ms == pytest.approx(20 + 0.9 * 19)
 
 
 def poisson(rates, n, seed=0):
