@@ -115,7 +115,7 @@ class Input(Section):
     """The input of the network on the chip."""
 
     #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
-    #: the sensor's events, one spike each.
+    #: the sensor's events.
     kind: Annotated[str, one_of("image", "events")] = "image"
     #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
     step: Annotated[float, STEP] = 10.0

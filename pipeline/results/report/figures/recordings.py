@@ -57,12 +57,12 @@ def recording(recordings: Recordings, index: int) -> Figure:
         chosen = events.polarity == polarity
         middle = place[events.taxel[chosen]] + 1
         meaning = f": pressure {'rises' if polarity > 0 else 'falls'}" * known
-        marks = {"colors": colour(name), "linewidths": 1.2, "label": name.upper() + meaning}
+        marks = {"colors": colour(name), "linewidths": 2, "label": name.upper() + meaning}
         axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, **marks)
     axes.set(xlim=(0, duration_s), ylim=(place.max() + 1.5, 0.5))
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel" + ", row by row" * is_grid)
-    legend = axes.legend(loc="lower right", ncols=2)
+    legend = axes.legend(loc="upper right", bbox_to_anchor=(1, -0.05), ncols=2, frameon=False)
     for line in legend.get_lines():
         line.set_linewidth(4)
     return figure
