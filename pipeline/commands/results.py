@@ -69,7 +69,7 @@ def animate(
     run: options.Run,
     out: Annotated[Path, typer.Option(help="The file to write: .gif.")],
     sample: Annotated[
-        str, typer.Option(help="Id of a sample of the check (default: the first one).")
+        str, typer.Option(help="Id of a sample of the check (default: one of usual activity).")
     ] = "",
 ):
     """Write an animation of a sample: touch, spikes and probabilities over time."""
@@ -83,7 +83,9 @@ def animate(
     ids = list(bundle.checks.ids)
     if sample and sample not in ids:
         raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
-    index = ids.index(sample) if sample else 0
+    inputs = bundle.checks.inputs
+    by_events = inputs.reshape(len(inputs), -1).sum(axis=1, dtype=float).argsort(kind="stable")
+    index = ids.index(sample) if sample else int(by_events[len(ids) // 2])
     with progress("animate", animation.FRAMES) as advance:
         animation.animate(out, bundle, index, advance)
     options.say(f"animation: {out}")

@@ -7,6 +7,8 @@ between two answers is in the object that :meth:`Decider.begin` returns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -251,12 +253,14 @@ class ImageDecider(Decider):
     """
 
     def begin(self):
-        """Begin a recording; its earlier answers are stored for the curve."""
-        return _ImageDeciding(self)
+        """Begin a recording; its answers are stored for the curve."""
+        return SimpleNamespace(answer=partial(self._answer, []))
 
-    def _answer(self, events, time_s, before):
-        recording = self._recording(events)
-        image = inputs_for(self._spec, recording)
+    def _answer(self, points, events: Events, time_s: float) -> Answer | None:
+        """The answer for all events up to a time (infinity: to the end of the recording)."""
+        if len(events) == 0:
+            return None
+        image = inputs_for(self._spec, self._recording(events))
         shown = self._show(image, self._spec.presentation.steps)
         if shown is None:
             return None
@@ -266,26 +270,9 @@ class ImageDecider(Decider):
         sure = softmax(scores).max() if self.threshold is None else self._confidence(sums)[-1]
         now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
         best = int(np.argmax(settled(scores, score_unit(self._spec))))
-        point = now, sure, best, probabilities(scores, sure)
-        columns = zip(*before, point, strict=True)
-        curve = Curve(*map(np.array, columns))
-        return point, Answer(scores, spikes, curve, curve.first(self.threshold))
-
-
-class _ImageDeciding:
-    def __init__(self, decider):
-        self._decider, self._points = decider, []
-
-    def answer(self, events: Events, time_s: float) -> Answer | None:
-        """The answer for all events up to a time (infinity: to the end of the recording)."""
-        if len(events) == 0:
-            return None
-        answered = self._decider._answer(events, time_s, self._points)
-        if answered is None:
-            return None
-        point, answer = answered
-        self._points.append(point)
-        return answer
+        points.append((now, sure, best, probabilities(scores, sure)))
+        curve = Curve(*map(np.array, zip(*points, strict=True)))
+        return Answer(scores, spikes, curve, curve.first(self.threshold))
 
 
 class EventDecider(Decider):

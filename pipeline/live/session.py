@@ -90,7 +90,7 @@ class OpenRecording:
         self.down = False
         self.complete = example is not None
         self.saved_as = None
-        self.verdict = None
+        self.verdict = self.shares = None
         self.spikes = self.curve = None  # of the latest answer
         self._longest_s = LONGEST_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
@@ -120,6 +120,8 @@ class OpenRecording:
         self.verdict = said.decided
         if said.decided is None and settled:
             self.verdict = said.curve.after(events.time_ns[-1] * 1e-9 + settles_s)
+        # Kept with the verdict; later answers do not change them.
+        self.shares = said.curve.shares_at(math.inf if not self.verdict else self.verdict.seconds)
 
     def point(self, page_ms, right, down, pressure, touches):
         """Add a point of the pen."""
@@ -414,7 +416,6 @@ def problem(text: str) -> dict:
 def _answer(recording, events, said: Answer):
     recording.spikes, recording.curve = said.spikes, said.curve
     verdict = recording.verdict
-    shares = said.curve.shares_at(math.inf if verdict is None else verdict.seconds)
     return {
         "type": "answer",
         "recording": recording.number,
@@ -422,7 +423,7 @@ def _answer(recording, events, said: Answer):
         "events": len(events),
         "decision": said.decision,
         "confidence": said.confidence,
-        "shares": shares.round(4).tolist(),
+        "shares": recording.shares.round(4).tolist(),
         "verdict": verdict and {**verdict._asdict(), "seconds": verdict.seconds - START_S},
     }
 

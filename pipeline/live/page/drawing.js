@@ -171,16 +171,16 @@ export function drawRace(canvas, race) {
     if (part === "touch") drawEvents(context, race, x, y, high);
     else if (part === "belief") drawBelief(context, race, curves, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
-    if (race.verdict) drawVerdict(context, race.verdict, x(Math.min(race.verdict.seconds, end)), y, lane, high);
+    if (race.verdict && (onEvents || typeof part === "string")) drawVerdict(context, race.verdict, x(Math.min(race.verdict.seconds, end)), y, lane, high);
     context.restore();
     if (part === "belief") nameCurves(context, race.classes, curves, LEFT + lane + 6, y);
   });
   const bottom = top - GAP;
   context.font = FONT;
-  const mark = spanOf(end) / 4;
+  const mark = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10].find((step) => end <= 5 * step) ?? end / 5;
   for (let tick = 0; tick <= end * 1.001; tick += mark) {
     context.fillStyle = colour("--soft");
-    context.textAlign = tick === 0 ? "left" : "center";
+    context.textAlign = tick === 0 ? "left" : tick > end - mark / 4 ? "right" : "center";
     context.fillText(`${+tick.toFixed(3)} s`, x(tick), bottom + 16);
     context.fillStyle = colour("--line");
     context.fillRect(x(tick), bottom, 1, 4);
@@ -190,6 +190,9 @@ export function drawRace(canvas, race) {
     context.globalAlpha = 0.75;
     context.fillRect(x(window), ABOVE, x(end) - x(window), bottom - ABOVE);
     context.globalAlpha = 1;
+    context.fillStyle = colour("--note-ink");
+    context.textAlign = "left";
+    context.fillText("not received", x(window) + 4, ABOVE + 14);
   }
   if (race.verdict) {
     const at = x(Math.min(race.verdict.seconds, end));

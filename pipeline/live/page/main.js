@@ -10,6 +10,7 @@ const [REFUSED, TOO_MANY] = [1008, 1013]; // codes with which the server ends a 
 const LOST = "stmnist-lost";
 const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
 const BUTTONS = 12; // with more classes, their buttons can be searched
+const END_MS = 700; // after the last touch: until then, another stroke may follow
 const SHORT = 3; // characters of a name that is shown large
 
 history.scrollRestoration = "manual"; // after reloading, start at the skin
@@ -31,6 +32,7 @@ let spikes = null; // the latest spikes, which do not come with every answer
 let recalled = null; // the stored writer, until the server has taken it over
 const latencies = [];
 let lastCounted = -Infinity;
+let touched = -Infinity; // when the pen last touched the skin
 const stale = { skin: true, rest: true };
 
 function forget() {
@@ -154,6 +156,7 @@ const pen = new Pen($("skin"), (points, now) => {
     draw();
   }
   const touches = points.some((point) => point[4]);
+  if (touches) touched = performance.now();
   link.send({ type: "pen", now, points }, touches ? ["events", "problem"] : []);
 });
 
@@ -205,7 +208,7 @@ link.on("hello", (message) => {
   setSensor(about);
   describe();
   $("folder").textContent = about.folder;
-  $("trained").textContent = `Network ${about.architecture}, trained on ${about.trained_on}.`
+  $("trained").textContent = `Network ${about.architecture}, trained on: ${about.trained_on}.`
     + (about.outdated ? ` ${about.outdated}.` : "");
   $("share").hidden = !about.shared;
   if (about.shared) $("qr").src = "qr.svg";
@@ -223,7 +226,7 @@ link.on("ready", (network) => {
   ready = network;
   const neurons = network.layers.slice(1).reduce((sum, layer) => sum + layer.neurons, 0);
   $("lead").textContent =
-    `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch.`;
+    `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch on a simulated skin.`;
   $("status").textContent = canDraw()
     ? about.digits ? "Ready: write with finger, pen or mouse."
       : `Ready: draw with finger, pen or mouse. This presses a simulated skin of ${about.rows} x ${about.columns} taxels, not your sensor.`
@@ -282,7 +285,7 @@ link.on("events", (message) => {
   }
   stale.skin = stale.rest = true;
   draw();
-  if (message.settled) announce();
+  if (message.settled) setTimeout(announce, END_MS + 2);
 });
 
 link.on("answer", (message) => {
@@ -444,8 +447,14 @@ const percent = (share) => `${Math.min(100 * share, 99.9).toFixed(share < 0.995 
 function showDecision(message) {
   if (about === null) return;
   const { classes } = about;
-  const verdict = message?.verdict ?? null;
+  let verdict = message?.verdict ?? null;
   const label = verdict?.label ?? message?.decision ?? null;
+  const left = END_MS - (performance.now() - touched);
+  if (verdict && !verdict.early && !$("shown").dataset.label && left > 0) {
+    verdict = null; // the end is not certain
+    clearTimeout(ending);
+    ending = setTimeout(() => message === shown && showDecision(message), left + 1);
+  }
   const example = $("shown").dataset.label ?? "";
   const output = $("decision");
   output.textContent = label === null ? "" : classes[label];
@@ -455,7 +464,8 @@ function showDecision(message) {
   output.classList.toggle("right", verdict !== null && example === String(label));
   output.classList.toggle("wrong", verdict !== null && example !== "" && example !== String(label));
   const sure = label === null ? "" : percent(verdict?.confidence ?? message.confidence);
-  $("confidence").textContent = unsure ? `Not sure (${sure})` : sure;
+  const chance = (verdict?.confidence ?? 1) < 1 / classes.length; // no better than a guess
+  $("confidence").textContent = !unsure ? sure : chance ? "Not sure" : `Not sure (${sure})`;
   $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
   if (verdict === null) {
     const threshold = ready?.threshold ?? null;
@@ -480,6 +490,7 @@ function showDecision(message) {
 }
 
 let drawing = false;
+let ending = null;
 let shown = null;
 function draw() {
   if (drawing) return;
@@ -492,7 +503,6 @@ function draw() {
       if (answer !== null && answer !== shown) {
         shown = answer;
         showDecision(answer);
-        announce();
         afterPaint(answer.last_ms);
       }
       $("race").dataset.events = events.taxel.length;

@@ -102,11 +102,11 @@ def interval(value: float, low: float, high: float, least: float) -> Markup:
         Value at the left edge; the right one is 1.
     """
     axis, y = _Axis(least, 1, 8, WIDTH / 2, exact=True), 10
-    title = _title(f"{100 * value:.1f} %, {100 * low:.1f} to {100 * high:.1f} %")
+    said = f"{100 * value:.1f} %, {100 * low:.1f} to {100 * high:.1f} %"
     dot = f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y}" r="4.5"/>'
     line = _segment("line s1", axis(low), y, axis(high), y)
     edges = (_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
-    return _svg(WIDTH / 2 + 8, 2 * y, [*edges, title, line, dot], "", "interval")
+    return _svg(WIDTH / 2 + 8, 2 * y, [*edges, _title(said), line, dot], said, "interval")
 
 
 def timeline(panels, extent: float, x_label: str, description: str = "", mark=None) -> Markup:

@@ -385,7 +385,7 @@ def _stories(inputs):
         layers = [
             charts.Raster(
                 f"{layer.name}: {layer.size} {layer.unit}, "
-                f"{sum(len(steps) for _, steps, _ in layer.groups)} "
+                f"{sum(len(steps) for _, steps, _ in layer.groups):,} "
                 f"{'events' if layer.name == 'sensor' else 'spikes'}",
                 [(kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups],
                 layer.size,
@@ -429,7 +429,7 @@ def drawn_steps(n: int) -> np.ndarray:
 
 def _learning_curves(histories):
     """Accuracy of each network on training and held-out samples."""
-    parts = {"": "training", "val_": "held out", "test_": "test, not used in training"}
+    parts = {"": "training", "val_": "held out", "test_": "some test samples, not trained on"}
     curves = []
     for name, rows in histories.items():
         series = [

@@ -63,7 +63,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     kind = "simulated " if spec.provenance.get("simulated") else ""
     shown = f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}"
-    figure.suptitle(shown)
+    figure.suptitle(shown, weight="bold")
     growing = _growing(bundle.checks.inputs[index])
     draw = _picture(picture, growing, positions_of(spec))
     picture.set(xticks=[], yticks=[], title="events of each taxel" + " so far" * (len(growing) > 1))
