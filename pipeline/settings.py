@@ -309,7 +309,7 @@ class Deployment(Section):
     """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
 
     #: ``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
-    #: for each class.
+    #: for each class, of networks on images only.
     readout: Annotated[str, one_of("chip", "host")] = "host"
     #: Spikes per second of a pixel of value 1.
     input_rate: Annotated[float, RATE] = 500.0

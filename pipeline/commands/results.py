@@ -83,9 +83,8 @@ def animate(
     ids = list(bundle.checks.ids)
     if sample and sample not in ids:
         raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
-    inputs = bundle.checks.inputs
-    by_events = inputs.reshape(len(inputs), -1).sum(axis=1, dtype=float).argsort(kind="stable")
-    index = ids.index(sample) if sample else int(by_events[len(ids) // 2])
+    activity = bundle.checks.inputs.reshape(len(ids), -1).sum(1, dtype=float)
+    index = ids.index(sample) if sample else int(activity.argsort(kind="stable")[len(ids) // 2])
     with progress("animate", animation.FRAMES) as advance:
         animation.animate(out, bundle, index, advance)
     options.say(f"animation: {out}")

@@ -326,9 +326,8 @@ def _accuracy_lines(compared, letters):
     what = "simulated samples" if len(simulated) == len(letters) else "samples"
     if 0 < len(simulated) < len(letters):
         what += f"; those of {', '.join(simulated)} are simulated"
-    counts = sorted(
-        {row["n_samples"] for s in compared["stages"] for row in s["accuracies"] if row}
-    )
+    rows_of_all = (row for s in compared["stages"] for row in s["accuracies"] if row)
+    counts = dict.fromkeys(row["n_samples"] for row in rows_of_all)  # in the order of the runs
     lines = [
         f"accuracy on {' and '.join(map(str, counts))} {what}",
         *aligned(rows, left=2),

@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
 from deploy.tables import listed
 from deploy.targets.registry import answer
-from deploy.terminal import WARNING
+from deploy.terminal import WARNING, remark
 from pipeline.data.dataset import (
     classes_of,
     cut_text,
@@ -110,7 +110,7 @@ def recordings_for(
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
 
 
-def predict(bundle: Bundle, source, target: str = "fast") -> dict:
+def predict(bundle: Bundle, source, target="fast", skip_bad=False, warn=remark) -> dict:
     """Classify recordings, with or without labels, each with the network at rest before it.
 
     Parameters
@@ -120,6 +120,10 @@ def predict(bundle: Bundle, source, target: str = "fast") -> dict:
         A zip or folder with recordings of the network's sensor, in folders of any names.
     target : str
         See :data:`deploy.targets.registry.TARGETS`.
+    skip_bad : bool
+        True to leave out files that cannot be read.
+    warn : callable
+        Called with each warning; default: printed on standard error.
 
     Returns
     -------
@@ -131,8 +135,10 @@ def predict(bundle: Bundle, source, target: str = "fast") -> dict:
     UserError
         The recordings cannot be read, or are from another sensor.
     """
-    settings = settings_around(bundle)
-    recordings = recordings_for(bundle, str(source), settings, labelled=False)
+    settings = settings_around(bundle, skip_bad)
+    recordings = recordings_for(bundle, str(source), settings, warn=warn, labelled=False)
+    for line in _limits(bundle.spec, recordings):
+        warn(f"{WARNING}{source}: {line}")
     spec, names = bundle.spec.with_presentation(stream_length=1), recordings.sensor.classes
     answers = answer(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
     pairs = zip(recordings.ids, answers.predictions, strict=True)

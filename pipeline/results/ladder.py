@@ -264,9 +264,12 @@ def ladder_text(ladder: dict) -> str:
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
     if simplest and simplest["difference"] < 0 and simplest["mcnemar_p"] < SIGNIFICANCE:
+        remedy = "the other --input, a wider architecture or more epochs"
+        if "nir" in by_stage:
+            remedy = "a longer training of the graph; check the order of classes, step and reset"
         lines.append(
             f"{WARNING}{last['stage']} is less accurate than the logistic regression on event "
-            "counts; try the other --input, a wider architecture or more epochs"
+            f"counts; try {remedy}"
         )
     return "\n".join(lines)
 

@@ -128,7 +128,6 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     base = fitted(divided, recordings, say=say)
     split, road = kind_of(base.split.kind, recordings), road_of(base)
     points = points_of(divided, grid or road.grid, lambda one: fitted(one, recordings))
-    stages = [stage for stage in STAGES if stage in road.references or stage in TARGETS]
     cases, said, unused = [], {}, set(points[0][0])
     for number, (changes, of_point) in enumerate(points):
         own = road_of(of_point)
@@ -137,24 +136,24 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
         unused -= own.bundle_origin(origin).settings.keys()
         for line in own.notes(recordings):
             said.setdefault(line, changes)
-        for stage in stages:
-            name = f"point-{number}-{stage}"
-            cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
+        for stage in STAGES:
+            if stage in own.references or stage in TARGETS:
+                name = f"point-{number}-{stage}"
+                cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
     if unused:
         raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
     for line, changes in said.items():
         say(f"{line} ({changes})")
     folder.save_settings(base, settings)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
-    summary = summarise([changes for changes, _ in points], rows)
+    errors = {case.name.split("-")[1]: error for case, error in failed.items()}  # of each point
+    complete = [row for row in rows if row["name"].split("-")[1] not in errors]
+    summary = summarise([changes for changes, _ in points], complete)
     summary["failed"] = [
-        {"changes": changes, "error": errors[0]}
-        for number, (changes, _) in enumerate(points)
-        if (errors := [e for c, e in failed.items() if c.name.startswith(f"point-{number}-")])
+        {"changes": points[int(number)][0], "error": error} for number, error in errors.items()
     ]
     write_json(folder.path / "sweep.json", summary)
-    n_failed = len(summary["failed"])
-    return summary, f"{n_failed} of {len(points)} points failed" if n_failed else ""
+    return summary, f"{len(errors)} of {len(points)} points failed" if errors else ""
 
 
 def pareto_front(costs) -> np.ndarray:

@@ -249,8 +249,7 @@ class Road:
 
     def bundle_origin(self, dataset: Origin) -> Origin:
         """The origin of the bundle."""
-        # The settings of images matter for every network: the live page displays the image.
-        reads = [*self.placement, "presentation", "check", "image"]
+        reads = [*self.placement, "presentation", "check"]
         return Origin.of(self.settings, reads, [self.origin(self.deployed, dataset)])
 
     def shapes(self, name: str) -> dict:

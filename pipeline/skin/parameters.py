@@ -91,7 +91,7 @@ def load(writers: int = 0) -> Parameters:
 
     In the paper's recordings, digits differ in place, size and force (Table 1).  People in general
     write all digits alike in these, around the middle of the skin, and differ more; some of them
-    write a 1 as a straight line.
+    write a 1 as a straight line, and half a 5 and a 7 in one stroke.
     """
     values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
     fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
@@ -102,7 +102,7 @@ def load(writers: int = 0) -> Parameters:
         means = {n: fsum(getattr(form, n) for form in forms) / len(forms) for n in vars(forms[0])}
         forms = (Form(**{**means, **ANY_DIGIT}),) * 10
         values["writers"] |= {"count": writers, **PEOPLE}
-        shapes = shape_model.with_plain_one(shapes)
+        shapes = shape_model.in_general(shapes)
     sections = {name: _section(name, entries) for name, entries in values.items()}
     return Parameters(**sections, forms=forms, shapes=shapes)
 

@@ -25,6 +25,7 @@ import functools
 import hashlib
 import json
 from dataclasses import dataclass, replace
+from math import fsum
 from pathlib import Path
 
 import numpy as np
@@ -220,12 +221,13 @@ def load() -> ShapeModel:
     return read(MODEL)
 
 
-def with_plain_one(model: ShapeModel) -> ShapeModel:
-    """The model with another way of writing a 1: one straight stroke, downwards.
+def in_general(model: ShapeModel) -> ShapeModel:
+    """The model with ways of writing that are usual elsewhere than where it was estimated.
 
-    Of the people whose handwriting was measured hardly anyone wrote it, and others do.  Its
-    components are the change of the speed along the stroke, its slant and its bow.  A third of the
-    people get it: its share is half of that of all other ways together.
+    Hardly anyone of the measured people wrote a 1 as one straight stroke downwards; a third of the
+    people get it: its share is half of that of all other ways together.  Its components are the
+    change of the speed along the stroke, its slant and its bow.  Most of the measured people wrote
+    a 5 and a 7 in two strokes; half of the people write them in one.
     """
     even = np.linspace(-0.5, 0.5, POINTS)
     eased, nowhere = 1.5 * even - 2 * even**3, np.zeros(POINTS)
@@ -234,8 +236,15 @@ def with_plain_one(model: ShapeModel) -> ShapeModel:
     mean, *rows = (np.stack(part, 1).ravel() for part in (*parts, (nowhere, bow)))
     half = np.sqrt(0.5) * np.eye(len(rows))
     plain = Allograph(0.5, (POINTS,), mean, np.array(rows), half, half)
-    zero, one, *others = model.allographs
-    return replace(model, allographs=(zero, (*one, plain), *others))
+    ways = list(model.allographs)
+    ways[1] = (*ways[1], plain)
+    for digit in (5, 7):
+        single = fsum(way.share for way in ways[digit] if len(way.points) == 1)
+        ways[digit] = tuple(
+            replace(way, share=way.share / 2 / (single if len(way.points) == 1 else 1 - single))
+            for way in ways[digit]
+        )
+    return replace(model, allographs=tuple(ways))
 
 
 def read(path) -> ShapeModel:

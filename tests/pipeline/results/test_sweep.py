@@ -199,3 +199,13 @@ def test_a_sweep_on_events(tmp_path, capsys):
     assert not (folder / "networks" / "cnn").exists()
     for curve in folder.rglob("history.csv"):
         assert "val_accuracy" in curve.read_text().splitlines()[0].split(",")  # of held-out samples
+
+
+def test_a_sweep_over_the_kind_of_input(tmp_path):
+    """Each point has the stages of its own kind of network."""
+    tiny = ("--set", "data.samples_per_digit=30", "--set", "events.epochs=1", "--set")
+    tiny += ("cnn.epochs=1", "--set", "snn.epochs=1", "--set", "input.step=500", "--jobs", 1)
+    assert call("sweep", tmp_path / "out", *tiny, "--grid", "input.kind=image,events") == 0
+    sweep = read_json(tmp_path / "out" / "sweep.json", "")
+    assert {point["changes"]["input.kind"] for point in sweep["points"]} == {"image", "events"}
+    assert all(point["trained_accuracy"] is not None for point in sweep["points"])

@@ -121,3 +121,12 @@ def test_people_in_general_write_all_digits_alike_and_some_a_plain_1():
     np.testing.assert_allclose(line[[0, -1]], [[-0.5, 0], [0.5, 0]], atol=1e-9)
     assert np.ptp(line[:, 1]) < 0.01
     assert (np.diff(line[:, 0]) > 0).all()
+
+
+def test_people_in_general_write_in_one_stroke_as_often_as_in_two():
+    ways = parameters.load(1000).shapes.allographs
+    for digit in (5, 7):
+        shares = [(way.share, len(way.points)) for way in ways[digit]]
+        assert sum(share for share, strokes in shares if strokes == 1) == pytest.approx(0.5)
+        assert sum(share for share, _ in shares) == pytest.approx(1)
+    assert len(ways[1]) == len(parameters.load().shapes.allographs[1]) + 1
