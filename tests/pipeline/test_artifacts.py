@@ -137,7 +137,7 @@ DEPENDS = {
     ("check.samples", 50): ("bundle", "bundle"),
     ("input.refractory", 20.0): ("", "events threshold bundle"),
     ("events.epochs", 3): ("", "events threshold bundle"),
-    ("image.aggregation", "signed"): ("cnn cnn-matched rate-lif bundle", "bundle"),
+    ("image.aggregation", "signed"): ("cnn cnn-matched rate-lif bundle", ""),
     ("split.test_fraction", 0.3): (
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
@@ -169,10 +169,3 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
             found.append(made)
         one, two = found
         assert {name for name in one if one[name] != two[name]} == set(expected.split())
-
-
-def test_settings_of_images_do_not_matter_on_events():
-    for kind, matter in (("image", True), ("events", False)):
-        settings = SETTINGS.with_values({"input": {"kind": kind}})
-        names = road_of(settings).bundle_origin(dataset_origin(settings, "ab")).settings
-        assert any(name.startswith("image.") for name in names) == matter
