@@ -102,7 +102,7 @@ def main():
     docs, sample = ROOT / "docs", simulated(0, SAMPLES_PER_DIGIT, 2)
     index = sample.ids.index("8/0000")
     figures.save(recordings.recording(sample, index), docs / "recording.png")
-    figures.save(recordings.sheet(sample, 8), docs / "sheet.png")
+    figures.save(recordings.sheet(sample), docs / "sheet.png")
     _live(docs / "live.png")
     write_json(ROOT / "docs" / "pictures.json", stamps())
     show("\n".join(f"docs/{name}" for name in SHOWN))

@@ -39,7 +39,7 @@ def convert(
     ] = None,
     step: Annotated[
         float | None,
-        typer.Option(help="With --nir: milliseconds of the graph's time in a step of the chip."),
+        typer.Option(help="With --nir: milliseconds of the recording in a step of the network."),
     ] = None,
     strict: Annotated[
         bool,
