@@ -173,7 +173,7 @@ export function drawRace(canvas, race) {
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
     if (race.verdict && (onEvents || typeof part === "string")) drawVerdict(context, race.verdict, x(Math.min(race.verdict.seconds, end)), y, lane, high);
     context.restore();
-    if (part === "belief") nameCurves(context, race.classes, curves, LEFT + lane + 6, y);
+    if (part === "belief") nameCurves(context, race, curves, LEFT + lane + 6, y, high);
   });
   const bottom = top - GAP;
   context.font = FONT;
@@ -204,14 +204,12 @@ export function drawRace(canvas, race) {
   }
 }
 
-// The time of the decision as a line; what comes after an early one does not count, and is faded.
+// The time of the decision as a line; what comes after it does not count, and is faded.
 function drawVerdict(context, { early }, at, y, lane, high) {
-  if (early) {
-    context.fillStyle = colour("--panel");
-    context.globalAlpha = 0.6;
-    context.fillRect(at, y, lane, high);
-    context.globalAlpha = 1;
-  }
+  context.fillStyle = colour("--panel");
+  context.globalAlpha = 0.6;
+  context.fillRect(at, y, lane, high);
+  context.globalAlpha = 1;
   context.fillStyle = colour("--ink");
   context.fillRect(at - 1, y, 2, high);
 }
@@ -291,10 +289,17 @@ function drawBelief(context, race, curves, x, y, high, lane) {
   context.stroke();
 }
 
-function nameCurves(context, classes, curves, left, y) {
+// Names at the ends of the curves, moved apart where they would cover each other.
+function nameCurves(context, { seconds, chances, classes }, curves, left, y, high) {
+  const last = (seconds.length - 1) * classes.length;
+  const ends = curves.map((label, i) => ({ label, i, at: y + high * (1 - chances[last + label] / 255) }));
+  ends.sort((a, b) => b.at - a.at || b.i - a.i); // from below
+  let free = y + high + 4;
   context.textAlign = "left";
-  curves.forEach((label, i) => {
+  for (const { label, i, at } of ends) {
+    const place = Math.min(at + 4, free);
+    free = place - 12;
     context.fillStyle = colour(LINES[i]);
-    context.fillText(classes[label].slice(0, 12), left, y + 4 + i * 12);
-  });
+    context.fillText(classes[label].slice(0, 12), left, place);
+  }
 }

@@ -463,9 +463,10 @@ function showDecision(message) {
   output.classList.toggle("open", verdict === null || unsure);
   output.classList.toggle("right", verdict !== null && example === String(label));
   output.classList.toggle("wrong", verdict !== null && example !== "" && example !== String(label));
-  const sure = label === null ? "" : percent(verdict?.confidence ?? message.confidence);
-  const chance = (verdict?.confidence ?? 1) < 1 / classes.length; // no better than a guess
-  $("confidence").textContent = !unsure ? sure : chance ? "Not sure" : `Not sure (${sure})`;
+  const confidence = message?.verdict?.confidence ?? message?.confidence ?? 1;
+  const sure = label === null ? "" : percent(confidence);
+  const chance = confidence < 1 / classes.length; // no better than a guess
+  $("confidence").textContent = unsure ? (chance ? "Not sure" : `Not sure (${sure})`) : chance ? "…" : sure;
   $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
   if (verdict === null) {
     const threshold = ready?.threshold ?? null;

@@ -52,8 +52,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     spec = bundle.spec
     played = replay(bundle, [index], bundle.seed)[index]
     classes, chances = spec.provenance["classes"], played.chances
-    step, start = spec.stimulus.step_seconds, spec.presentation.readout_start
-    seconds = step * spec.presentation.steps
+    step, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
+    extent = step * spec.presentation.steps
     label, answer = int(bundle.checks.labels[index]), int(chances[-1].argmax())
 
     heights = [1.0] * len(played.layers) + [1.4]
@@ -63,14 +63,14 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     kind = "simulated " if spec.provenance.get("simulated") else ""
     shown = f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}"
-    figure.suptitle(shown, weight="bold")
+    figure.suptitle(shown, x=0.01, ha="left")
     growing = _growing(bundle.checks.inputs[index])
     draw = _picture(picture, growing, positions_of(spec))
     picture.set(xticks=[], yticks=[], title="events of each taxel" + " so far" * (len(growing) > 1))
     clocks = [axes.axvline(0, color=colour("wrong"), linewidth=1) for axes in panels]
     marks = []
     for axes, layer in zip(panels, played.layers, strict=False):
-        axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, seconds), yticks=[])
+        axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, extent), yticks=[])
         title = f"{layer.name}\n{layer.size} {layer.unit}"
         axes.set_ylabel(title, rotation=0, ha="right", va="center")
         for kind, steps, rows in layer.groups:
@@ -84,9 +84,10 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             )
             marks.append((mark, (steps + 0.5) * step, rows))
         if len(layer.groups) > 1:
-            axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
+            where = {"loc": "center left", "bbox_to_anchor": (1, 0.5), "frameon": False}
+            axes.legend(**where, fontsize=9, markerscale=max(1, layer.size / 7))
     scores = panels[-1]
-    scores.set(ylim=(0, 1.02), xlabel="seconds of the presentation", ylabel="probability")
+    scores.set(ylim=(0, 102), xlabel="milliseconds of the presentation", ylabel="probability, %")
     lines = {
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
         for n, c in enumerate(played.shown(label), 1)
@@ -97,16 +98,16 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     canvas, frames = FigureCanvasAgg(figure), []
     canvas.draw()
     figure.set_layout_engine("none")  # of the first frame, for all
-    for now in np.linspace(0, seconds, FRAMES):
+    for now in np.linspace(0, extent, FRAMES):
         draw(growing[min(int(now / step), len(growing) - 1)])
         for clock in clocks:
             clock.set_xdata([now, now])
         for mark, at, neurons in marks:
             mark.set_data(at[at <= now], neurons[at <= now])
         for c, line in lines.items():
-            line.set_data(times[times <= now], chances[times <= now, c])
+            line.set_data(times[times <= now], 100 * chances[times <= now, c])
         if len(frames) == FRAMES - 1:
-            figure.suptitle(f"{shown}: {verdict}", weight="bold")
+            figure.suptitle(f"{shown}: {verdict}", x=0.01, ha="left")
         canvas.draw()
         frames.append(Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB"))
         if advance is not None:
