@@ -161,8 +161,7 @@ class Emulation:
             n_input, packed = np.zeros((n_streams, size), int), defaultdict(list)
             for first in range(-gap, period - gap, at_once):
                 sent = host.spikes(first, min(first + at_once, period - gap))
-                reordered = sent if self._sends_all(size) else sent[:, :, self.sent]
-                spikes, over = self.chip.advance(state, reordered)
+                spikes, over = self.chip.advance(state, _at(sent, self.sent))
                 overflows += over
                 decoded = self._sum_rows(_at(spikes, self._decoded), weights)
                 outputs.append(readout.advance(decoded))
@@ -183,9 +182,6 @@ class Emulation:
             counts={name: np.stack(parts, axis=1) for name, parts in counts.items()},
             overflows={n: sum(rows[b] for b in blocks) for n, blocks in self._blocks.items()},
         )
-
-    def _sends_all(self, size):
-        return len(self.sent) == size and np.array_equal(self.sent, np.arange(size))
 
     def bytes_per_step(self, n_streams):
         """Approximate memory for one step of some streams."""

@@ -53,8 +53,6 @@ def import_(
     recordings = _recordings(source, reading, jobs)
     facts = facts_with_events(recordings)
     options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
-    more = (word for assignment in reading or () for word in ("--set", assignment))
-    options.suggest("ladder", Path("runs") / Path(source).stem, "--data", source, *more)
 
 
 def inspect(

@@ -89,11 +89,12 @@ def energy(
     opened = _opened(bundle)
     # Both targets count the same spikes.
     usual = [checks_beside(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
-    path = result or next((path for path in usual if path.exists()), usual[-1])
+    paths = [result] if result else [path for path in usual if path.exists()] or usual[-1:]
     remedy = f"run 'stmnist check run {bundle} --target fast'"
-    counted = read_result(path, remedy if result is None else "give the result of a check")
-    if counted["bundle"] != opened.id:
-        raise UserError(f"{path}: belongs to another bundle than {bundle}; {remedy}")
+    results = [read_result(path, "give a check's result" if result else remedy) for path in paths]
+    counted = next((each for each in results if each["bundle"] == opened.id), None)
+    if counted is None:
+        raise UserError(f"{paths[-1]}: belongs to another bundle than {bundle}; {remedy}")
     value = estimate_energy(opened.spec, counted)
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
 

@@ -1,6 +1,6 @@
 """Splits of samples into training, validation and test samples."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,7 +77,7 @@ def split_of(
     recordings : Recordings
     seed : int
     test_fraction, validation_fraction : float
-        See :func:`random_split`; splits by writers have no validation part.
+        See :func:`random_split`; in splits by writers also validation samples are of own writers.
     kind : str
         ``"auto"`` or a kind of split, see :class:`Split`.
 
@@ -88,7 +88,11 @@ def split_of(
     """
     kind = kind_of(kind, recordings)
     if kind == WRITERS:
-        return writer_split(recordings.writers, seed, test_fraction)
+        split = writer_split(recordings.writers, seed, test_fraction)
+        if not validation_fraction:
+            return split
+        inner = writer_split(recordings.writers[split.train], seed, validation_fraction)
+        return replace(split, train=split.train[inner.train], validation=split.train[inner.test])
     if kind == PUBLISHED:
         return published_split(recordings.parts, seed, validation_fraction)
     split = random_split(len(recordings), seed, test_fraction, validation_fraction)
@@ -98,8 +102,7 @@ def split_of(
 def _with_all_classes(split, labels):
     """The split with a training sample of each class, instead of a test sample if necessary."""
     missing = np.setdiff1d(labels, labels[split.train])
-    others = np.concatenate([split.test, split.validation])
-    moved = [others[labels[others] == label][0] for label in missing]
+    moved = [next(i for i in (*split.test, *split.validation) if labels[i] == c) for c in missing]
     train = np.sort(np.concatenate([split.train, np.array(moved, int)]))
     left = (part[~np.isin(part, moved)] for part in (split.validation, split.test))
     return Split(train, *left, split.kind)

@@ -240,6 +240,8 @@ class Keeper:
         with self._guard:
             with reporting_os_errors(path, "cannot remove", "check the folder's permissions"):
                 path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                path.parent.rmdir()  # a class without a recording is refused as data
             self.look()
 
     def is_writer(self, number: int):

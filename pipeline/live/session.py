@@ -269,12 +269,13 @@ class Session:
         if recording is None or recording.spikes is None:
             return None
         layers = recording.spikes.items()
+        shares = np.rint(255 * recording.curve.shares).astype(np.uint8)
         return {
             "type": "spikes",
             "recording": recording.number,
             "layers": {name: base64.b64encode(rows.tobytes()).decode() for name, rows in layers},
             "seconds": (recording.curve.seconds - START_S).round(4).tolist(),
-            "chances": _bytes(recording.curve.shares),
+            "chances": base64.b64encode(shares.tobytes()).decode(),
         }
 
     def _pen(self, message):
@@ -426,11 +427,6 @@ def _answer(recording, events, said: Answer):
         "shares": recording.shares.round(4).tolist(),
         "verdict": verdict and {**verdict._asdict(), "seconds": verdict.seconds - START_S},
     }
-
-
-def _bytes(shares):
-    """Shares from 0 to 1, a byte each."""
-    return base64.b64encode(np.rint(255 * shares).astype(np.uint8).tobytes()).decode()
 
 
 def _number(message, name):

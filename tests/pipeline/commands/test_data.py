@@ -5,11 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.data.eventfiles import write_recordings
 from pipeline.data.source import read_source
-from pipeline.settings import Settings, parse_assignments
 from tests.command import call
-from tests.own_sensor import CLASSES, gestures
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members
 
@@ -50,22 +47,6 @@ def test_simulated_zip_is_read_back_and_counted(archive, capsys):
     ]
     assert row["on"] == pytest.approx([np.mean(on), np.std(on, ddof=1)])
     assert {"off", "x_mean", "y_mean", "x_range", "y_range"} < set(row)
-
-
-def test_the_suggested_run_reads_the_recordings_in_the_same_way(tmp_path, monkeypatch):
-    path = write_recordings(tmp_path / "own.zip", gestures(2), CLASSES)
-    suggested = []
-    monkeypatch.setattr("pipeline.commands.options.suggest", lambda *words: suggested.append(words))
-    given = ["data.time_unit=ms", "data.downsample=3", "data.skip_bad=true"]
-    given = [word for each in given for word in ("--set", each)]
-    assert call("data", "import", path, *given, "--jobs", 1) == 0
-    verb, run, *options = suggested[0]
-    assert (verb, run.name) == ("ladder", "own")
-    settings = Settings().with_values(parse_assignments(options[3::2]), "")
-    data = settings.data
-    assert (data.time_unit, data.downsample, data.skip_bad) == ("ms", 3, True)
-    assert call("data", "import", path, "--jobs", 1) == 0
-    assert suggested[1][2:] == ("--data", str(path))
 
 
 def test_files_that_cannot_be_read_are_left_out_of_statistics_and_figures(tmp_path, capsys):

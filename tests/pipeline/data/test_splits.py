@@ -1,5 +1,7 @@
 """Splits of samples: at random, by writers, and as published."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -49,6 +51,16 @@ def test_no_writer_is_in_both_parts(sizes, seed):
     assert len(split.train)
     assert len(split.test)
     assert len(split.train) + len(split.test) == len(writers)
+
+
+def test_validation_samples_are_of_own_writers():
+    many = replace(published(" " * 40, [0, 1] * 20), writers=np.repeat(np.arange(8), 5))
+    split = split_of(many, 0, 0.2, 0.2, "writers")
+    parts = (split.train, split.validation, split.test)
+    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(40))
+    groups = [set(many.writers[part]) for part in parts]
+    assert all(groups)
+    assert sum(map(len, groups)) == 8
 
 
 def test_a_split_by_writers_needs_their_names():
