@@ -240,7 +240,7 @@ def _unit_of(path, recordings, parts, reading):
         _refuse_parts(path, "units of time", texts)
     unit = next(iter(stated), "")
     if not unit and (usual := reading.usual_unit):
-        usual_s = np.median([_span(recording.time) for recording in recordings]) * UNITS[usual]
+        usual_s = np.median(np.concatenate(list(spans.values()))) * UNITS[usual]
         unit = usual if SHORTEST_S <= usual_s <= LATEST_S else ""
     unit = unit or recognised([recording.time for recording in recordings])
     if not unit:

@@ -100,9 +100,12 @@ def split_of(
 
 
 def _with_all_classes(split, labels):
-    """The split with a training sample of each class, instead of a test sample if necessary."""
+    """The split with a training sample of each class, from the other parts if necessary.
+
+    Validation samples are taken first, so that the test part never becomes empty.
+    """
     missing = np.setdiff1d(labels, labels[split.train])
-    moved = [next(i for i in (*split.test, *split.validation) if labels[i] == c) for c in missing]
+    moved = [next(i for i in (*split.validation, *split.test) if labels[i] == c) for c in missing]
     train = np.sort(np.concatenate([split.train, np.array(moved, int)]))
     left = (part[~np.isin(part, moved)] for part in (split.validation, split.test))
     return Split(train, *left, split.kind)

@@ -137,8 +137,8 @@ def predict(bundle: Bundle, source, target="fast", skip_bad=False, warn=remark) 
     """
     settings = settings_around(bundle, skip_bad)
     recordings = recordings_for(bundle, str(source), settings, warn=warn, labelled=False)
-    for line in _limits(bundle.spec, recordings):
-        warn(f"{WARNING}{source}: {line}")
+    for line in warnings_on(bundle, recordings):
+        warn(line)
     spec, names = bundle.spec.with_presentation(stream_length=1), recordings.sensor.classes
     answers = answer(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
     pairs = zip(recordings.ids, answers.predictions, strict=True)

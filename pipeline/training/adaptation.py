@@ -327,7 +327,7 @@ class Responder:
         Returns
         -------
         ndarray, shape (n_samples, parts * inputs)
-            See :mod:`deploy.network.spec.Rehearsal`.
+            See :class:`deploy.network.spec.Rehearsal`.
         """
         start, readout = self.spec.presentation.readout_start, self.spec.layers[-1]
         batches = [np.empty((0, readout.by_class.shape[1]))]

@@ -35,12 +35,13 @@ def test_a_random_split_is_a_partition(n, seed, fraction):
     np.testing.assert_array_equal(split.test, random_split(n, seed).test)
 
 
-@given(st.integers(0, 200), st.sampled_from([0.2, 0.6, 0.9]))
+@given(st.integers(0, 200), st.sampled_from([0.1, 0.2, 0.6, 0.9]))
 def test_every_class_is_in_the_training_part(seed, fraction):
     split = split_of(published(" " * 12, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]), seed, fraction, 0.2)
     together = np.concatenate([split.train, split.validation, split.test])
     np.testing.assert_array_equal(np.sort(together), np.arange(12))
     assert set(np.asarray(split.train) // 2) == set(range(6))
+    assert len(split.test)
 
 
 @given(st.lists(st.integers(1, 40), min_size=2, max_size=25), st.integers(0, 1000))
