@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.check.bundle import Bundle
+from deploy.network.decision import decide
 from deploy.network.responses import decoded, running_sums
 from deploy.targets.fast import Emulation
 
@@ -41,10 +42,14 @@ class Replay:
     layers : tuple of Spikes
     chances : ndarray of float, shape (steps - readout_start, classes)
         Probabilities of the classes at each step.
+    decided, answer : int
+        Index in ``chances`` of the decision, the last one if none is early, and its class.
     """
 
     layers: tuple
     chances: np.ndarray
+    decided: int
+    answer: int
 
     def shown(self, label: int) -> list:
         """The classes whose probability is drawn, for a sample of a class."""
@@ -110,6 +115,8 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]
         sums = running_sums(spec, decoded(spec, output[:, shown.gap :]))
+        limit = 1.0 if shown.confidence is None else shown.confidence
+        decided, answers = decide(sums, limit, spec.estimator, shown.readout_start)
         if spec.stimulus.static:
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
         chances = softmax(sums)
@@ -119,7 +126,8 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
                 bits = packed[index - part.start][name][0, shown.gap :]
                 steps, neurons = np.nonzero(np.unpackbits(bits, axis=1, count=sizes[name]))
                 layers.append(_spikes(spec, name, sizes[name], steps, neurons))
-            replays[index] = Replay(tuple(layers), chances[index - part.start])
+            at = index - part.start
+            replays[index] = Replay(tuple(layers), chances[at], int(decided[at]), int(answers[at]))
             if advance is not None:
                 advance(1)
     return {index: replays[index] for index in indices}

@@ -54,20 +54,28 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     classes, chances = spec.provenance["classes"], played.chances
     step, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
     extent = step * spec.presentation.steps
-    label, answer = int(bundle.checks.labels[index]), int(chances[-1].argmax())
+    label, answer = int(bundle.checks.labels[index]), played.answer
 
+    times = step * (start + 1 + np.arange(len(chances)))
     heights = [1.0] * len(played.layers) + [1.4]
-    figure = Figure(figsize=(10, 1.6 + 1.2 * len(heights)), layout="constrained", dpi=90)
-    left, right = figure.subfigures(1, 2, width_ratios=[1, 2.4])
-    picture = left.subplots()
+    figure = Figure(figsize=(10, 1.2 + 1.2 * len(heights)), layout="constrained", dpi=90)
+    left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
+    picture, said = left.subplots(2, 1, height_ratios=[2, 1])
     panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     kind = "simulated " if spec.provenance.get("simulated") else ""
-    shown = f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}"
-    figure.suptitle(shown, x=0.01, ha="left")
+    figure.suptitle(f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}", ha="center")
     growing = _growing(bundle.checks.inputs[index])
     draw = _picture(picture, growing, positions_of(spec))
     picture.set(xticks=[], yticks=[], title="events of each taxel" + " so far" * (len(growing) > 1))
-    clocks = [axes.axvline(0, color=colour("wrong"), linewidth=1) for axes in panels]
+    said.set_axis_off()
+    middle = {"x": 0.5, "ha": "center", "va": "center"}
+    names = [shortened(name, 16) for name in classes]
+    size = min(60, 400 / max(map(len, names)))
+    answered = said.text(y=0.6, s="", size=size, color=colour("soft"), **middle)
+    verdict = said.text(y=0.05, s="", size=14, **middle)
+    clocks = [axes.axvline(0, color=colour("ink"), linewidth=1.5) for axes in panels]
+    end, dots = times[played.decided], {"color": colour("ink"), "linestyle": ":", "visible": False}
+    ends = [axes.axvline(end, **dots) for axes in panels]
     marks = []
     for axes, layer in zip(panels, played.layers, strict=False):
         axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, extent), yticks=[])
@@ -93,8 +101,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         for n, c in enumerate(played.shown(label), 1)
     }
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
-    times = step * (start + 1 + np.arange(len(chances)))
-    verdict = f"answered {classes[answer]}, which is {'right' if answer == label else 'wrong'}"
+    early = played.decided < len(chances) - 1
+    when = f"decided after {end / 1000:.2f} s" if early else "at the end"
+    ended = f"{when}: {'right' if answer == label else f'wrong, was {names[label]}'}"
     canvas, frames = FigureCanvasAgg(figure), []
     canvas.draw()
     figure.set_layout_engine("none")  # of the first frame, for all
@@ -106,8 +115,16 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             mark.set_data(at[at <= now], neurons[at <= now])
         for c, line in lines.items():
             line.set_data(times[times <= now], 100 * chances[times <= now, c])
-        if len(frames) == FRAMES - 1:
-            figure.suptitle(f"{shown}: {verdict}", x=0.01, ha="left")
+        step_now = min(np.searchsorted(times, now, side="right") - 1, played.decided)
+        if step_now >= 0:
+            best = int(chances[step_now].argmax())
+            answered.set_text(names[best])
+            verdict.set_text(f"{100 * chances[step_now, best]:.0f} %")
+        if now >= end:
+            answered.set(text=names[answer], color=colour("right" if answer == label else "wrong"))
+            verdict.set_text(ended)
+            for line in ends:
+                line.set_visible(True)
         canvas.draw()
         frames.append(Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB"))
         if advance is not None:
@@ -123,11 +140,12 @@ def _picture(axes, growing, positions):
     """Draw an empty picture of the sensor; return the function that draws values on it."""
     shades = {"cmap": SHADES, "vmin": 0, "vmax": growing[-1].max()}
     if positions is None:
-        rows, columns = growing.shape[1:3]
-        image = axes.imshow(growing[0] * 0, aspect="auto", **shades)
-        axes.set_box_aspect(max(0.1, rows / columns))
+        rows, columns = growing.shape[1:]
+        across = (1, 0) if rows == 1 else (0, 1)  # a strip runs down, like the rows of its raster
+        image = axes.imshow(growing[0].transpose(across) * 0, aspect="auto", **shades)
+        axes.set_box_aspect(np.clip(columns if rows == 1 else rows / columns, 0.25, 4))
         axes.set_xlabel(f"{rows} x {columns} taxels")
-        return image.set_data
+        return lambda values: image.set_data(values.transpose(across))
     dots = axes.scatter(*positions.T, 120, 0 * positions[:, 0], edgecolors="0.7", **shades)
     axes.set_aspect("equal", adjustable="datalim")
     axes.invert_yaxis()

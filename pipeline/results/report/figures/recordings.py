@@ -15,8 +15,8 @@ FRAMES = 8
 # Intervals of time of a recording of a strip on a sheet.
 BINS = 40
 
-# Recordings of a class on a sheet, of half as many for more than this number of classes.
-SAMPLES, MANY_CLASSES = 16, 20
+# Recordings in a row of a sheet, and the most rows; more classes are side by side.
+SAMPLES, MOST_ROWS = 16, 20
 
 # Width of a recording on a sheet in points.
 TILE = 43.0
@@ -97,7 +97,8 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     """
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)
-    per_digit = SAMPLES if len(digits) <= MANY_CLASSES else SAMPLES // 2
+    blocks = -(-len(digits) // MOST_ROWS)
+    rows, per_digit = -(-len(digits) // blocks), max(SAMPLES // blocks, 2)
     images = tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
     numbers = np.bincount(recordings.labels)
@@ -109,19 +110,31 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     }
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
     source, tiles = _source(recordings), 0.6 * per_digit + margin
-    width = max(tiles + 0.1, 2.5 + CHARACTER * len(source))  # the source and the scale above
-    height = 0.6 * len(digits) + 0.5
+    # The source and the scale are above.
+    width = max(blocks * tiles + 0.1, 2.5 + CHARACTER * len(source))
+    height = 0.6 * rows + 0.5
     figure = Figure(figsize=(width, height))
     figure.suptitle(source, x=0.1 / width, y=1 - 0.1 / height, ha="left", va="top", size=9)
-    panels = figure.subplots(len(digits), per_digit, squeeze=False)
-    figure.subplots_adjust(margin / width, 0.01, tiles / width, 1 - 0.5 / height, 0.06, 0.06)
-    for row, digit in zip(panels, digits, strict=True):
+    grids = [
+        figure.add_gridspec(
+            rows,
+            per_digit,
+            left=(block * tiles + margin) / width,
+            right=(block + 1) * tiles / width,
+            bottom=0.01,
+            top=1 - 0.5 / height,
+            wspace=0.06,
+            hspace=0.06,
+        )
+        for block in range(blocks)
+    ]
+    for number, digit in enumerate(digits):
+        block, down = divmod(number, rows)
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
+        row = [figure.add_subplot(grids[block][down, across]) for across in range(len(chosen))]
         row[0].set_ylabel(plain(names[digit]), rotation=0, labelpad=4, ha="right", va="center")
-        for axes in row[len(chosen) :]:
-            axes.set_visible(False)
-        for axes, index in zip(row, chosen, strict=False):
+        for axes, index in zip(row, chosen, strict=True):
             if _is_strip(recordings.taxels):
                 _show_over_time(axes, recordings, index)
             else:
