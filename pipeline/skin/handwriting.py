@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.special import expit, ndtri
+from scipy.special import expit, ndtr, ndtri
 
-from pipeline.skin.shape_model import ShapeModel, boxed
+from pipeline.skin.shape_model import ShapeModel, boxed, evened
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,8 @@ class Writer:
         Logarithm of the factor on the speed, the force, and the vibration of the sliding tip.
     sloppiness : float
         Factor on the variation of place and size from one digit to the next.
+    even : float
+        Share, from 0 to 1, by which this person evens out the speed.
     """
 
     allographs: tuple
@@ -91,6 +93,7 @@ class Writer:
     force: float
     scrape: float
     sloppiness: float
+    even: float
 
 
 # A writer without any traits, for recorded handwriting.
@@ -106,6 +109,7 @@ NOBODY = Writer(
     force=0.0,
     scrape=0.0,
     sloppiness=1.0,
+    even=0.0,
 )
 
 
@@ -137,6 +141,8 @@ def writers(rng, p, shapes: ShapeModel) -> tuple:
     }
     traits = {name: spread * deal.normal() for name, spread in spreads.items()}
     down, right, sloppiness = (deal.normal() for _ in range(3))
+    # Drawn only if it is used: the paper's people stay as they are.
+    even = shapes.evenness * ndtr(deal.normal()) if shapes.evenness else np.zeros(p.count)
     return tuple(
         Writer(
             allographs=tuple(int(choice) for choice in choices[:, who]),
@@ -147,6 +153,7 @@ def writers(rng, p, shapes: ShapeModel) -> tuple:
             down=float(p.place[0] * down[who]),
             right=float(p.place[1] * right[who]),
             sloppiness=float(np.exp(p.sloppiness * sloppiness[who])),
+            even=float(even[who]),
         )
         for who in range(p.count)
     )
@@ -188,6 +195,8 @@ def write(digit: int, who: Writer, rng, shapes: ShapeModel) -> tuple:
     way = ways[choice]
     strokes = way.strokes(who.offsets[digit][choice], rng.standard_normal(way.rank))
     leaning = np.array([[1.0, -who.slant], [0.0, np.exp(who.width)]])
+    if who.even:
+        strokes = (evened(stroke, who.even) for stroke in strokes)
     return boxed(stroke @ leaning for stroke in strokes)
 
 

@@ -119,6 +119,8 @@ class ShapeModel:
     about : dict
         Source of the model's data: ``source``, ``licence``, ``sha256`` of the file,
         ``writers``, ``digits``.
+    evenness : float
+        Largest share to which a person evens out the speed along a stroke, see :func:`evened`.
     """
 
     allographs: tuple
@@ -128,13 +130,15 @@ class ShapeModel:
     tempo: float
     trial_tempo: float
     about: dict
+    evenness: float = 0.0
 
     def arrays(self) -> dict:
         """The parameters as arrays, for a file; the inverse of :meth:`from_arrays`."""
+        traits = [self.slant, self.width, self.tempo, self.trial_tempo]
         arrays = {
             "about": np.array(json.dumps(self.about, sort_keys=True)),
             "loyalty": np.array(self.loyalty),
-            "traits": np.array([self.slant, self.width, self.tempo, self.trial_tempo]),
+            "traits": np.array(traits + [self.evenness] * bool(self.evenness)),
         }
         for digit, ways in enumerate(self.allographs):
             arrays |= {f"{digit}.{part}": array for part, array in _packed(ways).items()}
@@ -148,7 +152,8 @@ class ShapeModel:
             for digit in range(DIGITS)
         )
         loyalty, traits = (arrays[name].astype(float).tolist() for name in ("loyalty", "traits"))
-        return cls(ways, tuple(loyalty), *traits, json.loads(str(arrays["about"])))
+        about = json.loads(str(arrays["about"]))
+        return cls(ways, tuple(loyalty), *traits[:4], about, *traits[4:])
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over the parameters as they are stored."""
@@ -215,6 +220,14 @@ def resampled(stroke, count: int) -> np.ndarray:
     return np.stack([np.interp(at, np.arange(len(stroke)), axis) for axis in stroke.T], 1)
 
 
+def evened(stroke, share: float) -> np.ndarray:
+    """A stroke whose times are evenly spaced along its path, by a share from 0 to 1."""
+    steps = np.hypot(*np.diff(stroke, axis=0).T)
+    path = np.concatenate([[0.0], np.cumsum(steps)]) / max(steps.sum(), 1e-9)
+    at = share * np.linspace(0, 1, len(stroke)) + (1 - share) * path
+    return np.stack([np.interp(at, path, axis) for axis in stroke.T], 1)
+
+
 @functools.cache
 def load() -> ShapeModel:
     """The built-in model."""
@@ -227,7 +240,8 @@ def in_general(model: ShapeModel) -> ShapeModel:
     Hardly anyone of the measured people wrote a 1 as one straight stroke downwards; a third of the
     people get it: its share is half of that of all other ways together.  Its components are the
     change of the speed along the stroke, its slant and its bow.  Most of the measured people wrote
-    a 5 and a 7 in two strokes; half of the people write them in one.
+    a 5 and a 7 in two strokes; half of the people write them in one.  All slowed down at corners
+    and ends; people do so to different extents.
     """
     even = np.linspace(-0.5, 0.5, POINTS)
     eased, nowhere = 1.5 * even - 2 * even**3, np.zeros(POINTS)
@@ -244,7 +258,7 @@ def in_general(model: ShapeModel) -> ShapeModel:
             replace(way, share=way.share / 2 / (single if len(way.points) == 1 else 1 - single))
             for way in ways[digit]
         )
-    return replace(model, allographs=tuple(ways))
+    return replace(model, allographs=tuple(ways), evenness=1.0)
 
 
 def read(path) -> ShapeModel:
