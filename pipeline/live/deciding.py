@@ -60,16 +60,13 @@ class Curve:
         reached = () if threshold is None else np.flatnonzero(self.values >= threshold)
         return self._verdict(reached[0], True) if len(reached) else None
 
-    def after(self, seconds: float) -> Verdict:
-        """The answer at a time, or at the end if that is earlier."""
-        return self._verdict(self._index(seconds))
+    def last(self) -> Verdict:
+        """The answer at the end."""
+        return self._verdict(-1)
 
-    def shares_at(self, seconds: float) -> np.ndarray:
-        """Probabilities of the classes at a time, or at the end if that is earlier."""
-        return self.shares[self._index(seconds)]
-
-    def _index(self, seconds):
-        return min(np.searchsorted(self.seconds, seconds), len(self.seconds) - 1)
+    def shares_at(self, verdict: Verdict | None) -> np.ndarray:
+        """Probabilities of the classes at the time of a verdict; without one, at the end."""
+        return self.shares[np.searchsorted(self.seconds, verdict.seconds) if verdict else -1]
 
     def _verdict(self, index, early=False):
         at = float(self.seconds[index])
@@ -103,7 +100,7 @@ def probabilities(outputs, sure) -> np.ndarray:
 
 
 class Verdict(NamedTuple):
-    """The answer that counts: an early decision, or else the answer at the end of the writing.
+    """The answer that counts: an early decision, or else the answer at the end, as in a check.
 
     Attributes
     ----------
@@ -180,12 +177,10 @@ class Decider:
         Seconds from the first event on for which the network receives events; None for images.
     usual_s : float or None
         As `window_s`, of the samples that the network was trained on.
-    settles_s : float
-        Seconds that a spike needs to the output.
     """
 
     clocked = False
-    window_s, usual_s, settles_s = None, None, 0.0
+    window_s, usual_s = None, None
 
     def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
         self._spec = spec = bundle.spec
@@ -296,7 +291,6 @@ class EventDecider(Decider):
         longer = spec.with_presentation(steps=min(SLOWER * spec.presentation.steps, limits.STEPS))
         super().__init__(replace(bundle, spec=longer), sensor, seed)
         self.window_s = step_s * longer.presentation.steps
-        self.settles_s = self._spec.stimulus.step_seconds * (len(self._spec.layers) + 2)
 
     def begin(self):
         """Begin a recording; its answers do not depend on earlier answers."""
@@ -310,7 +304,8 @@ class EventDecider(Decider):
         first_s, last_s = events.time_ns[[0, -1]] * 1e-9
         since = (time_s - first_s) / seconds  # steps of the first event on
         # A recording of the usual length ends with its presentation, as in the check.
-        end_s = max(self.usual_s, last_s - first_s + self.settles_s)
+        settles = len(self._spec.layers) + 2  # steps that a spike needs to the output
+        end_s = max(self.usual_s, last_s - first_s + settles * seconds)
         steps = int(min(max(since, 0), round(end_s / seconds), shown.steps))
         if steps <= shown.readout_start:
             return None

@@ -113,15 +113,13 @@ class OpenRecording:
         """True if nothing can happen before the pen returns."""
         return self.over or self.writing.time_s >= self.writing.settled_s - 2e-3
 
-    def decide(self, said: Answer, events, settled: bool, settles_s: float):
-        """Keep an early decision; otherwise take the answer to the last event if the pen rests."""
+    def decide(self, said: Answer, settled: bool):
+        """Keep an early decision; otherwise take the answer at the end if the pen rests."""
         if self.verdict is not None and self.verdict.early:
             return
-        self.verdict = said.decided
-        if said.decided is None and settled:
-            self.verdict = said.curve.after(events.time_ns[-1] * 1e-9 + settles_s)
+        self.verdict = said.decided or (said.curve.last() if settled else None)
         # Kept with the verdict; later answers do not change them.
-        self.shares = said.curve.shares_at(math.inf if not self.verdict else self.verdict.seconds)
+        self.shares = said.curve.shares_at(self.verdict)
 
     def point(self, page_ms, right, down, pressure, touches):
         """Add a point of the pen."""
@@ -258,7 +256,7 @@ class Session:
             said = recording.deciding.answer(events, known_s)
             if said is None:
                 return None
-            recording.decide(said, events, settled, self._decider.settles_s)
+            recording.decide(said, settled)
             return _answer(recording, events, said)
 
         return answer

@@ -130,9 +130,9 @@ function fillDots(context, counts, place, radius) {
 
 const SPANS = [0.1, 0.2, 0.5, 1, 2, 4, 10, 20, 60]; // lengths of a time axis in seconds
 const spanOf = (seconds) => SPANS.find((span) => seconds <= span * 1.001) ?? seconds;
-const [LEFT, BELOW, ABOVE, GAP] = [10, 36, 17, 5];
+const [LEFT, BELOW, ABOVE, GAP] = [10, 36, 18, 5];
 const LINES = ["--s1", "--s2", "--s3", "--s4"];
-const FONT = "12px system-ui, sans-serif"; // of a page whose text has 16 pixels
+const FONT = "13px system-ui, sans-serif"; // of a page whose text has 16 pixels
 
 // Everything on one time axis: events of the sensor, spikes of each layer, belief in the likeliest
 // classes; the end of what the network receives, and the decision as a line.
@@ -154,7 +154,7 @@ export function drawRace(canvas, race) {
   const curves = race.seconds.length ? curvesOf(race) : [];
   const lane = width - LEFT - right;
   const x = (seconds) => LEFT + (seconds / end) * lane;
-  const parts = height < 160 ? ["touch", "belief"] : ["touch", ...race.layers, "belief"]; // a phone on its side
+  const parts = height < 230 ? ["touch", "belief"] : ["touch", ...race.layers, "belief"]; // a phone on its side
   const free = height - BELOW - parts.length * (ABOVE + GAP);
   const weights = parts.map((part) => (part === "belief" ? 2 : 1));
   const unit = free / weights.reduce((a, b) => a + b);
@@ -168,6 +168,7 @@ export function drawRace(canvas, race) {
     context.beginPath();
     context.rect(LEFT, top - high - ABOVE - GAP, lane, high + ABOVE + 1); // recordings may last longer than the axis
     context.clip();
+    if (!race.events.s.length && high > 20) explain(context, part, LEFT + lane / 2, y + high / 2);
     if (part === "touch") drawEvents(context, race, x, y, high);
     else if (part === "belief") drawBelief(context, race, curves, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
@@ -221,6 +222,15 @@ function caption(context, text, y) {
   context.fillText(text, LEFT, y - 5);
 }
 
+// What will be seen, before there is anything to see.
+function explain(context, part, x, y) {
+  context.font = FONT;
+  context.fillStyle = colour("--soft");
+  context.textAlign = "center";
+  const [row, dot] = part === "touch" ? ["taxel", "event"] : [part.name === "input" ? "line" : "neuron", "spike"];
+  context.fillText(part === "belief" ? "a curve for each of the likeliest classes" : `a row for each ${row}, a dot for each ${dot}`, x, y + 4);
+}
+
 function drawEvents(context, { events }, x, y, high) {
   const taxels = rows * columns;
   caption(context, `the touch: ${taxels} taxels row by row, ${events.s.length} events`, y);
@@ -255,7 +265,7 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
             context.fillRect(place(step + firstStep), y + ((8 * at + bit) * high) / neurons, 2, tall);
         }
     }
-  const axis = x === null ? ", while the image is presented" : "";
+  const axis = x === null ? `; across: the ${shownSteps} steps of the last presentation` : "";
   const unit = name === "input" ? "lines" : "neurons";
   caption(context, `${name}: ${neurons} ${unit}, ${spikes} spikes${axis}`, y);
 }
@@ -298,7 +308,7 @@ function nameCurves(context, { seconds, chances, classes }, curves, left, y, hig
   context.textAlign = "left";
   for (const { label, i, at } of ends) {
     const place = Math.min(at + 4, free);
-    free = place - 12;
+    free = place - 13;
     context.fillStyle = colour(LINES[i]);
     context.fillText(classes[label].slice(0, 12), left, place);
   }

@@ -16,7 +16,7 @@ class Parrot:
 
     layers = (DrawnLayer("input", 100),)
     steps, first_step, clocked, threshold = 3, -1, False, 0.9
-    window_s, usual_s, settles_s = 2.0, 2.0, 0.0
+    window_s, usual_s = 2.0, 2.0
 
     def __init__(self, classes=10):
         self.classes = classes
