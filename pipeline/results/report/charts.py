@@ -67,7 +67,7 @@ class Lines:
     series: tuple
 
 
-def line_chart(series, x_label: str, y_label: str, description: str = "") -> Markup:
+def line_chart(series, x_label: str, y_label: str, description: str = "", least=None) -> Markup:
     """Lines over a common x axis; the names are in a separate legend, see :func:`legend`.
 
     Parameters
@@ -76,11 +76,13 @@ def line_chart(series, x_label: str, y_label: str, description: str = "") -> Mar
     x_label, y_label : str
     description : str
         Text for screen readers.
+    least : float, optional
+        Lower end of the y axis; default: that of the lines.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
     x_axis = _Axis(x.min(), x.max(), LEFT, WIDTH - RIGHT)
-    y_axis = _Axis(y.min(), y.max(), HEIGHT - BOTTOM, TOP)
+    y_axis = _Axis(y.min() if least is None else least, y.max(), HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
     for number, s in enumerate(series, 1):
         if s.intervals:
