@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import shlex
 import sys
 
 # Exit status after Ctrl-C, as shells have it.
@@ -24,6 +25,12 @@ def printable(text) -> str:
     if text.isprintable():  # fast for the usual text
         return text
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def advised(*words) -> str:
+    """A command of ``stmnist`` that can be copied, such as ``'stmnist ladder "my runs/1"'``."""
+    quoted = (word if shlex.quote(word) == word else f'"{word}"' for word in map(str, words))
+    return f"'stmnist {' '.join(quoted)}'"
 
 
 # Beginning of a warning.

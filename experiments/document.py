@@ -36,6 +36,14 @@ BRIEF = {
     "table2": "cnn loihi slayer cnn-matched cnn-augmented own-loihi events-loihi",
     "real-touch": "counts cnn chip events-chip",
 }
+# Headings of the Python reference, by the package of the names below them.
+SUBJECTS = {
+    "pipeline.data": "Recordings",
+    "pipeline": "Settings, training and runs",
+    "deploy": "Bundles, checks and the chip",
+    "models": "NIR graphs",
+    "fastloihi": "Any NengoLoihi network",
+}
 REAL_TOUCH = {"objects": "Ev-Objects, 36 classes", "letters": "Braille letters, 27 classes"}
 
 
@@ -57,10 +65,13 @@ def commands() -> str:
 
 
 def api() -> str:
-    """Every public name, for mkdocstrings, as Markdown: a heading for each module."""
-    return "\n\n".join(
-        f"::: {module}.{name}" for module, names in stmnist.PLACES.items() for name in sorted(names)
-    )
+    """Every public name, for mkdocstrings, as Markdown: a heading for each subject."""
+    left, lines = dict(stmnist.PLACES), []
+    for package, title in SUBJECTS.items():
+        modules = [module for module in left if module.startswith(package)]
+        names = [f"{module}.{name}" for module in modules for name in sorted(left.pop(module))]
+        lines += [f"## {title}", *(f"::: {name}" for name in names)]
+    return "\n\n".join(lines)
 
 
 def settings() -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from deploy.errors import UserError
 from deploy.files import locked, refuse_linked_folder, refuse_linked_folders, remove_leftovers
+from deploy.terminal import advised
 
 if TYPE_CHECKING:
     from pipeline.artifacts import Origin
@@ -31,10 +32,9 @@ def _inside(name, meaning):
 
 
 def checks_beside(bundle: Path) -> Path:
-    """The folder for the check results of a bundle: ``checks`` beside it.
+    """The folder for the check results of a bundle: ``checks`` in its run, or else in itself.
 
-    Bundles with other names than ``bundle`` can have others beside them, such as those fitted to
-    several people, so that each has a folder of its own: ``NAME-checks``.
+    A copied bundle's ``deploy.pyz check`` writes there, too.
 
     Parameters
     ----------
@@ -46,7 +46,8 @@ def checks_beside(bundle: Path) -> Path:
         The folder is a symbolic link: results would be written elsewhere.
     """
     path = Path(os.path.abspath(bundle))  # which follows no link
-    folder = path.with_name("checks" if path.name == "bundle" else f"{path.name}-checks")
+    of_run = path.name == "bundle" and RunFolder(path.parent).experiment.is_file()
+    folder = (path.parent if of_run else path) / "checks"
     refuse_linked_folder(folder)
     return folder
 
@@ -209,7 +210,7 @@ def require_run(run: RunFolder):
     if not run.experiment.is_file():
         raise UserError(
             f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
-            f"with 'stmnist ladder {run.path}'"
+            f"with {advised('ladder', run.path)}"
         )
 
 

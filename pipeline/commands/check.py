@@ -80,8 +80,7 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="The result (default: TARGET.json in checks/ beside a folder named bundle, in "
-            "NAME-checks/ beside another)."
+            help="The result (default: checks/TARGET.json in the run, or in a bundle without run)."
         ),
     ] = None,
     seed: Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from deploy.errors import UserError
-from deploy.terminal import show
+from deploy.terminal import advised, show
 from pipeline.commands import options
 from pipeline.run import checks_beside
 
@@ -90,7 +90,7 @@ def energy(
     # Both targets count the same spikes.
     usual = [checks_beside(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
     paths = [result] if result else [path for path in usual if path.exists()] or usual[-1:]
-    remedy = f"run 'stmnist check run {bundle} --target fast'"
+    remedy = f"run {advised('check', 'run', bundle, '--target', 'fast')}"
     results = [read_result(path, "give a check's result" if result else remedy) for path in paths]
     counted = next((each for each in results if each["bundle"] == opened.id), None)
     if counted is None:

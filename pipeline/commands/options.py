@@ -11,7 +11,6 @@ where the annotation contains a :class:`Group`.  Typer needs one parameter for e
 
 import contextlib
 import json
-import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from typing import Annotated, get_type_hints
 import typer
 
 from deploy.errors import CheckFailed, UserError
-from deploy.terminal import remark, show
+from deploy.terminal import advised, remark, show
 from pipeline.run import RunFolder, nothing_left_of_a_failure, refuse_other_folders
 
 KEYWORD = Parameter.KEYWORD_ONLY
@@ -280,7 +279,7 @@ def bundle_in(path: Path) -> Path:
     if (path / "MANIFEST.json").exists() or not (path / "experiment.toml").exists():
         return path
     if not (path / "bundle").is_dir():
-        raise UserError(f"{path}: has no bundle yet; make it with 'stmnist convert {path}'")
+        raise UserError(f"{path}: has no bundle yet; make it with {advised('convert', path)}")
     return path / "bundle"
 
 
@@ -291,7 +290,7 @@ say = remark
 def suggest(verb: str, *arguments):
     """Print at a terminal which command usually comes next, in one line on standard error."""
     if sys.stderr.isatty() and sys.stdout.isatty():
-        say(f"next: stmnist {' '.join([verb, *(shlex.quote(str(a)) for a in arguments)])}")
+        say(f"next: {advised(verb, *arguments)[1:-1]}")
 
 
 def warn_if_outdated(*paths: Path):

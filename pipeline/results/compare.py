@@ -14,7 +14,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.tables import SIGNIFICANCE, aligned, p_text, plain, star
 from deploy.targets.registry import TARGETS
-from deploy.terminal import printable
+from deploy.terminal import advised, printable
 from pipeline.artifacts import DELETE_IT
 from pipeline.data.dataset import classes_of
 from pipeline.data.events import is_written
@@ -100,7 +100,7 @@ def _read_run(path):
     folder = RunFolder(path)
     require_run(folder)
     if not folder.bundle.is_dir():
-        raise UserError(f"{path}: has no bundle; make it with 'stmnist convert {path}'")
+        raise UserError(f"{path}: has no bundle; make it with {advised('convert', path)}")
     bundle = read_bundle(folder.bundle)
     files = {stage: folder.check(stage) for stage in ORDER}
     every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
@@ -108,7 +108,7 @@ def _read_run(path):
     stale = [stage for stage in every if stage not in results]
     if not results:
         old = " of its bundle, only of an earlier one" if stale else ""
-        raise UserError(f"{path}: no check results{old}; make them with 'stmnist ladder {path}'")
+        raise UserError(f"{path}: no check results{old}; make them with {advised('ladder', path)}")
     plan = make_plan(bundle.spec)
     return Run(
         name=str(path),

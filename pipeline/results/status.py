@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage, sha256_of
 from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
-from deploy.terminal import WARNING
+from deploy.terminal import WARNING, advised
 from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
 from pipeline.data.dataset import dataset_origin
 from pipeline.data.library import identity_of
@@ -107,9 +107,9 @@ def remedy_text(run, names) -> str:
         The artifacts' names, as in :func:`status_of`.
     """
     targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
-    commands = [f"'stmnist check run {run} --target {target}'" for target in targets]
+    commands = [advised("check", "run", run, "--target", target) for target in targets]
     if set(names) - {f"checks/{target}" for target in targets}:
-        commands.insert(0, f"'stmnist ladder {run}'")
+        commands.insert(0, advised("ladder", run))
     return ", then ".join(commands)
 
 

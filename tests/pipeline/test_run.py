@@ -50,10 +50,12 @@ def test_a_failed_command_leaves_no_folder(tmp_path, monkeypatch, arguments):
 
 
 def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
-    names = ("bundle", "adapted/7", "adapted/8")
+    (tmp_path / "experiment.toml").touch()
+    names = ("bundle", "adapted/7", "copied/bundle")
     folders = [checks_beside(tmp_path / name) for name in names]
-    assert folders[0] == tmp_path / "checks"
-    assert len(set(folders)) == 3
+    assert folders == [
+        tmp_path / name for name in ("checks", "adapted/7/checks", "copied/bundle/checks")
+    ]
 
 
 def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):

@@ -7,6 +7,7 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.preflight.plan import make_plan
+from deploy.terminal import advised
 from pipeline.progress import progress
 from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.ladder import ladder_stages
@@ -49,7 +50,7 @@ def gather(folder: RunFolder) -> Inputs:
     if not results:
         raise UserError(
             f"{folder.path / 'checks'}: no check result of the present bundle; "
-            f"run 'stmnist ladder {folder.path}' first"
+            f"run {advised('ladder', folder.path)} first"
         )
     chosen = choose_samples(results[-1])
     with progress("replay samples", len(chosen)) as advance:
