@@ -9,6 +9,7 @@ import contextlib
 import io
 import json
 import os
+import shutil
 import sys
 import tempfile
 import time
@@ -82,6 +83,7 @@ def main(
         notebook, start = json.loads(path.read_text(encoding="utf-8")), time.monotonic()
         sys.path.insert(0, os.getcwd())
         with tempfile.TemporaryDirectory() as folder:
+            shutil.copy(FOLDER / "network.nir", folder)
             notebook, _ = executed(notebook, folder)
         with replacing(path, "w") as file:
             file.write(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")

@@ -1,6 +1,7 @@
 """Tutorials run as they are shown, and their lessons hold."""
 
 import json
+import shutil
 
 import pytest
 
@@ -65,3 +66,12 @@ def test_your_own_sensor(tmp_path):
     assert events["emulator"] > 0.9
     assert images["emulator"] < events["emulator"]
     assert (tmp_path / "runs" / "gestures" / "report.html").is_file()
+
+
+@pytest.mark.slow
+def test_a_network_from_pytorch(tmp_path):
+    shutil.copy(FOLDER / "network.nir", tmp_path)
+    printed_by(CODE, "3-from-pytorch", env=users_environment(), cwd=tmp_path)
+    of_torch = accuracies(tmp_path / "runs" / "torch")
+    assert 0.75 < of_torch["nir"] < 0.9
+    assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.04
