@@ -4,7 +4,7 @@
 current.  Tables and figures come from the files in ``results/``:
 
 - ``<!-- NAME: written by python -m experiments document -->`` begins a table of ``results/NAME``,
-  or ``commands``, ``settings`` or ``api``; ``<!-- end of NAME -->`` ends it;
+  or ``commands`` or ``settings``; ``<!-- end of NAME -->`` ends it;
 - ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->`` has one value of a file: each word of
   the path (in quotes, if it has blanks) is a key of an object, or the name of an entry of a list
   (``name``, ``a``, ``network``); the format is Python's, with ``100*`` before it for points.
@@ -20,7 +20,6 @@ from typing import Annotated
 
 import typer
 
-import stmnist
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
 from experiments import adapt, speed, studies, tables
@@ -35,14 +34,6 @@ FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").gl
 BRIEF = {
     "table2": "cnn loihi slayer cnn-matched cnn-augmented own-loihi events-loihi",
     "real-touch": "counts cnn chip events-chip",
-}
-# Headings of the Python reference, by the package of the names below them.
-SUBJECTS = {
-    "pipeline.data": "Recordings",
-    "pipeline": "Settings, training and runs",
-    "deploy": "Bundles, checks and the chip",
-    "models": "NIR graphs",
-    "fastloihi": "Any NengoLoihi network",
 }
 REAL_TOUCH = {"objects": "Ev-Objects, 36 classes", "letters": "Braille letters, 27 classes"}
 
@@ -62,16 +53,6 @@ def commands() -> str:
     lines = ["\n## Options of several commands\n"]
     lines += [f"- `{name}`: {text}" for name, text in dict.fromkeys(seen) if (name, text) in common]
     return "\n".join([*lines, *_sections(command, "stmnist", 2, common)])
-
-
-def api() -> str:
-    """Every public name, for mkdocstrings, as Markdown: a heading for each subject."""
-    left, lines = dict(stmnist.PLACES), []
-    for package, title in SUBJECTS.items():
-        modules = [module for module in left if module.startswith(package)]
-        names = [f"{module}.{name}" for module in modules for name in sorted(left.pop(module))]
-        lines += [f"## {title}", *(f"::: {name}" for name in names)]
-    return "\n\n".join(lines)
 
 
 def settings() -> str:
@@ -94,7 +75,7 @@ def part(name: str) -> str:
     UserError
         There is no such result.
     """
-    if name in ("commands", "settings", "api"):
+    if name in ("commands", "settings"):
         return globals()[name]()
     if name == "real-touch-brief":
         return brief({title: result(f"real-touch-{file}") for file, title in REAL_TOUCH.items()})

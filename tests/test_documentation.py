@@ -123,6 +123,12 @@ def test_every_command_and_option_is_in_the_reference():
         assert options(command) - {"--help"} <= set(re.findall(r"--[\w-]+", section)), words
 
 
+def test_every_public_name_is_in_the_reference():
+    shown = re.findall(r"^::: (.+)$", read(ROOT / "docs" / "api.md"), re.M)
+    places = stmnist.PLACES.items()
+    assert sorted(shown) == sorted(f"{module}.{name}" for module, names in places for name in names)
+
+
 def test_every_setting_is_in_the_docs():
     named = set(inline(read(ROOT / "docs" / "settings.md")))
     assert set(Settings().flat()) <= named

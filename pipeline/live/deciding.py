@@ -139,32 +139,14 @@ class Answer:
     curve: Curve
     decided: Verdict | None = None
 
-    @property
-    def decision(self) -> int:
-        """The class with the highest score."""
-        return int(self.curve.classes[-1])
-
-    @property
-    def confidence(self) -> float:
-        """The present confidence, from 0 to 1."""
-        return float(self.curve.values[-1])
-
-
-@dataclass(frozen=True)
-class DrawnLayer:
-    """Name and number of neurons of a layer whose spikes the page draws."""
-
-    name: str
-    neurons: int
-
 
 class Decider:
     """A network on the target ``fast``, ready to run; the common part of both kinds.
 
     Attributes
     ----------
-    layers : tuple of DrawnLayer
-        The spiking layers, in order.
+    layers : dict of str to int
+        Neurons of each spiking layer, in order.
     steps : int
         Number of time steps of the spikes in an answer.
     first_step : int
@@ -191,8 +173,8 @@ class Decider:
         self.threshold = None if limit is None or limit >= 1 else limit  # confidences stay below 1
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))
-        layers = (DrawnLayer(name, sizes[name]) for name in spec.spiking_layers)
-        self.layers = tuple(layer for layer in layers if layer.neurons <= MOST_DRAWN)
+        drawn = [name for name in spec.spiking_layers if sizes[name] <= MOST_DRAWN]
+        self.layers = {name: sizes[name] for name in drawn}
         shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
         self._show(np.zeros((1, *shape)), spec.presentation.steps)  # compiles the kernel
 
@@ -214,10 +196,9 @@ class Decider:
         """
         spec, spikes = self._spec, {}
         gap = spec.presentation.gap
-        drawn = [layer.name for layer in self.layers]
 
         def watch(packed):
-            for name in drawn:
+            for name in self.layers:
                 spikes[name] = packed[name][0].copy()
                 spikes[name][gap + steps :] = 0
 

@@ -252,7 +252,7 @@ class Live:
             return
         async with page.turn:
             page.session.begin(decider)
-        layers = [{"name": layer.name, "neurons": layer.neurons} for layer in decider.layers]
+        layers = [{"name": name, "neurons": n} for name, n in decider.layers.items()]
         ready = {
             "type": "ready",
             "layers": layers,

@@ -414,14 +414,14 @@ def problem(text: str) -> dict:
 
 def _answer(recording, events, said: Answer):
     recording.spikes, recording.curve = said.spikes, said.curve
-    verdict = recording.verdict
+    verdict, last = recording.verdict, said.curve.last()
     return {
         "type": "answer",
         "recording": recording.number,
         "last_ms": recording.page_ms(events.time_ns[-1] * 1e-9) if len(events) else None,
         "events": len(events),
-        "decision": said.decision,
-        "confidence": said.confidence,
+        "decision": last.label,
+        "confidence": last.confidence,
         "shares": recording.shares.round(4).tolist(),
         "verdict": verdict and {**verdict._asdict(), "seconds": verdict.seconds - START_S},
     }

@@ -82,35 +82,22 @@ class Writer:
         Share, from 0 to 1, by which this person evens out the speed.
     """
 
-    allographs: tuple
-    offsets: tuple
-    slant: float
-    width: float
-    size: float
-    down: float
-    right: float
-    tempo: float
-    force: float
-    scrape: float
-    sloppiness: float
-    even: float
+    allographs: tuple = ()
+    offsets: tuple = ()
+    slant: float = 0.0
+    width: float = 0.0
+    size: float = 0.0
+    down: float = 0.0
+    right: float = 0.0
+    tempo: float = 0.0
+    force: float = 0.0
+    scrape: float = 0.0
+    sloppiness: float = 1.0
+    even: float = 0.0
 
 
 # A writer without any traits, for recorded handwriting.
-NOBODY = Writer(
-    allographs=(),
-    offsets=(),
-    slant=0.0,
-    width=0.0,
-    size=0.0,
-    down=0.0,
-    right=0.0,
-    tempo=0.0,
-    force=0.0,
-    scrape=0.0,
-    sloppiness=1.0,
-    even=0.0,
-)
+NOBODY = Writer()
 
 
 def writers(rng, p, shapes: ShapeModel) -> tuple:

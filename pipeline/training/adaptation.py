@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
 from deploy.check.bundle import Bundle
@@ -202,7 +203,7 @@ class _Problem:
 
     def log_odds(self, weights, responses):
         """Logarithm of the softmax, shape (n_samples, classes)."""
-        return _log_softmax(self._logits(weights, responses))
+        return log_softmax(self._logits(weights, responses), axis=1)
 
     def solve(self, responses, labels, kept, pull, rehearsal):
         """The refitted weights."""
@@ -217,7 +218,7 @@ class _Problem:
             for share, rows, offset, target in zip(
                 (1.0, rehearsal), (own, others), logits, targets, strict=True
             ):
-                log_p = _log_softmax(offset + rows @ change.T)
+                log_p = log_softmax(offset + rows @ change.T, axis=1)
                 value = value - share * (log_p * target).sum() / len(rows)
                 slope = slope + share * (np.exp(log_p) - target).T @ rows / len(rows)
             return value, slope.ravel()
@@ -241,11 +242,6 @@ def _folds(labels, seed):
 
 def _right(log_p, labels):
     return log_p.argmax(axis=1) == labels
-
-
-def _log_softmax(logits):
-    ahead = logits - logits.max(axis=1, keepdims=True)
-    return ahead - np.log(np.exp(ahead).sum(axis=1, keepdims=True))
 
 
 # Number of training samples whose responses are in a bundle.

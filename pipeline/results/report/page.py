@@ -104,21 +104,15 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     provenance = spec.provenance
     estimate = estimate_energy(spec, result) if result["spikes"] else None
     return environment.get_template("report.html.j2").render(
+        vars(inputs),
         style=look.STYLE + package.joinpath("report.css").read_text(encoding="utf-8"),
         made=now.strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
-        name=inputs.name,
-        source=provenance["source"],
-        source_sha256=provenance["source_sha256"],
-        simulated=provenance["simulated"],
+        **{name: provenance[name] for name in ("source", "source_sha256", "simulated")},
         warnings=provenance.get("warnings", []),
         settings=_settings(inputs),
         seed=inputs.settings.seed,
         classes=inputs.classes,
-        bundle=inputs.bundle,
-        outdated=inputs.outdated,
-        others=inputs.others,
-        metrics=inputs.metrics,
         verdict=verdict(inputs.results, inputs.bundle, inputs.plan),
         ladder=_ladder(inputs.results),
         time=_over_time(inputs),
@@ -129,9 +123,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         stories=_stories(inputs),
         curves=_learning_curves(inputs.histories),
         layers=layer_table(inputs.bundle, inputs.plan, inputs.results[-1], estimate),
-        plan=inputs.plan,
         energy=estimate and _energy(estimate),
-        versions=inputs.results[-1]["versions"],
     )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from deploy.check.bundle import Bundle
 from deploy.network.decision import decide
@@ -57,13 +58,6 @@ class Replay:
         return top if label in top else [*top[:-1], label]
 
 
-def softmax(scores) -> np.ndarray:
-    """Probabilities of the classes from outputs that were trained as logits, over the last axis."""
-    scores = np.asarray(scores, float)
-    powers = np.exp(scores - scores.max(axis=-1, keepdims=True))
-    return powers / powers.sum(axis=-1, keepdims=True)
-
-
 def final_probabilities(spec, scores) -> np.ndarray:
     """Probabilities at the end of a sample.
 
@@ -74,7 +68,7 @@ def final_probabilities(spec, scores) -> np.ndarray:
         Scores of a check's result: means over the steps.  Training on events uses their sum.
     """
     steps = 1 if spec.stimulus.static else spec.presentation.steps - spec.presentation.readout_start
-    return softmax(steps * np.asarray(scores, float))
+    return softmax(steps * np.asarray(scores, float), axis=-1)
 
 
 def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
@@ -119,7 +113,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         decided, answers = decide(sums, limit, spec.estimator, shown.readout_start)
         if spec.stimulus.static:
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
-        chances = softmax(sums)
+        chances = softmax(sums, axis=-1)
         for index in here:
             layers = []
             for name in spec.spiking_layers:

@@ -2,19 +2,20 @@
 
 import threading
 from contextlib import closing, contextmanager
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from pipeline.data.events import DIGITS, Sensor
-from pipeline.live.deciding import Answer, Curve, DrawnLayer
+from pipeline.live.deciding import Answer, Curve
 from pipeline.skin import parameters
 
 
 class Parrot:
     """Decides for the number of events, modulo that of the classes; early, after some of them."""
 
-    layers = (DrawnLayer("input", 100),)
+    layers: ClassVar = {"input": 100}
     steps, first_step, clocked, threshold = 3, -1, False, 0.9
     window_s, usual_s = 2.0, 2.0
 

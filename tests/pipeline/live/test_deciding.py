@@ -42,7 +42,7 @@ def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, r
     for index in range(len(recordings)):
         said = decider.begin().answer(recordings[index], 2.0)
         np.testing.assert_array_equal(said.scores, expected.scores[index])
-        assert said.decision == expected.predictions[index]
+        assert said.curve.last().label == expected.predictions[index]
         counts = {name: int(np.unpackbits(rows).sum()) for name, rows in said.spikes.items()}
         assert counts == {name: n[index] for name, n in expected.spikes.items()}
 
@@ -53,18 +53,18 @@ def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recording
     said = decider.begin().answer(part, 0.5)
     shares = said.curve.shares[-1]
     assert shares.sum() == pytest.approx(1)
-    assert said.confidence == pytest.approx(shares.max(), abs=1e-3)
+    assert said.curve.last().confidence == pytest.approx(shares.max(), abs=1e-3)
     assert said.decided is None
-    assert 0 <= said.decision <= 9
+    assert 0 <= said.curve.last().label <= 9
     assert decider.begin().answer(Events(*(np.empty(0),) * 4), 0.2) is None
 
 
 def test_layers_are_as_many_bytes_as_the_page_reads(bundle, decider, recordings):
     said = decider.begin().answer(recordings[0], 2.0)
-    assert [layer.name for layer in decider.layers] == list(bundle.spec.spiking_layers)
+    assert list(decider.layers) == list(bundle.spec.spiking_layers)
     assert decider.steps + decider.first_step == bundle.spec.presentation.steps
-    for layer in decider.layers:
-        assert said.spikes[layer.name].shape == (decider.steps, -(-layer.neurons // 8))
+    for name, neurons in decider.layers.items():
+        assert said.spikes[name].shape == (decider.steps, -(-neurons // 8))
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
         end = round((max(2.0, last - first + 0.01 * (len(spec.layers) + 2))) / 0.01)
         longer += end > 200
         said = decider.begin().answer(slow[index], math.inf)
-        assert said.decision == expected.decisions[index, min(end, 600) - 1]
+        assert said.curve.last().label == expected.decisions[index, min(end, 600) - 1]
     assert longer > 3
 
 
@@ -126,14 +126,14 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
             if expected.decisions[index, step - 1] < 0:
                 assert said is None
                 continue
-            assert said.decision == expected.decisions[index, step - 1]
+            assert said.curve.last().label == expected.decisions[index, step - 1]
             after = spec.presentation.gap + step
             assert all(not rows[after:].any() for rows in said.spikes.values())
         at_the_end = deciding.answer(events, math.inf)
         np.testing.assert_array_equal(at_the_end.scores, expected.scores[index])
         summed = expected.scores[index] * 200
         assert at_the_end.curve.shares[-1].max() == pytest.approx(confidence(summed), abs=1e-3)
-        assert at_the_end.confidence == pytest.approx(confidence(summed))
+        assert at_the_end.curve.last().confidence == pytest.approx(confidence(summed))
         # The moment of the early decision is the step of the check, whenever the page asks.
         stopped = expected.stopped_at[index]
         if confidence(summed) >= spec.presentation.confidence or stopped < 200:

@@ -82,15 +82,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         title = f"{layer.name}\n{layer.size} {layer.unit}"
         axes.set_ylabel(title, rotation=0, ha="right", va="center")
         for kind, steps, rows in layer.groups:
-            (mark,) = axes.plot(
-                [],
-                [],
-                "|",
-                color=colour(kind),
-                markersize=max(1, 60 / layer.size),
-                label=kind.upper(),
-            )
-            marks.append((mark, (steps + 0.5) * step, rows))
+            tall = {"markersize": max(1, 60 / layer.size), "label": kind.upper()}
+            line = axes.plot([], [], "|", color=colour(kind), **tall)[0]
+            marks.append((line, step * (steps + 0.5), rows))
         if len(layer.groups) > 1:
             where = {"loc": "center left", "bbox_to_anchor": (1, 0.5), "frameon": False}
             axes.legend(**where, fontsize=9, markerscale=max(1, layer.size / 7))

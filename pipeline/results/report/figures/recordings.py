@@ -115,24 +115,15 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     height = 0.6 * rows + 0.5
     figure = Figure(figsize=(width, height))
     figure.suptitle(source, x=0.1 / width, y=1 - 0.1 / height, ha="left", va="top", size=9)
-    grids = [
-        figure.add_gridspec(
-            rows,
-            per_digit,
-            left=(block * tiles + margin) / width,
-            right=(block + 1) * tiles / width,
-            bottom=0.01,
-            top=1 - 0.5 / height,
-            wspace=0.06,
-            hspace=0.06,
-        )
-        for block in range(blocks)
-    ]
+    edges = {"bottom": 0.01, "top": 1 - 0.5 / height, "wspace": 0.06, "hspace": 0.06}
+    ends = tiles * np.arange(1, blocks + 1)
+    across = zip((ends - tiles + margin) / width, ends / width, strict=True)
+    grids = [figure.add_gridspec(rows, per_digit, left=a, right=b, **edges) for a, b in across]
     for number, digit in enumerate(digits):
         block, down = divmod(number, rows)
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
-        row = [figure.add_subplot(grids[block][down, across]) for across in range(len(chosen))]
+        row = [figure.add_subplot(grids[block][down, column]) for column in range(len(chosen))]
         row[0].set_ylabel(plain(names[digit]), rotation=0, labelpad=4, ha="right", va="center")
         for axes, index in zip(row, chosen, strict=True):
             if _is_strip(recordings.taxels):
