@@ -97,7 +97,7 @@ class Experiment:
 
 INPUT_NOTE = (
     "The variation between simulated writers was set so that the paper's CNN has an accuracy near "
-    "the paper's 0.89 (results/difficulty.json): on simulated recordings this row is an input."
+    "the paper's 0.89 (results/difficulty.json): on simulated recordings its accuracy was chosen."
 )
 EMULATED_NOTE = (
     "Emulated Loihi: the target fast, bit-identical to NengoLoihi's emulator; nothing ran on a "

@@ -284,7 +284,7 @@ class EventTraining(Section):
     #: Length of each part in milliseconds, the last one is open; 0: the time of the longest
     #: recording, divided among the parts.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
-    #: Passes over the training samples; 0: of the recipe, which fixes the number of updates.
+    #: Passes over the training samples; 0: as the recipe's updates need.
     epochs: Annotated[int, OWN_EPOCHS] = 0
     #: Samples per training step.
     batch_size: Annotated[int, BATCH] = 32

@@ -188,6 +188,34 @@ def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -
     return np.where(outputs.any(-1), np.minimum(sure, SUREST), 0.0)
 
 
+def probabilities(outputs, sure) -> np.ndarray:
+    """Probabilities of the classes, of which the largest is the confidence in the answer.
+
+    They are the softmax of the outputs at the temperature that gives this largest value, so that
+    one number says how sure the network is (C. Guo et al., "On calibration of modern neural
+    networks", ICML 2017, have one temperature for all samples).
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (..., n_classes)
+    sure : ndarray, shape (...)
+        Below the share of equal classes all are equal; if outputs are equal, the largest is less.
+
+    Returns
+    -------
+    ndarray, shape (..., n_classes)
+    """
+    ahead = outputs - outputs.max(-1, keepdims=True)
+    least, most = np.full(np.shape(sure), -5.0), np.full(np.shape(sure), 3.0)
+    for _ in range(20):  # bisection of the logarithm of the inverse temperature
+        middle = (least + most) / 2
+        powers = np.exp(10 ** middle[..., None] * ahead)
+        shares = powers / powers.sum(-1, keepdims=True)
+        above = shares.max(axis=-1) > sure
+        least, most = np.where(above, least, middle), np.where(above, middle, most)
+    return shares
+
+
 def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, first: int = 0):
     """Step and class of each sample's decision.
 

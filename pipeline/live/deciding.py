@@ -12,11 +12,10 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import softmax
 
 from deploy import limits
 from deploy.check.bundle import Bundle
-from deploy.network.decision import confidence
+from deploy.network.decision import confidence, probabilities
 from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast import Emulation
@@ -71,32 +70,6 @@ class Curve:
     def _verdict(self, index, early=False):
         at = float(self.seconds[index])
         return Verdict(int(self.classes[index]), float(self.values[index]), at, early)
-
-
-def probabilities(outputs, sure) -> np.ndarray:
-    """Probabilities of the classes, of which the largest is the confidence in the answer.
-
-    They are the softmax of the outputs at the temperature that gives this largest value, so that
-    one number says how sure the network is (C. Guo et al., "On calibration of modern neural
-    networks", ICML 2017, have one temperature for all samples).
-
-    Parameters
-    ----------
-    outputs : ndarray, shape (..., n_classes)
-    sure : ndarray, shape (...)
-        Below the share of equal classes all are equal; if outputs are equal, the largest is less.
-
-    Returns
-    -------
-    ndarray, shape (..., n_classes)
-    """
-    least, most = np.full(np.shape(sure), -5.0), np.full(np.shape(sure), 3.0)
-    for _ in range(20):  # bisection of the logarithm of the inverse temperature
-        middle = (least + most) / 2
-        shares = softmax(10 ** middle[..., None] * outputs, axis=-1)
-        above = shares.max(axis=-1) > sure
-        least, most = np.where(above, least, middle), np.where(above, middle, most)
-    return shares
 
 
 class Verdict(NamedTuple):
@@ -243,7 +216,7 @@ class ImageDecider(Decider):
         scores, spikes, sums = shown
         # The softmax was trained on the scores, which are means.  Sums of many steps would always
         # give a confidence of nearly 1 unless a threshold was chosen for them.
-        sure = softmax(scores).max() if self.threshold is None else self._confidence(sums)[-1]
+        sure = (confidence(scores[None]) if self.threshold is None else self._confidence(sums))[-1]
         now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
         best = int(np.argmax(settled(scores, score_unit(self._spec))))
         points.append((now, sure, best, probabilities(scores, sure)))

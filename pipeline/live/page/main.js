@@ -233,7 +233,7 @@ link.on("ready", (network) => {
     : "Ready: this sensor is too large for drawing; play examples instead.";
   $("meaning").textContent = network.threshold === null
     ? "How sure: softmax of the outputs."
-    : `How sure: estimated on ${about.simulated && about.digits ? "simulated writers; real handwriting is harder" : "recordings of the training"}.`;
+    : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers; real handwriting is harder" : "recordings of the training"}.`;
   $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
@@ -457,15 +457,16 @@ function showDecision(message) {
   }
   const example = $("shown").dataset.label ?? "";
   const output = $("decision");
-  output.textContent = label === null ? "" : classes[label];
+  const confidence = message?.verdict?.confidence ?? message?.confidence ?? 1;
+  const chance = confidence < 1 / classes.length; // no better than a guess
+  output.textContent = label === null ? "" : verdict && chance ? "?" : classes[label];
   output.dataset.events = message === null ? 0 : message.events; // to which it is the answer
   const unsure = verdict !== null && verdict.confidence < 0.5;
+  const told = verdict !== null && example !== "" && !chance;
   output.classList.toggle("open", verdict === null || unsure);
-  output.classList.toggle("right", verdict !== null && example === String(label));
-  output.classList.toggle("wrong", verdict !== null && example !== "" && example !== String(label));
-  const confidence = message?.verdict?.confidence ?? message?.confidence ?? 1;
+  output.classList.toggle("right", told && example === String(label));
+  output.classList.toggle("wrong", told && example !== String(label));
   const sure = label === null ? "" : percent(confidence);
-  const chance = confidence < 1 / classes.length; // no better than a guess
   $("confidence").textContent = unsure ? (chance ? "Not sure" : `Not sure (${sure})`) : chance ? "…" : sure;
   $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
   if (verdict === null) {
@@ -473,9 +474,10 @@ function showDecision(message) {
     $("decided").textContent = label !== null ? "so far"
       : threshold === null ? "The network decides at the end." : `The network decides when it is ${percent(threshold)} sure.`;
   } else {
-    const right = example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
+    const ended = verdict.early && pen.settled && message.decision !== label ? `; at the end it would be ${named(message.decision)}` : "";
+    const right = chance ? `; a guess: ${classes[label]}` : example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
     $("decided").textContent =
-      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : `${unsure ? "" : "sure"} at the end`) + right;
+      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : `${unsure ? "" : "sure"} at the end`) + right + ended;
   }
   const items = [...$("scores").children];
   let best = classes.map((_, label) => label);

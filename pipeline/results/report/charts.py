@@ -61,10 +61,11 @@ class Raster:
 
 @dataclass(frozen=True)
 class Lines:
-    """Curves between 0 and 1 over time, a panel of :func:`timeline`."""
+    """Curves between 0 and 1 over time, and levels of them, a panel of :func:`timeline`."""
 
     title: str
     series: tuple
+    levels: tuple = ()
 
 
 def line_chart(series, x_label: str, y_label: str, description: str = "", least=None) -> Markup:
@@ -146,6 +147,8 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
             for tick in (0, 0.5, 1):
                 marks.append(_segment("grid", LEFT, y_axis(tick), width - RIGHT, y_axis(tick)))
                 marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
+            levels = map(y_axis, panel.levels)
+            marks += [_segment("axis level", LEFT, y, width - RIGHT, y) for y in levels]
             marks += [_line(x_axis, y_axis, s, n, 100) for n, s in enumerate(panel.series, 1)]
         y = bottom + gap
     end = y - gap

@@ -20,7 +20,6 @@ from pipeline import look
 from pipeline.data.dataset import positions_of
 from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts
-from pipeline.results.report.samples import final_probabilities
 from pipeline.roads import COMPARED_WITH, REFERENCES
 from pipeline.settings import PATHS, Settings
 from pipeline.stages import settings_read
@@ -360,7 +359,7 @@ def _stories(inputs):
     """Samples one by one: events, spikes of the layers and probabilities on one time axis."""
     result, classes = inputs.results[-1], inputs.classes
     spec = inputs.bundle.spec
-    step_ms = 1000 * spec.stimulus.step_seconds
+    step_ms, limit = 1000 * spec.stimulus.step_seconds, spec.presentation.confidence or 1
     stories = []
     for index, replay in inputs.replays.items():
         sample = result["samples"][index]
@@ -373,6 +372,7 @@ def _stories(inputs):
                 charts.Series(classes[c], tuple(at_ms[drawn]), tuple(replay.chances[drawn, c]))
                 for c in replay.shown(sample["label"])
             ),
+            (limit,) * (limit < 1),
         )
         layers = [
             charts.Raster(
@@ -385,7 +385,6 @@ def _stories(inputs):
             for layer in replay.layers
         ]
         extent = spec.presentation.steps * step_ms
-        chances = final_probabilities(spec, sample["scores"])
         stories.append(
             {
                 "index": index,
@@ -393,7 +392,7 @@ def _stories(inputs):
                 "right": sample["label"] == answered,
                 "shown": classes[sample["label"]],
                 "answered": classes[answered],
-                "probability": float(chances[answered]),
+                "probability": float(replay.chances[-1, answered]),
                 "stopped_ms": _stopped(sample, spec) and sample["stopped_at"] * step_ms,
                 "chart": charts.timeline(
                     [*layers, lines],

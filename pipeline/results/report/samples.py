@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import softmax
 
 from deploy.check.bundle import Bundle
-from deploy.network.decision import decide
+from deploy.network.decision import confidence, decide, probabilities
 from deploy.network.responses import decoded, running_sums
 from deploy.targets.fast import Emulation
 
@@ -42,7 +41,7 @@ class Replay:
     ----------
     layers : tuple of Spikes
     chances : ndarray of float, shape (steps - readout_start, classes)
-        Probabilities of the classes at each step.
+        Probabilities of the classes at each step; the largest is the confidence.
     decided, answer : int
         Index in ``chances`` of the decision, the last one if none is early, and its class.
     """
@@ -56,19 +55,6 @@ class Replay:
         """The classes whose probability is drawn, for a sample of a class."""
         top = np.argsort(-self.chances[-1], kind="stable")[:SHOWN_CLASSES].tolist()
         return top if label in top else [*top[:-1], label]
-
-
-def final_probabilities(spec, scores) -> np.ndarray:
-    """Probabilities at the end of a sample.
-
-    Parameters
-    ----------
-    spec : NetworkSpec
-    scores : array_like, shape (..., classes)
-        Scores of a check's result: means over the steps.  Training on events uses their sum.
-    """
-    steps = 1 if spec.stimulus.static else spec.presentation.steps - spec.presentation.readout_start
-    return softmax(steps * np.asarray(scores, float), axis=-1)
 
 
 def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
@@ -111,9 +97,9 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         sums = running_sums(spec, decoded(spec, output[:, shown.gap :]))
         limit = 1.0 if shown.confidence is None else shown.confidence
         decided, answers = decide(sums, limit, spec.estimator, shown.readout_start)
-        if spec.stimulus.static:
+        if spec.stimulus.static and limit == 1:  # trained on means, without a threshold for sums
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
-        chances = softmax(sums, axis=-1)
+        chances = probabilities(sums, confidence(sums, spec.estimator, shown.readout_start))
         for index in here:
             layers = []
             for name in spec.spiking_layers:

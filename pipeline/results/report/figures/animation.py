@@ -71,8 +71,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     middle = {"x": 0.5, "ha": "center", "va": "center"}
     names = [shortened(name, 16) for name in classes]
     size = min(60, 400 / max(map(len, names)))
-    answered = said.text(y=0.6, s="", size=size, color=colour("soft"), **middle)
-    verdict = said.text(y=0.05, s="", size=14, **middle)
+    answered = said.text(y=0.7, s="…", size=size, color=colour("soft"), **middle)
+    verdict = said.text(y=0.15, s="", size=14, **middle)
     clocks = [axes.axvline(0, color=colour("ink"), linewidth=1.5) for axes in panels]
     end, dots = times[played.decided], {"color": colour("ink"), "linestyle": ":", "visible": False}
     ends = [axes.axvline(end, **dots) for axes in panels]
@@ -94,15 +94,16 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
         for n, c in enumerate(played.shown(label), 1)
     }
+    scores.axhline(100 * (spec.presentation.confidence or 1), color=colour("soft"), linestyle=":")
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
-    early = played.decided < len(chances) - 1
-    when = f"decided after {end / 1000:.2f} s" if early else "at the end"
+    when = "at the end" if end == times[-1] else f"decided after {end / 1000:.2f} s"
+    when += f"\n{100 * chances[played.decided, answer]:.0f} %"
     ended = f"{when}: {'right' if answer == label else f'wrong, was {names[label]}'}"
     canvas, frames = FigureCanvasAgg(figure), []
     canvas.draw()
     figure.set_layout_engine("none")  # of the first frame, for all
     for now in np.linspace(0, extent, FRAMES):
-        draw(growing[min(int(now / step), len(growing) - 1)])
+        draw(growing[min(int(now / step), len(growing) - 1)] * (now > 0 or len(growing) == 1))
         for clock in clocks:
             clock.set_xdata([now, now])
         for mark, at, neurons in marks:
@@ -138,7 +139,7 @@ def _picture(axes, growing, positions):
         across = (1, 0) if rows == 1 else (0, 1)  # a strip runs down, like the rows of its raster
         image = axes.imshow(growing[0].transpose(across) * 0, aspect="auto", **shades)
         axes.set_box_aspect(np.clip(columns if rows == 1 else rows / columns, 0.25, 4))
-        axes.set_xlabel(f"{rows} x {columns} taxels")
+        axes.set_xlabel(f"{columns} taxels" if rows == 1 else f"{rows} x {columns} taxels")
         return lambda values: image.set_data(values.transpose(across))
     dots = axes.scatter(*positions.T, 120, 0 * positions[:, 0], edgecolors="0.7", **shades)
     axes.set_aspect("equal", adjustable="datalim")
