@@ -199,6 +199,7 @@ def test_guide_from_end_to_end(home, far_away, tmp_path):
     work = tmp_path / "work"
     shutil.copytree(home[0].path, work / "runs" / "default" / "bundle")
     (work / "runs" / "default" / "checks").mkdir()
+    (work / "runs" / "default" / "experiment.toml").touch()
     shutil.copytree(INRC, work / "deploy" / "inrc")
     steps = guide_blocks()
     assert len(steps) == 5

@@ -49,7 +49,7 @@ def test_export_with_inputs(bundle, capsys, tmp_path):
 
 
 def test_energy(bundle, capsys):
-    checks = bundle.path.parent / "checks"
+    checks = bundle.path / "checks"
     run_check(bundle, "fast", checks / "fast.json")
     status, out, _ = run(capsys, "deploy", "energy", bundle.path)
     assert status == 0
