@@ -16,7 +16,7 @@ import sys
 INTERRUPTED = 130
 
 # The line that is printed after Ctrl-C.
-INTERRUPTION = "interrupted; the same command continues where it stopped"
+INTERRUPTION = "interrupted; what is finished is kept, and the same command goes on"
 
 
 def printable(text) -> str:

@@ -28,7 +28,7 @@ MOST_LOST = 0.1
 TRAINED_ON = "training_recordings"
 
 # Remedy for too few samples for the check.
-TOO_SMALL = "ask for fewer (SAMPLES, or check.samples) or give more data"
+TOO_SMALL = "ask for fewer (--samples, or check.samples) or give more data"
 
 # Remedy for too few samples for the split.
 NO_SPLIT = "give other data, or another split.kind or split.test_fraction"

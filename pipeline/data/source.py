@@ -222,7 +222,7 @@ def _members(path):
     if path.suffix.lower() in SUFFIXES:
         raise UserError(f"{path}: is one recording; give the zip or folder of all of them")
     try:
-        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+        with open_regular(path) as file, _archive(file) as archive:
             members = archive.infolist()
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
         raise UserError(
@@ -483,12 +483,20 @@ def _require_few(path, n_events):
         )
 
 
+def _archive(file):
+    """A zip.  Names without a mark are UTF-8, as ``zip`` writes them, or else of code page 437."""
+    try:
+        return zipfile.ZipFile(file, metadata_encoding="utf-8")
+    except UnicodeDecodeError:
+        return zipfile.ZipFile(file)
+
+
 class _Reader:
     """Content of a source's members."""
 
     def __init__(self, path: Path):
         self.folder = path if path.is_dir() else None
-        self.archive = None if self.folder else zipfile.ZipFile(open_regular(path))
+        self.archive = None if self.folder else _archive(open_regular(path))
 
     def read(self, name) -> bytes:
         try:

@@ -143,7 +143,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     if unused:
         raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
     for line, changes in said.items():
-        say(f"{line} ({changes})")
+        say(f"{line} ({', '.join(f'{name}={value}' for name, value in changes.items())})")
     folder.save_settings(base, settings)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     errors = {case.name.split("-")[1]: error for case, error in failed.items()}  # of each point

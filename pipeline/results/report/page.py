@@ -111,8 +111,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         warnings=provenance.get("warnings", []),
         settings=_settings(inputs),
         seed=inputs.settings.seed,
-        classes=inputs.classes,
-        verdict=verdict(inputs.results, inputs.bundle, inputs.plan),
+        verdict=verdict(inputs.results, inputs.bundle),
         ladder=_ladder(inputs.results),
         time=_over_time(inputs),
         per_class=class_table(inputs),
@@ -139,23 +138,22 @@ def title_of(stage: str) -> str:
     return REFERENCES[stage].title if stage in REFERENCES else TARGETS[stage].title
 
 
-def verdict(results: list, bundle: Bundle, plan: dict) -> dict:
-    """What a run shows: its accuracy, what that is compared with, and what it costs.
+def verdict(results: list, bundle: Bundle) -> dict:
+    """What the deployed network is compared with, and what it costs.
 
     Parameters
     ----------
     results : list of dict
         Check results of the bundle, in the order of the ladder.
     bundle : Bundle
-    plan : dict
 
     Returns
     -------
     dict
-        ``title``, ``accuracy``, ``interval`` and ``n`` of the deployed network; ``against``, a list
-        of comparisons with ``title``, ``accuracy``, ``change`` (negative for a loss), ``p`` and
-        ``significant``; ``cores``; ``operations`` per sample and their ``ratio`` to the
-        multiply-accumulates of the same network without spikes, or None without counts.
+        ``title`` of the deployed network; ``against``, a list of comparisons with ``title``,
+        ``accuracy``, ``change`` (negative for a loss), ``p`` and ``significant``; ``operations``
+        per sample and their ``ratio`` to the multiply-accumulates of the same network without
+        spikes, or None without counts.
     """
     deployed = results[-1]
     by_stage = {result["target"]: result for result in results[:-1]}
@@ -177,12 +175,7 @@ def verdict(results: list, bundle: Bundle, plan: dict) -> dict:
     products = sum(bundle.spec.multiply_accumulates.values())
     return {
         "title": title_of(deployed["target"]),
-        "accuracy": deployed["accuracy"],
-        "interval": deployed["accuracy_ci95"],
-        "n": deployed["n_samples"],
         "against": against,
-        "cores": len(plan["cores"]),
-        "fits": plan["fits"],
         "operations": operations or None,
         "ratio": operations / products if operations else None,
     }

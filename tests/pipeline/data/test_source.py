@@ -272,6 +272,16 @@ def test_bad_positions(tmp_path, table, fact):
 # --- writing --------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("encoding", "name"), [("utf-8", "círcle"), ("cp437", "ä")])
+def test_names_of_a_zip_without_the_mark_of_utf8(tmp_path, encoding, name):
+    """As Info-ZIP's ``zip`` writes them on Linux, and old programs in code page 437."""
+    path, stand_in = tmp_path / "own.zip", "_" * len(name.encode(encoding))
+    archive(path, members(classes=(stand_in, "b")))
+    content = path.read_bytes().replace(f"{stand_in}/".encode(), f"{name}/".encode(encoding))
+    path.write_bytes(content)
+    assert sorted(read_source(path).sensor.classes) == sorted(("b", name))
+
+
 def test_recordings_come_back_from_a_zip(tmp_path):
     made = recordings([(0, 5, 1, 4), (160, 17, -1, 2)], [(0, 99, 1, 1)])
     write_zip(tmp_path / "out.zip", made)

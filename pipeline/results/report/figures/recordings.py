@@ -157,7 +157,7 @@ def _is_strip(taxels):
 
 def _show(axes, taxels, image, width):
     """A tactile image, [row, column], whose axes are some points wide."""
-    grey = {"cmap": SHADES, "vmin": 0, "vmax": 1}
+    grey = {"cmap": SHADES, "vmin": 0, "vmax": 1, "clip_on": False}
     if taxels.positions is not None:
         size = (width / (2 * np.sqrt(len(taxels)))) ** 2
         values = image[taxels.row, taxels.column]
