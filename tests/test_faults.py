@@ -56,7 +56,7 @@ def test_a_wrong_path_does_not_stick_to_the_run(refused, run):
 def test_more_samples_than_the_test_split_has(refused, run):
     before = content(run)
     line = refused("ladder", run, "--samples", 121)
-    assert missing(line, 121, 120, "SAMPLES") == []
+    assert missing(line, 121, 120, "--samples") == []
     assert content(run) == before
     assert call("ladder", run) == 0
 
