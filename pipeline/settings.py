@@ -334,6 +334,9 @@ class PresentationSettings(Section):
     readout_start: Annotated[int, STEPS_OR_NONE] = Presentation.readout_start
     #: Number of samples that are presented before the network is reset.
     stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
+    #: Largest loss of accuracy by early decisions, on held-out samples; a smaller one makes fewer
+    #: mistakes and later decisions.  Events only.
+    early_loss: Annotated[float, FROM_0_BELOW_1] = 0.005
 
 
 @dataclass(frozen=True)
@@ -410,6 +413,7 @@ class Settings(Section):
             See :class:`deploy.network.spec.Presentation`.
         """
         shown = {**asdict(self.presentation), "steps": self.steps, "confidence": confidence}
+        del shown["early_loss"]  # by which the confidence was chosen
         return Presentation(**(shown | {"readout_start": 0} if self.on_events else shown))
 
     @property

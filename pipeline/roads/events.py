@@ -86,6 +86,10 @@ def _respond(stage, opened, bundle, advance):
     return read_output(bundle.spec, output, {"input": arrived, **answers.spikes})
 
 
+# Settings that the confidence for early decisions depends on.
+DECIDES = ("presentation.steps", "presentation.early_loss")
+
+
 class EventRoad(Road):
     """A spiking network trained on events in the chip's integers."""
 
@@ -109,12 +113,11 @@ class EventRoad(Road):
     def parts(self):
         training = ("training.json", "weights.npz")
         reads = ("input", "events")
-        steps = ("presentation.steps",)
         return (
             counts.PART,
             Part("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
             # The confidence depends on the length of the presentation, unlike the training.
-            Part("threshold", "threshold", ("metrics.json",), steps, self._choose,
+            Part("threshold", "threshold", ("metrics.json",), DECIDES, self._choose,
                  uses=("events",), action="choosing"),
         )  # fmt: skip
 
@@ -272,7 +275,8 @@ def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Thr
     table, labels, _, held_out = samples
     if not len(held_out):
         return Threshold(1.0, 0.0, 1.0)
-    chosen = trained.threshold(table, labels, held_out, settings.steps, seed)
+    loss = settings.presentation.early_loss
+    chosen = trained.threshold(table, labels, held_out, settings.steps, seed, loss)
     return trusted(chosen, len(held_out))
 
 

@@ -31,7 +31,7 @@ from pipeline.data.dataset import Dataset, event_warnings, require_images_fit
 from pipeline.data.splits import Split
 from pipeline.progress import progress
 from pipeline.roads import counts
-from pipeline.roads.events import confidence_of, presentation_choices, trusted
+from pipeline.roads.events import DECIDES, confidence_of, presentation_choices, trusted
 from pipeline.roads.road import Imported, Part, Reference, Road, imported_file, is_file
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import SIMULATED, Settings
@@ -255,7 +255,7 @@ class NirRoad(Road):
 
     @property
     def parts(self):
-        shown = ("presentation.steps",) if self.settings.on_events else ("presentation", "image")
+        shown = DECIDES if self.settings.on_events else ("presentation", "image")
         reads = ("input", "nir.sha256", "nir.step", "nir.method", "nir.reset", *shown)
         files = ("metrics.json", GRAPH)
         return counts.PART, Part("nir", "snn", files, reads, self._read, action="reading")
@@ -631,7 +631,8 @@ def _threshold(network, stepped, layers, settings, dataset):
     inputs = dataset.inputs[held_out]
     outputs = outputs_of(network, stepped, inputs, settings, reset=settings.nir.reset)[0]
     sums = delayed(np.cumsum(outputs, 1), len(layers))
-    threshold = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs))
+    loss = settings.presentation.early_loss
+    threshold = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs), loss)
     return {**trusted(threshold, len(held_out))._asdict(), "samples": len(held_out)}
 
 

@@ -129,7 +129,7 @@ def writers(rng, p, shapes: ShapeModel) -> tuple:
     traits = {name: spread * deal.normal() for name, spread in spreads.items()}
     down, right, sloppiness = (deal.normal() for _ in range(3))
     # Drawn only if it is used: the paper's people stay as they are.
-    even = shapes.evenness * ndtr(deal.normal()) if shapes.evenness else np.zeros(p.count)
+    traits["even"] = shapes.evenness * ndtr(deal.normal()) if shapes.evenness else np.zeros(p.count)
     return tuple(
         Writer(
             allographs=tuple(int(choice) for choice in choices[:, who]),
@@ -140,7 +140,6 @@ def writers(rng, p, shapes: ShapeModel) -> tuple:
             down=float(p.place[0] * down[who]),
             right=float(p.place[1] * right[who]),
             sloppiness=float(np.exp(p.sloppiness * sloppiness[who])),
-            even=float(even[who]),
         )
         for who in range(p.count)
     )

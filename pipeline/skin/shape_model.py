@@ -152,8 +152,7 @@ class ShapeModel:
             for digit in range(DIGITS)
         )
         loyalty, traits = (arrays[name].astype(float).tolist() for name in ("loyalty", "traits"))
-        about = json.loads(str(arrays["about"]))
-        return cls(ways, tuple(loyalty), *traits[:4], about, *traits[4:])
+        return cls(ways, tuple(loyalty), *traits[:4], json.loads(str(arrays["about"])), *traits[4:])
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over the parameters as they are stored."""

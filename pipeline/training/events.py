@@ -180,7 +180,7 @@ class TrainedOnEvents:
         """The confidence estimator."""
         return Estimator.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
 
-    def threshold(self, table: EventTable, labels, held_out, steps: int, seed: int) -> Threshold:
+    def threshold(self, table, labels, held_out, steps: int, seed: int, loss=0.005) -> Threshold:
         """Choose the confidence for early decisions on held-out samples.
 
         The samples and their augmented copies have equal weight in the choice; see
@@ -196,6 +196,8 @@ class TrainedOnEvents:
             Number of steps for which each sample is presented.
         seed : int
             Seed of the data augmentation.
+        loss : float
+            Largest loss of accuracy by early decisions.
         """
         often, rng = np.tile(held_out, ALTERED), np.random.default_rng([seed, 0x7E57])
         sample, step, *place = self.recipe.altered(rng, table, often)
@@ -207,6 +209,7 @@ class TrainedOnEvents:
             arriving(shown.outputs, self.recipe),
             np.asarray(labels)[np.concatenate([held_out, often])],
             shown.last_step,
+            loss,
             estimator=self.estimator,
             weights=np.repeat([1, 1 / ALTERED], [len(held_out), len(often)]),
         )

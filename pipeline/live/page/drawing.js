@@ -182,7 +182,8 @@ export function drawRace(canvas, race) {
   for (let tick = 0; tick <= end * 1.001; tick += mark) {
     context.fillStyle = colour("--soft");
     context.textAlign = tick === 0 ? "left" : tick > end - mark / 4 ? "right" : "center";
-    context.fillText(`${+tick.toFixed(3)} s`, x(tick), bottom + 16);
+    const under = race.verdict && Math.abs(x(tick) - x(Math.min(race.verdict.seconds, end))) < 22; // the line of the verdict
+    if (!under) context.fillText(`${+tick.toFixed(3)} s`, x(tick), bottom + 16);
     context.fillStyle = colour("--line");
     context.fillRect(x(tick), bottom, 1, 4);
   }

@@ -76,9 +76,8 @@ function describe() {
   $("keys").textContent = keys.length
     ? `${keys[0]} to ${keys.at(-1)} save the recording as ${digits ? "that digit" : "that class"},`
     : "";
-  const any = digits ? "any digit" : "any class";
   $("example-class").replaceChildren(
-    new Option(any, ""), ...classes.map((name, label) => new Option(name, label)),
+    new Option("any", ""), ...classes.map((name, label) => new Option(name, label)),
   );
 }
 
@@ -468,6 +467,7 @@ function showDecision(message) {
   output.classList.toggle("wrong", told && example !== String(label));
   const sure = label === null ? "" : percent(confidence);
   $("confidence").textContent = unsure ? (chance ? "Not sure" : `Not sure (${sure})`) : chance ? "…" : sure;
+  $("decided").classList.remove("changed");
   $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
   if (verdict === null) {
     const threshold = ready?.threshold ?? null;
@@ -476,6 +476,7 @@ function showDecision(message) {
   } else {
     const ended = verdict.early && pen.settled && message.decision !== label ? `; at the end it would be ${named(message.decision)}` : "";
     const right = chance ? `; a guess: ${classes[label]}` : example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
+    $("decided").classList.toggle("changed", ended !== "");
     $("decided").textContent =
       (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : `${unsure ? "" : "sure"} at the end`) + right + ended;
   }

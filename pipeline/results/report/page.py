@@ -426,8 +426,9 @@ def _learning_curves(histories):
             if f"{part}accuracy" in rows[0]
         ]
         if series:
-            said = f"Learning curve of {name}"
-            chart = charts.line_chart(series, "epoch", "accuracy, %", said, 0)
+            chart = charts.line_chart(
+                series, "epoch", "accuracy, %", f"Learning curve of {name}", 0
+            )
             legend = charts.legend([s.name for s in series])
             curves.append({"title": name, "chart": chart, "legend": legend})
     return curves

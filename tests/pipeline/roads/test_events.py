@@ -18,8 +18,8 @@ def choice(monkeypatch):
     """The arguments of the choice of the threshold, which is replaced."""
     given = {}
 
-    def threshold(self, table, labels, held_out, steps, seed):
-        given.update(held_out=held_out, steps=steps)
+    def threshold(self, table, labels, held_out, steps, seed, loss):
+        given.update(held_out=held_out, steps=steps, loss=loss)
         return Threshold(0.9, 1.0, 0.5)
 
     monkeypatch.setattr(TrainedOnEvents, "threshold", threshold)

@@ -63,7 +63,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     picture, said = left.subplots(2, 1, height_ratios=[2, 1])
     panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     kind = "simulated " if spec.provenance.get("simulated") else ""
-    figure.suptitle(f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}", ha="center")
+    right.suptitle(f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}", ha="center")
     growing = _growing(bundle.checks.inputs[index])
     draw = _picture(picture, growing, positions_of(spec))
     picture.set(xticks=[], yticks=[], title="events of each taxel" + " so far" * (len(growing) > 1))
@@ -83,7 +83,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         axes.set_ylabel(title, rotation=0, ha="right", va="center")
         for kind, steps, rows in layer.groups:
             tall = {"markersize": max(1, 60 / layer.size), "label": kind.upper()}
-            line = axes.plot([], [], "|", color=colour(kind), **tall)[0]
+            line = axes.plot([], [], "|", color=colour("ink" if kind == "s1" else kind), **tall)[0]
             marks.append((line, step * (steps + 0.5), rows))
         if len(layer.groups) > 1:
             where = {"loc": "center left", "bbox_to_anchor": (1, 0.5), "frameon": False}
@@ -94,7 +94,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
         for n, c in enumerate(played.shown(label), 1)
     }
-    scores.axhline(100 * (spec.presentation.confidence or 1), color=colour("soft"), linestyle=":")
+    limit = 100 * (spec.presentation.confidence or 1)
+    scores.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     when = "at the end" if end == times[-1] else f"decided after {end / 1000:.2f} s"
     when += f"\n{100 * chances[played.decided, answer]:.0f} %"

@@ -102,12 +102,8 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     images = tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
     numbers = np.bincount(recordings.labels)
-    names = {
-        digit: f"{name} ({numbers[digit]})"
-        for digit, name in zip(
-            digits, shortened_apart([classes[d] for d in digits], NAME), strict=True
-        )
-    }
+    short = shortened_apart([classes[d] for d in digits], NAME)
+    names = {d: f"{name} ({numbers[d]})" for d, name in zip(digits, short, strict=True)}
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
     source, tiles = _source(recordings), 0.6 * per_digit + margin
     # The source and the scale are above.
