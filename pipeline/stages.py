@@ -15,6 +15,7 @@ from functools import partial
 
 from deploy import __version__
 from deploy.check.bundle import (
+    FILES,
     Bundle,
     CheckSet,
     read_bundle,
@@ -321,10 +322,9 @@ def _trained_on(dataset):
 
 def bundle_artifact(run: RunFolder, road: Road, dataset: Origin) -> Artifact:
     """The bundle of a run."""
-    network, manifest = run.bundle / "network.json", run.bundle / "MANIFEST.json"
-    return Artifact(
-        "bundle", network, road.bundle_origin(dataset), (manifest,), _recorded_in_bundle
-    )
+    network, *others = (run.bundle / name for name in (*FILES, "MANIFEST.json"))
+    origin = road.bundle_origin(dataset)
+    return Artifact("bundle", network, origin, tuple(others), _recorded_in_bundle)
 
 
 def _recorded_in_bundle(network):

@@ -414,12 +414,11 @@ def write_recordings(
     names, written, problems = list(map(str, () if classes is None else classes)), 0, {}
     if len(set(names)) < len(names):
         raise UserError(f"{path}: two of the classes have the same name")
-    for values in (writers, parts):
-        known = values is not None and hasattr(recordings, "__len__")
-        if known and len(values) != len(recordings):
-            raise UserError(f"{path}: give a writer or a part for each of the recordings")
+    index, sizes = -1, {len(values) for values in (writers, parts) if values is not None}
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         for index, (events, label) in enumerate(recordings):
+            if index in sizes:
+                break
             try:
                 name = _class_of(label, names, classes is not None)
                 writer = -1 if writers is None else int(writers[index])
@@ -431,6 +430,8 @@ def write_recordings(
             member = PurePosixPath(part, name, f"{index:06d}.npz")
             archive.writestr(zipfile.ZipInfo(str(member), ZIP_TIME), content)
             written += 1
+        if sizes - {index + 1}:
+            raise UserError(f"{path}: give a writer or a part for each of the recordings")
         lines = [
             f"{path}: {len(where)} of {index + 1}: recording {where[0]} {reason}"
             for reason, where in list(problems.items())[:LISTED]

@@ -98,14 +98,13 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     environment.filters["p"] = p_text
     environment.filters["percent"] = lambda share: f"{100 * share:.1f}\u00a0%"
     package = resources.files("pipeline.results.report")
-    now = now or datetime.datetime.now(datetime.UTC)
     spec, result = inputs.bundle.spec, inputs.results[-1]
     provenance = spec.provenance
     estimate = estimate_energy(spec, result) if result["spikes"] else None
     return environment.get_template("report.html.j2").render(
         vars(inputs),
         style=look.STYLE + package.joinpath("report.css").read_text(encoding="utf-8"),
-        made=now.strftime("%Y-%m-%d %H:%M UTC"),
+        made=(now or datetime.datetime.now(datetime.UTC)).strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
         **{name: provenance[name] for name in ("source", "source_sha256", "simulated")},
         warnings=provenance.get("warnings", []),

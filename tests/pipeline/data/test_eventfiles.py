@@ -255,8 +255,9 @@ def test_a_published_split_of_arrays(tmp_path):
     ({"classes": ["a", "b", "a", "c"]}, "same name"),
 ])  # fmt: skip
 def test_writers_parts_and_classes_that_do_not_fit(tmp_path, changes, fact):
-    with pytest.raises(UserError, match=fact):
-        write_recordings(tmp_path / "a.zip", gestures(3), **{"classes": CLASSES, **changes})
+    for items in (gestures(3), iter(gestures(3))):  # as zip(events, labels) gives them
+        with pytest.raises(UserError, match=fact):
+            write_recordings(tmp_path / "a.zip", items, **{"classes": CLASSES, **changes})
     assert list(tmp_path.iterdir()) == []
 
 

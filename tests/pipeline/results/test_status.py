@@ -96,6 +96,13 @@ def test_missing_artifacts_are_missing(run, capsys):
     assert absent == {"rate-lif", "checks/nengo", "ladder"}
 
 
+def test_a_bundle_without_one_of_its_files_is_missing_and_made_again(run, capsys):
+    (run / "bundle" / "weights.npz").unlink()
+    assert states(run, capsys)["bundle"]["state"] == "missing"
+    assert call("convert", run) == 0
+    assert states(run, capsys)["bundle"]["state"] == "current"
+
+
 def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("")
     assert call("status", tmp_path) == 2
