@@ -150,7 +150,7 @@ export function drawRace(canvas, race) {
   const end = onEvents ? Math.max(start + race.usualS, race.time) : spanOf(Math.max(race.time, 1));
   context.font = FONT;
   const names = race.classes.map((name) => context.measureText(name.slice(0, 12)).width);
-  const right = Math.max(...names) + 14;
+  const right = Math.max(...names) + 20;
   const curves = race.seconds.length ? curvesOf(race) : [];
   const lane = width - LEFT - right;
   const x = (seconds) => LEFT + (seconds / end) * lane;
@@ -281,7 +281,7 @@ function curvesOf({ seconds, chances, classes, verdict }) {
 
 function drawBelief(context, race, curves, x, y, high, lane) {
   const { seconds, chances, threshold, classes } = race;
-  caption(context, `probability, 0 to 100 %${threshold === null ? "" : "; dotted: decides"}`, y);
+  caption(context, `probability, 0 to 100 %${threshold === null ? "" : `; dotted: decides at ${+(100 * threshold).toFixed(1)} %`}`, y);
   if (!seconds.length) return;
   curves.forEach((label, i) => {
     context.strokeStyle = colour(LINES[i]);
@@ -310,7 +310,12 @@ function nameCurves(context, { seconds, chances, classes }, curves, left, y, hig
   for (const { label, i, at } of ends) {
     const place = Math.min(at + 4, free);
     free = place - 13;
-    context.fillStyle = colour(LINES[i]);
-    context.fillText(classes[label].slice(0, 12), left, place);
+    context.fillStyle = context.strokeStyle = colour(LINES[i]);
+    context.lineWidth = 1; // from the curve to its name
+    context.beginPath();
+    context.moveTo(left - 6, at);
+    context.lineTo(left + 4, place - 4);
+    context.stroke();
+    context.fillText(classes[label].slice(0, 12), left + 6, place);
   }
 }

@@ -89,12 +89,13 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             where = {"loc": "center left", "bbox_to_anchor": (1, 0.5), "frameon": False}
             axes.legend(**where, fontsize=9, markerscale=max(1, layer.size / 7))
     scores = panels[-1]
-    scores.set(ylim=(0, 102), xlabel="milliseconds of the presentation", ylabel="probability, %")
+    limit = 100 * (spec.presentation.confidence or 1)
+    probability = "probability, %" + "\n(dotted: decides)" * (limit < 100)
+    scores.set(ylim=(0, 102), xlabel="milliseconds of the presentation", ylabel=probability)
     lines = {
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
         for n, c in enumerate(played.shown(label), 1)
     }
-    limit = 100 * (spec.presentation.confidence or 1)
     scores.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     when = "at the end" if end == times[-1] else f"decided after {end / 1000:.2f} s"

@@ -52,14 +52,13 @@ def recording(recordings: Recordings, index: int) -> Figure:
     seconds = events.time_ns * 1e-9
     is_grid = taxels.positions is None and not _is_strip(taxels)
     place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
-    known = recordings.source.simulated  # what the polarities mean
     for polarity, name in ((1, "on"), (-1, "off")):  # the upper and lower half of a taxel's row
         chosen = events.polarity == polarity
-        middle = place[events.taxel[chosen]] + 1
-        meaning = f": pressure {'rises' if polarity > 0 else 'falls'}" * known
+        middle = place[events.taxel[chosen]]
+        meaning = f": pressure {'rises' if polarity > 0 else 'falls'}" * recordings.source.simulated
         marks = {"colors": colour(name), "linewidths": 2, "label": name.upper() + meaning}
-        axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, **marks)
-    axes.set(xlim=(0, duration_s), ylim=(place.max() + 1.5, 0.5))
+        axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, snap=False, **marks)
+    axes.set(xlim=(0, duration_s), ylim=(place.max() + 0.5, -0.5))
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel" + ", row by row" * is_grid)
     legend = axes.legend(loc="upper right", bbox_to_anchor=(1, -0.05), ncols=2, frameon=False)

@@ -38,14 +38,14 @@ def test_recording(recordings):
     assert last[3, 0] == 0.5
     assert (raster.get_xlim(), raster.get_ylim()) == (
         (0, 2),
-        (100.5, 0.5),
+        (99.5, -0.5),
     )  # row by row, from above
     on, off = raster.collections
     # ON in the upper half of a taxel's row, OFF in the lower half.
     np.testing.assert_allclose(
-        on.get_segments(), [[[0.1, 31], [0.1, 30.55]], [[1.5, 8], [1.5, 7.55]]]
+        on.get_segments(), [[[0.1, 30], [0.1, 29.55]], [[1.5, 7], [1.5, 6.55]]]
     )
-    np.testing.assert_allclose(off.get_segments(), [[[0.2, 8], [0.2, 8.45]]])
+    np.testing.assert_allclose(off.get_segments(), [[[0.2, 7], [0.2, 7.45]]])
     for marks, name in ((on, "on"), (off, "off")):
         assert to_hex(marks.get_color()[0]) == colour(name)
     assert "simulated" in figure.get_suptitle()
@@ -72,7 +72,7 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     first, second, _ = shown
     panels = data_figures.recording(strip, 0).get_axes()
     raster = panels[-2] if positions else panels[0]  # the scale is the last
-    np.testing.assert_allclose(raster.collections[0].get_segments(), [[[0, 1], [0, 0.55]]])
+    np.testing.assert_allclose(raster.collections[0].get_segments(), [[[0, 0], [0, -0.45]]])
     if positions:
         last = panels[-3]
         for axes, expected in ((first, [1, 0, 1]), (second, [0, 1, 0]), (last, [1, 0, 1])):
