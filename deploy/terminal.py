@@ -28,9 +28,9 @@ def printable(text) -> str:
 
 
 def advised(*words) -> str:
-    """A command of ``stmnist`` that can be copied, such as ``'stmnist ladder "my runs/1"'``."""
-    quoted = (word if shlex.quote(word) == word else f'"{word}"' for word in map(str, words))
-    return f"'stmnist {' '.join(quoted)}'"
+    """A command of ``stmnist`` for a message; in quotation marks, unless it has its own."""
+    command = shlex.join(["stmnist", *map(str, words)])
+    return command if "'" in command else f"'{command}'"
 
 
 # Beginning of a warning.

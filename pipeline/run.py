@@ -31,7 +31,7 @@ def _inside(name, meaning):
     return property(lambda folder: folder.path / name, doc=meaning)
 
 
-def checks_beside(bundle: Path) -> Path:
+def checks_of(bundle: Path) -> Path:
     """The folder for the check results of a bundle: ``checks`` in its run, or else in itself.
 
     A copied bundle's ``deploy.pyz check`` writes there, too.

@@ -13,7 +13,7 @@ from deploy.errors import UserError
 from deploy.targets import NAMES, BoardOptions
 from deploy.terminal import WARNING
 from pipeline.commands import options
-from pipeline.run import checks_beside
+from pipeline.run import checks_of
 
 
 def _board_option(each):
@@ -111,7 +111,7 @@ def run(
         result, path = _on_others(opened, target, others, seed, out, check)
         options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
         return
-    path = out or checks_beside(opened.path) / f"{target}.json"
+    path = out or checks_of(opened.path) / f"{target}.json"
     result = check(opened, path)
     if number := _fitted_to(opened.spec):
         options.say(
@@ -147,7 +147,7 @@ def _loss(bundle, result):
 
     for stage in COMPARED_WITH:
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
-            reference = read_result(checks_beside(bundle.path) / f"{stage}.json")
+            reference = read_result(checks_of(bundle.path) / f"{stage}.json")
             if reference["bundle"] == bundle.id:
                 return loss_text(reference, result)
     return None

@@ -9,7 +9,7 @@ import typer
 from deploy.errors import UserError
 from deploy.terminal import advised, show
 from pipeline.commands import options
-from pipeline.run import checks_beside
+from pipeline.run import checks_of
 
 
 class Format(StrEnum):
@@ -88,7 +88,7 @@ def energy(
 
     opened = _opened(bundle)
     # Both targets count the same spikes.
-    usual = [checks_beside(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
+    usual = [checks_of(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
     paths = [result] if result else [path for path in usual if path.exists()] or usual[-1:]
     remedy = f"run {advised('check', 'run', bundle, '--target', 'fast')}"
     results = [read_result(path, "give a check's result" if result else remedy) for path in paths]

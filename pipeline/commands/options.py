@@ -11,6 +11,7 @@ where the annotation contains a :class:`Group`.  Typer needs one parameter for e
 
 import contextlib
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -290,7 +291,7 @@ say = remark
 def suggest(verb: str, *arguments):
     """Print at a terminal which command usually comes next, in one line on standard error."""
     if sys.stderr.isatty() and sys.stdout.isatty():
-        say(f"next: {advised(verb, *arguments)[1:-1]}")
+        say(f"next: {shlex.join(['stmnist', verb, *map(str, arguments)])}")
 
 
 def warn_if_outdated(*paths: Path):

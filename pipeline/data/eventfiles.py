@@ -417,7 +417,7 @@ def write_recordings(
     index, sizes = -1, {len(values) for values in (writers, parts) if values is not None}
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         for index, (events, label) in enumerate(recordings):
-            if index in sizes:
+            if index in sizes:  # more recordings than writers or parts
                 break
             try:
                 name = _class_of(label, names, classes is not None)

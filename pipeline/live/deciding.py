@@ -119,7 +119,7 @@ class Decider:
     Attributes
     ----------
     layers : dict of str to int
-        Neurons of each spiking layer, in order.
+        Number of neurons of each spiking layer that is drawn, in order.
     steps : int
         Number of time steps of the spikes in an answer.
     first_step : int
@@ -142,12 +142,11 @@ class Decider:
         self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
         self._emulation = Emulation(spec, seed)
         self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
-        limit = spec.presentation.confidence
-        self.threshold = None if limit is None or limit >= 1 else limit  # confidences stay below 1
+        limit = spec.presentation.confidence or 1
+        self.threshold = limit if limit < 1 else None
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))
-        drawn = [name for name in spec.spiking_layers if sizes[name] <= MOST_DRAWN]
-        self.layers = {name: sizes[name] for name in drawn}
+        self.layers = {n: sizes[n] for n in spec.spiking_layers if sizes[n] <= MOST_DRAWN}
         shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
         self._show(np.zeros((1, *shape)), spec.presentation.steps)  # compiles the kernel
 

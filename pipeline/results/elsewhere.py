@@ -27,7 +27,7 @@ from pipeline.data.splits import draw_check_samples
 from pipeline.data.steps import EventTable
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.results.ladder import confusion_matrix
-from pipeline.run import checks_beside, run_around
+from pipeline.run import checks_of, run_around
 from pipeline.settings import Image, Settings, read_settings
 
 # Name of the folder in a run's results.
@@ -286,4 +286,4 @@ def result_path(bundle: Bundle, recordings: Recordings, samples: int, target: st
     """The file of such a result: beside the bundle, one for each set of recordings."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
     file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
-    return checks_beside(bundle.path) / FOLDER / file
+    return checks_of(bundle.path) / FOLDER / file

@@ -41,6 +41,9 @@ from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 # percentage point, is less than half a sample.
 FEWEST = 100
 
+# Settings that the confidence depends on.
+DECIDES = ("presentation.steps", "presentation.early_loss")
+
 # Minimum and maximum number of steps of a presentation of events; longer recordings get longer
 # steps.
 FEWEST_STEPS, MOST_STEPS = 50, 400
@@ -84,10 +87,6 @@ def _respond(stage, opened, bundle, advance):
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
     output = np.diff(arriving(answers.outputs, network.recipe).astype(float), axis=1, prepend=0)
     return read_output(bundle.spec, output, {"input": arrived, **answers.spikes})
-
-
-# Settings that the confidence for early decisions depends on.
-DECIDES = ("presentation.steps", "presentation.early_loss")
 
 
 class EventRoad(Road):

@@ -180,7 +180,7 @@ class TrainedOnEvents:
         """The confidence estimator."""
         return Estimator.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
 
-    def threshold(self, table, labels, held_out, steps: int, seed: int, loss=0.005) -> Threshold:
+    def threshold(self, table, labels, held_out, steps: int, seed: int, loss: float) -> Threshold:
         """Choose the confidence for early decisions on held-out samples.
 
         The samples and their augmented copies have equal weight in the choice; see

@@ -3,7 +3,7 @@
 import pytest
 
 from deploy.errors import UserError
-from pipeline.run import RunFolder, checks_beside
+from pipeline.run import RunFolder, checks_of
 from pipeline.settings import Settings, read_settings
 from tests.command import call
 
@@ -52,7 +52,7 @@ def test_a_failed_command_leaves_no_folder(tmp_path, monkeypatch, arguments):
 def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
     (tmp_path / "experiment.toml").touch()
     names = ("bundle", "adapted/7", "copied/bundle")
-    folders = [checks_beside(tmp_path / name) for name in names]
+    folders = [checks_of(tmp_path / name) for name in names]
     assert folders == [
         tmp_path / name for name in ("checks", "adapted/7/checks", "copied/bundle/checks")
     ]

@@ -154,6 +154,7 @@ export function drawRace(canvas, race) {
   const curves = race.seconds.length ? curvesOf(race) : [];
   const lane = width - LEFT - right;
   const x = (seconds) => LEFT + (seconds / end) * lane;
+  const at = race.verdict ? x(Math.min(race.verdict.seconds, end)) : null; // the line of the verdict
   const parts = height < 230 ? ["touch", "belief"] : ["touch", ...race.layers, "belief"]; // a phone on its side
   const free = height - BELOW - parts.length * (ABOVE + GAP);
   const weights = parts.map((part) => (part === "belief" ? 2 : 1));
@@ -172,7 +173,7 @@ export function drawRace(canvas, race) {
     if (part === "touch") drawEvents(context, race, x, y, high);
     else if (part === "belief") drawBelief(context, race, curves, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
-    if (race.verdict && (onEvents || typeof part === "string")) drawVerdict(context, race.verdict, x(Math.min(race.verdict.seconds, end)), y, lane, high);
+    if (race.verdict && (onEvents || typeof part === "string")) drawVerdict(context, at, y, lane, high);
     context.restore();
     if (part === "belief") nameCurves(context, race, curves, LEFT + lane + 6, y, high);
   });
@@ -182,8 +183,7 @@ export function drawRace(canvas, race) {
   for (let tick = 0; tick <= end * 1.001; tick += mark) {
     context.fillStyle = colour("--soft");
     context.textAlign = tick === 0 ? "left" : tick > end - mark / 4 ? "right" : "center";
-    const under = race.verdict && Math.abs(x(tick) - x(Math.min(race.verdict.seconds, end))) < 22; // the line of the verdict
-    if (!under) context.fillText(`${+tick.toFixed(3)} s`, x(tick), bottom + 16);
+    if (at === null || Math.abs(x(tick) - at) >= 22) context.fillText(`${+tick.toFixed(3)} s`, x(tick), bottom + 16);
     context.fillStyle = colour("--line");
     context.fillRect(x(tick), bottom, 1, 4);
   }
@@ -197,7 +197,6 @@ export function drawRace(canvas, race) {
     context.fillText("not received", x(window) + 4, ABOVE + 14);
   }
   if (race.verdict) {
-    const at = x(Math.min(race.verdict.seconds, end));
     const { early, seconds } = race.verdict;
     context.fillStyle = colour("--ink");
     context.fillRect(at - 1, bottom, 2, 20);
@@ -207,7 +206,7 @@ export function drawRace(canvas, race) {
 }
 
 // The time of the decision as a line; what comes after it does not count, and is faded.
-function drawVerdict(context, { early }, at, y, lane, high) {
+function drawVerdict(context, at, y, lane, high) {
   context.fillStyle = colour("--panel");
   context.globalAlpha = 0.6;
   context.fillRect(at, y, lane, high);

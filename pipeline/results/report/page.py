@@ -138,7 +138,7 @@ def title_of(stage: str) -> str:
 
 
 def verdict(results: list, bundle: Bundle) -> dict:
-    """What the deployed network is compared with, and what it costs.
+    """Compare the deployed network with its references, and count its operations.
 
     Parameters
     ----------
@@ -425,9 +425,7 @@ def _learning_curves(histories):
             if f"{part}accuracy" in rows[0]
         ]
         if series:
-            chart = charts.line_chart(
-                series, "epoch", "accuracy, %", f"Learning curve of {name}", 0
-            )
+            chart = charts.line_chart(series, "epoch", "accuracy, %", f"Learning curve: {name}", 0)
             legend = charts.legend([s.name for s in series])
             curves.append({"title": name, "chart": chart, "legend": legend})
     return curves

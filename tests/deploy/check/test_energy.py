@@ -8,7 +8,7 @@ from deploy.check.text import summary
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from deploy.targets.registry import answer
-from pipeline.run import checks_beside
+from pipeline.run import checks_of
 from tests.command import call
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
@@ -75,10 +75,10 @@ def test_energy_of_a_bundle_that_never_ran_names_the_target_to_run(tmp_path, cap
     said = f"stmnist check run {bundle.path} --target fast"
     assert said in " ".join(capsys.readouterr().err.split())
     # A result of another bundle does not hide one of this.
-    fast = checks_beside(bundle.path) / "fast.json"
+    fast = checks_of(bundle.path) / "fast.json"
     run_check(bundle, "fast", fast)
     other = {**read_json(fast, ""), "bundle": "0" * 64, "target": "emulator"}
-    write_json(checks_beside(bundle.path) / "emulator.json", other)
+    write_json(checks_of(bundle.path) / "emulator.json", other)
     assert call("deploy", "energy", bundle.path) == 0
 
 

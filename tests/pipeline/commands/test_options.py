@@ -72,7 +72,7 @@ def test_the_next_command_is_suggested_at_a_terminal_only(monkeypatch, capsys):
     assert error.getvalue() == ""  # the answer goes to a file or a pipe
     monkeypatch.setattr(sys, "stdout", Terminal())
     options.suggest("ladder", Path("runs/my own"), "--data", "a b.zip")
-    assert error.getvalue() == 'next: stmnist ladder "runs/my own" --data "a b.zip"\n'
+    assert error.getvalue() == "next: stmnist ladder 'runs/my own' --data 'a b.zip'\n"
 
 
 def test_a_training_that_is_refused_saves_no_settings(tmp_path, capsys):

@@ -156,10 +156,10 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
         plain.last_step,
         estimator=trained.estimator,
     )
-    assert none.threshold(whole, labels, VALIDATION, 40, 0) == pytest.approx(expected)
-    altered = trained.threshold(table, labels, VALIDATION, 40, 0)
-    assert altered == trained.threshold(table, labels, VALIDATION, 40, 0)
-    assert altered.share != none.threshold(table, labels, VALIDATION, 40, 0).share
+    assert none.threshold(whole, labels, VALIDATION, 40, 0, 0.005) == pytest.approx(expected)
+    altered = trained.threshold(table, labels, VALIDATION, 40, 0, 0.005)
+    assert altered == trained.threshold(table, labels, VALIDATION, 40, 0, 0.005)
+    assert altered.share != none.threshold(table, labels, VALIDATION, 40, 0, 0.005).share
     assert 0 < altered.share <= 1
 
 

@@ -55,7 +55,6 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     step, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
     extent = step * spec.presentation.steps
     label, answer = int(bundle.checks.labels[index]), played.answer
-
     times = step * (start + 1 + np.arange(len(chances)))
     heights = [1.0] * len(played.layers) + [1.4]
     figure = Figure(figsize=(10, 1.2 + 1.2 * len(heights)), layout="constrained", dpi=90)
