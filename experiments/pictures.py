@@ -100,7 +100,7 @@ def main():
             "no Chromium here; install one (on Debian and Ubuntu: apt install chromium)"
         )
     docs, sample = ROOT / "docs", simulated(0, SAMPLES_PER_DIGIT, 2)
-    index = sample.ids.index("8/0000")
+    index = sample.ids.index("8/0007")
     figures.save(recordings.recording(sample, index), docs / "recording.png")
     figures.save(recordings.sheet(sample), docs / "sheet.png")
     _live(docs / "live.png")

@@ -169,8 +169,7 @@ def _link(nodes, step, method, before, place, is_image, last, read) -> Link:
             "part of its input, and the chip filters all of it; use CubaLIF neurons"
         )
     settled = [_settled(node) for node in between]
-    zero = np.zeros((1, *before))
-    offset = _through(settled, zero)[0]
+    offset = _through(settled, np.zeros((1, *before)))[0]
     constant = offset if loop is None else offset + loop["bias"].reshape(shape)
     bias = (bias + _constant_gain(neuron, shape, step, method) * constant).ravel()
     common = {
@@ -420,6 +419,5 @@ def _square(kernel, sizes, counts, stride, before):
             front = [zeros - b for (_, zeros, _), b in zip(chips, before, strict=True)]
             back = [side - k - f for k, f in zip(reach, front, strict=True)]
             if [c[0] for c in chips] == list(counts) and min(*front, *back) >= 0:
-                pads = zip(front, back, strict=True)
-                return np.pad(kernel, ((0, 0), (0, 0), *pads)), padding
+                return np.pad(kernel, ((0, 0), (0, 0), *zip(front, back, strict=True))), padding
     return None

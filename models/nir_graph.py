@@ -419,8 +419,7 @@ def _affine(values, shape):
     if weight.ndim != 2:
         values.refuse(f"a weight of shape {weight.shape}; use (outputs, inputs)")
     if len(shape) != 1 and math.prod(shape) == weight.shape[1]:
-        after_flat = math.prod(shape)
-        shape = (after_flat,)
+        shape = (math.prod(shape),)
     if shape != (weight.shape[1],):
         values.refuse(
             f"for {weight.shape[1]} values, and its input is {' x '.join(map(str, shape))}; put a "
@@ -513,8 +512,7 @@ def _flatten(values, shape):
     if not 0 <= first < len(shape):
         first = 0
     last = min(max(last, first), len(shape) - 1)
-    flat = (*shape[:first], math.prod(shape[first : last + 1]), *shape[last + 1 :])
-    return flat, {}
+    return (*shape[:first], math.prod(shape[first : last + 1]), *shape[last + 1 :]), {}
 
 
 def _scale(values, shape):

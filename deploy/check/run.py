@@ -174,8 +174,7 @@ class OpenCheck:
         """The data to run some of the remaining streams."""
         streams = tuple((part.start, self._bundle.checks[part]) for part in parts)
         # An absolute path, because another process may have another working directory.
-        saved = self._saved.absolute()
-        return Work(self._bundle.spec, streams, self._check, saved, self._options)
+        return Work(self._bundle.spec, streams, self._check, self._saved.absolute(), self._options)
 
     def take(self, record: dict):
         """Add a record from :func:`answered`, in any order."""

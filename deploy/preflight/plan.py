@@ -282,8 +282,7 @@ def _warnings(core):
 
 def plan_text(plan: Plan) -> str:
     """Format a plan as a table and a few lines."""
-    heads = ["layer", "at", "pop", *COLUMNS, "input", "current", "threshold"]
-    rows = [heads]
+    rows = [["layer", "at", "pop", *COLUMNS, "input", "current", "threshold"]]
     for core in plan.cores:
         cells = [
             f"{core.layer}[{core.part}]",

@@ -110,8 +110,7 @@ def stats(
     from pipeline.data.statistics import table1_json, table1_text
 
     recordings = _recordings(data, reading, jobs, simulation_seed=seed)
-    value = table1_json(recordings)
-    options.tell(value, lambda _: table1_text(recordings), as_json)
+    options.tell(table1_json(recordings), lambda _: table1_text(recordings), as_json)
 
 
 FIGURES = ("recording", "sheet")

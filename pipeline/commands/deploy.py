@@ -27,8 +27,7 @@ def plan(
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
     from deploy.preflight.plan import make_plan, plan_text
 
-    opened = _opened(bundle)
-    made = make_plan(opened.spec, chips)
+    made = make_plan(_opened(bundle).spec, chips)
     options.tell(made.to_json(), lambda _: plan_text(made), as_json)
     if made.problems:
         raise UserError("the network does not fit: " + made.problems[0])

@@ -365,8 +365,7 @@ class Session:
         if len(events) == 0:
             return [*replies, problem("no taxel has an event; write with more pressure")]
         taxels = self._sensor.rows * self._sensor.columns
-        content = MatRecording(events, True, recording.writer, True, taxels)
-        kept = self._keeper.save(label, content)
+        kept = self._keeper.save(label, MatRecording(events, True, recording.writer, True, taxels))
         recording.complete, recording.saved_as = True, kept
         saved = {
             "type": "saved",

@@ -229,6 +229,9 @@ def spec_of_events(
 ) -> NetworkSpec:
     """Describe the spiking network trained on events.
 
+    The confidence estimator is trained on training samples.  It is left out if no early decisions
+    were found on others: after few samples it takes every answer for right.
+
     NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
     recipe, independently of the recording time that it represents.
 
@@ -246,7 +249,8 @@ def spec_of_events(
     architecture = parse(recipe.architecture)
     integers = network_of(recipe, weights).integers()
     links = from_integers(architecture, weights, integers, recipe.starts)
-    estimator = Estimator.from_arrays(weights, architecture.outputs)
+    is_early = (presentation.confidence or 1) < 1
+    estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
     stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory)
     return chain.deployed(links, stimulus, presentation, provenance, estimator)
 

@@ -359,7 +359,7 @@ def _stories(inputs):
         at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
         drawn = drawn_steps(len(at_ms))
         lines = charts.Lines(
-            "probability of the classes, %",
+            f"{'probability of the classes' if spec.estimator else 'softmax of the outputs'}, %",
             tuple(
                 charts.Series(classes[c], tuple(at_ms[drawn]), tuple(replay.chances[drawn, c]))
                 for c in replay.shown(sample["label"])

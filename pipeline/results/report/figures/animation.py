@@ -86,10 +86,13 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             marks.append((line, step * (steps + 0.5), rows))
         if len(layer.groups) > 1:
             where = {"loc": "center left", "bbox_to_anchor": (1, 0.5), "frameon": False}
-            axes.legend(**where, fontsize=9, markerscale=max(1, layer.size / 7))
+            legend = axes.legend(**where, fontsize=9, markerscale=max(1, layer.size / 7))
+            for mark in legend.get_lines():
+                mark.set_markeredgewidth(4)
     scores = panels[-1]
     limit = 100 * (spec.presentation.confidence or 1)
-    probability = "probability, %" + "\n(dotted: decides)" * (limit < 100)
+    probability = "probability" if spec.estimator else "softmax of outputs"
+    probability += ", %" + "\n(dotted: decides)" * (limit < 100)
     scores.set(ylim=(0, 102), xlabel="milliseconds of the presentation", ylabel=probability)
     lines = {
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
@@ -125,10 +128,11 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         frames.append(Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB"))
         if advance is not None:
             advance()
-    durations = [FRAME_MS] * (FRAMES - 1) + [LAST_MS]
+    # The result is first, too: some programs show the first frame only.
+    durations = [FRAME_MS] * FRAMES + [LAST_MS]
     with replacing(path) as file:
-        frames[0].save(
-            file, "gif", save_all=True, append_images=frames[1:], duration=durations, loop=0
+        frames[-1].save(
+            file, "gif", save_all=True, append_images=frames, duration=durations, loop=0
         )
 
 

@@ -125,7 +125,8 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
                 _show_over_time(axes, recordings, index)
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
-    what = "; each: time to the right, taxels down" if _is_strip(recordings.taxels) else ""
+    what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down"
+    what *= _is_strip(recordings.taxels)
     figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
     _scale(figure, width, height, "most, in each picture")
     return figure

@@ -156,10 +156,12 @@ def test_an_animation_ends_with_the_answer(tiny_run, tmp_path, refused, monkeypa
     assert call("animate", tiny_run, "--out", path, "--sample", sample) == 0
     with Image.open(path) as film:
         assert film.n_frames >= 8
-        first = np.asarray(film.convert("L")).astype(int)
-        film.seek(film.n_frames - 1)
-        last = np.asarray(film.convert("L")).astype(int)
-    assert np.abs(first - last).max() > 50
+        first, begin, last = (
+            np.asarray((film.seek(at), film.convert("L"))[1]).astype(int)
+            for at in (0, 1, film.n_frames - 1)
+        )
+    assert np.abs(begin - last).max() > 50
+    assert np.abs(first - last).max() < 20  # for programs that show one frame
     assert "no sample 'x'" in refused("animate", tiny_run, "--out", path, "--sample", "x")
     assert ".gif" in refused("animate", tiny_run, "--out", tmp_path / "a.png")
 
