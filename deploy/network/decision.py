@@ -166,6 +166,9 @@ class Threshold(NamedTuple):
 def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -> np.ndarray:
     """Confidence in the outputs at each step, from 0 to `SUREST`; 0 where the outputs are all zero.
 
+    An estimator is trained from the start of a recording to its last event.  Where outputs stay the
+    same, in silence, its confidence stays, too.
+
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, classes)
@@ -182,7 +185,9 @@ def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -
     """
     outputs = np.asarray(outputs, float)
     if estimator is not None:
-        sure = estimator(outputs, first)
+        changed = (outputs != delayed(outputs, 1)).any(-1)
+        since = np.maximum.accumulate(np.where(changed, np.arange(changed.shape[-1]), 0), -1)
+        sure = np.take_along_axis(estimator(outputs, first), since, -1)
     else:
         sure = 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
     return np.where(outputs.any(-1), np.minimum(sure, SUREST), 0.0)

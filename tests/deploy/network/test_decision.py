@@ -102,11 +102,17 @@ def test_an_estimator_of_one_unit_by_hand():
     kernels[1][3, 0], kernels[2][0, 0], biases[2][0] = 2.0, 0.5, -1.0
     simple = Estimator(tuple(kernels), tuple(biases))
     expected = 1 / (1 + np.exp(-(np.maximum(np.arange(6) - 2, 0) - 1)))
-    np.testing.assert_allclose(confidence(np.ones((3, 6, 2)), simple), [expected] * 3)
-    np.testing.assert_allclose(confidence(np.ones((2, 2)), simple, first=4), expected[4:])
-    steps, classes = decide(np.ones((1, 6, 2)), 0.6, simple)
+    growing = np.tile(np.arange(1.0, 7)[:, None], (3, 1, 2))
+    np.testing.assert_allclose(confidence(growing, simple), [expected] * 3)
+    np.testing.assert_allclose(confidence(growing[0, :2], simple, first=4), expected[4:])
+    steps, classes = decide(growing[:1], 0.6, simple)
     assert (steps.tolist(), classes.tolist()) == ([4], [0])
-    assert decide(np.ones((1, 3, 2)), 0.6, simple, first=3)[0].tolist() == [1]
+    assert decide(growing[:1, :3], 0.6, simple, first=3)[0].tolist() == [1]
+    # In silence the confidence stays; before the first output there is none.
+    heard = np.stack([growing[0, n] for n in (0, 1, 1, 2, 2, 2)])
+    np.testing.assert_allclose(confidence(heard, simple), expected[[0, 1, 1, 3, 3, 3]])
+    heard[:2] = 0
+    np.testing.assert_allclose(confidence(heard, simple), [0, 0, *expected[[2, 3, 3, 3]]])
 
 
 def test_an_estimators_arrays_there_and_back():
