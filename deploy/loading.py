@@ -138,7 +138,7 @@ def _built(hint, value, name, extra):
     if is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, name, extra)
     if origin in (tuple, list):
-        _require(isinstance(value, (list, tuple)), name, "a list", value)
+        _require(isinstance(value, (list, tuple)), name, f"a list, such as [{value!r}]", value)
         if origin is tuple and inner[-1] is not Ellipsis:
             _require(len(value) == len(inner), name, f"a list of {len(inner)}", value)
         hints = inner if origin is tuple and inner[-1] is not Ellipsis else inner[:1] * len(value)

@@ -325,7 +325,8 @@ class PresentationSettings(Section):
     """Presentation of the samples; see :class:`deploy.network.spec.Presentation`."""
 
     #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
-    #: ``input.step``.  0 for 100 steps, or with events for the two seconds of a recording.
+    #: ``input.step``.  0 for 100 steps, or with events for as many as the
+    #: longest recording needs, from 50 to 400.
     steps: Annotated[int, STEPS_OR_NONE] = 0
     #: Blank steps before each sample.
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap

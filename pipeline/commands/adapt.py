@@ -25,7 +25,8 @@ def adapt(
         int | None, typer.Option(help="The writer to use, if there are several.", min=0)
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the new bundle.", show_default="RUN/adapted")
+        Path | None,
+        typer.Option(help="Folder of the new bundle.", show_default="RUN/adapted/WRITER"),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the fit.", min=0, max=2**31 - 1)] = 0,
     skip_bad: Annotated[

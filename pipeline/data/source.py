@@ -343,7 +343,7 @@ def read_source(
             advance(len(chunk))
     lookup, positions = _tables_of(listing)
     if not read:
-        raise SeveralErrors(_refusals(path, refused, listing.total))
+        raise SeveralErrors(_refusals(path, refused, listing.total, False))
     parts = [entry.part for entry in entries]
     settled = sensor.settle(path, read, parts, lookup, positions, reading)
     refused += [(entries[index].member, why) for index, why in settled.refused.items()]
@@ -356,7 +356,7 @@ def read_source(
             [
                 f"{path}: no recording of {printable(lost[0])!r} can be read; correct them, or "
                 "take the folder away",
-                *_refusals(path, refused, listing.total),
+                *_refusals(path, refused, listing.total, False),
             ]
         )
     the_sensor, ids = settled.sensor(classes), [entry.id for entry in entries]
@@ -410,7 +410,7 @@ def left_out_lines(path, recordings: Recordings) -> list:
     return lines
 
 
-def _refusals(path, refused, total):
+def _refusals(path, refused, total, can_skip=True):
     """A line for each kind of reason: number of files, the first ones, and the reason of the first.
 
     If there are several kinds, a line with the remedy precedes them.
@@ -427,9 +427,8 @@ def _refusals(path, refused, total):
         lines.append(f"{len(files)} of {total} files refused: {_short(name)}{also} {reason}")
     if len(kinds) > LISTED:
         lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
-    remedy = (
-        "correct them, or leave them out: --set data.skip_bad=true (of 'adapt' and 'check run' "
-        "--skip-bad)"
+    remedy = "correct them" + can_skip * (
+        ", or leave them out: --set data.skip_bad=true (of 'adapt' and 'check run' --skip-bad)"
     )
     if len(lines) == 1:
         return [f"{path}: {lines[0]}; {remedy}"]

@@ -48,7 +48,7 @@ def test_defaults_nested_values_and_whole_numbers():
         ({"inner": {"rate": float("nan")}}, "'inner.rate' must be a finite number, not nan"),
         ({"inner": {"rate": True}}, "'inner.rate' must be a finite number, not True"),
         ({"many": [{}, {"kind": "c"}]}, "'many[1].kind' must be one of a, b, not 'c'"),
-        ({"many": {}}, "'many' must be a list, not {}"),
+        ({"many": {}}, "'many' must be a list, such as [{}], not {}"),
         ({"shape": [1, 2.5]}, "'shape[1]' must be a whole number, not 2.5"),
         ({"shape": [1, 1, 1, 1]}, "'shape' has too many sides"),
         ({"pair": [1]}, "'pair' must be a list of 2, not [1]"),

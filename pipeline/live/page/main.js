@@ -232,7 +232,7 @@ link.on("ready", (network) => {
     : "Ready: this sensor is too large for drawing; play examples instead.";
   $("meaning").textContent = network.threshold === null
     ? "How sure: softmax of the outputs."
-    : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers; real handwriting is harder" : "recordings of the training"}.`;
+    : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
   $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
