@@ -390,8 +390,7 @@ def _layer(token):
             return _ZERO
         if kind == "conv":
             filters, kernel, *stride = numbers
-            padding = "same" if match[4] else "valid"
-            return Convolution(filters, kernel, *(stride or [1]), padding)
+            return Convolution(filters, kernel, *(stride or [1]), "same" if match[4] else "valid")
         return Pooling(*numbers) if kind == "pool" else Dense(*numbers, output=kind == "output")
     return None
 

@@ -300,8 +300,7 @@ def chosen(link: Link, spikes) -> Integers:
 
 def _with_own(spikes, own):
     """Inputs of a recurrent link: those from before, then its own spikes of the step before."""
-    late = np.pad(own[:, :-1], ((0, 0), (1, 0), (0, 0)))
-    return np.concatenate([spikes, late], 2)
+    return np.concatenate([spikes, np.pad(own[:, :-1], ((0, 0), (1, 0), (0, 0)))], 2)
 
 
 def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:

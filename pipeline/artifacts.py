@@ -88,8 +88,7 @@ class Origin:
     @property
     def key(self) -> str:
         """SHA-256 of settings and contents."""
-        text = json.dumps(self.to_json(), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
     def with_content(self, name: str, value: str) -> Origin:
         """The origin with another content."""

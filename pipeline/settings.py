@@ -459,8 +459,7 @@ class Settings(Section):
         names : iterable of str
             Dotted names.  :data:`PATHS` remain readable too.
         """
-        kept = {*names, *PATHS}
-        return _narrowed(self, kept, "")
+        return _narrowed(self, {*names, *PATHS}, "")
 
     def to_json(self) -> dict:
         """The settings as plain values."""
@@ -494,8 +493,7 @@ def read_own_settings(path) -> Settings:
     values, chosen = _read(path)
     for name in chosen:
         *sections, last = name.split(".")
-        section = functools.reduce(lambda part, key: part.get(key, {}), sections, values)
-        section.pop(last, None)
+        functools.reduce(lambda part, key: part.get(key, {}), sections, values).pop(last, None)
     return Settings().with_values(values, str(path))
 
 

@@ -113,8 +113,7 @@ def _default_block(layer, recurrent, after, after_block):
 
 def _lengths(n):
     """Lengths of equal parts along one dimension, from the whole down; the last may be shorter."""
-    lengths = {-(-n // parts) for parts in range(1, n + 1)}
-    return sorted(lengths, reverse=True)
+    return sorted({-(-n // parts) for parts in range(1, n + 1)}, reverse=True)
 
 
 class _Line(NamedTuple):

@@ -95,8 +95,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
                         f"board lost in stream {index + 1} of this run, {attempt} attempts: "
                         f"{error}; the previous streams are saved: repeat the command to resume"
                     ) from error
-                longest = max(options.wait, LONGEST_WAIT)
-                time.sleep(min(options.wait * 2 ** (attempt - 1), longest))
+                time.sleep(min(options.wait * 2 ** (attempt - 1), max(options.wait, LONGEST_WAIT)))
         responses.notes.update(nxsdk=version, attempts=attempt)
         yield responses
 

@@ -127,8 +127,7 @@ class Live:
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = self._tests = None
         self.picture = None  # QR code of the address, for other devices
-        files = (*PAGE.iterdir(), LOOK)
-        self._files = {file.name: file for file in files if file.suffix in _KINDS}
+        self._files = {file.name: file for file in (*PAGE.iterdir(), LOOK) if file.suffix in _KINDS}
         self.token = secrets.token_urlsafe(18)
 
     @contextlib.asynccontextmanager

@@ -79,8 +79,7 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     -------
     Baseline
     """
-    rng = np.random.default_rng(seed)
-    some = rng.permutation(training)[:MOST_SAMPLES]
+    some = np.random.default_rng(seed).permutation(training)[:MOST_SAMPLES]
     some = some[np.argsort(labels[some], kind="stable")]
     folds = np.arange(len(some)) % FOLDS  # each class is in every fold, if it can be
     best, chosen = -1.0, None

@@ -89,8 +89,7 @@ class Allograph:
         """
         along = self.between @ person + self.within @ trial
         drawn = self.mean + along @ self.components
-        places = drawn[: 2 * POINTS].reshape(POINTS, 2)
-        strokes = np.split(places, np.cumsum(self.points)[:-1])
+        strokes = np.split(drawn[: 2 * POINTS].reshape(POINTS, 2), np.cumsum(self.points)[:-1])
         ratio = np.exp(np.concatenate([[0.0], np.clip(drawn[2 * POINTS :], -3, 3)]))
         counts = np.maximum(np.rint(ratio / ratio.sum() * POINTS).astype(int), 3)
         return boxed(

@@ -160,8 +160,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
         # The best fit keeps the accuracy for others, if possible, and then is the most likely one.
         after = _right(log_p, person.labels)
         sure = log_p[np.arange(len(person)), person.labels].mean()
-        within = kept_before.mean() - kept_after.mean() <= MOST_LOST
-        worth = (within, sure)
+        worth = (kept_before.mean() - kept_after.mean() <= MOST_LOST, sure)
         if best is None or worth > best_worth:
             best, best_worth = (pull, rehearsal, after, kept_after), worth
     pull, rehearsal, after, kept_after = best
@@ -195,8 +194,7 @@ class _Problem:
         self._kept_logits = self._logits(weights, self._kept)
         self._unit = max(np.sqrt((self._kept**2).sum(axis=1).mean()), 1e-12)
         every = np.concatenate([self._kept, person.learned(np.arange(len(person)))[0]])
-        directions = np.linalg.eigh(every.T @ every)[1]
-        self._directions = directions[:, -MOST_DIRECTIONS:]
+        self._directions = np.linalg.eigh(every.T @ every)[1][:, -MOST_DIRECTIONS:]
 
     def _logits(self, weights, responses):
         return self._scale * (responses @ weights.T + self.bias)
@@ -314,8 +312,7 @@ class Responder:
         gap = self.spec.presentation.gap
         fed = self.spec.fed(samples)
         for start in range(0, len(fed), AT_ONCE):
-            part = fed[start : start + AT_ONCE, None]
-            yield self._emulation.run(part).output[:, 0, gap:]
+            yield self._emulation.run(fed[start : start + AT_ONCE, None]).output[:, 0, gap:]
 
     def responses(self, samples) -> np.ndarray:
         """Mean input of the readout while it is read.
@@ -377,8 +374,7 @@ def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> Netwo
     """
     if spec.layers[-1].neurons is not None or len(spec.layers) < 2:
         return spec
-    rng = np.random.default_rng([seed, 0xADA97])
-    some = rng.permutation(np.asarray(train))[:KEPT]
+    some = np.random.default_rng([seed, 0xADA97]).permutation(np.asarray(train))[:KEPT]
     responses = Responder(spec).responses(inputs[some])
     return replace(spec, rehearsal=Rehearsal(responses.astype(np.float32), labels[some]))
 

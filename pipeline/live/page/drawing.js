@@ -170,7 +170,7 @@ export function drawRace(canvas, race) {
     context.rect(LEFT, top - high - ABOVE - GAP, lane, high + ABOVE + 1); // recordings may last longer than the axis
     context.clip();
     if (!race.events.s.length && high > 20) explain(context, part, LEFT + lane / 2, y + high / 2);
-    if (part === "touch") drawEvents(context, race, x, y, high);
+    if (part === "touch") drawEvents(context, race, x, y, high, lane);
     else if (part === "belief") drawBelief(context, race, curves, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
     if (race.verdict && (onEvents || typeof part === "string")) drawVerdict(context, at, y, lane, high);
@@ -215,12 +215,16 @@ function drawVerdict(context, at, y, lane, high) {
   context.fillRect(at - 1, y, 2, high);
 }
 
-function caption(context, text, y) {
+// A text above a panel, or a shorter one if it is wider than the panel.
+function caption(context, y, lane, text, short = text) {
   context.font = FONT;
   context.fillStyle = colour("--soft");
   context.textAlign = "left";
-  context.fillText(text, LEFT, y - 5);
+  context.fillText(context.measureText(text).width > lane ? short : text, LEFT, y - 5);
 }
+
+// The place of a share in a panel, in which those near 1 are seen.
+const rise = (share, high) => high * (1 - share / 1.06);
 
 // What will be seen, before there is anything to see.
 function explain(context, part, x, y) {
@@ -231,9 +235,10 @@ function explain(context, part, x, y) {
   context.fillText(part === "belief" ? "a curve for each of the likeliest classes" : `a row for each ${row}, a dot for each ${dot}`, x, y + 4);
 }
 
-function drawEvents(context, { events }, x, y, high) {
+function drawEvents(context, { events }, x, y, high, lane) {
   const taxels = rows * columns;
-  caption(context, `the touch: ${taxels} taxels row by row, ${events.s.length} events`, y);
+  const order = rows > 1 && columns > 1 ? " row by row" : "";
+  caption(context, y, lane, `the touch: ${taxels} taxels${order}, ${events.s.length} events`, `${taxels} taxels, ${events.s.length} events`);
   const tall = Math.max(high / taxels, 1.5);
   for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
     context.fillStyle = colour(name);
@@ -267,7 +272,7 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
     }
   const axis = x === null ? `; across: the ${shownSteps} steps of the last presentation` : "";
   const unit = name === "input" ? "lines" : "neurons";
-  caption(context, `${name}: ${neurons} ${unit}, ${spikes} spikes${axis}`, y);
+  caption(context, y, lane, `${name}: ${neurons} ${unit}, ${spikes} spikes${axis}`, `${name}: ${neurons} ${unit}, ${spikes} spikes`);
 }
 
 // The decided class and its strongest rivals at any time; before a decision, the likeliest ones now.
@@ -279,30 +284,38 @@ function curvesOf({ seconds, chances, classes, verdict }) {
 }
 
 function drawBelief(context, race, curves, x, y, high, lane) {
-  const { seconds, chances, threshold, classes } = race;
-  caption(context, `probability, 0 to 100 %${threshold === null ? "" : `; dotted: decides at ${+(100 * threshold).toFixed(1)} %`}`, y);
+  const { seconds, chances, threshold, classes, verdict } = race;
+  const decides = `decides at ${(100 * threshold).toFixed(1)} %`;
+  if (threshold === null) caption(context, y, lane, "softmax of the outputs, 0 to 100 %");
+  else caption(context, y, lane, `probability, 0 to 100 %; dotted: ${decides}`, `dotted: ${decides}`);
   if (!seconds.length) return;
   curves.forEach((label, i) => {
     context.strokeStyle = colour(LINES[i]);
     context.lineWidth = i === 0 ? 2.5 : 1.2;
     context.beginPath();
-    seconds.forEach((at, step) => context.lineTo(x(at), y + high - (chances[step * classes.length + label] / 255) * high));
+    seconds.forEach((at, step) => context.lineTo(x(at), y + rise(chances[step * classes.length + label] / 255, high)));
     context.stroke();
   });
+  if (verdict) {
+    context.fillStyle = colour(LINES[0]);
+    context.beginPath();
+    context.arc(x(verdict.seconds), y + rise(verdict.confidence, high), 5, 0, 7);
+    context.fill();
+  }
   if (threshold === null) return;
   context.strokeStyle = colour("--ink");
   context.lineWidth = 1.5;
   context.setLineDash([1, 3]);
   context.beginPath();
-  context.moveTo(LEFT, y + high * (1 - threshold));
-  context.lineTo(LEFT + lane, y + high * (1 - threshold));
+  context.moveTo(LEFT, y + rise(threshold, high));
+  context.lineTo(LEFT + lane, y + rise(threshold, high));
   context.stroke();
 }
 
 // Names at the ends of the curves, moved apart where they would cover each other.
 function nameCurves(context, { seconds, chances, classes }, curves, left, y, high) {
   const last = (seconds.length - 1) * classes.length;
-  const ends = curves.map((label, i) => ({ label, i, at: y + high * (1 - chances[last + label] / 255) }));
+  const ends = curves.map((label, i) => ({ label, i, at: y + rise(chances[last + label] / 255, high) }));
   ends.sort((a, b) => b.at - a.at || b.i - a.i); // from below
   let free = y + high + 4;
   context.textAlign = "left";

@@ -225,7 +225,7 @@ link.on("ready", (network) => {
   ready = network;
   const neurons = network.layers.slice(1).reduce((sum, layer) => sum + layer.neurons, 0);
   $("lead").textContent =
-    `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch on a simulated skin.`;
+    `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch${about.simulated ? " on a simulated skin" : ""}.`;
   $("status").textContent = canDraw()
     ? about.digits ? "Ready: write with finger, pen or mouse."
       : `Ready: draw with finger, pen or mouse. This presses a simulated skin of ${about.rows} x ${about.columns} taxels, not your sensor.`
@@ -439,7 +439,7 @@ function showExample(example) {
 }
 
 // A confidence is below 1 and must not be displayed as 100 %.
-const percent = (share) => `${Math.min(100 * share, 99.9).toFixed(share < 0.995 ? 0 : 1)} %`;
+const percent = (share) => `${Math.min(100 * share, 99.9).toFixed(share < 0.95 ? 0 : 1)} %`;
 
 // The verdict is the early decision, or else the answer at the end of the writing; until then the answer
 // so far is shown as open.
@@ -486,7 +486,9 @@ function showDecision(message) {
     best = best.sort((a, b) => message.shares[b] - message.shares[a]);
   items.forEach((item, i) => {
     const label = best[i];
-    item.firstChild.textContent = message === null && classes.length > items.length ? "" : classes[label];
+    const unnamed = classes.length > items.length && !(message?.shares[label] >= 0.001);
+    item.style.visibility = unnamed ? "hidden" : "";
+    item.firstChild.textContent = classes[label];
     item.classList.toggle("best", message !== null && output.textContent === classes[label]);
     const share = message === null ? 0 : message.shares[label];
     item.lastChild.firstChild.style.transform = `scaleX(${share})`;

@@ -61,14 +61,17 @@ class Raster:
 
 @dataclass(frozen=True)
 class Lines:
-    """Curves between 0 and 1 over time, and levels of them, a panel of :func:`timeline`."""
+    """Curves between 0 and 1 over time, with levels and points, a panel of :func:`timeline`."""
 
     title: str
     series: tuple
     levels: tuple = ()
+    points: tuple = ()
 
 
-def line_chart(series, x_label: str, y_label: str, description: str = "", least=None) -> Markup:
+def line_chart(
+    series, x_label: str, y_label: str, description: str = "", least=None, points=()
+) -> Markup:
     """Lines over a common x axis; the names are in a separate legend, see :func:`legend`.
 
     Parameters
@@ -79,9 +82,12 @@ def line_chart(series, x_label: str, y_label: str, description: str = "", least=
         Text for screen readers.
     least : float, optional
         Lower end of the y axis; default: that of the lines.
+    points : sequence of (x, y, name), optional
+        Single values.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
+    y = np.append(y, [point[1] for point in points])
     x_axis = _Axis(x.min(), x.max(), LEFT, WIDTH - RIGHT)
     y_axis = _Axis(y.min() if least is None else least, y.max(), HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
@@ -91,6 +97,7 @@ def line_chart(series, x_label: str, y_label: str, description: str = "", least=
             around = _points(x_axis, y_axis, (*s.x, *s.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
         marks.append(_line(x_axis, y_axis, s, number))
+    marks += [_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %") for a, b, name in points]
     return _svg(WIDTH, HEIGHT, marks, description)
 
 
@@ -106,8 +113,7 @@ def interval(value: float, low: float, high: float, least: float) -> Markup:
     """
     axis, y = _Axis(least, 1, 8, WIDTH / 2, exact=True), 10
     said = f"{100 * value:.1f} %, {100 * low:.1f} to {100 * high:.1f} %"
-    dot = f'<circle class="dot s1" cx="{axis(value):.1f}" cy="{y}" r="4.5"/>'
-    line = _segment("line s1", axis(low), y, axis(high), y)
+    dot, line = _dot(axis(value), y, said), _segment("line s1", axis(low), y, axis(high), y)
     edges = (_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
     return _svg(WIDTH / 2 + 8, 2 * y, [*edges, _title(said), line, dot], said, "interval")
 
@@ -133,8 +139,8 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
         marks.append(_segment("axis", LEFT, bottom, width - RIGHT, bottom))
         if isinstance(panel, Raster):
             y_axis = _Axis(0, panel.rows, y, bottom, exact=True)
-            marks.append(_text(LEFT - 7, y + 10, "1", "end"))
-            marks.append(_text(LEFT - 7, bottom, str(panel.rows), "end"))
+            marks.append(_text(LEFT - 7, y + 10, "0", "end"))
+            marks.append(_text(LEFT - 7, bottom, str(panel.rows - 1), "end"))
             tall = max(2.0, PANEL / panel.rows)
             for name, times, units in panel.groups:
                 path = "".join(
@@ -143,13 +149,14 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
                 )
                 marks.append(f'<path class="event {name}" d="{path}"/>')
         else:
-            y_axis = _Axis(0, 1, bottom, y, exact=True)
+            y_axis = _Axis(0, 1.06, bottom, y, exact=True)  # shows what is near 1
             for tick in (0, 0.5, 1):
                 marks.append(_segment("grid", LEFT, y_axis(tick), width - RIGHT, y_axis(tick)))
                 marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
             levels = map(y_axis, panel.levels)
             marks += [_segment("axis level", LEFT, y, width - RIGHT, y) for y in levels]
             marks += [_line(x_axis, y_axis, s, n, 100) for n, s in enumerate(panel.series, 1)]
+            marks += [_dot(x_axis(a), y_axis(b), f"{100 * b:.1f} %") for a, b in panel.points]
         y = bottom + gap
     end = y - gap
     if mark is not None:
@@ -278,6 +285,10 @@ def _title(text):
 
 def _segment(name, x1, y1, x2, y2):
     return f'<line class="{name}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
+
+
+def _dot(x, y, said):
+    return f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="4.5">{_title(said)}</circle>'
 
 
 def _text(x, y, text, anchor):

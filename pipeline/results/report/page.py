@@ -270,10 +270,16 @@ def _over_time(inputs):
     band = tuple(tuple(100 * v for v in wilson_interval(round(n * a), n)) for a in y)
     series = charts.Series(name, tuple(x), tuple(100 * a for a in y), band)
     early = written and written.get("by_itself")
+    early = early if early and early["confidence"] < 1 else None
+    points = [(x[-1], 100 * result["accuracy"], "at the end of the presentation")]
+    if early:
+        share = 100 * early["share_of_writing_mean"]
+        points.append((share, 100 * early["accuracy"], "early decisions, at their mean time"))
+    about = "accuracy, %", "Accuracy over time"
     return {
-        "chart": charts.line_chart([series], label, "accuracy, %", "Accuracy over time"),
+        "chart": charts.line_chart([series], label, *about, points=points),
         "name": name,
-        "early": early if early and early["confidence"] < 1 else None,
+        "early": early,
         "on_events": bool(written),
     }
 
@@ -357,6 +363,8 @@ def _stories(inputs):
         sample = result["samples"][index]
         answered = sample["prediction"]
         at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
+        end, is_early = replay.decided, replay.decided < len(at_ms) - 1
+        point = at_ms[end], replay.chances[end, replay.answer]
         drawn = drawn_steps(len(at_ms))
         lines = charts.Lines(
             f"{'probability of the classes' if spec.estimator else 'softmax of the outputs'}, %",
@@ -365,12 +373,12 @@ def _stories(inputs):
                 for c in replay.shown(sample["label"])
             ),
             (limit,) * (limit < 1),
+            (point,) * is_early,
         )
         layers = [
             charts.Raster(
                 f"{layer.name}: {layer.size} {layer.unit}, "
-                f"{sum(len(steps) for _, steps, _ in layer.groups):,} "
-                f"{'events' if layer.name == 'sensor' else 'spikes'}",
+                f"{sum(len(steps) for _, steps, _ in layer.groups):,} spikes",
                 [(kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups],
                 layer.size,
             )
@@ -385,23 +393,18 @@ def _stories(inputs):
                 "shown": classes[sample["label"]],
                 "answered": classes[answered],
                 "probability": float(replay.chances[-1, answered]),
-                "stopped_ms": _stopped(sample, spec) and sample["stopped_at"] * step_ms,
+                "early": (at_ms[end], classes[replay.answer], point[1]) if is_early else None,
                 "chart": charts.timeline(
                     [*layers, lines],
                     extent,
                     "milliseconds since the start of the presentation",
                     f"Spikes and probabilities over time, sample {sample['id']}",
-                    mark=sample["stopped_at"] * step_ms if _stopped(sample, spec) else None,
+                    mark=at_ms[end] if is_early else None,
                 ),
                 "legend": charts.legend([s.name for s in lines.series]),
             }
         )
     return stories
-
-
-def _stopped(sample, spec):
-    """True if a sample was decided before the end of its presentation."""
-    return sample.get("stopped_at", spec.presentation.steps) < spec.presentation.steps
 
 
 def drawn_steps(n: int) -> np.ndarray:

@@ -15,7 +15,7 @@ SHOWN_CLASSES = 4
 
 
 class Spikes(NamedTuple):
-    """The spikes of a layer in a sample, or the events of the sensor.
+    """The spikes of a layer, or of the input, in a sample.
 
     Attributes
     ----------
@@ -118,4 +118,4 @@ def _spikes(spec, name, size, steps, neurons):
         return Spikes(name, "neurons", size, (("s1", steps, neurons),))
     taxels, is_on = neurons // 2, neurons % 2 == 0
     groups = (("on", steps[is_on], taxels[is_on]), ("off", steps[~is_on], taxels[~is_on]))
-    return Spikes("sensor", "taxels", size // 2, groups)
+    return Spikes(name, "taxels", size // 2, groups)

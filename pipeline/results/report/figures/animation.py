@@ -65,7 +65,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     right.suptitle(f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}", ha="center")
     growing = _growing(bundle.checks.inputs[index])
     draw = _picture(picture, growing, positions_of(spec))
-    picture.set(xticks=[], yticks=[], title="events of each taxel" + " so far" * (len(growing) > 1))
+    picture.set(xticks=[], yticks=[])
+    picture.set_title("input spikes so far" if len(growing) > 1 else "events of each taxel")
     said.set_axis_off()
     middle = {"x": 0.5, "ha": "center", "va": "center"}
     names = [shortened(name, 16) for name in classes]
@@ -91,9 +92,10 @@ def animate(path, bundle: Bundle, index: int, advance=None):
                 mark.set_markeredgewidth(4)
     scores = panels[-1]
     limit = 100 * (spec.presentation.confidence or 1)
-    probability = "probability" if spec.estimator else "softmax of outputs"
-    probability += ", %" + "\n(dotted: decides)" * (limit < 100)
-    scores.set(ylim=(0, 102), xlabel="milliseconds of the presentation", ylabel=probability)
+    measure = "probability" if spec.estimator else "softmax"
+    probability = f"{measure}, %" + f"\n(decides at {limit:.1f})" * (limit < 100)
+    time = f"milliseconds, shown at {extent / (FRAMES * FRAME_MS):.2g} times the speed"
+    scores.set(ylim=(0, 106), xlabel=time, ylabel=probability)
     lines = {
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
         for n, c in enumerate(played.shown(label), 1)
@@ -101,7 +103,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     scores.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     when = "at the end" if end == times[-1] else f"decided after {end / 1000:.2f} s"
-    when += f"\n{100 * chances[played.decided, answer]:.0f} %"
+    when += f"\n{measure} {100 * chances[played.decided, answer]:.0f} %"
     ended = f"{when}: {'right' if answer == label else f'wrong, was {names[label]}'}"
     canvas, frames = FigureCanvasAgg(figure), []
     canvas.draw()

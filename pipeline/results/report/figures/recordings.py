@@ -128,7 +128,8 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down"
     what *= _is_strip(recordings.taxels)
     figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
-    _scale(figure, width, height, "most, in each picture")
+    root = " (square root)" * _is_strip(recordings.taxels)
+    _scale(figure, width, height, f"most{root}, in each picture")
     return figure
 
 

@@ -35,7 +35,7 @@ def test_marks_of_a_timeline_share_their_time_axis():
 
 def test_an_interval_is_drawn_from_its_lower_to_its_upper_end():
     root = ElementTree.fromstring(charts.interval(0.75, 0.6, 0.9, 0.5))
-    (line,), (dot,) = (root.findall(f".//*[@class='{name} s1']") for name in ("line", "dot"))
+    (line,), (dot,) = (root.findall(f".//*[@class='{name}']") for name in ("line s1", "dot"))
     left, middle, right = (float(edge.get("x1")) for edge in root.findall(".//*[@class='grid']"))
     assert float(dot.get("cx")) == middle == (left + right) / 2  # from 0.5 to 1
     assert float(line.get("x1")) - left == pytest.approx(right - float(line.get("x2")), abs=0.2)
