@@ -35,7 +35,7 @@ from pipeline.data.dataset import TRAINED_ON, Dataset
 from pipeline.data.events import facts_of
 from pipeline.data.library import recordings_of
 from pipeline.data.source import left_out_lines
-from pipeline.data.splits import PUBLISHED, in_both_parts
+from pipeline.data.splits import PUBLISHED, copies
 from pipeline.jobs import Failure, run_jobs
 from pipeline.progress import hidden, progress
 from pipeline.roads import Road, fitted, new_run_text, road_of, split_text
@@ -223,36 +223,34 @@ def _notes(opened, choices):
     yield from _notes_on_recordings(opened)
 
 
+# What is wrong with recordings that are in the source twice; see :func:`copies`.
+COPIES = (
+    "test recordings that are also in training (their accuracy says little about others)",
+    "recordings that are also in another class",
+)
+
+
 def _notes_on_recordings(opened):
     """Lines on what is not presented, on parts that are not independent, and on what is missing."""
-    recordings = opened.dataset.recordings
+    recordings, split = opened.dataset.recordings, opened.dataset.split
     yield from opened.road.notes(recordings)
-    if opened.dataset.split.kind == PUBLISHED:
-        yield from _notes_on_published(opened)
+    if split.kind == PUBLISHED or not recordings.source.simulated:
+        for pairs, what in zip(copies(recordings, split), COPIES, strict=True):
+            if pairs:
+                what = f"{what}: {len(pairs)}, such as {pairs[0][1]} ({pairs[0][0]})"
+                yield f"{WARNING}{recordings.source.name}: {what}"
+    n_test, samples = len(split.test), opened.settings.check.samples
+    if split.kind == PUBLISHED and n_test < samples:
+        yield (
+            f"{recordings.source.name}: the test part has {n_test} recordings, fewer than the "
+            f"{samples} of a check; the check uses all of them"
+        )
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
     if missing:
         names = ", ".join(classes[label] for label in missing)
         problem = f"no recordings of {names}; their outputs learn nothing"
         yield f"{WARNING}{recordings.source.name}: {problem}"
-
-
-def _notes_on_published(opened):
-    """Lines on a published split whose parts are not independent, or which is small."""
-    recordings, n_test = opened.dataset.recordings, len(opened.dataset.split.test)
-    source = recordings.source.name
-    if pairs := in_both_parts(recordings):
-        train, test = pairs[0]
-        yield (
-            f"{WARNING}{source}: {len(pairs)} of {n_test} recordings of the test part are also in "
-            f"the training part, such as {test} ({train}); the accuracy on them says little about "
-            "others"
-        )
-    if n_test < (samples := opened.settings.check.samples):
-        yield (
-            f"{source}: the test part has {n_test} recordings, fewer than the {samples} of a "
-            "check; the check uses all of them"
-        )
 
 
 def convert(opened: Opened) -> Bundle:

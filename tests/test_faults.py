@@ -8,12 +8,15 @@ import signal
 
 import numpy as np
 import pytest
+from joblib import delayed
 
 from deploy.check.results import read_result
 from deploy.files import read_json, write_json
-from pipeline import progress
+from pipeline import progress, stages
+from pipeline.data.eventfiles import write_recordings
+from pipeline.jobs import results_of
 from pipeline.run import RunFolder
-from pipeline.settings import read_settings
+from pipeline.settings import Settings, read_settings
 from tests.command import call, missing, plain, started, wait_until_said
 from tests.pipeline.handmade import archive, good_members
 
@@ -103,6 +106,37 @@ def test_a_corrupt_cache(refused, tmp_path, monkeypatch):
     (source,) = (tmp_path / "cache").glob("source-*.json")
     source.write_text("{")
     assert str(source) in refused(*command)
+
+
+def test_a_process_that_is_killed(refused, tmp_path, monkeypatch):
+    archive(tmp_path / "st.zip", good_members(2))
+
+    def killed(_):
+        with results_of([delayed(os.kill)(0, 0), delayed(os.abort)()], 2) as results:
+            return list(results)
+
+    monkeypatch.setattr("pipeline.data.statistics.facts_with_events", killed)
+    assert "--jobs" in refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
+
+
+def test_recordings_that_are_there_twice(tmp_path):
+    """Copies on both sides of the split, or in two classes, are said before a training."""
+    times = [[0, 1000 + n, 90_000] for n in range(20)]
+    own = [(([0, 1, 2], [0, 1, 1], t, [1, 0, 1]), f"class {n % 2}") for n, t in enumerate(times)]
+
+    def said(name, recordings):
+        data, lines = write_recordings(tmp_path / name, recordings, time_unit="us"), []
+        changes = {"data": {"source": str(data)}, "input": {"kind": "events"}}
+        stages.open_run(
+            RunFolder(tmp_path / "run"), Settings().with_values(changes), say=lines.append
+        )
+        return " ".join(line for line in lines if "also in" in line)
+
+    assert said("once.zip", own) == ""
+    both = said("twice.zip", own * 2)
+    assert "also in the training part" in both and "class" in both and "another" not in both
+    moved = said("moved.zip", [*own, (own[0][0], "class 1")])
+    assert "1 recordings are also in another class" in moved
 
 
 def test_every_kind_of_bad_recording_has_a_line(tmp_path, capsys):

@@ -262,7 +262,7 @@ def read_bundle(path) -> Bundle:
     """
     path = Path(path)
     if not path.is_dir():
-        raise UserError(f"{path}: there is no bundle; make it with 'stmnist convert RUN'")
+        raise UserError(f"{path}: there is no bundle; make it with 'stmnist convert'")
     manifest = read_json(path / "MANIFEST.json", "give the folder of a bundle, or " + _REMEDY)
     _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
     hashes = manifest.get("files")

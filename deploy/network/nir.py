@@ -82,8 +82,7 @@ def nir_graph(spec: NetworkSpec):
         for name, node in _neurons(nir, layer):
             nodes[name] = node
         if layer.recurrent is not None:
-            own = layer.neurons.amplitude / DT
-            loops[name] = nir.Linear(weight=layer.recurrent * own)
+            loops[name] = nir.Linear(weight=layer.recurrent * (layer.neurons.amplitude / DT))
         if layer.neurons is not None:
             area = layer.neurons.amplitude / DT
     nodes["output"] = nir.Output({"output": _channels_first(spec.layers[-1].shape)})

@@ -1,6 +1,7 @@
 """The command ``stmnist``: its sub-commands, and errors as one line and an exit status."""
 
 import sys
+from concurrent.futures import BrokenExecutor
 from functools import cached_property
 from importlib import import_module
 
@@ -193,6 +194,8 @@ def main(arguments=None, command=None, name: str = "stmnist"):
         status = 0
     except (MemoryError, OSError) as error:  # not handled by any module
         status = _say(line_of(error), 2)
+    except BrokenExecutor:  # joblib's
+        status = _say("a process was killed, perhaps for lack of memory; use fewer --jobs", 2)
     sys.exit(status or 0)
 
 

@@ -277,6 +277,7 @@ def _csv(content):
     separator = next((mark for mark in ",;\t" if mark in first), None)
     words = [word.strip().strip('"').lower() for word in first.split(separator)]
     text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
+    text = re.sub(r"\n\s*\n", "\n", text)  # NumPy warns of empty lines
     known = {name for names in NAMES.values() for name in names}
     has_names = any(word in known for word in words)
     try:

@@ -254,8 +254,7 @@ def _unit_of(path, recordings, parts, reading):
 def _of_other_sensors(path, recordings, parts, reading):
     """Recordings whose events cannot be from the same sensor as the others, with the reason."""
     extents = np.array([(int(r.y.max()) + 1, int(r.x.max()) + 1) for r in recordings])
-    limits = np.array([reading.rows or np.inf, reading.columns or np.inf])
-    outside = (extents > limits).any(axis=1)
+    outside = (extents > np.array([reading.rows or np.inf, reading.columns or np.inf])).any(axis=1)
     sizes = Counter(r.size for r in recordings if r.size)
     if 2 * outside.sum() >= len(recordings):
         size = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)

@@ -141,17 +141,24 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     return None
 
 
-def in_both_parts(recordings: Recordings) -> list:
-    """Recordings of the training part that are also in the test part.
+def copies(recordings: Recordings, split: Split) -> tuple:
+    """Recordings with the same events, where that says that an accuracy is not what it seems.
 
     Returns
     -------
-    list of (str, str)
-        Ids of a training and a test recording with the same events.
+    in_training, in_classes : list of (str, str)
+        Ids of a recording and of its copy: in the training and the test part; in two classes.
+        Recordings without events have no copies.
     """
-    hashes = list(zip(recordings.parts, recordings.hashes(), recordings.ids, strict=True))
-    train = {content: name for part, content, name in reversed(hashes) if part == "train"}
-    return [(train[c], name) for part, c, name in hashes if part == "test" and c in train]
+    ids, labels, sizes = recordings.ids, recordings.labels, np.diff(recordings.offsets)
+    content = [
+        h if n else i for i, (h, n) in enumerate(zip(recordings.hashes(), sizes, strict=True))
+    ]
+    train = {content[i]: i for i in (*split.validation[::-1], *split.train[::-1])}
+    first = {c: i for i, c in reversed([*enumerate(content)])}
+    in_training = [(ids[train[content[i]]], ids[i]) for i in split.test if content[i] in train]
+    others = ((first[c], i) for i, c in enumerate(content) if labels[first[c]] != labels[i])
+    return in_training, [(ids[one], ids[other]) for one, other in others]
 
 
 def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split:

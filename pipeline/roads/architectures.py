@@ -49,8 +49,7 @@ def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels
     size, end = f"{rows}x{columns}" + (f"x{channels}" if channels > 1 else ""), f"{classes}o"
     if on_events:
         stride = max(3, math.floor(side / EVENT_MAP))
-        first = f"24c{stride + 1}s{stride}"
-        middle = [first, f"{hidden}"] if smallest > stride else [f"{hidden}"]
+        middle = [f"24c{stride + 1}s{stride}", f"{hidden}"] if smallest > stride else [f"{hidden}"]
     elif smallest < SMALLEST_GRID:
         middle = [f"{hidden}"]
     elif side <= LARGEST_MAP + 3:

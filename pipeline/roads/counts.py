@@ -94,8 +94,7 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
             if (accuracy := float(np.concatenate(right).mean())) > best:
                 best, chosen = accuracy, (slices, strength, rows)
     slices, strength, rows = chosen
-    everything = np.arange(len(labels))
-    scores = _scores(rows, labels, training, everything, classes, strength)
+    scores = _scores(rows, labels, training, np.arange(len(labels)), classes, strength)
     return Baseline(scores, slices, strength, best)
 
 

@@ -502,8 +502,7 @@ def _samples(model, data, recipe, seed, altered):
             part = slice(start, start + some)
             drawn = []
             for rng, layer in zip(noises, noisy, strict=True):
-                shape = (len(order[part]), *layer.input_shape[1:])
-                values = rng.standard_normal(shape, np.float32)
+                values = rng.standard_normal((len(order[part]), *layer.input_shape[1:]), np.float32)
                 drawn.append(tf.constant(np.multiply(values, layer.noise, out=values)))
             kept = []
             for rng, layer in zip(masks, dropped, strict=True):

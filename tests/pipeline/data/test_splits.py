@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.data.splits import (
+    copies,
     draw_check_samples,
     hold_out,
-    in_both_parts,
+    published_split,
     random_split,
     split_of,
     split_problem,
@@ -105,13 +106,19 @@ def test_too_few_recordings_of_a_class(parts, labels, fact):
 
 def test_the_same_recording_in_both_parts():
     read = published()
-    assert in_both_parts(read) == []
+    assert copies(read, published_split(read.parts, 0)) == ([], [])
     again = [(5_000, 0, 1, 3), (6_000, 1, 1, 1)]  # the first one, later and in other columns
     doubled = recordings(
         *([(0, 0, 1, 1), (1000, 1, 1, 1)], [(0, 0, -1, 1), (1000, 1, 1, 1)], again),
         parts=["train", "train", "test"],
     )
-    assert in_both_parts(doubled) == [("0/0", "0/2")]
+    assert copies(doubled, published_split(doubled.parts, 0)) == ([("0/0", "0/2")], [])
+    elsewhere = replace(doubled, labels=np.array([0, 1, 1]), parts=())  # one in two classes
+    in_training, in_classes = copies(elsewhere, random_split(3, 0, 0.34))
+    assert in_classes == [("0/0", "0/2")]
+    assert len(in_training) == (1 in random_split(3, 0, 0.34).train)
+    empty = recordings([], [], labels=[0, 1])
+    assert copies(empty, random_split(2, 0, 0.5)) == ([], [])
 
 
 @given(st.permutations(range(6)))

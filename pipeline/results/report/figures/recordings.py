@@ -38,7 +38,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
         Index of the recording.
     """
     events, sensor = recordings[index], recordings.sensor
-    duration_s = _duration_s(recordings, events)
+    duration_s = int(events.time_ns.max(initial=0)) * 1e-9 or sensor.duration_s
     taxels, figure = recordings.taxels, Figure(figsize=(10, 7), layout="constrained")
     figure.suptitle(_title(recordings, index), x=0.01, ha="left")
     if _is_strip(taxels):
@@ -58,7 +58,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
         meaning = f": pressure {'rises' if polarity > 0 else 'falls'}" * recordings.source.simulated
         marks = {"colors": colour(name), "linewidths": 2, "label": name.upper() + meaning}
         axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, snap=False, **marks)
-    axes.set(xlim=(0, duration_s), ylim=(place.max() + 0.5, -0.5))
+    axes.set(xlim=(0, duration_s), ylim=(place.max() + 1, -1))
     axes.set_xlabel("time (s)")
     axes.set_ylabel("taxel" + ", row by row" * is_grid)
     legend = axes.legend(loc="upper right", bbox_to_anchor=(1, -0.05), ncols=2, frameon=False)
@@ -142,11 +142,6 @@ def _scale(figure, width, height, most):
     axes.text(1.06, 0.5, most, transform=axes.transAxes, va="center", size=8)
 
 
-def _duration_s(recordings, events):
-    """Seconds to draw: a recording in the published layout may be longer than its sensor's 2 s."""
-    return max(recordings.sensor.duration_s, (int(events.time_ns.max(initial=0)) + 1) * 1e-9)
-
-
 def _is_strip(taxels):
     """True if taxels are in one row or column, and their positions are not known."""
     return taxels.positions is None and 1 in (np.ptp(taxels.row) + 1, np.ptp(taxels.column) + 1)
@@ -170,7 +165,8 @@ def _show(axes, taxels, image, width):
 def _show_over_time(axes, recordings, index):
     """Number of events of each taxel in each interval of time, as shades of its square root."""
     events, n = recordings[index], len(recordings.taxels)
-    duration_ns = 1e9 * _duration_s(recordings, events)
+    # A recording in the published layout may be longer than its sensor's two seconds.
+    duration_ns = max(1e9 * recordings.sensor.duration_s, int(events.time_ns.max(initial=0)) + 1)
     ranges = ((0, n), (0, duration_ns))
     counts, _, _ = np.histogram2d(events.taxel, events.time_ns, (n, BINS), ranges)
     axes.imshow(np.sqrt(counts), aspect="auto", cmap=SHADES, vmin=0)
