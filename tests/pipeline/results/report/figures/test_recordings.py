@@ -30,16 +30,13 @@ def drawn(figure):
 def test_recording(recordings):
     figure = data_figures.recording(recordings, 0)
     *frames, raster, _ = figure.get_axes()  # the last is the scale
-    first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[0], frames[-1]))
+    first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[1], frames[-1]))
     assert len(frames) == 8
     assert first[3, 0] > 0
-    assert first[0, 7] == first[3, 0]  # one event each within the first quarter of a second
+    assert first[0, 7] == first[3, 0]  # one event each within a quarter of the 1.5 s
     assert last[0, 7] == 1.0  # two events at the end, the most of all
     assert last[3, 0] == 0.5
-    assert (raster.get_xlim(), raster.get_ylim()) == (
-        (0, 2),
-        (99.5, -0.5),
-    )  # row by row, from above
+    assert (raster.get_xlim(), raster.get_ylim()) == ((0, 1.5), (100, -1))  # row by row, from above
     on, off = raster.collections
     # ON in the upper half of a taxel's row, OFF in the lower half.
     np.testing.assert_allclose(
