@@ -243,6 +243,7 @@ link.on("ready", (network) => {
 
 link.on("cleared", (message) => {
   const started = strokes.filter((stroke) => stroke.at >= message.begun_ms); // received already
+  const again = recording !== null && !kept && message.recording !== null;
   forget();
   if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
@@ -250,7 +251,8 @@ link.on("cleared", (message) => {
   document.body.classList.toggle("example", Boolean(message.example));
   if (message.example) showExample(message.example);
   for (const id of ["hint", "status"]) $(id).classList.toggle("gone", recording !== null);
-  $("told").textContent = message.example ? "An example cannot be saved; clear it and write one." : "";
+  $("told").textContent = message.example ? "An example cannot be saved; clear it and write one."
+    : again ? "A new recording: a touch after a pause of 1.5 s begins one." : "";
   unmark();
   complain(null);
 });
