@@ -5,7 +5,7 @@ Give digits of several people in the UNIPEN format, such as the file of the trai
 
     python examples/pen.py FILE pen.zip              # 1,500 digits, drawn at random
     python examples/pen.py FILE reversed.zip reversed  # all strokes written from end to start
-    stmnist check run pipeline/live/bundle --data pen.zip
+    stmnist check run pipeline/live/bundle --data pen.zip --target fast --samples 0
 """
 
 import sys

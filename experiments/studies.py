@@ -156,6 +156,8 @@ CNN_AUGMENTED = Line(
     {"cnn": {"augment": "space"}},
 )
 
+COUNTS = Line("counts", "logistic regression on event counts", "counts")
+
 # The experiments, by which ``python -m experiments`` finds them.
 EXPERIMENTS = (
     Experiment(
@@ -163,6 +165,7 @@ EXPERIMENTS = (
         "The paper's Table 2",
         "40 min; SLAYER 20 h, events 80 min",
         (
+            COUNTS,
             Line("cnn", "CNN, the paper's recipe", "cnn"),
             Line("ann-snn", "ANN-SNN (NengoDL)", "spiking-lif", PAPER),
             *_chip("loihi", "ANN-SNN", PAPER),
@@ -246,7 +249,7 @@ EXPERIMENTS = (
         "Recordings of real sensors (--data)",
         "10 min a seed",
         (
-            Line("counts", "logistic regression on event counts", "counts"),
+            COUNTS,
             Line("cnn", "CNN on images", "cnn"),
             Line("rate-lif", "rate-based LIF on images", "rate-lif"),
             Line("chip", "ANN-SNN, emulated Loihi, readout on host", "fast", OWN),
