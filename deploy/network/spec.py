@@ -536,9 +536,8 @@ def _stimulus(value):
 
 
 def _only(values, known, where):
-    unknown = sorted(set(values) - set(known))
-    listed = ", ".join(name[:40] for name in unknown[:10])
-    _require(not unknown, where, f"unknown entries {listed}")
+    unknown = [name[:40] for name in sorted(set(values) - set(known))]
+    _require(not unknown, where, f"unknown entries {', '.join(unknown[:10])}")
 
 
 def _is_name(name):

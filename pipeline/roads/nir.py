@@ -172,8 +172,7 @@ def input_spikes(stimulus, samples, steps):
 
 def _in_places(values):
     """Values (n, channels, rows, columns), or flat, converted to the chip's order and flattened."""
-    moved = np.moveaxis(values, 1, -1) if values.ndim > 2 else values
-    return moved.reshape(len(values), -1)
+    return (np.moveaxis(values, 1, -1) if values.ndim > 2 else values).reshape(len(values), -1)
 
 
 def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=None) -> Responses:

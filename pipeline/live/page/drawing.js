@@ -57,7 +57,7 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
     : (taxel) => [(column(taxel) + 0.5) * wide, (row(taxel) + 0.5) * high];
   let moves = false;
   if (asItIs) fillDots(context, counts, place, cell * 0.3);
-  else fillTaxels(context, counts, wide, high, 0.3);
+  else fillTaxels(context, counts, wide, high, 0.6);
   context.fillStyle = colour("--soft");
   if (flashes.length <= DOTS)
     for (let taxel = 0; taxel < flashes.length; taxel++) {
@@ -67,7 +67,7 @@ export function drawSkin(canvas, strokes, counts, flashes, now) {
     }
   context.globalAlpha = 0.25;
   context.strokeStyle = context.fillStyle = colour("--ink");
-  context.lineWidth = cell * 0.5;
+  context.lineWidth = cell * 0.3;
   context.lineCap = context.lineJoin = "round";
   for (const stroke of strokes) {
     context.beginPath();
@@ -287,8 +287,10 @@ function drawBelief(context, race, curves, x, y, high, lane) {
   const { seconds, chances, threshold, classes, verdict } = race;
   const decides = `decides at ${(100 * threshold).toFixed(1)} %`;
   if (threshold === null) caption(context, y, lane, "softmax of the outputs, 0 to 100 %");
-  else caption(context, y, lane, `probability, 0 to 100 %; dotted: ${decides}`, `dotted: ${decides}`);
+  else caption(context, y, lane, `probability, 0 to 100 %; dotted: ${decides}`, `probability; dotted: ${(100 * threshold).toFixed(1)} %`);
   if (!seconds.length) return;
+  context.fillStyle = colour("--line");
+  for (const share of [0.5, 1]) context.fillRect(LEFT, y + rise(share, high), lane, 1);
   curves.forEach((label, i) => {
     context.strokeStyle = colour(LINES[i]);
     context.lineWidth = i === 0 ? 2.5 : 1.2;

@@ -54,7 +54,7 @@ function forget() {
 
 function describe() {
   const { rows, columns, classes, digits } = about;
-  document.title = digits ? "Write a digit on the skin" : `${about.trained_on}: draw on the sensor`;
+  document.title = digits ? "Write a digit on the skin" : `${about.trained_on}: play or draw`;
   $("title").textContent = digits ? "Write a digit" : document.title;
   $("falls").hidden = about.polarities === 1;
   $("hint").textContent = !canDraw() ? "Show me an example" : digits ? "Write here, large" : "Draw here, large";
@@ -102,6 +102,7 @@ function labelButton(name, label) {
 // A name of one character is its own key; otherwise the first nine classes have the digits 1 to 9.
 function keyOf(label) {
   if (about.classes.every((name) => /^[0-9]$/.test(name))) return about.classes[label];
+  if (about.classes.every((name) => /^[0-9]+$/.test(name))) return null; // 1 is not the class 00
   return label < 9 ? String(label + 1) : null;
 }
 
@@ -464,11 +465,13 @@ function showDecision(message) {
   output.dataset.events = message === null ? 0 : message.events; // to which it is the answer
   const unsure = verdict !== null && verdict.confidence < 0.5;
   const told = verdict !== null && example !== "" && !chance;
-  output.classList.toggle("open", verdict === null || unsure);
+  const differs = verdict?.early && pen.settled && message.decision !== label; // from the answer at the end
+  output.classList.toggle("open", verdict === null || unsure || differs);
   output.classList.toggle("right", told && example === String(label));
   output.classList.toggle("wrong", told && example !== String(label));
   const sure = label === null ? "" : percent(confidence);
-  $("confidence").textContent = unsure ? (chance ? "Not sure" : `Not sure (${sure})`) : chance ? "…" : sure;
+  const early = verdict === null && confidence < 0.4; // would only flicker
+  $("confidence").textContent = unsure ? (chance ? "Not sure" : `Not sure (${sure})`) : chance || early ? "…" : sure;
   $("decided").classList.remove("changed");
   $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
   if (verdict === null) {
@@ -476,11 +479,11 @@ function showDecision(message) {
     $("decided").textContent = label !== null ? "so far"
       : threshold === null ? "The network decides at the end." : `The network decides when it is ${percent(threshold)} sure.`;
   } else {
-    const ended = verdict.early && pen.settled && message.decision !== label ? `; at the end it would be ${named(message.decision)}` : "";
+    const ended = differs ? `; at the end it would be ${named(message.decision)}` : "";
     const right = chance ? `; a guess: ${classes[label]}` : example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
     $("decided").classList.toggle("changed", ended !== "");
     $("decided").textContent =
-      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : `${unsure ? "" : "sure"} at the end`) + right + ended;
+      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : ready?.threshold == null ? "softmax at the end" : "at the end") + right + ended;
   }
   const items = [...$("scores").children];
   let best = classes.map((_, label) => label);

@@ -97,7 +97,9 @@ def line_chart(
             around = _points(x_axis, y_axis, (*s.x, *s.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
         marks.append(_line(x_axis, y_axis, s, number))
-    marks += [_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %") for a, b, name in points]
+    for a, b, name in points:
+        marks.append(_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %"))
+        marks.append(_text(x_axis(a) - 8, y_axis(b) + 4, f"{name} {b:.1f}", "end"))
     return _svg(WIDTH, HEIGHT, marks, description)
 
 

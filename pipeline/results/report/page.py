@@ -271,10 +271,10 @@ def _over_time(inputs):
     series = charts.Series(name, tuple(x), tuple(100 * a for a in y), band)
     early = written and written.get("by_itself")
     early = early if early and early["confidence"] < 1 else None
-    points = [(x[-1], 100 * result["accuracy"], "at the end of the presentation")]
+    points = [(x[-1], 100 * result["accuracy"], "end")]
     if early:
         share = 100 * early["share_of_writing_mean"]
-        points.append((share, 100 * early["accuracy"], "early decisions, at their mean time"))
+        points.append((share, 100 * early["accuracy"], "early"))
     about = "accuracy, %", "Accuracy over time"
     return {
         "chart": charts.line_chart([series], label, *about, points=points),
@@ -384,7 +384,6 @@ def _stories(inputs):
             )
             for layer in replay.layers
         ]
-        extent = spec.presentation.steps * step_ms
         stories.append(
             {
                 "index": index,
@@ -396,7 +395,7 @@ def _stories(inputs):
                 "early": (at_ms[end], classes[replay.answer], point[1]) if is_early else None,
                 "chart": charts.timeline(
                     [*layers, lines],
-                    extent,
+                    spec.presentation.steps * step_ms,
                     "milliseconds since the start of the presentation",
                     f"Spikes and probabilities over time, sample {sample['id']}",
                     mark=at_ms[end] if is_early else None,

@@ -58,8 +58,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     times = step * (start + 1 + np.arange(len(chances)))
     heights = [1.0] * len(played.layers) + [1.4]
     figure = Figure(figsize=(10, 1.2 + 1.2 * len(heights)), layout="constrained", dpi=90)
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.06)
     left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
-    picture, said = left.subplots(2, 1, height_ratios=[2, 1])
+    picture, said = left.subplots(2, 1, height_ratios=[1.6, 1])
     panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     kind = "simulated " if spec.provenance.get("simulated") else ""
     right.suptitle(f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}", ha="center")
@@ -70,7 +71,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     said.set_axis_off()
     middle = {"x": 0.5, "ha": "center", "va": "center"}
     names = [shortened(name, 16) for name in classes]
-    size = min(60, 400 / max(map(len, names)))
+    size = min(48, 400 / max(map(len, names)))
     answered = said.text(y=0.7, s="…", size=size, color=colour("soft"), **middle)
     verdict = said.text(y=0.15, s="", size=14, **middle)
     clocks = [axes.axvline(0, color=colour("ink"), linewidth=1.5) for axes in panels]
@@ -103,7 +104,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     scores.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     when = "at the end" if end == times[-1] else f"decided after {end / 1000:.2f} s"
-    when += f"\n{measure} {100 * chances[played.decided, answer]:.0f} %"
+    when += f"\n{measure} {_percent(chances[played.decided, answer])}"
     ended = f"{when}: {'right' if answer == label else f'wrong, was {names[label]}'}"
     canvas, frames = FigureCanvasAgg(figure), []
     canvas.draw()
@@ -118,9 +119,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             line.set_data(times[times <= now], 100 * chances[times <= now, c])
         step_now = min(np.searchsorted(times, now, side="right") - 1, played.decided)
         if step_now >= 0:
-            best = int(chances[step_now].argmax())
-            answered.set_text(names[best])
-            verdict.set_text(f"{100 * chances[step_now, best]:.0f} %")
+            answered.set_text(names[chances[step_now].argmax()])
+            verdict.set_text(f"{measure} {_percent(chances[step_now].max())}")
         if now >= end:
             answered.set(text=names[answer], color=colour("right" if answer == label else "wrong"))
             verdict.set_text(ended)
@@ -138,6 +138,10 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         )
 
 
+def _percent(share):
+    return f"{min(100 * share, 99.9):.3g} %"
+
+
 def _picture(axes, growing, positions):
     """Draw an empty picture of the sensor; return the function that draws values on it."""
     shades = {"cmap": SHADES, "vmin": 0, "vmax": growing[-1].max()}
@@ -146,7 +150,8 @@ def _picture(axes, growing, positions):
         across = (1, 0) if rows == 1 else (0, 1)  # a strip runs down, like the rows of its raster
         image = axes.imshow(growing[0].transpose(across) * 0, aspect="auto", **shades)
         axes.set_box_aspect(np.clip(columns if rows == 1 else rows / columns, 0.25, 4))
-        axes.set_xlabel(f"{columns} taxels" if rows == 1 else f"{rows} x {columns} taxels")
+        most = f" taxels; the darkest: {growing[-1].max():.0f}"
+        axes.set_xlabel(f"{rows} x " * (rows > 1) + f"{columns}{most}")
         return lambda values: image.set_data(values.transpose(across))
     dots = axes.scatter(*positions.T, 120, 0 * positions[:, 0], edgecolors="0.7", **shades)
     axes.set_aspect("equal", adjustable="datalim")

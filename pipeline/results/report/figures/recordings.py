@@ -125,11 +125,10 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
                 _show_over_time(axes, recordings, index)
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
-    what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down"
-    what *= _is_strip(recordings.taxels)
+    is_strip = _is_strip(recordings.taxels)
+    what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down" * is_strip
     figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
-    root = " (square root)" * _is_strip(recordings.taxels)
-    _scale(figure, width, height, f"most{root}, in each picture")
+    _scale(figure, width, height, "most (square root)" if is_strip else "most, in each picture")
     return figure
 
 
