@@ -203,8 +203,7 @@ def _link(nodes, step, method, before, place, is_image, last, read) -> Link:
     neurons = np.arange(outputs) if last else _to_places(shape)
     matrix, bias = matrix[:, neurons], bias[neurons]
     if loop is not None:
-        own = loop["weight"].T * gain.reshape(-1)
-        common["loop"] = own[np.ix_(neurons, neurons)]
+        common["loop"] = (loop["weight"].T * gain.reshape(-1))[np.ix_(neurons, neurons)]
     return Link(
         kind="dense", input_shape=place, shape=(outputs,), weights=matrix, bias=bias, **common
     )

@@ -427,8 +427,7 @@ def write_recordings(
             except BadRecording as error:
                 problems.setdefault(str(error), []).append(index)
                 continue
-            part = "" if parts is None else parts[index]
-            member = PurePosixPath(part, name, f"{index:06d}.npz")
+            member = PurePosixPath("" if parts is None else parts[index], name, f"{index:06d}.npz")
             archive.writestr(zipfile.ZipInfo(str(member), ZIP_TIME), content)
             written += 1
         if sizes - {index + 1}:

@@ -105,8 +105,7 @@ def fitted(
 
 def new_run_text(path, recordings: Recordings, settings: Settings) -> str:
     """The first message of a new run: source and properties of its recordings, and their split."""
-    parts = [reading_text(recordings), split_text(recordings, settings)]
-    text = ", ".join(filter(None, parts))
+    text = ", ".join(filter(None, [reading_text(recordings), split_text(recordings, settings)]))
     return f"{path}: a new run, on {recordings.source.name}: {text}"
 
 

@@ -596,8 +596,7 @@ def train_estimator(outputs, right, seed: int) -> Estimator:
     for variable, value in zip(model.optimizer.variables, untouched, strict=True):
         variable.assign(value)
     for index, layer in enumerate(model.layers):
-        draw = tf.keras.initializers.GlorotUniform(seed + index)
-        layer.kernel.assign(draw(layer.kernel.shape))
+        layer.kernel.assign(tf.keras.initializers.GlorotUniform(seed + index)(layer.kernel.shape))
         layer.bias.assign(tf.zeros_like(layer.bias))
     rng = np.random.default_rng([seed, 0x10D6])
     for _ in range(ESTIMATOR_EPOCHS):

@@ -280,8 +280,15 @@ function curvesOf({ seconds, chances, classes, verdict }) {
   const most = classes.map((_, label) => seconds.reduce((most, _, step) => Math.max(most, chances[step * classes.length + label]), 0));
   const last = (seconds.length - 1) * classes.length;
   const rank = (label) => (label === verdict?.label ? 1000 : verdict ? most[label] : chances[last + label]);
-  return [...classes.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, LINES.length);
+  const top = [...classes.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, LINES.length);
+  lines = lines.map((label) => (top.includes(label) ? label : null));
+  for (const label of top) if (!lines.includes(label)) lines[lines.indexOf(null)] = label;
+  return top;
 }
+
+// The class of each colour: a class keeps its colour as long as it is drawn.
+let lines = LINES.map(() => null);
+const lineOf = (label) => colour(LINES[lines.indexOf(label)]);
 
 function drawBelief(context, race, curves, x, y, high, lane) {
   const { seconds, chances, threshold, classes, verdict } = race;
@@ -292,14 +299,14 @@ function drawBelief(context, race, curves, x, y, high, lane) {
   context.fillStyle = colour("--line");
   for (const share of [0.5, 1]) context.fillRect(LEFT, y + rise(share, high), lane, 1);
   curves.forEach((label, i) => {
-    context.strokeStyle = colour(LINES[i]);
+    context.strokeStyle = lineOf(label);
     context.lineWidth = i === 0 ? 2.5 : 1.2;
     context.beginPath();
     seconds.forEach((at, step) => context.lineTo(x(at), y + rise(chances[step * classes.length + label] / 255, high)));
     context.stroke();
   });
   if (verdict) {
-    context.fillStyle = colour(LINES[0]);
+    context.fillStyle = lineOf(verdict.label);
     context.beginPath();
     context.arc(x(verdict.seconds), y + rise(verdict.confidence, high), 5, 0, 7);
     context.fill();
@@ -321,10 +328,10 @@ function nameCurves(context, { seconds, chances, classes }, curves, left, y, hig
   ends.sort((a, b) => b.at - a.at || b.i - a.i); // from below
   let free = y + high + 4;
   context.textAlign = "left";
-  for (const { label, i, at } of ends) {
+  for (const { label, at } of ends) {
     const place = Math.min(at + 4, free);
     free = place - 13;
-    context.fillStyle = context.strokeStyle = colour(LINES[i]);
+    context.fillStyle = context.strokeStyle = lineOf(label);
     context.lineWidth = 1; // from the curve to its name
     context.beginPath();
     context.moveTo(left - 6, at);

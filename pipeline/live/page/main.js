@@ -436,7 +436,7 @@ function showExamples() {
 
 function showExample(example) {
   kept = true;
-  $("shown").textContent = `Test sample ${example.name}: it is ${named(example.label)}.`;
+  $("shown").textContent = `${about.simulated ? "Test sample" : "Recorded test sample"} ${example.name}: it is ${named(example.label)}.`;
   $("shown").dataset.label = example.label;
   pen.watch();
 }
@@ -464,7 +464,7 @@ function showDecision(message) {
   output.textContent = label === null ? "" : verdict && chance ? "?" : classes[label];
   output.dataset.events = message === null ? 0 : message.events; // to which it is the answer
   const unsure = verdict !== null && verdict.confidence < 0.5;
-  const told = verdict !== null && example !== "" && !chance;
+  const told = verdict !== null && example !== "" && !unsure;
   const differs = verdict?.early && pen.settled && message.decision !== label; // from the answer at the end
   output.classList.toggle("open", verdict === null || unsure || differs);
   output.classList.toggle("right", told && example === String(label));

@@ -99,7 +99,7 @@ def line_chart(
         marks.append(_line(x_axis, y_axis, s, number))
     for a, b, name in points:
         marks.append(_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %"))
-        marks.append(_text(x_axis(a) - 8, y_axis(b) + 4, f"{name} {b:.1f}", "end"))
+        marks.append(_text(x_axis(a), y_axis(b) - 9, f"{name} {b:.1f}", "end"))
     return _svg(WIDTH, HEIGHT, marks, description)
 
 
@@ -158,7 +158,9 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
             levels = map(y_axis, panel.levels)
             marks += [_segment("axis level", LEFT, y, width - RIGHT, y) for y in levels]
             marks += [_line(x_axis, y_axis, s, n, 100) for n, s in enumerate(panel.series, 1)]
-            marks += [_dot(x_axis(a), y_axis(b), f"{100 * b:.1f} %") for a, b in panel.points]
+            marks += [
+                _dot(x_axis(a), y_axis(b), f"{100 * b:.1f} %", "end") for a, b in panel.points
+            ]
         y = bottom + gap
     end = y - gap
     if mark is not None:
@@ -289,8 +291,8 @@ def _segment(name, x1, y1, x2, y2):
     return f'<line class="{name}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
 
 
-def _dot(x, y, said):
-    return f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="4.5">{_title(said)}</circle>'
+def _dot(x, y, said, name="dot"):
+    return f'<circle class="{name}" cx="{x:.1f}" cy="{y:.1f}" r="4.5">{_title(said)}</circle>'
 
 
 def _text(x, y, text, anchor):

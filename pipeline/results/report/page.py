@@ -275,7 +275,7 @@ def _over_time(inputs):
     if early:
         share = 100 * early["share_of_writing_mean"]
         points.append((share, 100 * early["accuracy"], "early"))
-    about = "accuracy, %", "Accuracy over time"
+    about = "accuracy, %", "Accuracy over time", 0
     return {
         "chart": charts.line_chart([series], label, *about, points=points),
         "name": name,

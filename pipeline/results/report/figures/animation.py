@@ -77,6 +77,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     clocks = [axes.axvline(0, color=colour("ink"), linewidth=1.5) for axes in panels]
     end, dots = times[played.decided], {"color": colour("ink"), "linestyle": ":", "visible": False}
     ends = [axes.axvline(end, **dots) for axes in panels]
+    # What comes after the decision does not count, and is faded.
+    faded = {"color": "white", "alpha": 0.6, "linewidth": 0, "zorder": 2.4, "visible": False}
+    ends += [axes.axvspan(end, extent, **faded) for axes in panels]
     marks = []
     for axes, layer in zip(panels, played.layers, strict=False):
         axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, extent), yticks=[])
@@ -95,8 +98,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     limit = 100 * (spec.presentation.confidence or 1)
     measure = "probability" if spec.estimator else "softmax"
     probability = f"{measure}, %" + f"\n(decides at {limit:.1f})" * (limit < 100)
-    time = f"milliseconds, shown at {extent / (FRAMES * FRAME_MS):.2g} times the speed"
-    scores.set(ylim=(0, 106), xlabel=time, ylabel=probability)
+    speed = extent / (FRAMES * FRAME_MS)
+    speed = f"{speed:.2g} times faster" if speed > 1 else f"{1 / speed:.2g} times slower"
+    scores.set(ylim=(0, 106), xlabel=f"milliseconds, shown {speed}", ylabel=probability)
     lines = {
         c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
         for n, c in enumerate(played.shown(label), 1)
@@ -131,11 +135,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         if advance is not None:
             advance()
     # The result is first, too: some programs show the first frame only.
-    durations = [FRAME_MS] * FRAMES + [LAST_MS]
+    rest = {"duration": [FRAME_MS] * FRAMES + [LAST_MS], "loop": 0}
     with replacing(path) as file:
-        frames[-1].save(
-            file, "gif", save_all=True, append_images=frames, duration=durations, loop=0
-        )
+        frames[-1].save(file, "gif", save_all=True, append_images=frames, **rest)
 
 
 def _percent(share):
@@ -150,8 +152,8 @@ def _picture(axes, growing, positions):
         across = (1, 0) if rows == 1 else (0, 1)  # a strip runs down, like the rows of its raster
         image = axes.imshow(growing[0].transpose(across) * 0, aspect="auto", **shades)
         axes.set_box_aspect(np.clip(columns if rows == 1 else rows / columns, 0.25, 4))
-        most = f" taxels; the darkest: {growing[-1].max():.0f}"
-        axes.set_xlabel(f"{rows} x " * (rows > 1) + f"{columns}{most}")
+        most = f"; darkest at the end: {growing[-1].max()}" * (len(growing) > 1)
+        axes.set_xlabel(f"{rows} x " * (rows > 1) + f"{columns} taxels{most}")
         return lambda values: image.set_data(values.transpose(across))
     dots = axes.scatter(*positions.T, 120, 0 * positions[:, 0], edgecolors="0.7", **shades)
     axes.set_aspect("equal", adjustable="datalim")
