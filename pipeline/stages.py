@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from deploy import __version__
@@ -31,7 +31,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.artifacts import DELETE_IT, Artifact, Library, Origin
-from pipeline.data.dataset import TRAINED_ON, Dataset
+from pipeline.data.dataset import Dataset
 from pipeline.data.events import facts_of
 from pipeline.data.library import recordings_of
 from pipeline.data.source import left_out_lines
@@ -271,18 +271,10 @@ def convert(opened: Opened) -> Bundle:
     lost = left_out_lines(source.name, recordings) if source.left_out else []
     provenance = {
         "made_from": origin.to_json(),
-        "source": source.name,
-        "source_sha256": source.sha256,
-        "simulated": source.simulated,
-        "polarities": recordings.sensor.polarities,
-        "classes": list(recordings.sensor.classes),
+        **dataset.provenance,
         "seed": view.seed,
         "recipe": seen.road.recipe,
         "package": __version__,
-        **({"image": asdict(view.image)} if "image.slices" in origin.settings else {}),
-        **({"time_unit": source.time_unit} if source.time_unit else {}),
-        **_of_the_sensor(view, recordings.taxels),
-        **_trained_on(dataset),
         "warnings": [
             line.removeprefix(WARNING)
             for line in (*lost, *_notes_on_recordings(seen))
@@ -302,20 +294,6 @@ def convert(opened: Opened) -> Bundle:
             "training; compare the predictions of 'stmnist ladder', or use fewer neurons"
         )
     return bundle
-
-
-def _of_the_sensor(settings, taxels):
-    """Entries of the provenance for reading other recordings of the sensor, and for drawing it."""
-    of_sensor = {} if taxels.positions is None else {"positions": taxels.positions.tolist()}
-    if settings.data.source != SIMULATED and settings.data.downsample > 1:
-        of_sensor["downsample"] = settings.data.downsample
-    return of_sensor
-
-
-def _trained_on(dataset):
-    """Hashes of the recordings that the network was made with, so that they are recognised."""
-    split, hashes = dataset.split, dataset.recordings.hashes()
-    return {TRAINED_ON: sorted({hashes[i] for i in (*split.train, *split.validation)})}
 
 
 def bundle_artifact(run: RunFolder, road: Road, dataset: Origin) -> Artifact:

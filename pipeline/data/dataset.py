@@ -105,6 +105,23 @@ class Dataset:
             self._made[key] = inputs_of(self.recordings, self.settings)
         return self._made[key]
 
+    @property
+    def provenance(self) -> dict:
+        """Entries of a network's provenance: what other recordings are read with and known by."""
+        recordings, split, data = self.recordings, self.split, self.settings.data
+        source, places, hashes = recordings.source, recordings.taxels.positions, recordings.hashes()
+        return {
+            "source": source.name,
+            "source_sha256": source.sha256,
+            "simulated": source.simulated,
+            "polarities": recordings.sensor.polarities,
+            "classes": list(recordings.sensor.classes),
+            "positions": None if places is None else places.tolist(),
+            "time_unit": source.time_unit or None,
+            "downsample": 1 if data.source == SIMULATED else data.downsample,
+            TRAINED_ON: sorted({hashes[i] for i in (*split.train, *split.validation)}),
+        }
+
     def seen_by(self, view: Settings) -> Dataset:
         """The same samples, with inputs that are made with the settings of a view only."""
         return replace(self, settings=view)

@@ -283,7 +283,7 @@ def deployed(settings: Settings, weights: dict, provenance: dict, data) -> Netwo
     weights : dict
         Weights of the rate-based network.
     provenance : dict
-        Stored in the bundle.
+        Stored in the bundle; :attr:`Dataset.provenance` has what other recordings are read with.
     data : (images, labels)
         Training samples, which determine the range of a readout on the chip.
 
@@ -306,6 +306,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     """As :func:`deployed`; ``range_of`` is that of :func:`models.chain.from_rates`."""
     architecture, synapse = parse(settings.cnn.architecture), settings.deployment.synapse
     links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
+    provenance = {"image": asdict(settings.image), **provenance}  # for other recordings
     return chain.deployed(links, settings.stimulus, settings.presented(), provenance)
 
 

@@ -427,8 +427,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         raise UserError(f"{bundle.path}: {error}") from error
     if spec.rehearsal is None:
         raise UserError(
-            f"{bundle.path}: has no responses to training samples (made by an earlier version); "
-            "delete it and make it again with 'stmnist convert'"
+            f"{bundle.path}: has no responses to training samples; 'stmnist convert' adds them"
         )
     person = responder.person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]

@@ -6,12 +6,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from deploy.check.bundle import CheckSet, write_bundle
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
-from pipeline.roads.image import to_spec
+from pipeline.data.dataset import Dataset, classes_of, inputs_for
+from pipeline.results.elsewhere import trained_on
+from pipeline.results.report.figures.animation import animate
+from pipeline.roads.image import deployed, to_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training import networks as training
@@ -154,3 +158,20 @@ def test_training_with_strides_pooling_and_dense_layers():
     assert {name: array.shape for name, array in single.weights.items()} == shapes
     assert np.isfinite(single.logits(images())).all()
     assert set(single.activations(images())) == {"conv1", "dense1"}
+
+
+def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
+    """A network that was made without a run has what a run's has to read other recordings."""
+    image = {"aggregation": "on", "normalisation": "sqrt-max", "duration": 500.0}
+    chosen = settings_of("10x10-4c3s3-10o").with_values(
+        {"data": {"source": "simulated", "samples_per_digit": 4}, "image": image}
+    )
+    dataset, weights = Dataset.of(chosen), random_weights("10x10-4c3s3-10o")
+    for provenance in ({}, dataset.provenance):
+        spec = deployed(chosen, weights, provenance, dataset.part("train"))
+        np.testing.assert_array_equal(inputs_for(spec, dataset.recordings), dataset.inputs)
+        checks = CheckSet(dataset.inputs[:2], dataset.labels[:2], ("a", "b"), 0)
+        bundle = write_bundle(tmp_path / f"b{len(provenance)}", spec, checks)
+        animate(tmp_path / "a.gif", bundle, 0)
+    assert classes_of(spec) == tuple("0123456789")
+    assert trained_on(bundle, dataset.recordings).sum() == len(dataset.split.train)

@@ -9,7 +9,7 @@ from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import replacing
 from deploy.tables import shortened
-from pipeline.data.dataset import positions_of
+from pipeline.data.dataset import classes_of, positions_of
 from pipeline.look import colour
 from pipeline.results.report.figures import SHADES
 from pipeline.results.report.samples import replay
@@ -51,7 +51,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     require_gif(path)
     spec = bundle.spec
     played = replay(bundle, [index], bundle.seed)[index]
-    classes, chances = spec.provenance["classes"], played.chances
+    classes, chances = classes_of(spec), played.chances
     step, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
     extent = step * spec.presentation.steps
     label, answer = int(bundle.checks.labels[index]), played.answer
