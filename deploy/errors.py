@@ -5,6 +5,9 @@ from .terminal import printable
 # Maximum number of characters of an error message, which may quote the content of a file.
 LONGEST = 2400
 
+# The message if a worker process ended without an answer.
+KILLED = "a process was killed, perhaps for lack of memory; use fewer --jobs"
+
 
 def one_line(message) -> str:
     """Format a message as one line that is safe to print.

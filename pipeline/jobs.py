@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from deploy.errors import UserError
+from deploy.errors import KILLED, UserError
 
 # Largest number of characters in a failure's line; the traceback has the whole message.
 MESSAGE_LENGTH = 160
@@ -153,9 +153,8 @@ def _in_processes(function, jobs, processes, meanwhile):
             for number, result in results:
                 yield left.pop(number), result
     except TerminatedWorkerError:
-        message = "a process was killed, perhaps for lack of memory; use fewer --jobs"
         for job in left.values():
-            yield job, Failure(message, message, UserError(message))
+            yield job, Failure(KILLED, KILLED, UserError(KILLED))
 
 
 def ignore_ctrl_c():

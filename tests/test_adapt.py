@@ -219,7 +219,7 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     assert not (tmp_path / "new").exists()
     # The network was made with the recordings of writer 3, which matters for that writer only.
     bundle = read_bundle(SHIPPED)
-    hashes = [several.hashes()[index] for index in np.flatnonzero(several.writers == 3)]
+    hashes = [several.hashes[index] for index in np.flatnonzero(several.writers == 3)]
     provenance = {**bundle.spec.provenance, "training_recordings": hashes}
     bundle = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
     for writer, number in ((3, 10), (4, 0)):

@@ -7,17 +7,11 @@ import numpy as np
 
 from pipeline.data.library import load_recordings
 from tests.command import ROOT
+from tests.experiments.test_unipen import SEVEN
 
-# A 7 in one stroke and a 1, of two people.
-DIGITS = """\
-.SEGMENT DIGIT 0 ? "7"
-.COMMENT 7 12 224
-.PEN_DOWN
- 100 200
- 200 200
- 150 0
-.PEN_UP
-.SEGMENT DIGIT 1 ? "1"
+# Another person's 1.
+ONE = """\
+.SEGMENT DIGIT 3 ? "1"
 .COMMENT 1 3 225
 .PEN_DOWN
  100 200
@@ -27,7 +21,7 @@ DIGITS = """\
 
 
 def test_pen(tmp_path, monkeypatch):
-    (tmp_path / "digits").write_text(DIGITS)
+    (tmp_path / "digits").write_text(SEVEN + ONE)
     read = {}
     for how in ((), ("reversed",)):
         out = tmp_path / f"{len(how)}.zip"

@@ -84,7 +84,7 @@ def adapt(
 def _require_same_person(place, bundle, recordings):
     """Refuse to replace a network that was fitted to none of these recordings."""
     fitted_to = training_hashes(read_bundle(place).spec) - training_hashes(bundle.spec)
-    if fitted_to and fitted_to.isdisjoint(recordings.hashes()):
+    if fitted_to and fitted_to.isdisjoint(recordings.hashes):
         raise UserError(
             f"{place}: is fitted to other recordings, perhaps another person's; "
             "choose another --out, or delete it"

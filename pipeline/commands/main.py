@@ -10,7 +10,7 @@ import typer.main
 from typer.core import TyperCommand, TyperGroup
 
 from deploy import __version__
-from deploy.errors import CheckFailed, SeveralErrors, UserError, line_of, one_line
+from deploy.errors import KILLED, CheckFailed, SeveralErrors, UserError, line_of, one_line
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 from pipeline.commands.options import for_typer
 
@@ -195,7 +195,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     except (MemoryError, OSError) as error:  # not handled by any module
         status = _say(line_of(error), 2)
     except BrokenExecutor:  # joblib's
-        status = _say("a process was killed, perhaps for lack of memory; use fewer --jobs", 2)
+        status = _say(KILLED, 2)
     sys.exit(status or 0)
 
 

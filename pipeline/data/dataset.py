@@ -109,7 +109,7 @@ class Dataset:
     def provenance(self) -> dict:
         """Entries of a network's provenance: what other recordings are read with and known by."""
         recordings, split, data = self.recordings, self.split, self.settings.data
-        source, places, hashes = recordings.source, recordings.taxels.positions, recordings.hashes()
+        source, places, hashes = recordings.source, recordings.taxels.positions, recordings.hashes
         return {
             "source": source.name,
             "source_sha256": source.sha256,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -214,6 +215,7 @@ class Recordings:
         """True if the source has a published split."""
         return any(self.parts)
 
+    @cached_property
     def hashes(self) -> tuple:
         """A hash of the events of each recording, to recognise it in another source.
 

@@ -151,9 +151,7 @@ def copies(recordings: Recordings, split: Split) -> tuple:
         Recordings without events have no copies.
     """
     ids, labels, sizes = recordings.ids, recordings.labels, np.diff(recordings.offsets)
-    content = [
-        h if n else i for i, (h, n) in enumerate(zip(recordings.hashes(), sizes, strict=True))
-    ]
+    content = [h if n else i for i, (h, n) in enumerate(zip(recordings.hashes, sizes, strict=True))]
     train = {content[i]: i for i in (*split.validation[::-1], *split.train[::-1])}
     first = {c: i for i, c in reversed([*enumerate(content)])}
     in_training = [(ids[train[content[i]]], ids[i]) for i in split.test if content[i] in train]

@@ -154,7 +154,7 @@ def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
     -------
     ndarray of bool, shape (n_samples,)
     """
-    return np.isin(recordings.hashes(), list(training_hashes(bundle.spec)))
+    return np.isin(recordings.hashes, list(training_hashes(bundle.spec)))
 
 
 def warnings_on(bundle: Bundle, recordings: Recordings):

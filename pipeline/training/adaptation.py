@@ -457,7 +457,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         provenance={
             **spec.provenance,
             "adapted": about,
-            TRAINED_ON: sorted({*training_hashes(spec), *recordings.hashes()}),
+            TRAINED_ON: sorted({*training_hashes(spec), *recordings.hashes}),
         },
     )
     adapted = _with_threshold(adapted, responder, recordings)

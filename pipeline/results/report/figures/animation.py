@@ -135,9 +135,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         if advance is not None:
             advance()
     # The result is first, too: some programs show the first frame only.
-    rest = {"duration": [FRAME_MS] * FRAMES + [LAST_MS], "loop": 0}
+    timing = {"duration": [FRAME_MS] * FRAMES + [LAST_MS], "loop": 0}
     with replacing(path) as file:
-        frames[-1].save(file, "gif", save_all=True, append_images=frames, **rest)
+        frames[-1].save(file, "gif", save_all=True, append_images=frames, **timing)
 
 
 def _percent(share):
