@@ -272,6 +272,11 @@ class Presentation:
     )
 
     @property
+    def threshold(self) -> float:
+        """The confidence for an early decision; without one 1, which none reaches."""
+        return 1.0 if self.confidence is None else self.confidence
+
+    @property
     def period(self) -> int:
         """Steps from one sample to the next, including the gap."""
         return self.gap + self.steps

@@ -142,7 +142,7 @@ class Decider:
         self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
         self._emulation = Emulation(spec, seed)
         self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
-        limit = spec.presentation.confidence or 1
+        limit = spec.presentation.threshold
         self.threshold = limit if limit < 1 else None
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))

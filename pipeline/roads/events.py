@@ -249,7 +249,7 @@ def spec_of_events(
     architecture = parse(recipe.architecture)
     integers = network_of(recipe, weights).integers()
     links = from_integers(architecture, weights, integers, recipe.starts)
-    is_early = (presentation.confidence or 1) < 1
+    is_early = presentation.threshold < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
     stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory)
     return chain.deployed(links, stimulus, presentation, provenance, estimator)

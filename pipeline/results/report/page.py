@@ -275,9 +275,8 @@ def _over_time(inputs):
     if early:
         share = 100 * early["share_of_writing_mean"]
         points.append((share, 100 * early["accuracy"], "early"))
-    about = "accuracy, %", "Accuracy over time", 0
     return {
-        "chart": charts.line_chart([series], label, *about, points=points),
+        "chart": charts.line_chart([series], label, "accuracy, %", "Accuracy over time", 0, points),
         "name": name,
         "early": early,
         "on_events": bool(written),
@@ -357,7 +356,7 @@ def _stories(inputs):
     """Samples one by one: events, spikes of the layers and probabilities on one time axis."""
     result, classes = inputs.results[-1], inputs.classes
     spec = inputs.bundle.spec
-    step_ms, limit = 1000 * spec.stimulus.step_seconds, spec.presentation.confidence or 1
+    step_ms, limit = 1000 * spec.stimulus.step_seconds, spec.presentation.threshold
     stories = []
     for index, replay in inputs.replays.items():
         sample = result["samples"][index]

@@ -95,7 +95,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]
         sums = running_sums(spec, decoded(spec, output[:, shown.gap :]))
-        limit = shown.confidence or 1
+        limit = shown.threshold
         decided, answers = decide(sums, limit, spec.estimator, shown.readout_start)
         if spec.stimulus.static and limit == 1:  # trained on means, without a threshold for sums
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]

@@ -95,7 +95,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             for mark in legend.get_lines():
                 mark.set_markeredgewidth(4)
     scores = panels[-1]
-    limit = 100 * (spec.presentation.confidence or 1)
+    limit = 100 * spec.presentation.threshold
     measure = "probability" if spec.estimator else "softmax"
     probability = f"{measure}, %" + f"\n(decides at {limit:.1f})" * (limit < 100)
     speed = extent / (FRAMES * FRAME_MS)
