@@ -81,7 +81,8 @@ def _live(path):
         try:
             url = re.search(r"http://\S+", server.stdout.readline())[0]
             browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            size = {"width": 1040, "height": 720}  # legible where it is shown
+            page = browser.new_page(viewport=size, device_scale_factor=1.6)
             page.goto(url)
             page.wait_for_selector("body[data-ready]")
             page.evaluate(WRITE, _hand())

@@ -2,7 +2,7 @@
 
 ``FOLDER/<class>/w<writer>-<number>.mat``: the number counts up over all classes of a writer.  The
 list of recordings is always read from these names, so that there is no other record that could be
-lost or become outdated.  A file is never overwritten.
+lost or become outdated.
 """
 
 import contextlib
@@ -11,20 +11,13 @@ import json
 import os
 import re
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import (
-    locked,
-    open_regular,
-    refuse_linked_folders,
-    remove_leftovers,
-    replacing,
-    reporting_os_errors,
-)
+from deploy.files import locked, open_regular, remove_leftovers, replacing, reporting_os_errors
 from pipeline.data.events import Sensor, TaxelMap
 from pipeline.data.matfile import (
     BadRecording,
@@ -77,21 +70,17 @@ class Kept:
 
 
 def places_of(classes) -> tuple:
-    """The folder name of each class: the class's name, if it is valid for a folder.
+    """The folder name of each class: its name or, if one is not valid for a folder, its number.
 
     Classes that were read from folders have such names; a copied network may have any names.
     """
-    places = tuple(map(_place, classes))
-    return places if len(set(places)) == len(places) else tuple(map(str, range(len(places))))
-
-
-def _place(name):
-    """A class's name without characters that are not valid for a folder."""
-    name = "".join("_" if c == "/" or not c.isprintable() else c for c in name)
-    name = "_" + name[1:] if name.startswith(".") or not name else name
-    while len(name.encode(errors="replace")) > LONGEST_NAME:
-        name = name[:-1]
-    return name
+    valid = len(set(classes)) == len(classes) and all(
+        re.fullmatch(r"[^./][^/]*", name)
+        and name.isprintable()
+        and len(name.encode(errors="replace")) <= LONGEST_NAME
+        for name in classes
+    )
+    return tuple(classes) if valid else tuple(map(str, range(len(classes))))
 
 
 class Keeper:
@@ -158,7 +147,6 @@ class Keeper:
         )
         remedy = "choose another folder with --record"
         self._held.enter_context(locked(self.folder / LOCK, taken, remedy))
-        refuse_linked_folders(self.folder)
         remove_leftovers(self.folder)
 
     def look(self):
@@ -213,18 +201,11 @@ class Keeper:
             self.look()
             table = self.folder / TABLE
             if not table.exists():
-                with contextlib.suppress(FileExistsError):
-                    _create(table, lookup_table_bytes(self._taxels))
-            content = recording_bytes(recording)
+                _create(table, lookup_table_bytes(self._taxels))
             numbers = [kept.number for kept in self._kept if kept.writer == recording.writer]
             number, place = max(numbers, default=0) + 1, self._places[label]
             kept = Kept(label, recording.writer, number, place)
-            while True:  # until a name is free: others may put files here
-                try:
-                    _create(self.folder / kept.name, content)
-                    break
-                except FileExistsError:
-                    kept = replace(kept, number=kept.number + 1)
+            _create(self.folder / kept.name, recording_bytes(recording))
             self.look()
             return kept
 
@@ -290,13 +271,9 @@ def _create(path, content):
 
     Raises
     ------
-    FileExistsError
-        The name is taken.
     UserError
         The file could not be written; it does not exist.
     """
-    if os.path.lexists(path):
-        raise FileExistsError(path)
     with replacing(path) as file:
         file.write(content)
         file.flush()

@@ -30,7 +30,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import MOST_TAXELS, BadMessage, Session, problem
+from pipeline.live.session import MOST_TAXELS, PAUSE_S, BadMessage, Session, problem
 from pipeline.skin.writing import START_S
 
 # Default address of the page, which other machines cannot reach.
@@ -288,7 +288,7 @@ class Live:
                 await asyncio.sleep(SPIKES_APART_S)
 
 
-_LIMITS = {"start_s": START_S, "most_taxels": MOST_TAXELS}
+_LIMITS = {"start_s": START_S, "pause_s": PAUSE_S, "most_taxels": MOST_TAXELS}
 
 
 async def _say(socket, messages):

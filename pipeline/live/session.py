@@ -32,12 +32,11 @@ from pipeline.live.examples import Examples, Replayed
 from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper
 from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
 
-# Maximum duration of a recording. The published ones last 2 s; some people write more slowly, and a
-# network on events receives the first 2 s only.
+# Maximum duration of a recording. The published ones last 2 s; some people write more slowly.
 LONGEST_S = 10.0
 
-# Pause in seconds after which a touch of the pen begins another recording.
-PAUSE_S = 1.5
+# Pause in seconds after which a recording has ended: a touch of the pen begins another one.
+PAUSE_S = 1.2
 
 # Seconds without a message after which the pen is taken to rest; before, messages may be delayed by
 # a busy machine.
@@ -94,6 +93,7 @@ class OpenRecording:
         self.spikes = self.curve = None  # of the latest answer
         self._longest_s = LONGEST_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
+        self._now_s = START_S
 
     def time_s(self, page_ms):
         """Convert a time of the page's clock to the recording's."""
@@ -109,12 +109,28 @@ class OpenRecording:
         return self.writing.time_s >= self._longest_s - 2e-3
 
     @property
-    def settled(self):
+    def _rests(self):
         """True if nothing can happen before the pen returns."""
         return self.over or self.writing.time_s >= self.writing.settled_s - 2e-3
 
+    @property
+    def settled(self):
+        """True if it has ended: another touch does not belong to it."""
+        return self._rests and (self.complete or self.over or self.is_after(self._now_s))
+
+    def is_after(self, time_s):
+        """True if a touch at this time would begin another recording."""
+        return time_s > self.last.time_s + PAUSE_S
+
+    @property
+    def known_s(self):
+        """Time until which all events are known; infinity for a recording that has ended."""
+        if self.settled:
+            return math.inf
+        return max(self.writing.time_s, self._now_s if self._rests else 0)
+
     def decide(self, said: Answer, settled: bool):
-        """Keep an early decision; otherwise take the answer at the end if the pen rests."""
+        """Keep an early decision; otherwise take the answer at the end of a settled recording."""
         if self.verdict is not None and self.verdict.early:
             return
         self.verdict = said.decided or (said.curve.last() if settled else None)
@@ -137,7 +153,8 @@ class OpenRecording:
 
     def advance(self, page_ms) -> Events:
         """Advance the time: to now or, while the pen may be moving, to its last known point."""
-        until = min(self.time_s(page_ms), self._longest_s)
+        self._now_s = self.time_s(page_ms)
+        until = min(self._now_s, self._longest_s)
         if self.down:
             until = min(until, max(self.last.time_s, until - REST_S))
         else:
@@ -145,7 +162,8 @@ class OpenRecording:
         return self._advance(until)
 
     def finish(self) -> Events:
-        """Let the skin come to rest."""
+        """End the recording: let the skin come to rest."""
+        self._now_s = math.inf
         return self._advance(min(self.writing.settled_s, self._longest_s))
 
     def _advance(self, until_s):
@@ -248,15 +266,13 @@ class Session:
         recording = self.recording
         if self._decider is None or recording is None:
             return None
-        events, time_s = recording.writing.events, recording.writing.time_s
-        settled = recording.settled
-        known_s = math.inf if settled else time_s  # no further event is possible
+        events, known_s = recording.writing.events, recording.known_s
 
         def answer():
             said = recording.deciding.answer(events, known_s)
             if said is None:
                 return None
-            recording.decide(said, settled)
+            recording.decide(said, known_s == math.inf)
             return _answer(recording, events, said)
 
         return answer
@@ -303,7 +319,7 @@ class Session:
             return True
         if recording.down:
             return False
-        return recording.over or recording.time_s(page_ms) > recording.last.time_s + PAUSE_S
+        return recording.over or recording.is_after(recording.time_s(page_ms))
 
     def _begin(self, page_ms):
         self._recordings += 1
@@ -355,10 +371,11 @@ class Session:
         label, recording = self._class(message), self.recording
         if recording is not None and recording.example is not None:
             return [problem("an example cannot be saved; clear it and write your own")]
-        if recording is not None and recording.saved_as is not None:
-            return [problem("this recording is saved already; write the next one")]
         if recording is None:
             return [problem("nothing has been written; write first, then press the class")]
+        saved_before = recording.saved_as
+        if saved_before is not None and saved_before.label == label:
+            return [problem("this recording is saved already; write the next one")]
         recording.lift()
         replies = [self._passed(recording.finish)]
         events = recording.writing.events
@@ -366,6 +383,8 @@ class Session:
             return [*replies, problem("no taxel has an event; write with more pressure")]
         taxels = self._sensor.rows * self._sensor.columns
         kept = self._keeper.save(label, MatRecording(events, True, recording.writer, True, taxels))
+        if saved_before is not None:  # the label was wrong
+            self._keeper.remove(saved_before)
         recording.complete, recording.saved_as = True, kept
         saved = {
             "type": "saved",
@@ -441,21 +460,13 @@ def _whole(message, name, least, most):
 
 
 def _point(values, sensor):
-    if not isinstance(values, list) or len(values) != 5:
-        raise BadMessage("points: not five values each")
-    *numbers, touches = values
-    if not all(type(v) in (int, float) and math.isfinite(v) for v in numbers):
-        raise BadMessage("points: a value is not a number")
-    time_ms, right, down, pressure = numbers
-    if abs(time_ms) > 1e12:
-        raise BadMessage("points: a time is out of range")
-    places = zip((right, down), (sensor.columns, sensor.rows), strict=True)
-    if not all(-MARGIN <= place <= side - 1 + MARGIN for place, side in places):
-        raise BadMessage("points: a place is outside the skin")
-    if not 0 <= pressure <= 1:
-        raise BadMessage("points: a pressure is not from 0 to 1")
-    if touches not in (0, 1):
-        raise BadMessage("points: touches is neither 0 nor 1")
     if sensor.rows * sensor.columns > MOST_TAXELS:
         raise BadMessage(f"points: a skin of more than {MOST_TAXELS} taxels is not simulated")
-    return time_ms, right, down, pressure, bool(touches)
+    right, down = (side - 1 + MARGIN for side in (sensor.columns, sensor.rows))
+    ranges = (-1e12, 1e12), (-MARGIN, right), (-MARGIN, down), (0, 1), (0, 1)
+    if not isinstance(values, list) or len(values) != len(ranges):
+        raise BadMessage("points: not five values each")
+    for value, (least, most) in zip(values, ranges, strict=True):
+        if type(value) not in (int, float) or not least <= value <= most:
+            raise BadMessage("points: a value is not a number, or out of range")
+    return *values[:4], bool(values[4])

@@ -253,21 +253,20 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
   const { steps, firstStep, windowS, events } = race;
   const shownSteps = steps + firstStep; // firstStep is negative: the network rests before the presentation
   const place = (step) => x === null
-    ? LEFT + ((step - firstStep) / steps) * lane
+    ? LEFT + (step / shownSteps) * lane
     : x((events.s[0] ?? 0) + (step / shownSteps) * windowS);
   const tall = Math.max(high / neurons, 1.5);
   const bytes = packed.length / steps;
   let spikes = 0;
   context.fillStyle = colour("--ink");
-  for (let step = 0; step < steps; step++)
+  for (let step = -firstStep; step < steps; step++)
     for (let at = 0; at < bytes; at++) {
       const eight = packed[step * bytes + at];
       if (eight === 0) continue;
       for (let bit = 0; bit < 8; bit++)
         if (eight & (128 >> bit)) {
           spikes++;
-          if (x === null || step + firstStep >= 0)
-            context.fillRect(place(step + firstStep), y + ((8 * at + bit) * high) / neurons, 2, tall);
+          context.fillRect(place(step + firstStep), y + ((8 * at + bit) * high) / neurons, 2, tall);
         }
     }
   const axis = x === null ? `; across: the ${shownSteps} steps of the last presentation` : "";

@@ -10,7 +10,6 @@ const [REFUSED, TOO_MANY] = [1008, 1013]; // codes with which the server ends a 
 const LOST = "stmnist-lost";
 const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
 const BUTTONS = 12; // with more classes, their buttons can be searched
-const END_MS = 700; // after the last touch: until then, another stroke may follow
 const SHORT = 3; // characters of a name that is shown large
 
 history.scrollRestoration = "manual"; // after reloading, start at the skin
@@ -32,7 +31,6 @@ let spikes = null; // the latest spikes, which do not come with every answer
 let recalled = null; // the stored writer, until the server has taken it over
 const latencies = [];
 let lastCounted = -Infinity;
-let touched = -Infinity; // when the pen last touched the skin
 const stale = { skin: true, rest: true };
 
 function forget() {
@@ -45,6 +43,7 @@ function forget() {
   answer = shown = spikes = null;
   delete $("shown").dataset.label;
   kept = over = warned = false;
+  $("undo").disabled = true;
   $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
   redraw();
@@ -57,7 +56,7 @@ function describe() {
   document.title = digits ? "Write a digit on the skin" : `${about.trained_on}: play or draw`;
   $("title").textContent = digits ? "Write a digit" : document.title;
   $("falls").hidden = about.polarities === 1;
-  $("hint").textContent = !canDraw() ? "Show me an example" : digits ? "Write here, large" : "Draw here, large";
+  $("hint").textContent = !canDraw() ? "Show an example" : digits ? "Write here, large" : "Draw here, large";
   $("keep-title").textContent = digits ? "It was a …" : "It was …";
   $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"} to save the recording.`;
   const long = classes.some((name) => [...name].length > SHORT);
@@ -156,7 +155,6 @@ const pen = new Pen($("skin"), (points, now) => {
     draw();
   }
   const touches = points.some((point) => point[4]);
-  if (touches) touched = performance.now();
   link.send({ type: "pen", now, points }, touches ? ["events", "problem"] : []);
 });
 
@@ -253,7 +251,7 @@ link.on("cleared", (message) => {
   if (message.example) showExample(message.example);
   for (const id of ["hint", "status"]) $(id).classList.toggle("gone", recording !== null);
   $("told").textContent = message.example ? "An example cannot be saved; clear it and write one."
-    : again ? "A new recording: a touch after a pause of 1.5 s begins one." : "";
+    : again ? `A new recording: a touch after a pause of ${about.pause_s} s begins one.` : "";
   unmark();
   complain(null);
 });
@@ -287,7 +285,6 @@ link.on("events", (message) => {
   }
   stale.skin = stale.rest = true;
   draw();
-  if (message.settled) setTimeout(announce, END_MS + 2);
 });
 
 link.on("answer", (message) => {
@@ -311,13 +308,16 @@ link.on("spikes", (message) => {
 
 link.on("saved", (message) => {
   kept = true;
+  $("undo").disabled = false;
+  unmark();
   $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events. Undo takes that back.`;
   $(`label-${message.label}`).setAttribute("aria-pressed", "true");
   complain(null);
 });
 
 link.on("undone", (message) => {
-  kept = false; // the drawing can be saved as another class
+  kept = false; // the drawing can be saved again
+  $("undo").disabled = true;
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
   unmark();
   complain(null);
@@ -449,14 +449,8 @@ const percent = (share) => `${Math.min(100 * share, 99.9).toFixed(share < 0.95 ?
 function showDecision(message) {
   if (about === null) return;
   const { classes } = about;
-  let verdict = message?.verdict ?? null;
+  const verdict = message?.verdict ?? null;
   const label = verdict?.label ?? message?.decision ?? null;
-  const left = END_MS - (performance.now() - touched);
-  if (verdict && !verdict.early && !$("shown").dataset.label && left > 0) {
-    verdict = null; // the end is not certain
-    clearTimeout(ending);
-    ending = setTimeout(() => message === shown && showDecision(message), left + 1);
-  }
   const example = $("shown").dataset.label ?? "";
   const output = $("decision");
   const confidence = message?.verdict?.confidence ?? message?.confidence ?? 1;
@@ -501,7 +495,6 @@ function showDecision(message) {
 }
 
 let drawing = false;
-let ending = null;
 let shown = null;
 function draw() {
   if (drawing) return;
@@ -514,6 +507,7 @@ function draw() {
       if (answer !== null && answer !== shown) {
         shown = answer;
         showDecision(answer);
+        announce();
         afterPaint(answer.last_ms);
       }
       $("race").dataset.events = events.taxel.length;

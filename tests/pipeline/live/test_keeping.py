@@ -80,31 +80,6 @@ def test_a_full_disk_leaves_nothing_half(keeper, monkeypatch):
     assert keeper.save(2, recording()).number == 2
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_a_file_that_was_put_there_is_not_replaced(keeper, monkeypatch, links):
-    """Even one that comes in the last moment, and on a disk that has no links."""
-    keeper.save(1, recording())
-    look = Keeper.look
-    taken = keeper.folder / "1" / "w001-0002.mat"
-
-    def too_early(keeper):
-        look(keeper)
-        if not taken.exists():
-            taken.write_text("mine")
-
-    def refuse(*arguments, **options):
-        raise OSError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr(Keeper, "look", too_early)
-    if not links:
-        monkeypatch.setattr(os, "link", refuse)
-    assert keeper.save(1, recording()).name == "1/w001-0003.mat"
-    assert taken.read_text() == "mine"
-    assert sorted(p.name for p in (keeper.folder / "1").iterdir()) == [
-        f"w001-000{n}.mat" for n in (1, 2, 3)
-    ]
-
-
 # Of classes; all but the first are no names of folders.
 NAMES = ("über die ganze Fläche", "a/b", "..", "x" * 300, "x" * 301, "")
 

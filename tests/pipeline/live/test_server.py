@@ -183,7 +183,7 @@ def test_a_stroke_outside_the_skin_is_refused(server):
         read_until(page, "ready")
         page.send(json.dumps({"type": "pen", "now": 0, "points": [[0, 40.0, 1.0, 0.5, 1]]}))
         text, _ = refused(page)
-    assert missing(text[0], "points", "skin") == []
+    assert missing(text[0], "points", "range") == []
     assert is_well(server)
 
 

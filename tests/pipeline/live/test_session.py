@@ -12,7 +12,7 @@ from pipeline.data.events import Events, Sensor
 from pipeline.data.matfile import read_recording
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import LONGEST_S, BadMessage, Session
+from pipeline.live.session import LONGEST_S, PAUSE_S, BadMessage, Session
 from pipeline.skin import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
 
@@ -45,11 +45,18 @@ def written(session, **options):
     return [reply for message in stroke(**options) for reply in say(session, message)]
 
 
+def paused(session, lifted_ms=1300.0):
+    """The replies when no other stroke can belong to the recording."""
+    return say(session, {"type": "pen", "now": lifted_ms + 1000 * PAUSE_S + 1, "points": []})
+
+
 def test_events_come_while_writing_and_are_those_that_are_kept(session, keeper):
     replies = written(session)
     events = of(replies, "events")
     assert sum(bool(reply["ns"]) for reply in events) > 5  # not all at the end
-    assert events[-1]["settled"]
+    assert not events[-1]["settled"]
+    replies += paused(session)
+    assert of(replies, "events")[-1]["settled"]
     replies += say(session, {"type": "label", "label": 1})
     saved = of(replies, "saved")[0]
     read = read_recording((keeper.folder / saved["name"]).read_bytes())
@@ -103,7 +110,7 @@ class Waits(Parrot):
 
 
 def test_without_an_early_decision_the_verdict_is_the_answer_at_the_end(keeper):
-    """It comes when the pen rests, and what happens afterwards does not change it."""
+    """It comes when another stroke would begin another recording."""
     session = Session(1, keeper, P)
     session.begin(Waits())
     messages = list(stroke())
@@ -112,6 +119,8 @@ def test_without_an_early_decision_the_verdict_is_the_answer_at_the_end(keeper):
     assert session.ask()()["verdict"] is None
     for message in messages[8:]:
         say(session, message)
+    assert session.ask()()["verdict"] is None
+    paused(session)
     answer = session.ask()()
     verdict = answer["verdict"]
     assert verdict["early"] is False
@@ -149,9 +158,12 @@ def test_new_writers_on_two_pages_have_two_numbers(session, keeper):
     assert say(other, new)[0]["number"] == 8
 
 
-def test_a_mislabelled_recording_is_saved_again_after_an_undo(session, keeper):
+def test_a_mislabelled_recording_is_saved_again(session, keeper):
+    """After an undo, or at once as another class."""
     written(session)
+    say(session, {"type": "label", "label": 7})
     say(session, {"type": "label", "label": 3})
+    assert len(keeper) == 1
     assert of(say(session, {"type": "undo"}), "undone")[0]["label"] == 3
     (saved,) = of(say(session, {"type": "label", "label": 8}), "saved")
     assert saved["name"] == "8/w001-0001.mat"
