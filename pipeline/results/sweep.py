@@ -93,7 +93,8 @@ def _axis(entry, base):
         )
         if isinstance(base.flat().get(name), tuple) and not isinstance(value, list):
             value = [value]
-        axis.append((name, value))
+        if (name, value) not in axis:
+            axis.append((name, value))
     return axis
 
 

@@ -70,7 +70,7 @@ class Lines:
 
 
 def line_chart(
-    series, x_label: str, y_label: str, description: str = "", least=None, points=()
+    series, x_label: str, y_label: str, description: str = "", least=None, points=(), levels=()
 ) -> Markup:
     """Lines over a common x axis; the names are in a separate legend, see :func:`legend`.
 
@@ -84,10 +84,12 @@ def line_chart(
         Lower end of the y axis; default: that of the lines.
     points : sequence of (x, y, name), optional
         Single values.
+    levels : sequence of float, optional
+        Heights of dashed lines.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
-    y = np.append(y, [point[1] for point in points])
+    y = np.append(y, [*(point[1] for point in points), *levels])
     x_axis = _Axis(x.min(), x.max(), LEFT, WIDTH - RIGHT)
     y_axis = _Axis(y.min() if least is None else least, y.max(), HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
@@ -97,6 +99,7 @@ def line_chart(
             around = _points(x_axis, y_axis, (*s.x, *s.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
         marks.append(_line(x_axis, y_axis, s, number))
+    marks += [_segment("reference", LEFT, b, WIDTH - RIGHT, b) for b in map(y_axis, levels)]
     for a, b, name in points:
         marks.append(_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %"))
         marks.append(_text(x_axis(a), y_axis(b) - 9, f"{name} {b:.1f}", "end"))

@@ -96,7 +96,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         lstrip_blocks=True,
     )
     environment.filters["p"] = p_text
-    environment.filters["percent"] = lambda share: f"{100 * share:.1f}\u00a0%"
+    environment.filters["percent"] = lambda share: f"{100 * round(share, 3):.1f}\u00a0%"
     package = resources.files("pipeline.results.report")
     spec, result = inputs.bundle.spec, inputs.results[-1]
     provenance = spec.provenance
@@ -202,8 +202,8 @@ def class_table(inputs: Inputs) -> list:
 def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list:
     """Each layer: kind, output shape, weights, neurons, place, activity per sample.
 
-    ``rate`` is in spikes per second and neuron, ``energy`` an estimate for the chip; values that do
-    not exist are None.
+    ``rate`` is in spikes per second and neuron, ``energy`` an estimate for the chip in joules;
+    values that do not exist are None.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
             "spikes": None if spikes is None else spikes / n,
             "rate": None if spikes is None else spikes / n / neurons / seconds,
             "operations": None if operations is None else operations / n,
-            "energy": joules_text(energy[name]) if name in energy else None,
+            "energy": energy.get(name),
         }
 
     rows = [row("input", "input", spec.input_shape, None, int(np.prod(spec.input_shape)))]
@@ -275,8 +275,13 @@ def _over_time(inputs):
     if early:
         share = 100 * early["share_of_writing_mean"]
         points.append((share, 100 * early["accuracy"], "early"))
+    counts = [100 * r["accuracy"] for r in inputs.results if r["target"] == "counts"]
     return {
-        "chart": charts.line_chart([series], label, "accuracy, %", "Accuracy over time", 0, points),
+        "chart": charts.line_chart(
+            [series], label, "accuracy, %", "Accuracy over time", 0, points, counts
+        ),
+        "near": x[max((i + 1 for i, share in enumerate(y) if share < y[-1] - 0.02), default=0)],
+        "last": x[-1],
         "name": name,
         "early": early,
         "on_events": bool(written),
@@ -399,7 +404,10 @@ def _stories(inputs):
                     f"Spikes and probabilities over time, sample {sample['id']}",
                     mark=at_ms[end] if is_early else None,
                 ),
-                "legend": charts.legend([s.name for s in lines.series]),
+                "legend": charts.legend(
+                    f"{s.name}{' (true)' * (s.name == classes[sample['label']])}"
+                    for s in lines.series
+                ),
             }
         )
     return stories

@@ -58,10 +58,13 @@ class Replay:
 
 
 def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
-    """Indices of samples to replay: wrong answers first, then some right ones."""
-    is_right = [sample["label"] == sample["prediction"] for sample in result["samples"]]
-    indices = [[i for i, r in enumerate(is_right) if r == which] for which in (False, True)]
-    return indices[0][:wrong] + indices[1][:right]
+    """Indices of samples to replay: wrong answers, then right ones of the classes mixed up."""
+    samples = result["samples"]
+    mistakes = [i for i, s in enumerate(samples) if s["label"] != s["prediction"]][:wrong]
+    mixed = [samples[i][key] for i in mistakes for key in ("label", "prediction")]
+    first = {s["label"]: i for i, s in enumerate(samples) if s["label"] == s["prediction"]}
+    order = [label for label in dict.fromkeys([*mixed, *first]) if label in first]
+    return mistakes + [first[label] for label in order[:right]]
 
 
 def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:

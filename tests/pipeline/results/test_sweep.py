@@ -25,7 +25,7 @@ SMALL = Settings().with_values(
 
 
 def test_every_combination_of_the_grid():
-    grid = ["presentation.steps=30, 50", "snn.max_rates=[100,150],[200],120"]
+    grid = ["presentation.steps=30, 50, 30", "snn.max_rates=[100,150],[200],120"]
     points = sweep.points_of(SMALL, grid)
     assert len(points) == 6
     assert points[0][0] == {"presentation.steps": 30, "snn.max_rates": [100, 150]}

@@ -109,7 +109,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
     when = "at the end" if end == times[-1] else f"decided after {end / 1000:.2f} s"
     when += f"\n{measure} {_percent(chances[played.decided, answer])}"
-    ended = f"{when}: {'right' if answer == label else f'wrong, was {names[label]}'}"
+    ended = f"{when}: right" if answer == label else f"{when}\nwrong, was {names[label]}"
     canvas, frames = FigureCanvasAgg(figure), []
     canvas.draw()
     figure.set_layout_engine("none")  # of the first frame, for all

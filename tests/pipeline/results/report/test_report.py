@@ -19,7 +19,7 @@ from deploy.targets.registry import answer
 from pipeline.results.report import page as report
 from pipeline.results.report.figures import animation
 from pipeline.results.report.gather import gather
-from pipeline.results.report.samples import replay
+from pipeline.results.report.samples import choose_samples, replay
 from pipeline.run import RunFolder
 from tests.command import call
 
@@ -127,6 +127,13 @@ def test_recall_and_precision_are_those_of_the_answers(inputs):
     assert [(r["recall"], r["precision"]) for r in rows[:4]] == [
         (0.5, 1.0), (1.0, 0.5), (0.0, None), (None, None)
     ]  # fmt: skip
+
+
+def test_right_samples_are_of_the_classes_that_are_mixed_up():
+    pairs = [(0, 0), (3, 3), (2, 2), (3, 2), (1, 1), (2, 2)]
+    result = {"samples": [{"label": a, "prediction": b} for a, b in pairs]}
+    assert choose_samples(result) == [3, 1, 5]
+    assert choose_samples({"samples": result["samples"][:3]}) == [0, 1]
 
 
 def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
