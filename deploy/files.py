@@ -172,38 +172,6 @@ def locked(path, taken: str, remedy: str):
         yield file
 
 
-def refuse_linked_folder(folder):
-    """Refuse a folder that is a symbolic link: files would be written elsewhere.
-
-    Raises
-    ------
-    UserError
-    """
-    if os.path.islink(str(folder)):
-        raise UserError(
-            f"{folder}: is a symbolic link to another folder, which is not followed; "
-            "remove it, or replace it by a folder"
-        )
-
-
-def refuse_linked_folders(root):
-    """Refuse a folder in which another one, at any depth, is a symbolic link.
-
-    Parameters
-    ----------
-    root : path-like
-        May itself be a link, because the user has named it.
-
-    Raises
-    ------
-    UserError
-        A folder is a link; the message names it.
-    """
-    for above, folders, _ in os.walk(str(root)):
-        for name in folders:
-            refuse_linked_folder(os.path.join(above, name))
-
-
 def write_json(path, value, indent=2):
     """Write JSON in UTF-8, completely or not at all; on one line if ``indent`` is None."""
     with replacing(path, "w") as file:

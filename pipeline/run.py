@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.errors import UserError
-from deploy.files import locked, refuse_linked_folder, refuse_linked_folders, remove_leftovers
+from deploy.files import locked, remove_leftovers
 from deploy.terminal import advised
 
 if TYPE_CHECKING:
@@ -39,17 +39,10 @@ def checks_of(bundle: Path) -> Path:
     Parameters
     ----------
     bundle : Path
-
-    Raises
-    ------
-    UserError
-        The folder is a symbolic link: results would be written elsewhere.
     """
     path = Path(os.path.abspath(bundle))  # which follows no link
     of_run = path.name == "bundle" and RunFolder(path.parent).experiment.is_file()
-    folder = (path.parent if of_run else path) / "checks"
-    refuse_linked_folder(folder)
-    return folder
+    return (path.parent if of_run else path) / "checks"
 
 
 @dataclass(frozen=True)
@@ -130,7 +123,7 @@ class RunFolder:
         Raises
         ------
         UserError
-            Another process has locked it, it has a file's name, or a folder in it is a link.
+            Another process has locked it, or it has a file's name.
         """
         if self.path.suffix.lower() in FILES and not self.path.is_dir():
             raise UserError(
@@ -141,7 +134,6 @@ class RunFolder:
             "wait for it or choose another RUN"
         )
         with locked(self.path / LOCK, taken, "choose another RUN"):
-            refuse_linked_folders(self.path)
             remove_leftovers(self.path)
             yield
 

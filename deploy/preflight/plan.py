@@ -298,11 +298,10 @@ def plan_text(plan: Plan) -> str:
         rows.append(cells)
     lines = in_blocks(rows, left=3)
     lines.append(
-        f"{len(plan.cores)} cores on {plan.chips} chip(s); percentages of a core's limits;\n"
+        f"cores: {len(plan.cores)}, chips: {plan.chips}; percentages are of a core's limits;\n"
         "'at': chip.core; 'pop': type of the input axons; a compartment is a neuron, an axon\n"
         "a spike's way in or out, an AxonCfg register the place of a way out; 'input',\n"
-        "'current': the worst case for these weights, relative to where integers wrap\n"
-        "around; 'threshold': relative to the highest voltage"
+        "'current', 'threshold': largest values, of those at which the integers overflow"
     )
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]
