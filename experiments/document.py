@@ -32,7 +32,7 @@ FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").gl
 
 # The rows of the tables in the README, by experiment.
 BRIEF = {
-    "table2": "counts cnn loihi slayer cnn-augmented own-loihi events-loihi",
+    "table2": "counts cnn loihi cnn-matched own-loihi cnn-augmented events-loihi",
     "real-touch": "counts cnn chip events-chip",
 }
 REAL_TOUCH = {"objects": "Ev-Objects, 36 classes", "letters": "Braille letters, 27 classes"}
@@ -103,12 +103,11 @@ def brief(contents: dict) -> str:
     first = next(iter(contents.values()))
     experiment = next(one for one in studies.EXPERIMENTS if one.name == first["experiment"])
     lines = [["accuracy, mean (SD)", *contents]]
-    for line in experiment.lines:
-        if line.name in BRIEF[experiment.name].split() and any(
-            row["name"] == line.name for row in first["rows"]
-        ):
-            rows = [_entry(content["rows"], line.name) for content in contents.values()]
-            lines.append([line.title, *(f"{row['mean']:.3f} ({row['sd']:.3f})" for row in rows)])
+    titles = {line.name: line.title for line in experiment.lines}
+    for name in BRIEF[experiment.name].split():
+        if any(row["name"] == name for row in first["rows"]):
+            rows = [_entry(content["rows"], name) for content in contents.values()]
+            lines.append([titles[name], *(f"{row['mean']:.3f} ({row['sd']:.3f})" for row in rows)])
     return markdown(lines)
 
 
@@ -210,7 +209,7 @@ def _sections(command, words, depth, common):
         return
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     usage = " ".join([words, *(p.name.upper() for p in arguments)])
-    yield f"\n{'#' * (depth - 1)} {words}\n\n`{usage}`\n\n{summary}\n"
+    yield f"\n{'#' * (depth - 1)} {usage}\n\n{summary}\n"
     parameters = [_help_of(p) for p in command.params]
     for name, text in parameters:
         if (name, text) not in common:

@@ -259,8 +259,8 @@ class NIR(Section):
     file: str = ""
     #: SHA-256 of that file's content.
     sha256: str = ""
-    #: Milliseconds of the graph's time in a step of the chip; 0: 0.1 if snnTorch's exporter wrote
-    #: the graph, otherwise the value of ``input.step``, or 1 with images.
+    #: Milliseconds of the graph's time in a step of the chip; 0: as the graph has it (0.1 if
+    #: snnTorch's exporter wrote it), otherwise the value of ``input.step``, or 1 with images.
     step: Annotated[float, STEP_OR_NONE] = 0.0
     #: Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
     #: Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote
@@ -328,7 +328,7 @@ class PresentationSettings(Section):
     #: ``input.step``.  0 for 100 steps, or with events for as many as the
     #: longest recording needs, from 50 to 400.
     steps: Annotated[int, STEPS_OR_NONE] = 0
-    #: Blank steps before each sample.
+    #: Silent steps before each sample.
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     #: First step of the readout window, over which the output is averaged for the decision; with
     #: events always the first step of the presentation.

@@ -223,6 +223,9 @@ def _notes(opened, choices):
     yield from _notes_on_recordings(opened)
 
 
+# Test recordings below which a user is warned.
+FEW = 10
+
 # What is wrong with recordings that are in the source twice; see :func:`copies`.
 COPIES = (
     "test recordings that are also in training (their accuracy says little about others)",
@@ -245,6 +248,9 @@ def _notes_on_recordings(opened):
             f"{recordings.source.name}: the test part has {n_test} recordings, fewer than the "
             f"{samples} of a check; the check uses all of them"
         )
+    if n_test < FEW:
+        few = f"only {n_test} test recordings, whose accuracy says little; record more"
+        yield f"{WARNING}{recordings.source.name}: {few}"
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
     if missing:

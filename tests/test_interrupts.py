@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 
 import pytest
 
@@ -28,3 +29,32 @@ def test_early_in_the_command(module, tmp_path):
     assert (process.returncode, out, err.splitlines()[-1]) == (130, "", LINE)
     assert "Traceback" not in err
     assert not list(tmp_path.rglob(".*.tmp"))
+
+
+IN_A_DESTRUCTOR = """
+import os, signal
+from pipeline.commands.main import main
+
+class Late:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        sum(range(9))
+
+def command(**options):
+    Late()
+    signal.pause()
+
+main([], command)
+"""
+
+
+def test_in_a_destructor():
+    """Python drops it there, and TensorFlow has many."""
+    done = subprocess.run(
+        [sys.executable, "-c", IN_A_DESTRUCTOR],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=environment(),
+    )
+    assert (done.returncode, done.stderr.splitlines()) == (130, [LINE])

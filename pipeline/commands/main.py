@@ -1,6 +1,8 @@
 """The command ``stmnist``: its sub-commands, and errors as one line and an exit status."""
 
+import signal
 import sys
+import threading
 from concurrent.futures import BrokenExecutor
 from functools import cached_property
 from importlib import import_module
@@ -166,6 +168,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
     prepare()
+    sys.unraisablehook = _interrupt_again
     try:
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
         if status == INTERRUPTED:  # Typer turns an interruption into this status
@@ -197,6 +200,15 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     except BrokenExecutor:  # joblib's
         status = _say(KILLED, 2)
     sys.exit(status or 0)
+
+
+def _interrupt_again(dropped):
+    """Python drops a Ctrl-C that comes in a destructor, such as those of TensorFlow: repeat it."""
+    if dropped.exc_type is KeyboardInterrupt:
+        main_thread = threading.main_thread().ident
+        threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(dropped)
 
 
 def _say(message, status):

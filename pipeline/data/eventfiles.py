@@ -273,26 +273,26 @@ def _csv(content):
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
-    first = text.lstrip("# \t\r\n").partition("\n")[0]  # NumPy begins its first line with "#"
-    separator = next((mark for mark in ",;\t" if mark in first), None)
-    words = [word.strip().strip('"').lower() for word in first.split(separator)]
     text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
-    text = re.sub(r"\n\s*\n", "\n", text)  # NumPy warns of empty lines
+    lines = [line for line in text.splitlines() if line.strip("# \t")]
+    first = lines[0].lstrip("# \t") if lines else ""  # NumPy begins its first line with "#"
+    separator = next((mark for mark in ",;\t" if mark in "".join(lines[-1:])), None)
+    words = [word.strip().strip('"').lower() for word in first.split(separator)]
     known = {name for names in NAMES.values() for name in names}
     has_names = any(word in known for word in words)
+    lines = lines[1:] if has_names else [line for line in lines if line.lstrip()[0] != "#"]
+    if not lines:
+        raise BadRecording("is empty: no events")
     try:
         table = np.loadtxt(
-            io.StringIO(text),
+            lines,
             delimiter=separator,
-            skiprows=int(has_names),
             ndmin=2,
             max_rows=MAX_EVENTS + 1,
             comments=None if has_names else "#",
         )
     except ValueError as error:
         raise BadRecording("has a line that is not numbers, as many as in the others") from error
-    if not len(table):
-        raise BadRecording("is empty: no events")
     if not has_names:
         return table
     if len(words) != table.shape[1]:

@@ -101,13 +101,15 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
 def _scores(rows, labels, inside, out, classes, strength):
     """Scores of some samples by a classifier fitted to others, shape (len(out), classes).
 
-    A class that is not among the samples of the fit has a score below all others.
+    A class that is not among the samples of the fit has a score below all others.  If nothing
+    distinguishes these samples, the answer is their most frequent class.
     """
     from sklearn.linear_model import LogisticRegression  # the import takes a second
 
     known = np.unique(labels[inside])
-    if len(known) < 2:
-        return np.eye(classes)[np.full(len(out), known[0] if len(known) else 0)]
+    if len(known) < 2 or not rows[inside].std(0).any():
+        most = np.bincount(labels[inside], minlength=classes).argmax()
+        return np.eye(classes)[np.full(len(out), most)]
     mean, spread = rows[inside].mean(0), rows[inside].std(0)
     active = spread > 0
     x, y = ((rows[some][:, active] - mean[active]) / spread[active] for some in (inside, out))

@@ -440,7 +440,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     )
     fitted = int(np.sum(~new))
     if not fit.helps:
-        return Adapted(None, fit, others_before, others_before, fitted)
+        return Adapted(None, fit, others_before, others_after, fitted)
     about = {
         "from": bundle.id,
         "writer": writer,

@@ -51,6 +51,7 @@ FILES = {
     "lines.csv": CSV.encode(),
     "named.csv": NAMED_CSV.encode(),
     "by NumPy.csv": b"# x,y,t,p\n" + CSV.encode(),
+    "with a comment.csv": b"# of a strip\n" + CSV.encode(),
     "truth values.csv": NAMED_CSV.replace(";1;", ";True;").replace(";0;", ";false;").encode(),
 }
 
@@ -87,6 +88,7 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
 @pytest.mark.parametrize(("name", "content", "fact"), [
     ("a.csv", b"1,2,3,4\n1,2,3", "line"),
     ("a.csv", b"\xff", "UTF-8"),
+    ("a.csv", b"x,y,t,p\n", "empty"),
     ("a.csv", b"x,y,t\n1,2,3", "'p'"),
     ("a.npy", npy(np.zeros((2, 5))), r"\(2, 5\)"),
     ("a.npy", npy(X)[:-1], "damaged"),

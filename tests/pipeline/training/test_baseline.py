@@ -67,3 +67,8 @@ def test_a_class_without_training_samples_is_never_the_answer():
     fitted = fit_baseline(counts, labels, np.flatnonzero(labels > 0), 3)
     assert fitted.scores.shape == (30, 3)
     assert 0 not in fitted.scores.argmax(1)
+
+
+def test_equal_samples_are_answered_with_the_most_frequent_class():
+    fitted = fit_baseline(np.ones((9, 8, 5)), np.repeat([0, 1, 2], [2, 4, 3]), np.arange(9), 3)
+    assert fitted.scores.argmax(1).tolist() == [1] * 9
