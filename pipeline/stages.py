@@ -249,7 +249,7 @@ def _notes_on_recordings(opened):
             f"{samples} of a check; the check uses all of them"
         )
     if n_test < FEW:
-        few = f"only {n_test} test recordings, whose accuracy says little; record more"
+        few = f"test recordings: only {n_test}, an accuracy on them says little; record more"
         yield f"{WARNING}{recordings.source.name}: {few}"
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))

@@ -45,7 +45,7 @@ def test_the_page_on_python(tmp_path):
         "nengo: ",
         "fast: ",
         "ESTIMATE",
-        "2 cores on 1 chip",
+        "cores: 2, chips: 1",
     ):
         assert said in out
     assert (tmp_path / "mine" / "network.nir").is_file()

@@ -1,4 +1,4 @@
-"""No file is written through a symbolic link, and links to folders are followed: SECURITY.md."""
+"""No file is written through a symbolic link, and links to folders of a run are followed."""
 
 import os
 import shutil

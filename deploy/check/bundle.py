@@ -131,7 +131,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         The path is a file's, or a folder's with other files than a bundle's, which would be lost;
         the samples are too large for a bundle; or the folder cannot be written.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(str(path))) if os.path.islink(str(path)) else Path(path)
     samples = {
         "inputs": np.asarray(checks.inputs, _stored_as(spec.stimulus)),
         "labels": np.asarray(checks.labels, np.int64),

@@ -301,7 +301,8 @@ def plan_text(plan: Plan) -> str:
         f"cores: {len(plan.cores)}, chips: {plan.chips}; percentages are of a core's limits;\n"
         "'at': chip.core; 'pop': type of the input axons; a compartment is a neuron, an axon\n"
         "a spike's way in or out, an AxonCfg register the place of a way out; 'input',\n"
-        "'current', 'threshold': largest values, of those at which the integers overflow"
+        "'current': worst case, of the value at which the integers wrap around;\n"
+        "'threshold': of the highest voltage"
     )
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]

@@ -4,7 +4,7 @@ import signal
 import sys
 import threading
 from concurrent.futures import BrokenExecutor
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 
 import typer
@@ -168,7 +168,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
     """
     prepare()
-    sys.unraisablehook = _interrupt_again
+    sys.unraisablehook = partial(_interrupt_again, sys.unraisablehook)
     try:
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
         if status == INTERRUPTED:  # Typer turns an interruption into this status
@@ -202,13 +202,13 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     sys.exit(status or 0)
 
 
-def _interrupt_again(dropped):
+def _interrupt_again(otherwise, dropped):
     """Python drops a Ctrl-C that comes in a destructor, such as those of TensorFlow: repeat it."""
     if dropped.exc_type is KeyboardInterrupt:
         main_thread = threading.main_thread().ident
         threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
     else:
-        sys.__unraisablehook__(dropped)
+        otherwise(dropped)
 
 
 def _say(message, status):

@@ -274,23 +274,23 @@ def _csv(content):
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
     text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
-    lines = [line for line in text.splitlines() if line.strip("# \t")]
-    first = lines[0].lstrip("# \t") if lines else ""  # NumPy begins its first line with "#"
-    separator = next((mark for mark in ",;\t" if mark in "".join(lines[-1:])), None)
-    words = [word.strip().strip('"').lower() for word in first.split(separator)]
-    known = {name for names in NAMES.values() for name in names}
-    has_names = any(word in known for word in words)
-    lines = lines[1:] if has_names else [line for line in lines if line.lstrip()[0] != "#"]
-    if not lines:
+    lines = [line.strip() for line in text.splitlines() if line.strip().strip("#").strip()]
+    body = [line for line in lines if line[0] != "#"]
+    if not body:
+        raise BadRecording("is empty: no events")
+    separator = next((mark for mark in ",;\t" if mark in body[-1]), None)
+    words = [word.strip().strip('"').lower() for word in body[0].split(separator)]
+    above = lines[: lines.index(body[0])][-1:]
+    has_names = any(word in names for word in words for names in NAMES.values())
+    if has_names:
+        del body[0]
+    elif above:  # NumPy writes the names as a comment
+        words = re.findall(r"[^,;#\s]+", above[0].lower())
+        has_names = all(set(words) & set(names) for names in NAMES.values())
+    if not body:
         raise BadRecording("is empty: no events")
     try:
-        table = np.loadtxt(
-            lines,
-            delimiter=separator,
-            ndmin=2,
-            max_rows=MAX_EVENTS + 1,
-            comments=None if has_names else "#",
-        )
+        table = np.loadtxt(body, delimiter=separator, ndmin=2, max_rows=MAX_EVENTS + 1)
     except ValueError as error:
         raise BadRecording("has a line that is not numbers, as many as in the others") from error
     if not has_names:

@@ -42,7 +42,7 @@ LOCK = ".lock"
 # Bytes of a folder's name, at most, on the usual file systems.
 LONGEST_NAME = 255
 
-_NAME = re.compile(r"w([0-9]{3})-([0-9]{4,9})\.mat")
+_NAME = re.compile(r"w([0-9]{3})-([0-9]{4,})\.mat")
 
 
 @dataclass(frozen=True)

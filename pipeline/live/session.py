@@ -9,7 +9,7 @@ sends:
 ``label``    ``label``: save the recording under this class, counted from 0, and under the writer
              that it was begun with
 ``example``  ``now`` and ``label`` (or null for any): play a sample of the network's check
-``undo``     discard the drawing on the skin or, if it is saved already, remove its file
+``undo``     remove the file of the recording on the skin
 ``writer``   ``number`` of the writer, or null for a new one
 
 and it receives: ``events``, ``answer``, ``spikes``, ``cleared``, ``saved``, ``undone``,
@@ -319,7 +319,7 @@ class Session:
             return True
         if recording.down:
             return False
-        return recording.over or recording.is_after(recording.time_s(page_ms))
+        return recording.settled or recording.is_after(recording.time_s(page_ms))
 
     def _begin(self, page_ms):
         self._recordings += 1
@@ -383,9 +383,9 @@ class Session:
             return [*replies, problem("no taxel has an event; write with more pressure")]
         taxels = self._sensor.rows * self._sensor.columns
         kept = self._keeper.save(label, MatRecording(events, True, recording.writer, True, taxels))
+        recording.complete, recording.saved_as = True, kept
         if saved_before is not None:  # the label was wrong
             self._keeper.remove(saved_before)
-        recording.complete, recording.saved_as = True, kept
         saved = {
             "type": "saved",
             "label": label,

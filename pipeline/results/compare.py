@@ -375,7 +375,7 @@ def _inference_lines(runs, letters):
     ]
     lines = _fitted([cells for cells in rows if any(cells[1:])])
     if any(run["operations_per_mac"] is not None for run in runs):
-        lines.append(f"times the CNN's: the {CNN_MACS:,} multiply-accumulates of the paper's")
+        lines.append(f"times the CNN's: the paper's CNN has {CNN_MACS:,} multiply-accumulates")
     return lines
 
 

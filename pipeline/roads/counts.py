@@ -107,11 +107,11 @@ def _scores(rows, labels, inside, out, classes, strength):
     from sklearn.linear_model import LogisticRegression  # the import takes a second
 
     known = np.unique(labels[inside])
-    if len(known) < 2 or not rows[inside].std(0).any():
+    active = np.ptp(rows[inside], axis=0) > 0 if len(known) > 1 else np.zeros(1, bool)
+    if not active.any():
         most = np.bincount(labels[inside], minlength=classes).argmax()
         return np.eye(classes)[np.full(len(out), most)]
     mean, spread = rows[inside].mean(0), rows[inside].std(0)
-    active = spread > 0
     x, y = ((rows[some][:, active] - mean[active]) / spread[active] for some in (inside, out))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it need not converge to the last digit

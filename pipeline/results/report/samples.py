@@ -60,11 +60,12 @@ class Replay:
 def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
     """Indices of samples to replay: wrong answers, then right ones of the classes mixed up."""
     samples = result["samples"]
+    rights = [i for i, s in enumerate(samples) if s["label"] == s["prediction"]]
     mistakes = [i for i, s in enumerate(samples) if s["label"] != s["prediction"]][:wrong]
+    first = {samples[i]["label"]: i for i in reversed(rights)}  # of each class
     mixed = [samples[i][key] for i in mistakes for key in ("label", "prediction")]
-    first = {s["label"]: i for i, s in enumerate(samples) if s["label"] == s["prediction"]}
-    order = [label for label in dict.fromkeys([*mixed, *first]) if label in first]
-    return mistakes + [first[label] for label in order[:right]]
+    order = [*(first[label] for label in mixed if label in first), *sorted(first.values()), *rights]
+    return mistakes + list(dict.fromkeys(order))[:right]
 
 
 def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:

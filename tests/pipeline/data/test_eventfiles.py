@@ -51,7 +51,9 @@ FILES = {
     "lines.csv": CSV.encode(),
     "named.csv": NAMED_CSV.encode(),
     "by NumPy.csv": b"# x,y,t,p\n" + CSV.encode(),
-    "with a comment.csv": b"# of a strip\n" + CSV.encode(),
+    "with comments.csv": b"# on a strip\n" + CSV.encode() + b"\n# end, done\n \x1f\n",
+    "other order.csv": b"# of 2020\n# p t, x, y\n"
+    + "\n".join(f"{p},{t},{x},{y}" for x, y, t, p in zip(X, Y, T, P, strict=True)).encode(),
     "truth values.csv": NAMED_CSV.replace(";1;", ";True;").replace(";0;", ";false;").encode(),
 }
 

@@ -70,5 +70,7 @@ def test_a_class_without_training_samples_is_never_the_answer():
 
 
 def test_equal_samples_are_answered_with_the_most_frequent_class():
-    fitted = fit_baseline(np.ones((9, 8, 5)), np.repeat([0, 1, 2], [2, 4, 3]), np.arange(9), 3)
-    assert fitted.scores.argmax(1).tolist() == [1] * 9
+    counts, labels = np.ones((10, 8, 5)), np.repeat([0, 1, 2], [2, 4, 4])
+    counts[9] = 7  # is not in training
+    fitted = fit_baseline(counts, labels, np.arange(9), 3)
+    assert fitted.scores.tolist() == [[0, 1, 0]] * 10
