@@ -249,8 +249,7 @@ def _notes_on_recordings(opened):
             f"{samples} of a check; the check uses all of them"
         )
     if n_test < FEW:
-        few = f"test recordings: only {n_test}, an accuracy on them says little; record more"
-        yield f"{WARNING}{recordings.source.name}: {few}"
+        yield f"{WARNING}{recordings.source.name}: only {n_test} for the test; record more"
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
     if missing:

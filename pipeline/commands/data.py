@@ -122,7 +122,7 @@ def plot(
     data: Source = SIMULATED,
     seed: SimulationSeed = 0,
     sample: Annotated[
-        str, typer.Option(help="Id of a recording, such as 8/0000 (default: the first one).")
+        str, typer.Option(help="Id of a recording, such as 8/0000 (default: a usual one).")
     ] = "",
     reading: Reading = None,
     jobs: options.Jobs = 2,
@@ -152,7 +152,8 @@ def plot(
 
 def _index_of(recordings, name):
     if not name:
-        return 0
+        numbers = recordings.offsets[1:] - recordings.offsets[:-1]  # of events
+        return int(numbers.argsort(kind="stable")[len(recordings) // 2])
     if name in recordings.ids:
         return recordings.ids.index(name)
     raise UserError(f"no recording {name!r}; ids are like {recordings.ids[0]!r}")

@@ -125,9 +125,8 @@ class OpenRecording:
     @property
     def known_s(self):
         """Time until which all events are known; infinity for a recording that has ended."""
-        if self.settled:
-            return math.inf
-        return max(self.writing.time_s, self._now_s if self._rests else 0)
+        reached = self._now_s if self._rests else self.writing.time_s
+        return math.inf if self.settled else reached
 
     def decide(self, said: Answer, settled: bool):
         """Keep an early decision; otherwise take the answer at the end of a settled recording."""

@@ -1,5 +1,7 @@
 """The paper's figures of recordings: one over time, and a sheet of several."""
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -38,6 +40,8 @@ def recording(recordings: Recordings, index: int) -> Figure:
         Index of the recording.
     """
     events, sensor = recordings[index], recordings.sensor
+    since_first = events.time_ns - events.time_ns[:1].sum()
+    events = replace(events, time_ns=since_first)
     duration_s = int(events.time_ns.max(initial=0)) * 1e-9 or sensor.duration_s
     taxels, figure = recordings.taxels, Figure(figsize=(10, 7), layout="constrained")
     figure.suptitle(_title(recordings, index), x=0.01, ha="left")
@@ -58,8 +62,8 @@ def recording(recordings: Recordings, index: int) -> Figure:
         meaning = f": pressure {'rises' if polarity > 0 else 'falls'}" * recordings.source.simulated
         marks = {"colors": colour(name), "linewidths": 2, "label": name.upper() + meaning}
         axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, snap=False, **marks)
-    axes.set(xlim=(0, duration_s), ylim=(place.max() + 1, -1))
-    axes.set_xlabel("time (s)")
+    axes.set(xlim=(0, duration_s), ylim=(place.max() + 0.5, -1))
+    axes.set_xlabel("time from the first event (s)")
     axes.set_ylabel("taxel" + ", row by row" * is_grid)
     legend = axes.legend(loc="upper right", bbox_to_anchor=(1, -0.05), ncols=2, frameon=False)
     for line in legend.get_lines():
@@ -128,7 +132,7 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     is_strip = _is_strip(recordings.taxels)
     what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down" * is_strip
     figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
-    _scale(figure, width, height, "most (square root)" if is_strip else "most, in each picture")
+    _scale(figure, width, height, "most (root scale)" if is_strip else "most, in each picture")
     return figure
 
 

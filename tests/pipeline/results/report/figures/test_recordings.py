@@ -33,16 +33,17 @@ def test_recording(recordings):
     first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[1], frames[-1]))
     assert len(frames) == 8
     assert first[3, 0] > 0
-    assert first[0, 7] == first[3, 0]  # one event each within a quarter of the 1.5 s
+    assert first[0, 7] == first[3, 0]  # one event each within a quarter of the 1.4 s
     assert last[0, 7] == 1.0  # two events at the end, the most of all
     assert last[3, 0] == 0.5
-    assert (raster.get_xlim(), raster.get_ylim()) == ((0, 1.5), (100, -1))  # row by row, from above
+    assert (raster.get_xlim(), raster.get_ylim()) == (
+        (0, pytest.approx(1.4)),
+        (99.5, -1),
+    )  # from above
     on, off = raster.collections
     # ON in the upper half of a taxel's row, OFF in the lower half.
-    np.testing.assert_allclose(
-        on.get_segments(), [[[0.1, 30], [0.1, 29.55]], [[1.5, 7], [1.5, 6.55]]]
-    )
-    np.testing.assert_allclose(off.get_segments(), [[[0.2, 7], [0.2, 7.45]]])
+    np.testing.assert_allclose(on.get_segments(), [[[0, 30], [0, 29.55]], [[1.4, 7], [1.4, 6.55]]])
+    np.testing.assert_allclose(off.get_segments(), [[[0.1, 7], [0.1, 7.45]]])
     for marks, name in ((on, "on"), (off, "off")):
         assert to_hex(marks.get_color()[0]) == colour(name)
     assert "simulated" in figure.get_suptitle()
