@@ -201,7 +201,7 @@ export function drawRace(canvas, race) {
     context.fillStyle = colour("--ink");
     context.fillRect(at - 1, bottom, 2, 20);
     context.textAlign = at > width / 2 ? "right" : "left";
-    context.fillText(`${early ? "decided after" : "end,"} ${seconds.toFixed(2)} s`, at, height - 4);
+    context.fillText(`${early ? `decided after ${seconds.toFixed(2)} s` : "end of the recording"}`, at, height - 4);
   }
 }
 
@@ -223,6 +223,8 @@ function caption(context, y, lane, text, short = text) {
   context.fillText(context.measureText(text).width > lane ? short : text, LEFT, y - 5);
 }
 
+const many = (number) => number.toLocaleString("en");
+
 // The place of a share in a panel, in which those near 1 are seen.
 const rise = (share, high) => high * (1 - share / 1.06);
 
@@ -238,7 +240,7 @@ function explain(context, part, x, y) {
 function drawEvents(context, { events }, x, y, high, lane) {
   const taxels = rows * columns;
   const order = rows > 1 && columns > 1 ? " row by row" : "";
-  caption(context, y, lane, `the touch: ${taxels} taxels${order}, ${events.s.length} events`, `${taxels} taxels, ${events.s.length} events`);
+  caption(context, y, lane, `the touch: ${taxels} taxels${order}, ${many(events.s.length)} events`, `${taxels} taxels, ${many(events.s.length)} events`);
   const tall = Math.max(high / taxels, 1.5);
   for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
     context.fillStyle = colour(name);
@@ -271,14 +273,14 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
     }
   const axis = x === null ? `; across: the ${shownSteps} steps of the last presentation` : "";
   const unit = name === "input" ? "lines" : "neurons";
-  caption(context, y, lane, `${name}: ${neurons} ${unit}, ${spikes} spikes${axis}`, `${name}: ${neurons} ${unit}, ${spikes} spikes`);
+  caption(context, y, lane, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes${axis}`, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes`);
 }
 
-// The decided class and its strongest rivals at any time; before a decision, the likeliest ones now.
+// The decided class and its strongest rivals, at the decision and then at any time; before, the likeliest ones now.
 function curvesOf({ seconds, chances, classes, verdict }) {
   const most = classes.map((_, label) => seconds.reduce((most, _, step) => Math.max(most, chances[step * classes.length + label]), 0));
-  const last = (seconds.length - 1) * classes.length;
-  const rank = (label) => (label === verdict?.label ? 1000 : verdict ? most[label] : chances[last + label]);
+  const step = verdict ? seconds.findLastIndex((at) => at <= verdict.seconds + 1e-4) : seconds.length - 1;
+  const rank = (label) => (label === verdict?.label ? 1000 : chances[Math.max(step, 0) * classes.length + label] + most[label] / 1000);
   const top = [...classes.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, LINES.length);
   lines = lines.map((label) => (top.includes(label) ? label : null));
   for (const label of top) if (!lines.includes(label)) lines[lines.indexOf(null)] = label;

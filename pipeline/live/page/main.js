@@ -61,6 +61,7 @@ function describe() {
   $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"} to save the recording.`;
   const long = classes.some((name) => [...name].length > SHORT);
   document.body.classList.toggle("long", long);
+  document.body.classList.toggle("digits", digits);
   document.body.classList.toggle("many", classes.length > BUTTONS);
   const style = document.documentElement.style;
   // A strip is drawn high enough to be seen; a sensor whose taxels' places are known is in a square.
@@ -165,7 +166,9 @@ function ask(message, answers) {
   link.send(message, answers);
 }
 
-const keep = (label) => ask({ type: "label", label }, ["saved", "problem"]);
+function keep(label) {
+  if (!document.body.classList.contains("example")) ask({ type: "label", label }, ["saved", "problem"]);
+}
 const clear = () => ask({ type: "clear" });
 const undo = () => ask({ type: "undo" });
 
@@ -232,6 +235,7 @@ link.on("ready", (network) => {
   $("meaning").textContent = network.threshold === null
     ? "How sure: softmax of the outputs."
     : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
+  if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the skin, which can change the answer.";
   $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
@@ -242,7 +246,6 @@ link.on("ready", (network) => {
 
 link.on("cleared", (message) => {
   const started = strokes.filter((stroke) => stroke.at >= message.begun_ms); // received already
-  const again = recording !== null && !kept && message.recording !== null;
   forget();
   if (message.recording !== null && !message.example) strokes = started;
   recording = message.recording;
@@ -250,8 +253,7 @@ link.on("cleared", (message) => {
   document.body.classList.toggle("example", Boolean(message.example));
   if (message.example) showExample(message.example);
   for (const id of ["hint", "status"]) $(id).classList.toggle("gone", recording !== null);
-  $("told").textContent = message.example ? "An example cannot be saved; clear it and write one."
-    : again ? `A new recording: a touch after a pause of ${about.pause_s} s begins one.` : "";
+  $("told").textContent = message.example ? "An example cannot be saved; clear it and write one." : "";
   unmark();
   complain(null);
 });
@@ -470,8 +472,9 @@ function showDecision(message) {
   $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
   if (verdict === null) {
     const threshold = ready?.threshold ?? null;
-    $("decided").textContent = label !== null ? "so far"
-      : threshold === null ? "The network decides at the end." : `The network decides when it is ${percent(threshold)} sure.`;
+    const waits = !pen.writes && strokes.length && example === "";
+    $("decided").textContent = label !== null ? (waits ? `so far; waits ${about.pause_s} s for another stroke` : "so far")
+      : `The network decides ${threshold === null ? "" : `when it is ${percent(threshold)} sure, or `}${about.pause_s} s after the last stroke.`;
   } else {
     const ended = differs ? `; at the end it would be ${named(message.decision)}` : "";
     const right = chance ? `; a guess: ${classes[label]}` : example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;

@@ -275,14 +275,12 @@ def _over_time(inputs):
     if early:
         share = 100 * early["share_of_writing_mean"]
         points.append((share, 100 * early["accuracy"], "early"))
-    below = [i for i, share in enumerate(y) if share < y[-1] - 0.02 - 1e-9]
     counts = [100 * r["accuracy"] for r in inputs.results if r["target"] == "counts"]
     return {
         "chart": charts.line_chart(
             [series], label, "accuracy, %", "Accuracy over time", 0, points, counts
         ),
-        "near": x[max(below, default=-1) + 1],
-        "last": x[-1],
+        "half": y[int(np.searchsorted(x, x[-1] / 2))],
         "name": name,
         "early": early,
         "on_events": bool(written),

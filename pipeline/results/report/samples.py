@@ -10,7 +10,7 @@ from deploy.network.decision import confidence, decide, probabilities
 from deploy.network.responses import decoded, running_sums
 from deploy.targets.fast import Emulation
 
-# Number of classes whose probability is drawn: the most likely at the end, and the right one.
+# Number of classes whose probability is drawn: the most likely at the decision, and the right one.
 SHOWN_CLASSES = 4
 
 
@@ -53,7 +53,7 @@ class Replay:
 
     def shown(self, label: int) -> list:
         """The classes whose probability is drawn, for a sample of a class."""
-        top = np.argsort(-self.chances[-1], kind="stable")[:SHOWN_CLASSES].tolist()
+        top = np.argsort(-self.chances[self.decided], kind="stable")[:SHOWN_CLASSES].tolist()
         return top if label in top else [*top[:-1], label]
 
 

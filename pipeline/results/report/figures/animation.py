@@ -19,6 +19,9 @@ FRAMES, FRAME_MS, LAST_MS = 48, 60, 3000
 
 LONGEST_NAME = 32
 
+# Probability below which an answer is not shown: it would only flicker.
+LIKELY = 0.4
+
 
 def require_gif(path):
     """Refuse another ending of the name than .gif."""
@@ -123,8 +126,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
             line.set_data(times[times <= now], 100 * chances[times <= now, c])
         step_now = min(np.searchsorted(times, now, side="right") - 1, played.decided)
         if step_now >= 0:
-            answered.set_text(names[chances[step_now].argmax()])
-            verdict.set_text(f"{measure} {_percent(chances[step_now].max())}")
+            likely = chances[step_now].max()
+            answered.set_text(names[chances[step_now].argmax()] if likely >= LIKELY else "…")
+            verdict.set_text(f"{measure} {_percent(likely)}")
         if now >= end:
             answered.set(text=names[answer], color=colour("right" if answer == label else "wrong"))
             verdict.set_text(ended)
