@@ -32,7 +32,7 @@ FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").gl
 
 # The rows of the tables in the README, by experiment.
 BRIEF = {
-    "table2": "counts cnn loihi cnn-matched own-loihi cnn-augmented events-loihi",
+    "table2": "counts cnn cnn-matched own-loihi cnn-augmented events-loihi",
     "real-touch": "counts cnn chip events-chip",
 }
 REAL_TOUCH = {"objects": "Ev-Objects, 36 classes", "letters": "Braille letters, 27 classes"}

@@ -206,7 +206,7 @@ def estimate_text(value: EnergyEstimate) -> str:
         f"{1 - value.share_of_updates:.0%} synaptic operations",
         "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ",
         "  (Davies et al. 2018: simulations of the circuits before the chip was made)",
-        "dense: the same network without spikes, (multiply-accumulates + neurons) x 8.6 nJ",
+        "dense: one pass of this network without spikes, (multiply-accumulates + neurons) x 8.6 nJ",
         "  on a CPU, 0.3 nJ on a GPU (Degnan et al. 2016)",
     ]
     if not all(layer.on_chip for layer in value.layers):

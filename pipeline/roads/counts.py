@@ -151,7 +151,7 @@ def _fit(opened, artifact):
         "seconds": seconds,
         "versions": _versions(),
     }
-    opened.say(accuracy_text("counts", metrics))
+    opened.say(f"{accuracy_text('counts', metrics)}, slices of time: {baseline.slices}")
     return metrics
 
 

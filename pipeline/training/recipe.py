@@ -78,10 +78,10 @@ class Reading(NamedTuple):
         """The choice and its reason in a line."""
         how = f"each of {self.parts} parts" if self.parts > 1 else "the whole"
         return (
-            f"refractory period of {self.refractory * step_ms:g} ms and readout weights for {how} "
-            f"of a recording: {self.lost:.0%} of the events are merged or ignored; a linear "
-            f"classifier of what is left, cross-validated in training, has {self.accuracy:.3f} "
-            f"(without the period {self.complete:.3f})"
+            f"refractory period of {self.refractory * step_ms:g} ms: {self.lost:.0%} of the "
+            "events are merged or ignored; a linear classifier of the others, cross-validated in "
+            f"training, has {self.accuracy:.3f} (of all events {self.complete:.3f}); readout "
+            f"weights for {how} of a recording"
         )
 
 
