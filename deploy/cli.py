@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import fields
 from pathlib import Path
 
 from . import __version__
 from .check.bundle import read_bundle, result_beside
-from .check.results import compare_results, enforce, read_result, require_limits
 from .check.run import run_check
-from .check.text import comparison_text, summary
+from .check.text import summary
 from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
 from .targets import NAMES, BoardOptions
@@ -57,7 +55,7 @@ def _parser():
     )
     parser.add_argument("--version", action="version", version=__version__)
     verbs = parser.add_subparsers(metavar="COMMAND")
-    parser.set_defaults(run=lambda _: parser.error("name a command: check, compare, plan or board"))
+    parser.set_defaults(run=lambda _: parser.error("name a command: check, plan or board"))
     check = verbs.add_parser("check", help="run a target on the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(NAMES))
@@ -79,16 +77,9 @@ def _parser():
     )
     plan.add_argument("bundle", type=Path, help="the bundle's folder")
     plan.add_argument("--chips", type=int, default=1, metavar="N", help="number of chips")
-    plan.add_argument("--json", action="store_true", help="print JSON")
     plan.set_defaults(run=_plan)
     board = verbs.add_parser("board", help="report whether this host can use a board")
     board.set_defaults(run=lambda _: show(f"NxSDK {nxsdk_version()}: target loihi can be used"))
-    pair = verbs.add_parser("compare", help="compare two results")
-    pair.add_argument("a", type=Path)
-    pair.add_argument("b", type=Path)
-    pair.add_argument("--max-disagreements", type=int, metavar="N")
-    pair.add_argument("--max-accuracy-drop", type=float, metavar="X")
-    pair.set_defaults(run=_compare)
     return parser
 
 
@@ -114,13 +105,6 @@ def _check(options):
 
 def _plan(options):
     plan = make_plan(read_bundle(options.bundle).spec, options.chips)
-    show(json.dumps(plan.to_json(), indent=2) if options.json else plan_text(plan))
+    show(plan_text(plan))
     if plan.problems:
         raise UserError("the network does not fit: " + plan.problems[0])
-
-
-def _compare(options):
-    require_limits(options.max_disagreements, options.max_accuracy_drop)
-    comparison = compare_results(read_result(options.a), read_result(options.b))
-    show(comparison_text(comparison))
-    enforce(comparison, options.max_disagreements, options.max_accuracy_drop)

@@ -105,7 +105,13 @@ def remove_leftovers(folder):
     ----------
     folder : path-like
         Locked by this process, so that nobody else is writing there.
+
+    Raises
+    ------
+    UserError
+        See :func:`refuse_linked_folders`.
     """
+    refuse_linked_folders(folder)
     for path in list(Path(folder).rglob(f".*{TEMPORARY}")):
         with contextlib.suppress(OSError):
             if path.is_dir() and not path.is_symlink():
@@ -170,6 +176,21 @@ def locked(path, taken: str, remedy: str):
         except OSError:  # a file system without locks
             pass
         yield file
+
+
+def refuse_linked_folders(root):
+    """Refuse a folder in which another one, at any depth, is a symbolic link.
+
+    Raises
+    ------
+    UserError
+        Files would be written elsewhere; the message names the link.
+    """
+    for above, folders, _ in os.walk(str(root)):
+        for name in folders:
+            if os.path.islink(os.path.join(above, name)):
+                problem = "is a symbolic link to another folder, which is not followed"
+                raise UserError(f"{above}/{name}: {problem}; replace it by a folder")
 
 
 def write_json(path, value, indent=2):

@@ -86,7 +86,8 @@ def simulate(
     NirError
         A time constant is shorter than a step.
     ValueError
-        There are no samples, or they do not have the shape of the graph's input.
+        There are no samples, they do not have the shape of the graph's input, or a value is not
+        finite.
     """
     check_step(network, step)
     inputs = np.asarray(inputs)
@@ -96,6 +97,8 @@ def simulate(
         raise ValueError(
             f"inputs of shape {inputs.shape}; expected (samples, steps, {str(wanted)[1:-1]})"
         )
+    if not (0 < step < math.inf and np.isfinite(inputs).all()):
+        raise ValueError("the step is not positive, or an input not finite")
     outputs, spikes = [], []
     for start in range(0, len(inputs), AT_ONCE):
         signal, spiked = inputs[start : start + AT_ONCE].astype(float), {}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.errors import UserError
-from deploy.files import locked, remove_leftovers
+from deploy.files import locked, refuse_linked_folders, remove_leftovers
 from deploy.terminal import advised
 
 if TYPE_CHECKING:
@@ -42,7 +42,9 @@ def checks_of(bundle: Path) -> Path:
     """
     path = Path(os.path.abspath(bundle))  # which follows no link
     of_run = path.name == "bundle" and RunFolder(path.parent).experiment.is_file()
-    return (path.parent if of_run else path) / "checks"
+    folder = path.parent if of_run else path
+    refuse_linked_folders(folder)
+    return folder / "checks"
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ class RunFolder:
         Raises
         ------
         UserError
-            Another process has locked it, or it has a file's name.
+            Another process has locked it, it has a file's name, or a folder in it is a link.
         """
         if self.path.suffix.lower() in FILES and not self.path.is_dir():
             raise UserError(

@@ -34,6 +34,7 @@ from ..files import (
     TEMPORARY,
     read_arrays,
     read_json,
+    refuse_linked_folders,
     replacing,
     reporting_os_errors,
     sha256_of,
@@ -130,14 +131,19 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     UserError
         The path is a file's, or a folder's with other files than a bundle's, which would be lost;
         the samples are too large for a bundle; or the folder cannot be written.
+    ValueError
+        Labels, or frames of events, are not whole numbers of their range.
     """
-    path = Path(os.path.realpath(str(path))) if os.path.islink(str(path)) else Path(path)
+    path = Path(path)
     samples = {
         "inputs": np.asarray(checks.inputs, _stored_as(spec.stimulus)),
         "labels": np.asarray(checks.labels, np.int64),
         "ids": np.array(checks.ids, dtype=str),
         "seed": np.int64(checks.seed),
     }
+    for stored, given in ((samples["inputs"], checks.inputs), (samples["labels"], checks.labels)):
+        if stored.dtype.kind != "f" and not np.array_equal(stored, given):
+            raise ValueError("a label or an event is not a whole number, or out of range")
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
     with reporting_os_errors(path, "cannot write", FREE_IT):
         require_replaceable(path)
@@ -226,7 +232,13 @@ def result_beside(folder, target: str) -> Path:
     folder : Path
         The bundle's, which may have been copied without its run.
     target : str
+
+    Raises
+    ------
+    UserError
+        A folder in it is a link.
     """
+    refuse_linked_folders(folder)
     return Path(folder) / RESULTS / f"{target}.json"
 
 

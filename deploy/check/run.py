@@ -7,6 +7,7 @@ import json
 import os
 import time
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Dict, Iterator, List, Optional
 
@@ -235,8 +236,9 @@ def open_check(
     """
     target_named(target)
     seed = bundle.seed if seed is None else seed
-    if type(seed) is not int or not 0 <= seed < 2**31:  # a bundle's seed is not validated
+    if not isinstance(seed, Integral) or not 0 <= seed < 2**31:  # a bundle's is not validated
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
+    seed = int(seed)
     refuse_unfit(bundle.spec, target, seed)
     out = Path(out)
     if out.exists() and not out.is_file():  # before the samples are run

@@ -8,6 +8,7 @@ import typer
 
 from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
 from deploy.errors import UserError
+from deploy.files import refuse_linked_folders
 from deploy.tables import listed
 from pipeline.commands import options
 from pipeline.data.dataset import training_hashes
@@ -51,6 +52,8 @@ def adapt(
         options.say(line)
     adaptation.require_fit(bundle.spec, recordings)
     place = out or beside / who
+    if out is None:
+        refuse_linked_folders(beside.parent)
     if place.resolve() == bundle.path.resolve():
         raise UserError(
             f"{place}: is the bundle to adapt, which is not changed; choose another --out"

@@ -152,8 +152,9 @@ def plot(
 
 def _index_of(recordings, name):
     if not name:
-        numbers = recordings.offsets[1:] - recordings.offsets[:-1]  # of events
-        return int(numbers.argsort(kind="stable")[len(recordings) // 2])
+        return int(
+            (recordings.offsets[1:] - recordings.offsets[:-1]).argsort()[len(recordings) // 2]
+        )
     if name in recordings.ids:
         return recordings.ids.index(name)
     raise UserError(f"no recording {name!r}; ids are like {recordings.ids[0]!r}")

@@ -204,18 +204,21 @@ def _members(path):
     """Paths of all files and folders of a source, and files refused with the reason."""
     if path.is_dir():
         files, folders, refused = [], [], []
-        for root, names_of_folders, names in os.walk(path):
+        seen = set()  # folders, so that links in a circle end
+        for root, names_of_folders, names in os.walk(path, followlinks=True):
             around = Path(root)
+            real = {name: os.path.realpath(around / name) for name in names_of_folders}
+            names_of_folders[:] = [name for name in real if real[name] not in seen]
+            seen.update(real.values())
             for name in sorted([*names_of_folders, *names]):
                 entry = around / name
                 member = entry.relative_to(path).as_posix()
                 if entry.is_file():
                     files.append(member)
-                elif entry.is_dir() and not entry.is_symlink():
+                elif entry.is_dir():
                     folders.append(member)
                 elif not _is_ignored(PurePosixPath(member)):
-                    kind = "a link to a folder" if entry.is_dir() else "not a regular file"
-                    refused.append((member, f"is {kind}; move it away"))
+                    refused.append((member, "is not a regular file; move it away"))
         return sorted(files), folders, refused
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")

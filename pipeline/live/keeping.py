@@ -39,9 +39,6 @@ TABLE = "LUT.mat"
 
 LOCK = ".lock"
 
-# Bytes of a folder's name, at most, on the usual file systems.
-LONGEST_NAME = 255
-
 _NAME = re.compile(r"w([0-9]{3})-([0-9]{4,})\.mat")
 
 
@@ -75,10 +72,7 @@ def places_of(classes) -> tuple:
     Classes that were read from folders have such names; a copied network may have any names.
     """
     valid = len(set(classes)) == len(classes) and all(
-        re.fullmatch(r"[^./][^/]*", name)
-        and name.isprintable()
-        and len(name.encode(errors="replace")) <= LONGEST_NAME
-        for name in classes
+        re.fullmatch(r"[^./][^/]{0,254}", name) and name.isprintable() for name in classes
     )
     return tuple(classes) if valid else tuple(map(str, range(len(classes))))
 

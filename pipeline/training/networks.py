@@ -541,5 +541,5 @@ def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
 def make_deterministic(seed: int):
     """Seed TensorFlow so that the same machine computes the same weights."""
     tf.keras.backend.clear_session()
-    tf.keras.utils.set_random_seed(seed)
+    tf.keras.utils.set_random_seed(int(seed))
     tf.config.experimental.enable_op_determinism()

@@ -138,3 +138,9 @@ def test_a_loop_by_hand(kind):
     # Linear: 0.4, 0.8, 1.2; 0.1, 0.5, 0.9, 1.3; 0.1.  Affine: 0.5, 1, 1.5; 0.2, 0.7, 1.2; 0.2, 0.7
     wanted = {"Linear": [0, 0, 1, 0, 0, 0, 1, 0], "Affine": [0, 0, 1, 0, 0, 1, 0, 0]}[kind]
     assert found.tolist() == wanted
+
+
+@pytest.mark.parametrize(("value", "step"), [(1, 0), (1, -H), (1, np.nan), (np.nan, H)])
+def test_a_step_or_an_input_that_is_no_number(value, step):
+    with pytest.raises(ValueError, match="step"):
+        simulate(network_of((1,), lif(0.1)), np.full((1, 2, 1), value), step)

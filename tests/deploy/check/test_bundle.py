@@ -1,14 +1,15 @@
 import json
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from deploy.check import bundle as bundles
-from deploy.check.bundle import FILES, read_bundle, write_bundle
+from deploy.check.bundle import FILES, CheckSet, read_bundle, write_bundle
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, sha256_of, write_json
-from tests.deploy.networks import bundle_at, random_checks, small_spec
+from tests.deploy.networks import bundle_at, events_spec, random_checks, random_frames, small_spec
 
 
 @pytest.fixture
@@ -220,3 +221,17 @@ def test_checks_that_are_none(bundle, changes, fact):
 def test_weights_that_are_none(bundle, changes, fact):
     with pytest.raises(UserError, match=fact):
         read_bundle(with_arrays(bundle, "weights.npz", **changes))
+
+
+@pytest.mark.parametrize("change", [
+    lambda c: replace(c, inputs=0.7 * c.inputs),
+    lambda c: replace(c, inputs=c.inputs.astype(int) + 256),
+    lambda c: replace(c, labels=c.labels + 0.7),
+    lambda c: replace(c, labels=c.labels.astype(str)),
+])  # fmt: skip
+def test_samples_that_would_be_stored_as_others(tmp_path, change):
+    spec = events_spec()
+    checks = CheckSet(random_frames(spec, 4), np.arange(4), tuple("abcd"), 0)
+    with pytest.raises(ValueError, match="whole number"):
+        write_bundle(tmp_path / "b", spec, change(checks))
+    assert not (tmp_path / "b").exists()

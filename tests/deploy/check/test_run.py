@@ -3,11 +3,13 @@
 import fcntl
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from deploy import __version__
 from deploy.check.run import run_check
 from deploy.errors import UserError
+from deploy.files import read_json
 from deploy.network.stimulus import ImageSpikes
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at, small_spec
@@ -123,6 +125,11 @@ def test_a_second_writer_is_refused_and_loses_nothing(bundle, tmp_path):
         with pytest.raises(UserError, match=rf"{out}\b"):
             run_check(bundle, "nengo", out)
     assert saved.read_bytes() == before
+
+
+def test_a_seed_of_numpy(bundle, tmp_path):
+    run_check(bundle, "fast", tmp_path / "fast.json", seed=np.arange(4)[3])
+    assert read_json(tmp_path / "fast.json", "")["seed"] == 3
 
 
 def test_a_place_that_cannot_be_written(bundle, tmp_path):

@@ -242,6 +242,12 @@ def test_what_cannot_be_written(tmp_path, items, fact):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_classes_without_an_order(tmp_path):
+    for classes in (set(CLASSES), dict.fromkeys(CLASSES)):
+        with pytest.raises(ValueError, match="order"):
+            write_recordings(tmp_path / "a.zip", gestures(1), classes)
+
+
 def test_a_published_split_of_arrays(tmp_path):
     parts = ["train", "train", "test"] * 4
     path = write_recordings(tmp_path / "a.zip", gestures(3), CLASSES, parts=parts)

@@ -328,3 +328,21 @@ def test_recordings_are_read_once(tmp_path, monkeypatch):
 def test_a_spike_train_of_a_hundred_taxels_is_read_from_a_folder(tmp_path):
     put(tmp_path / "s", {"3/a.mat": mat5(spiketrain=spiketrain())})
     assert load_recordings(str(tmp_path / "s"), jobs=1).ids == ("3/a",)
+
+
+def test_folders_on_another_disk(tmp_path):
+    """Links to folders are followed, and a link in a circle ends."""
+    for name in "ab":
+        folder = tmp_path / "disk" / name
+        folder.mkdir(parents=True)
+        for i in range(3):
+            (folder / f"{i}.npz").write_bytes(strip(i))
+    own = tmp_path / "own"
+    own.mkdir()
+    for name in "ab":
+        (own / name).symlink_to(tmp_path / "disk" / name)
+    assert [entry.member for entry in list_source(own).entries] == [
+        f"{name}/{i}.npz" for name in "ab" for i in range(3)
+    ]
+    (tmp_path / "disk" / "a" / "again").symlink_to(own)
+    assert len(list_source(own).entries) == 6
