@@ -27,7 +27,7 @@ OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS)
 .PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
-setup:  ## Install the versions pinned in constraints.txt into .venv (2.6 GB)
+setup:  ## Install the versions pinned in constraints.txt into .venv (3 GB)
 	@sh setup.sh .venv $(PYTHON)
 
 data: setup  ## Import DATA, or simulate recordings, into the cache

@@ -60,8 +60,7 @@ def _parser():
     check.add_argument("bundle", type=Path, help="the bundle's folder")
     check.add_argument("--target", required=True, metavar="T", help=", ".join(NAMES))
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
-    seed = "seed of the simulator (default: that of the bundle's run)"
-    check.add_argument("--seed", type=int, metavar="N", help=seed)
+    check.add_argument("--seed", type=int, metavar="N", help="the simulator's (default: the run's)")
     board = check.add_argument_group("target loihi")
     for each in fields(BoardOptions):
         how = {"default": each.default, "help": each.metadata["help"]}

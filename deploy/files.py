@@ -178,19 +178,33 @@ def locked(path, taken: str, remedy: str):
         yield file
 
 
-def refuse_linked_folders(root):
-    """Refuse a folder in which another one, at any depth, is a symbolic link.
+def refuse_linked_folder(folder):
+    """Refuse a folder that is a symbolic link: files would be written elsewhere.
 
     Raises
     ------
     UserError
-        Files would be written elsewhere; the message names the link.
+    """
+    if os.path.islink(str(folder)):
+        raise UserError(f"{folder}: is a link to a folder, which is not followed; replace it")
+
+
+def refuse_linked_folders(root):
+    """Refuse a folder in which another one, at any depth, is a symbolic link.
+
+    Parameters
+    ----------
+    root : path-like
+        May itself be a link, because the user has named it.
+
+    Raises
+    ------
+    UserError
+        A folder is a link; the message names it.
     """
     for above, folders, _ in os.walk(str(root)):
         for name in folders:
-            if os.path.islink(os.path.join(above, name)):
-                problem = "is a symbolic link to another folder, which is not followed"
-                raise UserError(f"{above}/{name}: {problem}; replace it by a folder")
+            refuse_linked_folder(os.path.join(above, name))
 
 
 def write_json(path, value, indent=2):

@@ -86,19 +86,19 @@ def simulate(
     NirError
         A time constant is shorter than a step.
     ValueError
-        There are no samples, they do not have the shape of the graph's input, or a value is not
-        finite.
+        There are no samples, they do not have the shape of the graph's input, a value is not
+        finite, or the step is not positive.
     """
-    check_step(network, step)
     inputs = np.asarray(inputs)
+    if not (0 < step < math.inf and np.isfinite(inputs).all()):
+        raise ValueError("the step is not positive, or an input not finite")
+    check_step(network, step)
     shape, wanted = inputs.shape[2:], tuple(network.input_shape)
     one_is_flat = min(len(shape), len(wanted)) == 1 and math.prod(shape) == math.prod(wanted)
     if shape != wanted and not one_is_flat:
         raise ValueError(
             f"inputs of shape {inputs.shape}; expected (samples, steps, {str(wanted)[1:-1]})"
         )
-    if not (0 < step < math.inf and np.isfinite(inputs).all()):
-        raise ValueError("the step is not positive, or an input not finite")
     outputs, spikes = [], []
     for start in range(0, len(inputs), AT_ONCE):
         signal, spiked = inputs[start : start + AT_ONCE].astype(float), {}

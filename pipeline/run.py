@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.errors import UserError
-from deploy.files import locked, refuse_linked_folders, remove_leftovers
+from deploy.files import locked, refuse_linked_folder, remove_leftovers
 from deploy.terminal import advised
 
 if TYPE_CHECKING:
@@ -39,12 +39,17 @@ def checks_of(bundle: Path) -> Path:
     Parameters
     ----------
     bundle : Path
+
+    Raises
+    ------
+    UserError
+        The folder is a symbolic link: results would be written elsewhere.
     """
     path = Path(os.path.abspath(bundle))  # which follows no link
     of_run = path.name == "bundle" and RunFolder(path.parent).experiment.is_file()
-    folder = path.parent if of_run else path
-    refuse_linked_folders(folder)
-    return folder / "checks"
+    folder = (path.parent if of_run else path) / "checks"
+    refuse_linked_folder(folder)
+    return folder
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from ..files import (
     TEMPORARY,
     read_arrays,
     read_json,
-    refuse_linked_folders,
+    refuse_linked_folder,
     replacing,
     reporting_os_errors,
     sha256_of,
@@ -134,7 +134,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     ValueError
         Labels, or frames of events, are not whole numbers of their range.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(str(path)))  # a link that the user names is followed
     samples = {
         "inputs": np.asarray(checks.inputs, _stored_as(spec.stimulus)),
         "labels": np.asarray(checks.labels, np.int64),
@@ -236,9 +236,9 @@ def result_beside(folder, target: str) -> Path:
     Raises
     ------
     UserError
-        A folder in it is a link.
+        ``checks`` is a symbolic link: the result would be written elsewhere.
     """
-    refuse_linked_folders(folder)
+    refuse_linked_folder(Path(folder) / RESULTS)
     return Path(folder) / RESULTS / f"{target}.json"
 
 

@@ -8,7 +8,7 @@ import typer
 
 from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
 from deploy.errors import UserError
-from deploy.files import refuse_linked_folders
+from deploy.files import refuse_linked_folder
 from deploy.tables import listed
 from pipeline.commands import options
 from pipeline.data.dataset import training_hashes
@@ -53,7 +53,7 @@ def adapt(
     adaptation.require_fit(bundle.spec, recordings)
     place = out or beside / who
     if out is None:
-        refuse_linked_folders(beside.parent)
+        refuse_linked_folder(beside)
     if place.resolve() == bundle.path.resolve():
         raise UserError(
             f"{place}: is the bundle to adapt, which is not changed; choose another --out"

@@ -17,7 +17,7 @@ import io
 import re
 import tempfile
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -412,8 +412,8 @@ def write_recordings(
         raise UserError(f"{path}: a writer is a whole number from 0, for each recording")
     if classes is None:
         classes = getattr(recordings, "classes", None)
-    if isinstance(classes, set | dict):
-        raise ValueError("classes: a set or a dict has no order; give a list of names")
+    if isinstance(classes, Set):
+        raise ValueError("classes: a set has no order; give a list of names")
     names, written, problems = list(map(str, () if classes is None else classes)), 0, {}
     if len(set(names)) < len(names):
         raise UserError(f"{path}: two of the classes have the same name")

@@ -204,13 +204,12 @@ def _members(path):
     """Paths of all files and folders of a source, and files refused with the reason."""
     if path.is_dir():
         files, folders, refused = [], [], []
-        seen = set()  # folders, so that links in a circle end
-        for root, names_of_folders, names in os.walk(path, followlinks=True):
+        for root, below, names in os.walk(path, followlinks=True):
             around = Path(root)
-            real = {name: os.path.realpath(around / name) for name in names_of_folders}
-            names_of_folders[:] = [name for name in real if real[name] not in seen]
-            seen.update(real.values())
-            for name in sorted([*names_of_folders, *names]):
+            above = {os.path.realpath(folder) for folder in (around, *around.parents)}
+            # Links in a circle end.
+            below[:] = [name for name in below if os.path.realpath(around / name) not in above]
+            for name in sorted([*below, *names]):
                 entry = around / name
                 member = entry.relative_to(path).as_posix()
                 if entry.is_file():

@@ -72,7 +72,8 @@ def places_of(classes) -> tuple:
     Classes that were read from folders have such names; a copied network may have any names.
     """
     valid = len(set(classes)) == len(classes) and all(
-        re.fullmatch(r"[^./][^/]{0,254}", name) and name.isprintable() for name in classes
+        re.fullmatch(r"[^./][^/]*", n) and n.isprintable() and len(n.encode()) < 256
+        for n in classes
     )
     return tuple(classes) if valid else tuple(map(str, range(len(classes))))
 

@@ -201,7 +201,7 @@ export function drawRace(canvas, race) {
     context.fillStyle = colour("--ink");
     context.fillRect(at - 1, bottom, 2, 20);
     context.textAlign = at > width / 2 ? "right" : "left";
-    context.fillText(`${early ? `decided after ${seconds.toFixed(2)} s` : "end of the recording"}`, at, height - 4);
+    context.fillText(early ? `decided after ${seconds.toFixed(2)} s` : "end of the recording", at, height - 4);
   }
 }
 

@@ -474,7 +474,7 @@ function showDecision(message) {
     const threshold = ready?.threshold ?? null;
     const waits = !pen.writes && strokes.length && example === "";
     $("decided").textContent = label !== null ? (waits ? `so far; waits ${about.pause_s} s for another stroke` : "so far")
-      : `The network decides ${threshold === null ? "" : `when it is ${percent(threshold)} sure, or `}${about.pause_s} s after the last stroke.`;
+      : `The network decides ${threshold === null ? "" : `when it is ${percent(threshold)} sure, or `}${canDraw() && example === "" ? `${about.pause_s} s after the last stroke` : "at the end"}.`;
   } else {
     const ended = differs ? `; at the end it would be ${named(message.decision)}` : "";
     const right = chance ? `; a guess: ${classes[label]}` : example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;

@@ -280,7 +280,7 @@ def _over_time(inputs):
         "chart": charts.line_chart(
             [series], label, "accuracy, %", "Accuracy over time", 0, points, counts
         ),
-        "half": y[int(np.searchsorted(x, x[-1] / 2))],
+        "half": y[int(np.searchsorted(x, x[-1] / 2))] if x[0] <= x[-1] / 2 else None,
         "name": name,
         "early": early,
         "on_events": bool(written),

@@ -10,7 +10,7 @@ from deploy.network.decision import confidence, decide, probabilities
 from deploy.network.responses import decoded, running_sums
 from deploy.targets.fast import Emulation
 
-# Number of classes whose probability is drawn: the most likely at the decision, and the right one.
+# Number of classes whose probability is drawn: decision, answer at the end, the right one, rivals.
 SHOWN_CLASSES = 4
 
 
@@ -53,8 +53,9 @@ class Replay:
 
     def shown(self, label: int) -> list:
         """The classes whose probability is drawn, for a sample of a class."""
-        top = np.argsort(-self.chances[self.decided], kind="stable")[:SHOWN_CLASSES].tolist()
-        return top if label in top else [*top[:-1], label]
+        top = np.argsort(-self.chances[self.decided], kind="stable").tolist()
+        drawn = dict.fromkeys([top[0], int(self.chances[-1].argmax()), label, *top])
+        return list(drawn)[:SHOWN_CLASSES]
 
 
 def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:

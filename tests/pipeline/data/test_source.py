@@ -344,5 +344,7 @@ def test_folders_on_another_disk(tmp_path):
     assert [entry.member for entry in list_source(own).entries] == [
         f"{name}/{i}.npz" for name in "ab" for i in range(3)
     ]
+    (own / "c").symlink_to(own / "a")  # the same recordings in two classes
+    (own / "taxels.csv").write_text("taxel,x,y")
     (tmp_path / "disk" / "a" / "again").symlink_to(own)
-    assert len(list_source(own).entries) == 6
+    assert len(list_source(own).entries) == 9
