@@ -81,13 +81,14 @@ def _live(path):
         try:
             url = re.search(r"http://\S+", server.stdout.readline())[0]
             browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-            size = {"width": 1040, "height": 720}  # legible where it is shown
-            page = browser.new_page(viewport=size, device_scale_factor=1.6)
+            page = browser.new_page(viewport={"width": 1040, "height": 760}, device_scale_factor=2)
             page.goto(url)
             page.wait_for_selector("body[data-ready]")
             page.evaluate(WRITE, _hand())
             page.wait_for_timeout(2500)
-            page.screenshot(path=path)
+            main = page.locator("main").bounding_box()
+            shown = {"x": 0, "y": 0, "width": 1040, "height": main["y"] + main["height"] + 8}
+            page.screenshot(path=path, full_page=True, clip=shown)
             browser.close()
         finally:
             server.terminate()

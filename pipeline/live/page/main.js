@@ -233,7 +233,7 @@ link.on("ready", (network) => {
       : `Ready: draw with finger, pen or mouse. This presses a simulated skin of ${about.rows} x ${about.columns} taxels, not your sensor.`
     : "Ready: this sensor is too large for drawing; play examples instead.";
   $("meaning").textContent = network.threshold === null
-    ? "How sure: softmax of the outputs."
+    ? "How sure: softmax of the outputs, which is no probability."
     : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
   if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the skin, which can change the answer.";
   $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
@@ -311,6 +311,8 @@ link.on("spikes", (message) => {
 link.on("saved", (message) => {
   kept = true;
   $("undo").disabled = false;
+  $("shown").dataset.label = message.label; // right or wrong
+  showDecision(shown);
   unmark();
   $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events. Undo takes that back.`;
   $(`label-${message.label}`).setAttribute("aria-pressed", "true");
@@ -319,6 +321,8 @@ link.on("saved", (message) => {
 
 link.on("undone", (message) => {
   kept = false; // the drawing can be saved again
+  delete $("shown").dataset.label;
+  showDecision(shown);
   $("undo").disabled = true;
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
   unmark();

@@ -63,7 +63,7 @@ def recording(recordings: Recordings, index: int) -> Figure:
         marks = {"colors": colour(name), "linewidths": 2, "label": name.upper() + meaning}
         axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, snap=False, **marks)
     axes.set(xlim=(0, duration_s), ylim=(place.max() + 0.5, -1))
-    axes.set_xlabel("time from the first event (s)")
+    axes.set_xlabel("time from the first event (s)", loc="left")
     axes.set_ylabel("taxel (ON above OFF)" + ", row by row" * is_grid)
     legend = axes.legend(loc="upper right", bbox_to_anchor=(1, -0.05), ncols=2, frameon=False)
     for line in legend.get_lines():
