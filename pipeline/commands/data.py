@@ -152,9 +152,8 @@ def plot(
 
 def _index_of(recordings, name):
     if not name:
-        return int(
-            (recordings.offsets[1:] - recordings.offsets[:-1]).argsort()[len(recordings) // 2]
-        )
+        numbers = recordings.offsets[1:] - recordings.offsets[:-1]  # of events
+        return int(numbers.argsort()[len(recordings) // 2])
     if name in recordings.ids:
         return recordings.ids.index(name)
     raise UserError(f"no recording {name!r}; ids are like {recordings.ids[0]!r}")

@@ -205,8 +205,8 @@ def main(arguments=None, command=None, name: str = "stmnist"):
 def _interrupt_again(otherwise, dropped):
     """Python drops a Ctrl-C that comes in a destructor, such as those of TensorFlow: repeat it."""
     if dropped.exc_type is KeyboardInterrupt:
-        main_thread = threading.main_thread().ident
-        threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+        # It comes in the main thread only, which is therefore this one.
+        threading.Timer(0.01, signal.pthread_kill, (threading.get_ident(), signal.SIGINT)).start()
     else:
         otherwise(dropped)
 

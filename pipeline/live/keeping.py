@@ -2,7 +2,7 @@
 
 ``FOLDER/<class>/w<writer>-<number>.mat``: the number counts up over all classes of a writer.  The
 list of recordings is always read from these names, so that there is no other record that could be
-lost or become outdated.
+lost or become outdated.  A file is never overwritten.
 """
 
 import contextlib
@@ -267,8 +267,10 @@ def _create(path, content):
     Raises
     ------
     UserError
-        The file could not be written; it does not exist.
+        The name is taken, or the file could not be written.
     """
+    if os.path.lexists(path):
+        raise UserError(f"{path}: another program has just written it; save again")
     with replacing(path) as file:
         file.write(content)
         file.flush()

@@ -80,6 +80,24 @@ def test_a_full_disk_leaves_nothing_half(keeper, monkeypatch):
     assert keeper.save(2, recording()).number == 2
 
 
+def test_a_file_that_was_put_there_is_not_replaced(keeper, monkeypatch):
+    """Even one that comes in the last moment; pressing the class again saves the recording."""
+    keeper.save(1, recording())
+    look = Keeper.look
+    taken = keeper.folder / "1" / "w001-0002.mat"
+
+    def too_early(keeper):
+        look(keeper)
+        taken.write_text("mine")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Keeper, "look", too_early)
+        with pytest.raises(UserError, match="w001-0002"):
+            keeper.save(1, recording())
+    assert keeper.save(1, recording()).name == "1/w001-0003.mat"
+    assert taken.read_text() == "mine"
+
+
 # Of classes; all but the first are no names of folders.
 NAMES = ("über die ganze Fläche", "a/b", "..", "x" * 300, "x" * 301, "")
 
