@@ -155,7 +155,7 @@ export function drawRace(canvas, race) {
   const lane = width - LEFT - right;
   const x = (seconds) => LEFT + (seconds / end) * lane;
   const at = race.verdict ? x(Math.min(race.verdict.seconds, end)) : null; // the line of the verdict
-  const parts = height < 230 ? ["touch", "belief"] : ["touch", ...race.layers, "belief"]; // a phone on its side
+  const parts = ["touch", ...race.layers, "belief"];
   const free = height - BELOW - parts.length * (ABOVE + GAP);
   const weights = parts.map((part) => (part === "belief" ? 2 : 1));
   const unit = free / weights.reduce((a, b) => a + b);
@@ -179,7 +179,7 @@ export function drawRace(canvas, race) {
   });
   const bottom = top - GAP;
   context.font = FONT;
-  const mark = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10].find((step) => end <= 5 * step) ?? end / 5;
+  const mark = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10].find((step) => end <= step * Math.min(5, lane / 45)) ?? end / 5;
   for (let tick = 0; tick <= end * 1.001; tick += mark) {
     context.fillStyle = colour("--soft");
     context.textAlign = tick === 0 ? "left" : tick > end - mark / 4 ? "right" : "center";
@@ -215,12 +215,12 @@ function drawVerdict(context, at, y, lane, high) {
   context.fillRect(at - 1, y, 2, high);
 }
 
-// A text above a panel, or a shorter one if it is wider than the panel.
-function caption(context, y, lane, text, short = text) {
+// Above a panel: the first text that is not wider than the panel, or the last one.
+function caption(context, y, lane, ...texts) {
   context.font = FONT;
   context.fillStyle = colour("--soft");
   context.textAlign = "left";
-  context.fillText(context.measureText(text).width > lane ? short : text, LEFT, y - 5);
+  context.fillText(texts.find((text) => context.measureText(text).width <= lane) ?? texts.at(-1), LEFT, y - 5);
 }
 
 const many = (number) => number.toLocaleString("en");
@@ -240,7 +240,7 @@ function explain(context, part, x, y) {
 function drawEvents(context, { events }, x, y, high, lane) {
   const taxels = rows * columns;
   const order = rows > 1 && columns > 1 ? " row by row" : "";
-  caption(context, y, lane, `the touch: ${taxels} taxels${order}, ${many(events.s.length)} events`, `${taxels} taxels, ${many(events.s.length)} events`);
+  caption(context, y, lane, `the touch: ${taxels} taxels${order}, ${many(events.s.length)} events`, `${taxels} taxels, ${many(events.s.length)} events`, `${taxels} taxels`);
   const tall = Math.max(high / taxels, 1.5);
   for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
     context.fillStyle = colour(name);
@@ -273,7 +273,7 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
     }
   const axis = x === null ? `; across: the ${shownSteps} steps of the last presentation` : "";
   const unit = name === "input" ? "lines" : "neurons";
-  caption(context, y, lane, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes${axis}`, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes`);
+  caption(context, y, lane, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes${axis}`, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes`, `${name}: ${neurons} ${unit}`, name);
 }
 
 // The decided class and its strongest rivals, at the decision and then at any time; before, the likeliest ones now.
@@ -294,8 +294,8 @@ const lineOf = (label) => colour(LINES[lines.indexOf(label)]);
 function drawBelief(context, race, curves, x, y, high, lane) {
   const { seconds, chances, threshold, classes, verdict } = race;
   const decides = `decides at ${(100 * threshold).toFixed(1)} %`;
-  if (threshold === null) caption(context, y, lane, "softmax of the outputs, 0 to 100 %");
-  else caption(context, y, lane, `probability, 0 to 100 %; dotted: ${decides}`, `probability; dotted: ${(100 * threshold).toFixed(1)} %`);
+  if (threshold === null) caption(context, y, lane, "softmax of the outputs, 0 to 100 %", "softmax");
+  else caption(context, y, lane, `probability, 0 to 100 %; dotted: ${decides}`, `probability; dotted: ${(100 * threshold).toFixed(1)} %`, "probability");
   if (!seconds.length) return;
   context.fillStyle = colour("--line");
   for (const share of [0.5, 1]) context.fillRect(LEFT, y + rise(share, high), lane, 1);

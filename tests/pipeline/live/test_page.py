@@ -204,7 +204,7 @@ def test_every_browser_is_a_writer_of_its_own_and_stays_it(page, browser):
 
 
 @pytest.mark.parametrize("sensor", [Sensor(), OWN])
-@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
+@pytest.mark.parametrize("size", [(844, 390), (1280, 800), (1920, 1080)])
 def test_decision_spikes_and_labels_are_on_one_screen(browser, tmp_path, size, sensor):
     width, height = size
     with (
