@@ -273,11 +273,15 @@ def write_arrays(path, compress=True, **arrays):
     # Not numpy.savez: it writes the time of day into each member, and a bundle's id is a hash.
     with replacing(path) as file, zipfile.ZipFile(file, "w", kind) as archive:
         for name in sorted(arrays):
-            member = zipfile.ZipInfo(name + ".npy", date_time=(1980, 1, 1, 0, 0, 0))
-            member.compress_type = kind
-            member.external_attr = 0o644 << 16
-            with archive.open(member, "w", force_zip64=True) as stream:
+            with archive.open(zip_member(name + ".npy", kind), "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, np.asarray(arrays[name]), allow_pickle=False)
+
+
+def zip_member(name, kind=zipfile.ZIP_DEFLATED):
+    """A member of a zip whose bytes do not depend on the time of day."""
+    member = zipfile.ZipInfo(str(name), date_time=(1980, 1, 1, 0, 0, 0))
+    member.compress_type, member.external_attr = kind, 0o644 << 16
+    return member
 
 
 def read_arrays(path, remedy, most=limits.ARRAY_BYTES):

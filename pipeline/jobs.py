@@ -5,8 +5,9 @@ import signal
 import sys
 import traceback
 import warnings
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from multiprocessing.resource_tracker import ensure_running
 
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -115,7 +116,8 @@ def run_jobs(
 def results_of(calls, processes: int, in_order: bool = True):
     """Make calls in processes of this machine, from now on and until the block ends.
 
-    A terminal sends Ctrl-C to all processes.  The workers ignore it: this process ends them.
+    A terminal sends Ctrl-C to all processes.  The workers inherit from this one that they do not
+    receive it, also while they start: this process ends them.
 
     Parameters
     ----------
@@ -133,14 +135,18 @@ def results_of(calls, processes: int, in_order: bool = True):
     """
     order = "generator" if in_order else "generator_unordered"
     # In a process that uses ``stmnist``, workers bind its packages first.
-    begin = sys.modules["stmnist"]._begin_worker if "stmnist" in sys.modules else ignore_ctrl_c
-    options = {"initializer": begin} if processes != 1 else {}
-    with warnings.catch_warnings():
+    bound = processes != 1 and "stmnist" in sys.modules
+    options = {"initializer": sys.modules["stmnist"].bind} if bound else {}
+    with warnings.catch_warnings(), ExitStack() as stack:
         # Workers whose memory has grown are replaced between jobs, and jobs are cancelled if the
         # caller stops.
         for expected in ("A worker stopped while some jobs", r"\d+ tasks (which were|have been)"):
             warnings.filterwarnings("ignore", message=expected)
+        ensure_running()  # otherwise it starts between the workers, and allows Ctrl-C again
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
         with closing(Parallel(processes, return_as=order, **options)(calls)) as results:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
             yield results
 
 
@@ -155,11 +161,6 @@ def _in_processes(function, jobs, processes, meanwhile):
     except TerminatedWorkerError:
         for job in left.values():
             yield job, Failure(KILLED, KILLED, UserError(KILLED))
-
-
-def ignore_ctrl_c():
-    """Ignore Ctrl-C in this process, which another one ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _numbered(number, function, job):

@@ -281,8 +281,8 @@ class EventTraining(Section):
     #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
     #: which is one for handwriting.
     parts: Annotated[int, between(0, MOST_PARTS)] = 0
-    #: Length of each part in milliseconds, the last one is open; 0: the time of the longest
-    #: recording, divided among the parts.
+    #: Length of each part in milliseconds, the last one is open; 0: the time that is
+    #: presented, divided among the parts.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
     #: Passes over the training samples; 0: as the recipe's updates need.
     epochs: Annotated[int, OWN_EPOCHS] = 0
@@ -344,7 +344,7 @@ class PresentationSettings(Section):
 class Check(Section):
     """The check that is run on every target."""
 
-    #: Number of samples, drawn at random from the test split, as in the paper; 0 for all. All of
+    #: Number of samples, drawn at random from the test part, as in the paper; 0 for all. All of
     #: them too if there are fewer and the number is the default.
     samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
 
@@ -354,7 +354,7 @@ class Check(Section):
         Parameters
         ----------
         available : int
-            Size of the test split.
+            Size of the test part.
         """
         if self.samples in (0, paper.CHECK_SAMPLES):
             return min(self.samples or available, max(available, 1))

@@ -443,6 +443,8 @@ def _answered(work):
 
 def _answer_artifact(opened, bundle, stage):
     """The artifact of a check's result; one that is damaged is refused and not replaced."""
+    if stage not in (stages := (*opened.road.references, *TARGETS)):
+        raise ValueError(f"no stage {stage!r}; the stages are {', '.join(stages)}")
     origin = opened.dataset.origin
     artifact = check_artifact(opened.place, stage, opened.road, origin, bundle.id)
     if artifact.record.exists():

@@ -90,12 +90,6 @@ def bind():
             spec.loader.exec_module(module)
 
 
-def _begin_worker():
-    """Initialise a worker of a process that uses this package."""
-    bind()
-    importlib.import_module("pipeline.jobs").ignore_ctrl_c()
-
-
 def _is(module, file):
     path = getattr(module, "__file__", None)
     return path is not None and os.path.realpath(path) == os.path.realpath(file)

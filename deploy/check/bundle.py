@@ -40,6 +40,7 @@ from ..files import (
     sha256_of,
     write_arrays,
     write_json,
+    zip_member,
 )
 from ..network.spec import NetworkSpec
 from ..network.stimulus import Stimulus
@@ -64,7 +65,7 @@ class CheckSet:
     labels : ndarray of int, shape (n_samples,)
     ids : tuple of str
     seed : int
-        Seed with which they were drawn from the test split.
+        Seed with which they were drawn from the test part.
     """
 
     inputs: np.ndarray
@@ -238,8 +239,9 @@ def result_beside(folder, target: str) -> Path:
     UserError
         ``checks`` is a symbolic link: the result would be written elsewhere.
     """
-    refuse_linked_folder(Path(folder) / RESULTS)
-    return Path(folder) / RESULTS / f"{target}.json"
+    results = Path(folder) / RESULTS
+    refuse_linked_folder(results)
+    return results / f"{target}.json"
 
 
 def _exchange(new, path, old):
@@ -352,8 +354,5 @@ def zipapp_bytes() -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, content in members.items():
-            member = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
-            member.compress_type = zipfile.ZIP_DEFLATED
-            member.external_attr = 0o644 << 16
-            archive.writestr(member, content)
+            archive.writestr(zip_member(name), content)
     return buffer.getvalue()

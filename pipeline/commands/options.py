@@ -99,7 +99,7 @@ Input = Annotated[
     str | None, typer.Option("--input", help="Input of the chip: 'image' or 'events'.")
 ]
 Samples = Annotated[
-    int | None, typer.Option(help="Number of samples of the check; 0 for the whole test split.")
+    int | None, typer.Option(help="Number of samples of the check; 0 for the whole test part.")
 ]
 Steps = Annotated[int | None, typer.Option(help="Number of steps of a sample.")]
 SettingsFile = Annotated[
@@ -171,14 +171,12 @@ class Requested:
             ("--samples", "check.samples", self.samples),
             ("--steps", "presentation.steps", self.steps),
         ):
-            if value is None:
-                continue
-            assigned = _value_in(changes, name)
-            if assigned not in (None, value):
-                raise UserError(
-                    f"{option}: contradicts --set {name}={assigned}; give only one of them"
-                )
-            put(changes, name, value, option)
+            if value is not None:
+                assigned = _value_in(changes, name)
+                if assigned not in (None, value):
+                    problem = f"contradicts --set {name}={assigned}"
+                    raise UserError(f"{option}: {problem}; give only one of them")
+                put(changes, name, value, option)
         return changes
 
 

@@ -24,7 +24,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from deploy.errors import SeveralErrors, UserError
-from deploy.files import replacing
+from deploy.files import replacing, zip_member
 from pipeline.data.events import Events
 from pipeline.data.matfile import BadRecording, writer_of
 
@@ -54,9 +54,6 @@ MAX_PLACE = 16_383
 
 # Bytes of an event in an array: eight fields of eight bytes.
 LARGEST_EVENT = 64
-
-# Time of the members of a zip that this program writes, so that equal files give equal bytes.
-ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -430,7 +427,7 @@ def write_recordings(
                 problems.setdefault(str(error), []).append(index)
                 continue
             member = PurePosixPath("" if parts is None else parts[index], name, f"{index:06d}.npz")
-            archive.writestr(zipfile.ZipInfo(str(member), ZIP_TIME), content)
+            archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
             written += 1
         if sizes - {index + 1}:
             raise UserError(f"{path}: give a writer or a part for each of the recordings")

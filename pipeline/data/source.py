@@ -28,11 +28,11 @@ from pathlib import Path, PurePosixPath
 from joblib import delayed
 
 from deploy.errors import SeveralErrors, UserError
-from deploy.files import open_regular, replacing, sha256_of
+from deploy.files import open_regular, replacing, sha256_of, zip_member
 from deploy.terminal import WARNING, printable
 from pipeline.data import sensor
 from pipeline.data.eventfiles import SUFFIXES as EVENT_SUFFIXES
-from pipeline.data.eventfiles import ZIP_TIME, read_events
+from pipeline.data.eventfiles import read_events
 from pipeline.data.events import Recordings, Source, collect
 from pipeline.data.matfile import (
     LARGEST,
@@ -565,7 +565,7 @@ def write_zip(path, recordings: Recordings, progress=None):
 
         def add(name, content):  # stored: recordings are compressed already
             member = PurePosixPath("data_submission", name)
-            archive.writestr(zipfile.ZipInfo(str(member), ZIP_TIME), content)
+            archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
 
         add("LUT.mat", lookup_table_bytes(recordings.taxels))
         for index, name in enumerate(recordings.ids):

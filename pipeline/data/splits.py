@@ -281,7 +281,7 @@ def hold_out(train: np.ndarray, seed: int):
 
 
 def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:
-    """Draw the samples of the check from the test split (paper, Section 3.2.2: 200 at random).
+    """Draw the samples of the check from the test part (paper, Section 3.2.2: 200 at random).
 
     Parameters
     ----------
@@ -300,5 +300,5 @@ def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarra
         There are fewer test samples than requested.
     """
     if n_samples > len(test):
-        raise ValueError(f"{n_samples} samples requested, the test split has {len(test)}")
+        raise ValueError(f"{n_samples} samples requested, the test part has {len(test)}")
     return np.random.default_rng([seed, 0xC4EC]).choice(np.sort(test), n_samples, replace=False)

@@ -137,10 +137,10 @@ class Decider:
     clocked = False
     window_s, usual_s = None, None
 
-    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
+    def __init__(self, bundle: Bundle, sensor: Sensor):
         self._spec = spec = bundle.spec
         self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
-        self._emulation = Emulation(spec, seed)
+        self._emulation = Emulation(spec)
         self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
         limit = spec.presentation.threshold
         self.threshold = limit if limit < 1 else None
@@ -197,7 +197,6 @@ class ImageDecider(Decider):
     ----------
     bundle : Bundle
     sensor : Sensor
-    seed : int
     """
 
     def begin(self):
@@ -233,16 +232,15 @@ class EventDecider(Decider):
     ----------
     bundle : Bundle
     sensor : Sensor
-    seed : int
     """
 
     clocked = True
 
-    def __init__(self, bundle: Bundle, sensor: Sensor, seed: int = 0):
+    def __init__(self, bundle: Bundle, sensor: Sensor):
         spec, step_s = bundle.spec, bundle.spec.stimulus.step_seconds
         self.usual_s = step_s * spec.presentation.steps
         longer = spec.with_presentation(steps=min(SLOWER * spec.presentation.steps, limits.STEPS))
-        super().__init__(replace(bundle, spec=longer), sensor, seed)
+        super().__init__(replace(bundle, spec=longer), sensor)
         self.window_s = step_s * longer.presentation.steps
 
     def begin(self):

@@ -109,18 +109,15 @@ class Live:
     p : pipeline.skin.parameters.Parameters
     about : dict
         Plain values for the page: ``bundle``, ``accuracy`` and the like.
-    seed : int
     make_tests : callable, optional
         Returns the list of :class:`~pipeline.live.examples.Example` of the network's check; called
         when the network is ready.
     """
 
-    def __init__(
-        self, make_decider, keeper: Keeper, p, about: dict, seed: int = 0, make_tests=list
-    ):
+    def __init__(self, make_decider, keeper: Keeper, p, about: dict, make_tests=list):
         self._make_tests = make_tests
         self._make_decider = make_decider
-        self._keeper, self._p, self._about, self._seed = keeper, p, about, seed
+        self._keeper, self._p, self._about = keeper, p, about
         self._numbers = itertools.count(1)
         self._open = 0
         self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
@@ -199,7 +196,7 @@ class Live:
             self._open -= 1
 
     async def _talk(self, socket):
-        session = Session(next(self._numbers), self._keeper, self._p, self._seed)
+        session = Session(next(self._numbers), self._keeper, self._p)
         page, loop = _Page(socket, session), asyncio.get_running_loop()
         hello = {
             "type": "hello",

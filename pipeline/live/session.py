@@ -176,15 +176,13 @@ class Session:
     Parameters
     ----------
     number : int
-        A number that is unique among the sessions of a server.
+        Unique among the sessions of a server; seed of the skin's noise and of the examples' order.
     keeper : Keeper
     p : pipeline.skin.parameters.Parameters
-    seed : int
-        Seed, together with the number, of the skin's noise and of the order of examples.
     """
 
-    def __init__(self, number, keeper: Keeper, p, seed=0):
-        self._number, self._keeper, self._p, self._seed = number, keeper, p, seed
+    def __init__(self, number, keeper: Keeper, p):
+        self._number, self._keeper, self._p = number, keeper, p
         self._decider = self._examples = None
         self._sensor = keeper.sensor
         self._recordings = 0
@@ -202,7 +200,7 @@ class Session:
         ----------
         tests : list of pipeline.live.examples.Example
         """
-        self._examples = Examples(tests, [self._seed, 3, self._number])
+        self._examples = Examples(tests, [3, self._number])
         counts = self._examples.counts(len(self._sensor.classes))
         return {"type": "examples", "counts": counts}
 
@@ -322,7 +320,7 @@ class Session:
 
     def _begin(self, page_ms):
         self._recordings += 1
-        seed = (self._seed, 2, self._number, self._recordings)
+        seed = (2, self._number, self._recordings)
         sensor = self._sensor
         writing = Writing(seed, self._p, (sensor.rows, sensor.columns), sensor.polarities)
         self.recording = OpenRecording(

@@ -36,7 +36,7 @@ class Status:
     ----------
     state : State
     accuracy : float or None
-        Accuracy on the test split, or on the samples of a check.
+        Accuracy on the test part, or on the samples of a check.
     seconds : float or None
         Time it took to make the artifact.
     """
@@ -50,14 +50,12 @@ class Status:
         return {**self.state.to_json(), "accuracy": self.accuracy, "seconds": self.seconds}
 
 
-def status_of(run: RunFolder, settings: Settings | None = None) -> list:
+def status_of(run: RunFolder) -> list:
     """The state of each artifact of a run.
 
     Parameters
     ----------
     run : RunFolder
-    settings : Settings, optional
-        Default: the run's own.
 
     Returns
     -------
@@ -71,7 +69,7 @@ def status_of(run: RunFolder, settings: Settings | None = None) -> list:
         The folder has no run, or is that of a benchmark, or a file of it is damaged.
     """
     require_run(run)
-    settings = settings or read_settings(run.experiment)
+    settings = read_settings(run.experiment)
     dataset = _dataset_origin(run, settings)
     road = road_of(settings)
     states = [Status(dataset_artifact(run, dataset).state())]

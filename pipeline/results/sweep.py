@@ -1,6 +1,6 @@
 """A sweep: every combination of some settings, tested on validation samples by the fast emulator.
 
-A sweep selects settings, so it does not use the test split: networks are trained on the training
+A sweep selects settings, so it does not use the test part: networks are trained on the training
 samples without a held-out validation part, and tested on that part.
 """
 

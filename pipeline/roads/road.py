@@ -46,7 +46,7 @@ MOST_WATCHED = 500
 # Settings that change if another file is imported.
 FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
 
-# Beginnings of the changes after which other samples are in the test split.
+# Beginnings of the changes after which other samples are in the test part.
 SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
 
 
@@ -225,7 +225,10 @@ class Road:
 
     def part(self, name: str) -> Part:
         """The part with a name."""
-        return next(part for part in self.parts if part.name == name)
+        parts = {part.name: part for part in self.parts}
+        if name not in parts:
+            raise ValueError(f"no part {name!r}; the parts are {', '.join(parts)}")
+        return parts[name]
 
     def origin(self, name: str, dataset: Origin) -> Origin:
         """The origin of a part, from that of the dataset."""
@@ -520,7 +523,7 @@ def accuracies(right, dataset: Dataset) -> dict:
     """
     parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
     accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
-    part = list(accuracy)[-1]  # the validation samples if there is no test split, as in a sweep
+    part = list(accuracy)[-1]  # the validation samples if there is no test part, as in a sweep
     n_samples = len(parts[part])
     return {
         "simulated": dataset.recordings.source.simulated,

@@ -2,9 +2,11 @@ import os
 import signal
 import time
 import warnings
+from functools import partial
 from threading import Thread
 
 import pytest
+from joblib import delayed
 
 from deploy.errors import UserError
 from pipeline import jobs
@@ -50,6 +52,15 @@ def test_a_killed_process_is_a_failure():
     results = dict(run_jobs(die_of_two, [0, 1, 2, 3, 4], 2))
     assert set(results) == {0, 1, 2, 3, 4}
     assert "killed" in results[2].error
+
+
+def test_workers_never_receive_ctrl_c():
+    masked = partial(signal.pthread_sigmask, signal.SIG_BLOCK, [])
+    here = masked()
+    with jobs.results_of([delayed(masked)() for _ in range(4)], 2) as results:
+        assert masked() == here  # this process does
+        assert all(signal.SIGINT in mask for mask in results)
+    assert masked() == here
 
 
 def say_something(path):

@@ -9,6 +9,7 @@ from deploy.check.results import read_result
 from deploy.check.run import OpenCheck, run_check
 from deploy.errors import UserError
 from pipeline.artifacts import Origin
+from pipeline.roads import road_of
 from pipeline.run import RunFolder
 from pipeline.settings import Settings
 from pipeline.stages import answer_all, opened_in
@@ -78,6 +79,13 @@ def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, 
         alone = run_check(bundle, result["target"], tmp_path / "alone.json")
         same_answers(result, alone)
     assert not partial(check_of(tmp_path, "nengo")).exists()
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones(bundle, tmp_path):
+    with pytest.raises(ValueError, match="emulator"):
+        answered(tmp_path, bundle, ["emu"])
+    with pytest.raises(ValueError, match="cnn"):
+        road_of(Settings()).part("cn")
 
 
 def test_a_target_that_fails_leaves_the_others_results(bundle, tmp_path):

@@ -69,6 +69,11 @@ class Lines:
     points: tuple = ()
 
 
+def percent(share: float) -> str:
+    """A share in percent, rounded as the same share in a terminal is (to three decimals)."""
+    return f"{100 * round(share, 3):.1f}\u00a0%"
+
+
 def line_chart(
     series, x_label: str, y_label: str, description: str = "", least=None, points=(), levels=()
 ) -> Markup:
@@ -117,7 +122,7 @@ def interval(value: float, low: float, high: float, least: float) -> Markup:
         Value at the left edge; the right one is 1.
     """
     axis, y = _Axis(least, 1, 8, WIDTH / 2, exact=True), 10
-    said = f"{100 * value:.1f} %, {100 * low:.1f} to {100 * high:.1f} %"
+    said = f"{percent(value)}, {percent(low)} to {percent(high)}"
     dot, line = _dot(axis(value), y, said), _segment("line s1", axis(low), y, axis(high), y)
     edges = (_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
     return _svg(WIDTH / 2 + 8, 2 * y, [*edges, _title(said), line, dot], said, "interval")

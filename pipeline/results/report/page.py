@@ -96,7 +96,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         lstrip_blocks=True,
     )
     environment.filters["p"] = p_text
-    environment.filters["percent"] = lambda share: f"{100 * round(share, 3):.1f}\u00a0%"
+    environment.filters["percent"] = charts.percent
     package = resources.files("pipeline.results.report")
     spec, result = inputs.bundle.spec, inputs.results[-1]
     provenance = spec.provenance
@@ -273,13 +273,11 @@ def _over_time(inputs):
     early = early if early and early["confidence"] < 1 else None
     points = [(x[-1], 100 * result["accuracy"], "end")]
     if early:
-        share = 100 * early["share_of_writing_mean"]
-        points.append((share, 100 * early["accuracy"], "early"))
+        points.append((100 * early["share_of_writing_mean"], 100 * early["accuracy"], "early"))
     counts = [100 * r["accuracy"] for r in inputs.results if r["target"] == "counts"]
+    title = "Accuracy over time"
     return {
-        "chart": charts.line_chart(
-            [series], label, "accuracy, %", "Accuracy over time", 0, points, counts
-        ),
+        "chart": charts.line_chart([series], label, "accuracy, %", title, 0, points, counts),
         "half": y[int(np.searchsorted(x, x[-1] / 2))] if x[0] <= x[-1] / 2 else None,
         "name": name,
         "early": early,
@@ -423,12 +421,9 @@ def _learning_curves(histories):
     parts = {"": "training", "val_": "held out", "test_": "some test samples, not trained on"}
     curves = []
     for name, rows in histories.items():
+        epochs = tuple(row["epoch"] for row in rows)
         series = [
-            charts.Series(
-                title,
-                tuple(row["epoch"] for row in rows),
-                tuple(100 * row[f"{part}accuracy"] for row in rows),
-            )
+            charts.Series(title, epochs, tuple(100 * row[f"{part}accuracy"] for row in rows))
             for part, title in parts.items()
             if f"{part}accuracy" in rows[0]
         ]

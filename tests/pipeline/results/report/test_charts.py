@@ -39,7 +39,7 @@ def test_an_interval_is_drawn_from_its_lower_to_its_upper_end():
     left, middle, right = (float(edge.get("x1")) for edge in root.findall(".//*[@class='grid']"))
     assert float(dot.get("cx")) == middle == (left + right) / 2  # from 0.5 to 1
     assert float(line.get("x1")) - left == pytest.approx(right - float(line.get("x2")), abs=0.2)
-    assert root.find("title").text == "75.0 %, 60.0 to 90.0 %"
+    assert root.find("title").text == "75.0\u00a0%, 60.0\u00a0% to 90.0\u00a0%"
 
 
 def test_a_thumbnail_is_strongest_where_the_most_events_are():
