@@ -48,6 +48,12 @@ def reporting_os_errors(path, what, remedy):
         raise UserError(f"{path}: {what} ({error.strerror or error}); {remedy}") from error
 
 
+def require_ending(path, ending):
+    """Refuse a file's name with another ending, such as ``.zip``, in capitals or not."""
+    if Path(path).suffix.lower() != ending:
+        raise UserError(f"{path}: the name must end in {ending}")
+
+
 # Remedy if a file cannot be written.
 FREE_IT = "check the folder's permissions and the free space"
 

@@ -8,6 +8,7 @@ import typer
 
 from deploy import limits
 from deploy.errors import UserError
+from deploy.files import require_ending
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.settings import SIMULATED, Settings, merged
@@ -78,8 +79,7 @@ def simulate_(
     as_json: options.Json = False,
 ):
     """Write simulated recordings as a new zip in the layout of ST-MNIST."""
-    if out.suffix != ".zip":
-        raise UserError(f"{out}: the name must end in .zip")
+    require_ending(out, ".zip")
     if os.path.lexists(out):
         raise UserError(f"{out}: exists; choose another name, or move it away")
     from pipeline.data.source import write_zip

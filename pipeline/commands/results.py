@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from deploy.errors import UserError
+from deploy.files import require_ending
 from pipeline.commands import options
 from pipeline.run import RunFolder
 
@@ -77,7 +78,7 @@ def animate(
     from pipeline.progress import progress
     from pipeline.results.report.figures import animation
 
-    animation.require_gif(out)  # reports a wrong ending of the name before anything is computed
+    require_ending(out, ".gif")  # reports a wrong ending of the name before anything is computed
     bundle = read_bundle(options.bundle_in(run))
     options.warn_if_outdated(options.bundle_in(run))
     ids = list(bundle.checks.ids)

@@ -24,7 +24,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from deploy.errors import SeveralErrors, UserError
-from deploy.files import replacing, zip_member
+from deploy.files import replacing, require_ending, zip_member
 from pipeline.data.events import Events
 from pipeline.data.matfile import BadRecording, writer_of
 
@@ -397,8 +397,7 @@ def write_recordings(
         Events or labels are not valid, with a line for each reason; or there are none.
     """
     path = Path(path)
-    if path.suffix != ".zip":
-        raise UserError(f"{path}: the name must end in .zip")
+    require_ending(path, ".zip")
     if time_unit and time_unit not in UNITS:
         raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
     if parts is not None and not set(parts) <= {"train", "test"}:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from deploy.files import replacing
+from deploy.files import replacing, require_ending
 from pipeline.run import RunFolder
 
 
@@ -14,7 +14,7 @@ def write_report(run, path=None) -> Path:
     run : path-like
         Folder of the run.
     path : path-like, optional
-        The file; default: ``report.html`` in the run's folder.
+        The file, ``.html``; default: ``report.html`` in the run's folder.
 
     Returns
     -------
@@ -23,13 +23,14 @@ def write_report(run, path=None) -> Path:
     Raises
     ------
     UserError
-        See :func:`pipeline.results.report.gather.gather`.
+        The name has another ending; see also :func:`pipeline.results.report.gather.gather`.
     """
     from pipeline.results.report.gather import gather
     from pipeline.results.report.page import render
 
-    html = render(gather(RunFolder(run)))
     path = Path(path) if path else Path(run) / "report.html"
+    require_ending(path, ".html")
+    html = render(gather(RunFolder(run)))
     with replacing(path, "w") as file:
         file.write(html)
     return path

@@ -6,8 +6,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from deploy.check.bundle import Bundle
-from deploy.errors import UserError
-from deploy.files import replacing
+from deploy.files import replacing, require_ending
 from deploy.tables import shortened
 from pipeline.data.dataset import classes_of, positions_of
 from pipeline.look import colour
@@ -21,12 +20,6 @@ LONGEST_NAME = 32
 
 # Probability below which an answer is not shown: it would only flicker.
 LIKELY = 0.4
-
-
-def require_gif(path):
-    """Refuse another ending of the name than .gif."""
-    if path.suffix.lower() != ".gif":
-        raise UserError(f"{path}: the name must end in .gif")
 
 
 def animate(path, bundle: Bundle, index: int, advance=None):
@@ -51,7 +44,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     UserError
         Another ending of the name, or the file cannot be written.
     """
-    require_gif(path)
+    require_ending(path, ".gif")
     spec = bundle.spec
     played = replay(bundle, [index], bundle.seed)[index]
     classes, chances = classes_of(spec), played.chances

@@ -155,6 +155,7 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
 def test_a_run_without_results_is_one_line(tmp_path, refused, run):
     shutil.rmtree(run / "checks")
     assert "stmnist ladder" in refused("report", run)
+    assert ".html" in refused("report", run, "--out", tmp_path / "report.pdf")
     assert "nowhere" in refused("report", tmp_path / "nowhere")
     assert "is a bundle" in refused("report", shutil.copytree(run / "bundle", tmp_path / "copy"))
 
