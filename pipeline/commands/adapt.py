@@ -13,7 +13,6 @@ from deploy.tables import listed
 from pipeline.commands import options
 from pipeline.data.dataset import training_hashes
 from pipeline.data.events import Recordings
-from pipeline.run import RunFolder
 
 
 def adapt(
@@ -98,10 +97,9 @@ def _mean(right):
 
 def _bundle_of(path):
     """The bundle of a run, or a bundle itself, and the folder for those made from it."""
-    folder = RunFolder(path)
-    if folder.bundle.exists():
-        return read_bundle(folder.bundle), folder.path / "adapted"
-    return read_bundle(path), path.absolute().parent / f"{path.absolute().name}-adapted"
+    bundle, alone = options.bundle_in(path), path.absolute()
+    beside = path / "adapted" if bundle != path else alone.parent / f"{alone.name}-adapted"
+    return read_bundle(bundle), beside
 
 
 def _of_one(recordings: Recordings, writer) -> tuple:

@@ -273,13 +273,14 @@ def bundle_in(path: Path) -> Path:
     Raises
     ------
     UserError
-        The run has no bundle, or the folder is that of a benchmark.
+        The run has no bundle, or the folder has the results of an experiment.
     """
-    if (path / "MANIFEST.json").exists() or not (path / "experiment.toml").exists():
-        return path
-    if not (path / "bundle").is_dir():
+    if not (path / "MANIFEST.json").exists() and (path / "bundle").is_dir():
+        return path / "bundle"
+    if not (path / "MANIFEST.json").exists() and (path / "experiment.toml").exists():
+        refuse_other_folders(path)
         raise UserError(f"{path}: has no bundle yet; make it with {advised('convert', path)}")
-    return path / "bundle"
+    return path
 
 
 # Prints a line on standard error; results go to standard output.

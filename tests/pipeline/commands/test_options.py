@@ -76,7 +76,7 @@ def test_the_next_command_is_suggested_at_a_terminal_only(monkeypatch, capsys):
 
 
 def test_a_training_that_is_refused_saves_no_settings(tmp_path, capsys):
-    imported = Settings().with_values({"nir": {"file": "graph.nir"}})
+    imported = Settings().with_values({"nir": {"file": "graph.nir", "sha256": "a"}})
     write_settings(tmp_path / "experiment.toml", imported)
     assert call("train", tmp_path, "--set", "seed=7") == 2
     assert "graph.nir" in capsys.readouterr().err

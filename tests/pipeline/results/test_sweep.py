@@ -144,9 +144,10 @@ def test_its_networks_were_never_shown_the_test_split(tiny_sweep):
 
 
 def test_a_sweep_is_no_run(tiny_sweep, refused):
-    for verb in ("convert", "status", "report", "ladder"):
+    for verb in ("convert", "status", "report", "ladder", "live"):
         assert "results of a sweep" in refused(verb, tiny_sweep)
-    assert "results of a sweep" in refused("compare", tiny_sweep, tiny_sweep)
+    for more in (["compare", tiny_sweep], ["check", "run", "--target=fast"], ["adapt", "--data=x"]):
+        assert "results of a sweep" in refused(*more, tiny_sweep)
     assert not (tiny_sweep / "bundle").exists()
 
 
@@ -154,6 +155,8 @@ def test_a_setting_without_effect_is_no_grid(tmp_path, refused):
     few = ("--set", "data.samples_per_digit=40", "--jobs", 1)
     line = refused("sweep", tmp_path / "out", "--grid", "events.epochs=2,3", *few)
     assert "events.epochs" in line
+    for name, option in (("cnn.model", "--model"), ("nir.file", "--nir")):
+        assert option in refused("sweep", tmp_path / "out", "--set", f"{name}=a.keras", *few)
     as_is = (*few, "--set", "snn.recipe=as-is")
     assert "snn.epochs" in refused("sweep", tmp_path / "out", "--grid", "snn.epochs=2,3", *as_is)
     assert not (tmp_path / "out").exists()

@@ -45,7 +45,11 @@ def test_what_the_user_sets_is_kept():
 
 
 @pytest.mark.parametrize(
-    "cnn", [{"architecture": "1x30x16-9-3o"}, {"model": "m.keras", "architecture": "1x30x16-9-3o"}]
+    "cnn",
+    [
+        {"architecture": "1x30x16-9-3o"},
+        {"model": "m.keras", "model_sha256": "a", "architecture": "1x30x16-9-3o"},
+    ],
 )
 def test_a_network_of_one_s_own_gets_these_channels_if_it_has_as_many(cnn):
     changes, _ = road_of(settings(cnn=cnn)).choices(recordings(1, 30))
@@ -64,7 +68,7 @@ def test_a_grid_gets_the_paper_s_image_and_layers():
     [
         ({}, "cnn-matched"),
         ({"snn": {"recipe": "paper"}}, "cnn"),
-        ({"cnn": {"model": "m.keras"}, "snn": {"recipe": "as-is"}}, "cnn"),
+        ({"cnn": {"model": "m.keras", "model_sha256": "a"}, "snn": {"recipe": "as-is"}}, "cnn"),
     ],
 )
 def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, against):
