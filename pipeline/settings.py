@@ -711,10 +711,9 @@ def _check_relations(s: Settings):
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
     n_spiking = len(_parsed(s.cnn.architecture, "cnn.architecture").spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
-    contents = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
-    for file, content in contents.items():
-        given = s.value(content) or not s.value(file)
-        need(given, file, "given with 'stmnist convert RUN --model FILE' or --nir FILE")
+    for file, content in {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}.items():
+        given = "given with 'stmnist convert RUN --model FILE' or --nir FILE"
+        need(s.value(content) or not s.value(file), file, given)
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",

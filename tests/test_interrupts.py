@@ -58,3 +58,27 @@ def test_in_a_destructor():
         env=environment(),
     )
     assert (done.returncode, done.stderr.splitlines()) == (130, [LINE])
+
+
+WITH_WORKERS = """
+import os, signal
+from joblib import delayed
+from pipeline.commands.main import main
+from pipeline.jobs import results_of
+
+def command(**options):
+    with results_of([delayed(os.getpid)(), delayed(signal.pause)()], 2) as results:
+        print(next(results), flush=True)
+        list(results)
+
+main([], command)
+"""
+
+
+def test_a_command_that_is_terminated_ends_its_workers():
+    """They inherit its output, which has an end only when the last of them has ended."""
+    with process_of("-c", WITH_WORKERS, stdout=subprocess.PIPE, env=environment()) as process:
+        assert int(process.stdout.readline()) != process.pid
+        process.terminate()
+        _, err = process.communicate(timeout=60)
+    assert (process.returncode, err.decode().splitlines()) == (130, [LINE])

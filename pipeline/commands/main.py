@@ -165,9 +165,11 @@ def run_alone(verb, name: str, arguments):
 def main(arguments=None, command=None, name: str = "stmnist"):
     """Run the command.
 
-    Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted.
+    Exit status 0: done; 1: a check failed; 2: wrong usage or bad input; 130: interrupted, by Ctrl-C
+    or by the signal TERM.
     """
     prepare()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the workers, as Ctrl-C does
     sys.unraisablehook = partial(_interrupt_again, sys.unraisablehook)
     try:
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
