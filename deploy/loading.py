@@ -89,14 +89,11 @@ def load(kind, values, name: str = "", extra: bool = False):
     unknown = sorted(str(each)[:40] for each in set(values) - set(known))
     if unknown and not extra:
         raise WrongValue(_joined(name, unknown[0]), "is unknown")
-    for entry_name, hint in _hints(kind).items():
-        if entry_name not in known:
-            continue
-        entry, where = known[entry_name], _joined(name, entry_name)
-        if entry_name in values:
-            value = _built(hint, values[entry_name], where, extra)
-            _require_limit(entry.metadata.get("limit"), value, where)
-            built[entry_name] = value
+    for each, entry in known.items():
+        where = _joined(name, each)
+        if each in values:
+            built[each] = _built(_hints(kind)[each], values[each], where, extra)
+            _require_limit(entry.metadata.get("limit"), built[each], where)
         elif entry.default is MISSING and entry.default_factory is MISSING:
             raise WrongValue(where, "is missing")
     try:
@@ -144,8 +141,9 @@ def _built(hint, value, name, extra):
         hints = inner if origin is tuple and inner[-1] is not Ellipsis else inner[:1] * len(value)
         parts = zip(hints, value)
         return origin(_built(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(parts))
-    if origin is dict and inner:
+    if origin is dict:
         _require(isinstance(value, dict), name, "a table of values", value)
+    if origin is dict and inner:
         return {key: _built(inner[1], v, _joined(name, key), extra) for key, v in value.items()}
     if origin is bool:
         _require(type(value) is bool, name, "true or false", value)
@@ -160,8 +158,6 @@ def _built(hint, value, name, extra):
     elif origin is str:
         value = os.fspath(value) if isinstance(value, os.PathLike) else value
         _require(_is_text(value), name, "text", value)
-    elif origin is dict:
-        _require(isinstance(value, dict), name, "a table of values", value)
     return value
 
 

@@ -1,10 +1,11 @@
 """Real pen trajectories, pressed on the simulated skin, as recordings.
 
 Give digits of several people in the UNIPEN format, such as the file of the training writers of
-*Pen-Based Recognition of Handwritten Digits* (Alpaydin and Alimoglu, UCI)::
+*Pen-Based Recognition of Handwritten Digits* (Alpaydin and Alimoglu, UCI), in this repository's
+folder::
 
-    python examples/pen.py FILE pen.zip              # 1,500 digits, drawn at random
-    python examples/pen.py FILE reversed.zip reversed  # all strokes written from end to start
+    python -m examples.pen FILE pen.zip               # 1,500 digits, drawn at random
+    python -m examples.pen FILE reversed.zip reversed  # all strokes written from end to start
     stmnist check run pipeline/live/bundle --data pen.zip --target fast --samples 0
 """
 

@@ -106,7 +106,7 @@ class Opened:
             return state.record
         lines = [state.announcement(part.action)]
         if imported is not None and imported.part == name:
-            lines.append(imported.split_note(state))
+            lines.append(imported.split_note(state, self.settings.seed))
         for line in filter(None, lines):
             self.say(line)
         opened = self.restricted(artifact.origin.settings)
@@ -452,6 +452,10 @@ def _answer_artifact(opened, bundle, stage):
     return artifact
 
 
+# The samples of a check on those of the bundle.
+OWN = "its own"
+
+
 def check_artifact(
     run: RunFolder, stage: str, road: Road, dataset: Origin, bundle_id: str
 ) -> Artifact:
@@ -460,7 +464,7 @@ def check_artifact(
     It depends on the bundle, which may have been copied to another machine; the result of a network
     from which the bundle is not made depends on that network too.
     """
-    contents = {"bundle": bundle_id}
+    contents = {"bundle": bundle_id, "target": stage, "samples": OWN}
     if stage in road.references and not road.is_deployed(part := road.references[stage].part):
         contents["network"] = road.origin(part, dataset).key
     origin = Origin({"seed": road.settings.seed}, contents)
@@ -468,5 +472,7 @@ def check_artifact(
 
 
 def _recorded_in_check(result):
-    contents = {name: result[name] for name in ("bundle", "network") if name in result}
+    names = ("bundle", "network", "target")
+    contents = {name: result[name] for name in names if name in result}
+    contents["samples"] = "others" if result.get("data") else OWN
     return Origin({"seed": result.get("seed")}, contents).to_json()

@@ -192,10 +192,20 @@ def test_a_result_of_another_bundle(refused, run):
     assert "bundles" in line
 
 
-def test_a_result_of_another_bundle_in_the_run_is_made_anew(run):
+OTHERS = (
+    {"bundle": "0" * 64},
+    {"target": "fast"},
+    {"data": {"source": "a", "sha256": "b", "recordings": 9}},
+)
+
+
+@pytest.mark.parametrize("other", OTHERS, ids=lambda other: next(iter(other)))
+def test_a_result_of_another_check_in_the_run_is_made_anew(run, other, capsys):
     path = run / "checks" / "emulator.json"
     original = read_result(path)
-    write_json(path, {**original, "bundle": "0" * 64})
+    write_json(path, {**original, **other})
+    assert call("status", run) == 0
+    assert "outdated" in capsys.readouterr().out
     assert call("ladder", run) == 0
     again = read_result(path)
     assert again["bundle"] == original["bundle"]

@@ -188,8 +188,9 @@ def test_an_animation_of_a_sample(folder, tmp_path, monkeypatch, kind):
 
 def test_a_run_without_a_bundle_is_told_what_to_do(tmp_path, capsys):
     (tmp_path / "experiment.toml").write_text("")
-    assert call("deploy", "plan", tmp_path) == 2
-    assert f"'stmnist convert {tmp_path}'" in capsys.readouterr().err
+    for command in (["deploy", "plan"], ["adapt", "--data", "x"], ["live"]):
+        assert call(*command, tmp_path) == 2
+        assert f"'stmnist convert {tmp_path}'" in capsys.readouterr().err
 
 
 def test_the_report_has_the_user_s_words(folder):

@@ -1,12 +1,12 @@
 """examples/pen.py writes trajectories of people as recordings; a hand-made file here."""
 
-import runpy
+import subprocess
 import sys
 
 import numpy as np
 
 from pipeline.data.library import load_recordings
-from tests.command import ROOT
+from tests.command import ROOT, environment
 from tests.experiments.test_unipen import SEVEN
 
 # Another person's 1.
@@ -20,13 +20,13 @@ ONE = """\
 """
 
 
-def test_pen(tmp_path, monkeypatch):
+def test_pen(tmp_path):
     (tmp_path / "digits").write_text(SEVEN + ONE)
     read = {}
     for how in ((), ("reversed",)):
         out = tmp_path / f"{len(how)}.zip"
-        monkeypatch.setattr(sys, "argv", ["pen.py", str(tmp_path / "digits"), str(out), *how])
-        runpy.run_path(str(ROOT / "examples" / "pen.py"), run_name="__main__")
+        command = [sys.executable, "-m", "examples.pen", str(tmp_path / "digits"), str(out), *how]
+        subprocess.run(command, cwd=ROOT, env=environment(PYTHONPATH=""), check=True)
         recordings = read[how] = load_recordings(str(out))
         assert recordings.source.simulated
         assert [recordings.sensor.classes[n] for n in recordings.labels] == ["1", "7"]

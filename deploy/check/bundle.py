@@ -267,9 +267,9 @@ def read_bundle(path) -> Bundle:
         or the time step is not supported; an array does not fit the description.
     """
     path = Path(path)
-    if not path.is_dir():
-        raise UserError(f"{path}: there is no bundle; make it with 'stmnist convert'")
-    manifest = read_json(path / "MANIFEST.json", "give the folder of a bundle, or " + _REMEDY)
+    if not (path / "MANIFEST.json").exists():
+        raise UserError(f"{path}: not a bundle; give the folder of one, as 'stmnist convert' makes")
+    manifest = read_json(path / "MANIFEST.json", _REMEDY)
     _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)
     hashes = manifest.get("files")
     if not isinstance(hashes, dict) or sorted(hashes) != sorted(FILES):

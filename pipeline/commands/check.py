@@ -80,7 +80,8 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="The result (default: checks/TARGET.json in the run, or in a bundle without run)."
+            help="The result, .json (default: checks/TARGET.json in the run, or in a bundle "
+            "without run)."
         ),
     ] = None,
     seed: Annotated[
@@ -95,10 +96,12 @@ def run(
     """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
     from deploy.check.bundle import read_bundle
     from deploy.check.text import others_text, summary
-    from deploy.files import write_json
+    from deploy.files import require_ending, write_json
     from deploy.targets.registry import options_for
 
     chosen = options_for(target, **vars(board))
+    if out is not None:
+        require_ending(out, ".json")
     if others.samples is not None and others.data is None:
         raise UserError("--samples: needs other recordings; give them with --data FILE")
     bundle = options.bundle_in(bundle)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from deploy.errors import UserError
+from deploy.files import require_ending
 from deploy.terminal import advised, show
 from pipeline.commands import options
 from pipeline.run import checks_of
@@ -42,7 +43,7 @@ def export(
             "Lava, as .npz."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="The file to write.")],
+    out: Annotated[Path, typer.Option(help="The file to write: .nir, or .npz for Lava.")],
     inputs: Annotated[
         Path | None,
         typer.Option(help="NIR: also write the input spikes of the check's samples, as .npz."),
@@ -53,6 +54,9 @@ def export(
     from deploy.network.nir import input_spikes, write_nir
     from deploy.targets.lava import write_lava
 
+    require_ending(out, ".npz" if format is Format.lava else ".nir")
+    if inputs is not None:
+        require_ending(inputs, ".npz")
     opened = _opened(bundle)
     if format is Format.lava:
         if inputs is not None:

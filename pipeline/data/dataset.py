@@ -12,7 +12,7 @@ from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
 from pipeline.artifacts import Origin
 from pipeline.data.events import Recordings
-from pipeline.data.images import tactile_images
+from pipeline.data.images import AlteredImages, tactile_images
 from pipeline.data.library import recordings_of
 from pipeline.data.splits import PUBLISHED, Split, split_of, split_problem
 from pipeline.data.steps import EventTable
@@ -135,6 +135,18 @@ class Dataset:
         """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
         index = getattr(self.split, name)
         return (self.inputs[index], self.labels[index]) if len(index) else None
+
+    def altered(self, how: str) -> AlteredImages | None:
+        """The images of ``part("train")``, altered anew for each epoch; None for ``"none"``.
+
+        Parameters
+        ----------
+        how : str
+            ``"time"``, ``"space"`` or ``"none"``, as ``cnn.augment`` in the settings.
+        """
+        if how == "none":
+            return None
+        return AlteredImages(self.recordings.part(self.split.train), self.settings.image, how)
 
 
 def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:

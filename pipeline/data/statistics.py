@@ -44,13 +44,16 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     )
     source = printable(facts["source"])
     text = f"{facts['samples']} {kind} in {source}; of each class: {of_each}\n"
-    if facts["columns"] == facts["events"]:
-        text += f"{facts['events']} events"
-    else:
-        text += f"{facts['events']} physical events in {facts['columns']} columns"
+    text += _counted(facts)
     if sensor != Sensor():
         text += f"\n{reading_text(recordings)}"
     return text
+
+
+def _counted(facts):
+    if facts["columns"] == facts["events"]:
+        return f"{facts['events']} events"
+    return f"{facts['events']} physical events in {facts['columns']} columns"
 
 
 def facts_of_file(path: Path, time_unit: str = "") -> dict:
@@ -109,11 +112,7 @@ def file_text(name: str, facts: dict) -> str:
     kind = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
         kind = " (written by hand on the simulated skin)"
-    text = f"{printable(name)}{kind}: "
-    if facts["columns"] != facts["events"]:
-        text += f"{facts['columns']} columns, {facts['events']} physical events "
-    else:
-        text += f"{facts['events']} events "
+    text = f"{printable(name)}{kind}: {_counted(facts)} "
     text += f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels"
     if "sensor" in facts:
         text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
@@ -148,17 +147,14 @@ def per_sample(recordings) -> dict:
         "on_physical": np.bincount(sample, is_on, n),
         "off_physical": np.bincount(sample, ~is_on, n),
     }
-    empty = total == 0
+    total[total == 0] = np.nan
     for axis, where in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
         place = where[events.taxel] + 1.0
         low, high = np.full(n, np.inf), np.full(n, -np.inf)
         np.minimum.at(low, sample, place)
         np.maximum.at(high, sample, place)
-        with np.errstate(invalid="ignore"):
-            measures[axis + "_mean"] = np.bincount(sample, columns * place, n) / np.where(
-                empty, np.nan, total
-            )
-            measures[axis + "_range"] = np.where(empty, np.nan, high - low)
+        measures[axis + "_mean"] = np.bincount(sample, columns * place, n) / total
+        measures[axis + "_range"] = np.where(np.isnan(total), np.nan, high - low)
     return measures
 
 

@@ -106,8 +106,8 @@ class Keeper:
         self._given = set()
         self._held = contextlib.ExitStack()
         try:
-            self._hold()
             self._refuse_another_sensor()
+            self._hold()
             self.look()
         except BaseException:
             self.close()

@@ -23,7 +23,7 @@ from pipeline.results.status import outdated, remedy_text, status_of
 from pipeline.roads import REFERENCES, road_of
 from pipeline.roads.road import FROM_ELSEWHERE
 from pipeline.run import RunFolder, require_run
-from pipeline.settings import Settings, read_settings
+from pipeline.settings import SIMULATED, Settings, read_settings
 from pipeline.stages import settings_read
 
 SCHEMA = "stmnist-runs/1"
@@ -162,8 +162,9 @@ def _different_settings(runs):
     names = dict.fromkeys(name for settings in read for name in settings)
     different = []
     contents = {run.spec.provenance.get("source_sha256") for run in runs}
-    if len(contents) > 1:  # not the same recordings in another place
-        different.append({"name": "data.source", "values": [r.settings.data.source for r in runs]})
+    sources = [run.settings.data.source for run in runs]
+    if len(contents) > 1 and {*sources} != {SIMULATED}:  # not the same ones in another place
+        different.append({"name": "data.source", "values": sources})
     imported = [road_of(run.settings).imported for run in runs]
     if len({one and one.sha256 for one in imported}) > 1:
         files = [one.file if one else "training" for one in imported]

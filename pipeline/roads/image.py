@@ -16,7 +16,6 @@ from models.architecture import parse
 from models.keras_model import read_keras
 from pipeline.data.dataset import Dataset, require_images_fit
 from pipeline.data.events import is_handwriting
-from pipeline.data.images import AlteredImages
 from pipeline.data.steps import EventTable
 from pipeline.roads import counts
 from pipeline.roads.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
@@ -180,7 +179,7 @@ class ImageRoad(Road):
             from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
 
             data, how = dataset.part("train"), settings.cnn.augment
-            altered = _altered("none" if how == "auto" else how, settings, dataset)
+            altered = dataset.altered("none" if how == "auto" else how)
             epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
             arguments = settings, data, settings.seed, watched(dataset)
             trained, seconds = timed("cnn", epochs, train_cnn, *arguments, altered=altered)
@@ -323,19 +322,12 @@ def _trained_further(name, function, opened, artifact):
             # 1.8 points) and not the spiking network (by 0.5 points).
             how = "none" if is_handwriting(dataset.recordings) else "time"
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
-    altered = _altered(how, settings, dataset)
+    altered = dataset.altered(how)
     arguments = settings, data, settings.seed, opened.weights("cnn"), altered, watched(dataset)
     trained, seconds = timed(name, epochs, function, *arguments)
     write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = metrics_of(trained, dataset, seconds, training_versions())
     return trained, {**metrics, "augment": how}
-
-
-def _altered(how, settings, dataset):
-    """The altered images of the training samples for each epoch, or None without alterations."""
-    if how == "none":
-        return None
-    return AlteredImages(dataset.recordings.part(dataset.split.train), settings.image, how)
 
 
 def _neurons(settings, trained, inputs):

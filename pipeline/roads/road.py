@@ -32,11 +32,11 @@ from deploy.network.responses import Responses
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from models.architecture import parse
-from pipeline.artifacts import OUTDATED, Artifact, Origin, State
+from pipeline.artifacts import MISSING, OUTDATED, Artifact, Origin, State
 from pipeline.data.dataset import Dataset
 from pipeline.data.events import Recordings
 from pipeline.progress import progress
-from pipeline.roads.architectures import chip_problems, is_for
+from pipeline.roads.architectures import architecture_for, chip_problems, is_for
 from pipeline.run import DELETE_ITS_FOLDER
 from pipeline.settings import Settings
 
@@ -136,14 +136,21 @@ class Imported(NamedTuple):
             f"version; for this one {self.remedy}"
         )
 
-    def split_note(self, state: State) -> str | None:
-        """A warning if recordings are split anew for a network trained on an earlier split.
+    def split_note(self, state: State, seed: int) -> str | None:
+        """A line on the split that the network must have been trained on; a warning if it is new.
 
         Parameters
         ----------
         state : State
             Of the part that is read from the file.
+        seed : int
+            Of the split.
         """
+        if state.state == MISSING:
+            return (
+                f"{self.part}: must have been trained on the training samples of this split only "
+                f"(seed {seed}), otherwise the accuracies are too high"
+            )
         changed = [change.what for change in state.because]
         if state.state != OUTDATED or any(what in FROM_ELSEWHERE for what in changed):
             return None
@@ -308,19 +315,16 @@ class Road:
         sensor, classes = recordings.sensor, len(recordings.sensor.classes)
         if is_for(self.architecture, sensor, self.channels):
             return
-        channels = "" if self.channels == 1 else f"x{self.channels}"
-        size = f"{sensor.rows}x{sensor.columns}{channels}"
-        parsed = parse(self.architecture)
+        size, parsed = f"{sensor.rows}x{sensor.columns}x{self.channels}", parse(self.architecture)
         if self.imported is not None:
             has = "x".join(map(str, parsed.input_shape))
-            gives = f"{sensor.rows}x{sensor.columns}x{self.channels}"
             raise UserError(
                 f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; the "
-                f"recordings give {gives} and {classes} classes: train one for those, or give the "
+                f"recordings give {size} and {classes} classes: train one for those, or give the "
                 "recordings (--data) or images (--set image.slices, image.aggregation) that it is "
                 "for"
             )
-        like = "-".join([size, *map(str, parsed.layers[:-1]), f"{classes}o"])
+        like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(
             f"{self.settings.data.source}: '{self.section}.architecture' must be for an input of "
             f"{size} and {classes} classes, such as {like}, not {self.architecture}"

@@ -169,7 +169,8 @@ def train_cnn(
         ``advance(1, note)`` after each epoch.
     altered : callable, optional
         ``altered(rng, indices)`` returns the images of some training samples for an epoch, such as
-        :class:`pipeline.data.images.AlteredImages`.  Default: the images themselves.
+        :meth:`pipeline.data.dataset.Dataset.altered`.  Default: the images themselves, whatever
+        ``cnn.augment`` is.
 
     Returns
     -------

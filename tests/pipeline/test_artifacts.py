@@ -102,8 +102,12 @@ def test_a_view_holds_the_declared_settings_and_paths(names):
 
 
 def test_no_path_is_part_of_an_origin():
-    here = changed("data.source", "/here/x.zip").with_values({"cnn": {"model": "/here/m.keras"}})
-    there = changed("data.source", "/there/x.zip").with_values({"cnn": {"model": "/there/m.keras"}})
+    here = changed("data.source", "/here/x.zip").with_values(
+        {"cnn": {"model": "/here/m.keras", "model_sha256": "a"}}
+    )
+    there = changed("data.source", "/there/x.zip").with_values(
+        {"cnn": {"model": "/there/m.keras", "model_sha256": "a"}}
+    )
     one, two = (road_of(s).bundle_origin(dataset_origin(s, "ab")) for s in (here, there))
     assert one == two
 

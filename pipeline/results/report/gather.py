@@ -5,7 +5,7 @@ from pathlib import Path
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import read_json
+from deploy.files import read_json, reporting_damage
 from deploy.preflight.plan import make_plan
 from deploy.terminal import advised
 from pipeline.progress import progress
@@ -80,11 +80,8 @@ def gather(folder: RunFolder) -> Inputs:
 def _test_accuracy(path):
     """The record of a training, with the accuracy that the page shows."""
     metrics = read_json(path, REMEDY)
-    try:
-        shown = float(metrics["accuracy"]["test"]), int(metrics["n_test"])
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise UserError(f"{path}: has no accuracy of the test samples; {REMEDY}") from error
-    return {"accuracy": shown[0], "n_test": shown[1]}
+    with reporting_damage(path, REMEDY):
+        return {"accuracy": float(metrics["accuracy"]["test"]), "n_test": int(metrics["n_test"])}
 
 
 def _others(folder, bundle):

@@ -1,4 +1,5 @@
 import json
+import re
 import zipfile
 from dataclasses import replace
 
@@ -111,8 +112,8 @@ def test_a_broken_manifest(bundle, manifest):
 
 
 def test_what_is_no_bundle(tmp_path):
-    for path, named in ((tmp_path / "nowhere", "nowhere"), (tmp_path, r"MANIFEST\.json")):
-        with pytest.raises(UserError, match=named):
+    for path in (tmp_path / "nowhere", tmp_path):
+        with pytest.raises(UserError, match=f"{re.escape(str(path))}: not a bundle"):
             read_bundle(path)
 
 

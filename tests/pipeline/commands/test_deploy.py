@@ -48,6 +48,19 @@ def test_export_with_inputs(bundle, capsys, tmp_path):
         assert arrays["spikes"].shape == (7, 35, 1, 6, 6)
 
 
+def test_no_output_replaces_another_or_the_settings_of_a_run(bundle, capsys, tmp_path):
+    (tmp_path / "experiment.toml").write_text("seed = 1")
+    export = ["deploy", "export", bundle.path, "--format", "nir", "--out"]
+    for command in (
+        [*export, tmp_path / "a.nir", "--inputs", tmp_path / "a.nir"],
+        [*export, tmp_path / "experiment.toml"],
+        ["check", "run", bundle.path, "--target", "fast", "--out", tmp_path / "experiment.toml"],
+    ):
+        assert run(capsys, *command)[0] == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["experiment.toml"]
+    assert (tmp_path / "experiment.toml").read_text() == "seed = 1"
+
+
 def test_energy(bundle, capsys):
     checks = bundle.path / "checks"
     run_check(bundle, "fast", checks / "fast.json")

@@ -120,7 +120,7 @@ def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
     lines = caught.value.lines
     assert len(lines) == 2
     assert any(not missing(line, 50, 12) for line in lines)
-    assert any("9x12-8c3-4o" in line for line in lines)
+    assert any("9x12-6c4-24c3-4o" in line for line in lines)
     right = settings_of(own, cnn={"architecture": "9x12-8c3-4o"}, check={"samples": 5})
     assert fitted(right) == right
 

@@ -1,10 +1,16 @@
 """What the road of images chooses, and which stages its ladder has."""
 
+import re
+
 import numpy as np
 import pytest
 
+from deploy.errors import UserError
+from models.architecture import parse
+from pipeline.artifacts import CURRENT, MISSING, State
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.roads import compared_with, road_of
+from pipeline.roads.road import Imported
 from pipeline.settings import Settings
 
 
@@ -75,3 +81,19 @@ def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, agai
     stages = road_of(settings(**sections)).reference_stages
     assert compared_with(stages) == against
     assert ("cnn-matched" in stages) == (against == "cnn-matched")
+
+
+@pytest.mark.parametrize("sections", [{}, {"input": {"kind": "events"}}], ids=["image", "events"])
+@pytest.mark.parametrize("size", [(1, 19), (2, 3), (9, 12)])
+def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
+    road = road_of(settings(cnn={"architecture": "5x5-6c4-3o"}, **sections))
+    with pytest.raises(UserError) as caught:
+        road.require_fit(recordings(*size))
+    suggested = parse(re.search(r"such as (\S+), not", str(caught.value))[1])
+    assert (*suggested.input_shape, suggested.outputs) == (*size, road.channels, 3)
+
+
+def test_the_split_of_an_imported_network_is_said_when_it_is_new():
+    imported = Imported("graph.nir", "a", "nir", "")
+    assert "seed 7" in imported.split_note(State("nir", MISSING), 7)
+    assert imported.split_note(State("nir", CURRENT), 7) is None
