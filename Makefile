@@ -36,7 +36,7 @@ data: setup  ## Import DATA, or simulate recordings, into the cache
 train: setup  ## Train the paper's CNN
 	@$(STMNIST) train "$(RUN)" $(SOURCE_OPTIONS)
 
-convert: setup  ## Train with rate-based LIF neurons, convert to spiking ones, write RUN/bundle
+convert: setup  ## Train with rate-LIF neurons, convert to spiking ones, write RUN/bundle
 	@$(STMNIST) convert "$(RUN)" $(OPTIONS)
 
 loihi-emulate: setup  ## The main job: all stages, and the loss ladder up to the Loihi emulator

@@ -1,4 +1,4 @@
-"""A hook of MkDocs: notebooks of the tutorials as pages, with their stored outputs."""
+"""A hook of MkDocs: notebooks of the tutorials as pages, and references in docstrings."""
 
 from __future__ import annotations
 
@@ -23,6 +23,11 @@ def on_page_markdown(markdown, page, **_):
     if page.file.generated_by:
         return markdown
     return re.sub(r"(\]\(tutorials/[\w-]+)\.ipynb", r"\1.md", markdown)
+
+
+def on_page_content(html, **_):
+    """References that docstrings have in Sphinx's notation, without it."""
+    return re.sub(r":(?:attr|class|func|meth|data|mod):(?=<code>)", "", html)
 
 
 def page(notebook: dict, name: str) -> str:

@@ -193,12 +193,12 @@ EXPERIMENTS = (
     ),
     Experiment(
         "losses",
-        "What conversion and chip cost, against the CNN with the same training",
+        "What conversion and chip cost, against the CNN with longer training",
         "15 min; events 80 min",
         (
             Line("cnn", "CNN, the paper's recipe", "cnn"),
             Line("cnn-matched", "CNN, longer training", "cnn-matched"),
-            Line("rate-lif", "rate-based LIF", "rate-lif"),
+            Line("rate-lif", "rate-LIF", "rate-lif"),
             Line("spiking-lif", "spiking LIF, NengoDL", "spiking-lif"),
             *(
                 line
@@ -251,7 +251,7 @@ EXPERIMENTS = (
         (
             COUNTS,
             Line("cnn", "CNN on images", "cnn"),
-            Line("rate-lif", "rate-based LIF on images", "rate-lif"),
+            Line("rate-lif", "rate-LIF on images", "rate-lif"),
             Line("chip", "ANN-SNN, emulated Loihi, readout on host", "fast", OWN),
             *_on_events("trained", "events-chip"),
         ),

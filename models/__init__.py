@@ -1,1 +1,1 @@
-"""Trainable networks: architectures, the Keras CNN, rate-based LIF neurons, SLAYER, events."""
+"""Trainable networks: architectures, the Keras CNN, rate-LIF neurons, SLAYER, events."""

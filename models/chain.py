@@ -167,7 +167,7 @@ OUTPUT_SHARE, OUTPUT_THRESHOLD = 0.5, 20
 def from_rates(
     architecture: Architecture, weights: dict, snn, synapse: float | None, range_of=None
 ) -> tuple:
-    """The chain of a network trained with rate-based LIF neurons.
+    """The chain of a network trained with rate-LIF neurons.
 
     With an activation ``z`` at which the trained network's neurons receive ``J = 1 + gain * z``,
     a link has weights ``gain * W`` and bias currents ``1 + gain * b``, and a spike has the area

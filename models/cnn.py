@@ -1,4 +1,4 @@
-"""Keras models of the networks of :mod:`models.architecture`, with ReLUs or rate-based LIF neurons.
+"""Keras models of the networks of :mod:`models.architecture`, with ReLUs or rate-LIF neurons.
 
 The forward pass of their layers may use weights quantised as on Loihi.
 

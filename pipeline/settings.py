@@ -133,7 +133,7 @@ class Input(Section):
 class SkinSize(Section):
     """The array of taxels."""
 
-    #: Rows of taxels; 0: ten for the simulated skin, and for recordings the number in their
+    #: Rows of taxels; 0: ten for the simulated sensor, and for recordings the number in their
     #: look-up table or their largest coordinate.
     rows: Annotated[int, SIDE] = 0
     #: Columns of taxels; 0 has the same meaning as for the rows.
@@ -200,7 +200,7 @@ class CNN(Section):
     learning_rate: Annotated[float, ABOVE_0] = 0.001
     #: Alterations of the events of training samples, before the image is made: ``time``, dropped
     #: events; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels;
-    #: ``none``; ``auto``, ``none`` for the paper's CNN and for handwriting on the simulated skin
+    #: ``none``; ``auto``, ``none`` for the paper's CNN and for handwriting on the simulated sensor
     #: or ST-MNIST's, and ``time`` in the spiking network's training on other recordings.
     augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
     #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.
@@ -211,7 +211,7 @@ class CNN(Section):
 
 @dataclass(frozen=True)
 class SNN(Section):
-    """Training with rate-based LIF neurons (paper, Section 3.2.2)."""
+    """Training with rate-LIF neurons (paper, Section 3.2.2)."""
 
     #: ``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
     #: fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-based
@@ -296,7 +296,7 @@ class EventTraining(Section):
     early: Annotated[float, AT_LEAST_0] = 1.0
     #: Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
     #: also rotated, shifted, scaled and sheared on the grid of taxels; ``none``; ``auto``,
-    #: ``space`` for handwriting on the simulated skin or ST-MNIST's, and ``time`` for other
+    #: ``space`` for handwriting on the simulated sensor or ST-MNIST's, and ``time`` for other
     #: recordings.
     augment: Annotated[str, one_of("auto", "time", "space", "none")] = "auto"
     #: Synaptic operations per inference above which the loss has a penalty, in multiples of the

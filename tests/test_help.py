@@ -6,13 +6,25 @@ import sys
 import pytest
 
 from pipeline.commands.main import command_line
-from tests.command import ROOT, environment
+from tests.command import ROOT, environment, printed_by
 
 
 @pytest.mark.parametrize("verb", command_line().commands.values(), ids=lambda verb: verb.name)
 def test_the_list_says_of_a_verb_what_its_own_help_begins_with(verb):
     """In the one it is kept beside the name, so that no module is imported to list it."""
     assert " ".join(verb.chosen.help.partition("\n\n")[0].split()) == verb.help
+
+
+IMPORTED = """
+import sys
+from pipeline.commands.main import with_every_verb
+with_every_verb()
+print([name for name in ("scipy", "matplotlib", "nengo", "tensorflow") if name in sys.modules])
+"""
+
+
+def test_no_help_waits_for_a_slow_package():
+    assert printed_by(IMPORTED).strip() == "[]"
 
 
 COMPLETE = """

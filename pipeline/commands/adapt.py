@@ -3,16 +3,12 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
 from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
 from deploy.tables import listed
 from pipeline.commands import options
-from pipeline.data.dataset import training_hashes
-from pipeline.data.events import Recordings
 
 
 def adapt(
@@ -39,10 +35,13 @@ def adapt(
     Nothing is written if the accuracy in cross-validation on the person's recordings does not
     improve, or the network's training samples lose too much.  The original bundle is not changed.
     """
+    from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
     from pipeline.results import elsewhere
     from pipeline.training import adaptation  # Nengo takes a second to import
 
-    bundle, beside = _bundle_of(run)
+    path, alone = options.bundle_in(run), run.absolute()
+    bundle = read_bundle(path)
+    beside = run / "adapted" if path != run else alone.with_name(f"{alone.name}-adapted")
     options.warn_if_outdated(bundle.path)
     settings = elsewhere.settings_around(bundle, skip_bad)
     everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
@@ -59,7 +58,7 @@ def adapt(
         )
     require_replaceable(place)
     if out is None and place.exists():
-        _require_same_person(place, bundle, recordings)
+        _require_same_person(place, read_bundle(place), bundle, recordings)
     adapted = adaptation.adapt(bundle, recordings, who, seed)
     if adapted.spec is None:
         place = None
@@ -80,9 +79,11 @@ def adapt(
     options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
 
 
-def _require_same_person(place, bundle, recordings):
+def _require_same_person(place, old, bundle, recordings):
     """Refuse to replace a network that was fitted to none of these recordings."""
-    fitted_to = training_hashes(read_bundle(place).spec) - training_hashes(bundle.spec)
+    from pipeline.data.dataset import training_hashes
+
+    fitted_to = training_hashes(old.spec) - training_hashes(bundle.spec)
     if fitted_to and fitted_to.isdisjoint(recordings.hashes):
         raise UserError(
             f"{place}: is fitted to other recordings, perhaps another person's; "
@@ -95,16 +96,9 @@ def _mean(right):
     return float(right.mean()) if len(right) else None
 
 
-def _bundle_of(path):
-    """The bundle of a run, or a bundle itself, and the folder for those made from it."""
-    bundle, alone = options.bundle_in(path), path.absolute()
-    beside = path / "adapted" if bundle != path else alone.parent / f"{alone.name}-adapted"
-    return read_bundle(bundle), beside
-
-
-def _of_one(recordings: Recordings, writer) -> tuple:
+def _of_one(recordings, writer) -> tuple:
     """One person's recordings, and what to call the person."""
-    source, known = recordings.source.name, np.unique(recordings.writers).tolist()
+    source, known = recordings.source.name, sorted(set(recordings.writers.tolist()))
     if writer is None:
         if len(known) > 1:
             raise UserError(
@@ -113,4 +107,4 @@ def _of_one(recordings: Recordings, writer) -> tuple:
         return recordings, str(known[0]) if known and known[0] >= 0 else Path(source).stem
     if writer not in known:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")
-    return recordings.part(np.flatnonzero(recordings.writers == writer)), str(writer)
+    return recordings.part((recordings.writers == writer).nonzero()[0]), str(writer)

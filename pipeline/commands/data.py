@@ -24,8 +24,8 @@ Reading = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="A setting of reading: data.time_unit=us, data.downsample=4, data.skip_bad=true, "
-        "skin.rows=16, skin.columns=16, data.writers=100; repeatable.",
+        help="Of stmnist data, a setting of reading: data.time_unit=us, data.downsample=4, "
+        "data.skip_bad=true, skin.rows=16, skin.columns=16, data.writers=100; repeatable.",
     ),
 ]
 

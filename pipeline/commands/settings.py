@@ -12,7 +12,7 @@ from pipeline.settings import Settings, describe, read_settings, settings_text
 
 def settings(
     run: Annotated[
-        Path | None, typer.Argument(help="Folder of the run (default: the built-in values).")
+        Path | None, typer.Argument(help="Folder of the run; without it, the defaults.")
     ] = None,
     as_json: options.Json = False,
 ):

@@ -48,7 +48,7 @@ def convert(
         ),
     ] = False,
     retrain: Annotated[
-        bool, typer.Option("--retrain", help="With --model: continue training with rate-based LIF.")
+        bool, typer.Option("--retrain", help="With --model: continue training with rate-LIF.")
     ] = False,
     jobs: options.Jobs = 2,
 ):

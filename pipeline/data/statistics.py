@@ -38,7 +38,7 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     sensor = recordings.sensor
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
-        kind = "recordings, written by hand on the simulated skin,"
+        kind = "recordings, written by hand on the simulated sensor,"
     of_each = listed(
         f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
     )
@@ -111,7 +111,7 @@ def file_text(name: str, facts: dict) -> str:
     """:func:`facts_of_file` in a line."""
     kind = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
-        kind = " (written by hand on the simulated skin)"
+        kind = " (written by hand on the simulated sensor)"
     text = f"{printable(name)}{kind}: {_counted(facts)} "
     text += f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels"
     if "sensor" in facts:

@@ -54,9 +54,10 @@ class Curve:
     classes: np.ndarray
     shares: np.ndarray
 
-    def first(self, threshold: float | None) -> Verdict | None:
-        """The early decision, or None if there is none."""
-        reached = () if threshold is None else np.flatnonzero(self.values >= threshold)
+    def first(self, threshold: float | None, until_s: float = np.inf) -> Verdict | None:
+        """The early decision up to a time, or None if there is none."""
+        sure = self.values >= (np.inf if threshold is None else threshold)
+        reached = np.flatnonzero(sure & (self.seconds <= until_s))
         return self._verdict(reached[0], True) if len(reached) else None
 
     def last(self) -> Verdict:
@@ -269,7 +270,9 @@ class EventDecider(Decider):
         ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)
         sure = self._confidence(sums)
         curve = Curve(ends, sure, sums.argmax(axis=1), probabilities(sums, sure))
-        return Answer(scores, spikes, curve, curve.first(self.threshold))
+        # Slower than all recordings of the training, confidence is too high to decide early.
+        usual_s = first_s + self.usual_s + seconds / 2
+        return Answer(scores, spikes, curve, curve.first(self.threshold, usual_s))
 
 
 def decider_of(bundle: Bundle, sensor: Sensor) -> Decider:

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import threading
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -175,9 +176,9 @@ class Keeper:
         return hashlib.sha256(json.dumps(own).encode()).hexdigest()[:16]
 
     @property
-    def writers(self) -> list:
-        """Numbers of the writers with recordings, in order."""
-        return sorted({kept.writer for kept in self._kept})
+    def writers(self) -> Counter:
+        """How many recordings each writer has, by the writer's number."""
+        return Counter(kept.writer for kept in self._kept)
 
     def save(self, label: int, recording: MatRecording) -> Kept:
         """Write a recording; when the function returns, it is on the disk.

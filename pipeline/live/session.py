@@ -210,13 +210,13 @@ class Session:
         return self._decider is not None and self._decider.clocked
 
     def state(self) -> dict:
-        """The message ``writer``: the writer, and the number of saved recordings."""
-        known = self._keeper.writers
+        """The message ``writer``: the writer, those with recordings, and the number of its own."""
+        saved = self._keeper.writers
         return {
             "type": "writer",
             "number": self._writer,
-            "known": known,
-            "saved": len(self._keeper),
+            "known": sorted(saved),
+            "saved": saved[self._writer],
         }
 
     def handle(self, text: str) -> list:
@@ -396,7 +396,7 @@ class Session:
         recording = self.recording
         saved = recording and recording.saved_as
         if saved is None:
-            return [problem("nothing on the skin is saved; Clear erases a drawing")]
+            return [problem("nothing on the sensor is saved; Clear erases a drawing")]
         self._keeper.remove(saved)
         recording.saved_as = None  # it can be saved as another class
         return [{"type": "undone", "label": saved.label, "name": saved.name}, self.state()]

@@ -96,7 +96,7 @@ class EventRoad(Road):
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "trained": Reference(
-            "Network as trained",
+            "Trained network",
             "the spiking network as trained, with each sample from rest",
             "events",
             _respond,

@@ -71,7 +71,7 @@ SNN_SETTINGS = {
 
 
 class ImageRoad(Road):
-    """CNN, rate-based LIF network, spiking network: the paper's way."""
+    """CNN, rate-LIF network, spiking network: the paper's way."""
 
     kind = "image"
     references = {  # noqa: RUF012 - declared as a class variable in the base
@@ -84,14 +84,14 @@ class ImageRoad(Road):
             training_versions,
         ),
         "cnn-matched": Reference(
-            "CNN with the same training",
+            "CNN, longer training",
             "the same network, trained as long and as well as the spiking one",
             "cnn-matched",
             _respond,
             training_versions,
         ),
         "rate-lif": Reference(
-            "Rate LIF",
+            "Rate-LIF",
             "LIF neurons with firing rates instead of spikes",
             "rate-lif",
             _respond,
@@ -199,7 +199,7 @@ class ImageRoad(Road):
 
     @staticmethod
     def _rates(opened, artifact):
-        """Train the rate-based LIF network, starting from the CNN."""
+        """Train the rate-LIF network, starting from the CNN."""
         from pipeline.training.networks import train_rate_network
 
         trained, metrics = _trained_further("rate-lif", train_rate_network, opened, artifact)
@@ -358,7 +358,7 @@ def settings_of_model(path: Path, retrain: bool = False) -> dict:
     ----------
     path : path-like
     retrain : bool
-        Train the model further with rate-based LIF neurons.
+        Train the model further with rate-LIF neurons.
 
     Raises
     ------

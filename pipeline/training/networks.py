@@ -1,4 +1,4 @@
-"""Train the paper's CNN, and the same network with rate-based LIF neurons."""
+"""Train the paper's CNN, and the same network with rate-LIF neurons."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class TrainedCNN(Trained):
 
 
 class TrainedRates(Trained):
-    """The network with rate-based LIF neurons; an activation of 1 means ``max_rate``."""
+    """The network with rate-LIF neurons; an activation of 1 means ``max_rate``."""
 
     @staticmethod
     def build(settings: Settings) -> tf.keras.Model:
@@ -227,7 +227,7 @@ def snn_recipe(snn, n_samples: int) -> Recipe:
 
 
 def build_rate_network(settings: Settings) -> tf.keras.Model:
-    """Build the network with rate-based LIF neurons, as ``snn.recipe`` defines it."""
+    """Build the network with rate-LIF neurons, as ``snn.recipe`` defines it."""
     snn, architecture = settings.snn, parse(settings.cnn.architecture)
     on_chip, is_noisy = snn.is_on_chip, snn.recipe == "loihi"
     costs = _spike_costs(settings, architecture) if is_noisy and snn.spike_penalty else None
@@ -276,7 +276,7 @@ def train_rate_network(
     validation=None,
     advance=None,
 ) -> TrainedRates:
-    """Train the network with rate-based LIF neurons (paper, Section 3.2.2).
+    """Train the network with rate-LIF neurons (paper, Section 3.2.2).
 
     With ``recipe = "as-is"`` it is not trained: the CNN's weights are fitted to the neurons.  With
     ``"paper"`` it starts from random weights.  With ``"loihi"`` it starts from the CNN's weights,

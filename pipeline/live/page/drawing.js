@@ -169,7 +169,7 @@ export function drawRace(canvas, race) {
     context.beginPath();
     context.rect(LEFT, top - high - ABOVE - GAP, lane, high + ABOVE + 1); // recordings may last longer than the axis
     context.clip();
-    if (!race.events.s.length && high > 20) explain(context, part, LEFT + lane / 2, y + high / 2);
+    if (!race.events.s.length && high > 20) explain(context, part, lane, y + high / 2);
     if (part === "touch") drawEvents(context, race, x, y, high, lane);
     else if (part === "belief") drawBelief(context, race, curves, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
@@ -186,6 +186,18 @@ export function drawRace(canvas, race) {
     if (at === null || Math.abs(x(tick) - at) >= 22) context.fillText(`${+tick.toFixed(3)} s`, x(tick), bottom + 16);
     context.fillStyle = colour("--line");
     context.fillRect(x(tick), bottom, 1, 4);
+  }
+  if (onEvents && end > start + race.usualS) { // slower than the recordings of the training
+    context.strokeStyle = context.fillStyle = colour("--soft");
+    context.lineWidth = 1;
+    context.setLineDash([4, 4]);
+    context.beginPath();
+    context.moveTo(x(start + race.usualS), ABOVE);
+    context.lineTo(x(start + race.usualS), bottom);
+    context.stroke();
+    context.setLineDash([]);
+    context.textAlign = "right";
+    context.fillText("slower than the training", x(end), ABOVE - 5);
   }
   if (end > window) { // what the network does not receive
     context.fillStyle = colour("--note");
@@ -229,12 +241,13 @@ const many = (number) => number.toLocaleString("en");
 const rise = (share, high) => high * (1 - share / 1.06);
 
 // What will be seen, before there is anything to see.
-function explain(context, part, x, y) {
+function explain(context, part, lane, y) {
   context.font = FONT;
   context.fillStyle = colour("--soft");
   context.textAlign = "center";
   const [row, dot] = part === "touch" ? ["taxel", "event"] : [part.name === "input" ? "line" : "neuron", "spike"];
-  context.fillText(part === "belief" ? "a curve for each of the likeliest classes" : `a row for each ${row}, a dot for each ${dot}`, x, y + 4);
+  const text = part === "belief" ? "a curve for each of the likeliest classes" : `a row for each ${row}, a dot for each ${dot}`;
+  if (context.measureText(text).width <= lane) context.fillText(text, LEFT + lane / 2, y + 4);
 }
 
 function drawEvents(context, { events }, x, y, high, lane) {

@@ -17,7 +17,7 @@ history.scrollRestoration = "manual"; // after reloading, start at the skin
 const link = new Link();
 let about = null; // the data set: rows, columns, classes and the like
 let ready = null; // description of the network, once it is ready
-let writer = null; // the writer, and the number of saved recordings
+let writer = null; // the writer, and the number of its saved recordings
 let examples = null; // number of examples of each class, once they are known
 let recording = null; // number of the recording that is written or played
 let kept = false;
@@ -53,7 +53,7 @@ function forget() {
 
 function describe() {
   const { rows, columns, classes, digits } = about;
-  document.title = digits ? "Write a digit on the skin" : `${about.trained_on}: play or draw`;
+  document.title = digits ? "Write a digit on the sensor" : `${about.trained_on}: play or draw`;
   $("title").textContent = digits ? "Write a digit" : document.title;
   $("falls").hidden = about.polarities === 1;
   $("hint").textContent = !canDraw() ? "Show an example" : digits ? "Write here, large" : "Draw here, large";
@@ -227,15 +227,15 @@ link.on("ready", (network) => {
   ready = network;
   const neurons = network.layers.slice(1).reduce((sum, layer) => sum + layer.neurons, 0);
   $("lead").textContent =
-    `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch${about.simulated ? " on a simulated skin" : ""}.`;
+    `A spiking network of ${neurons} neurons, computed as on the Loihi chip, reads the ${network.window_s === null ? "image" : "spikes"} of the touch${about.simulated ? " on a simulated sensor" : ""}.`;
   $("status").textContent = canDraw()
     ? about.digits ? "Ready: write with finger, pen or mouse."
-      : `Ready: draw with finger, pen or mouse. This presses a simulated skin of ${about.rows} x ${about.columns} taxels, not your sensor.`
+      : `Ready: draw with finger, pen or mouse. This presses a simulated sensor of ${about.rows} x ${about.columns} taxels, not your sensor.`
     : "Ready: this sensor is too large for drawing; play examples instead.";
   $("meaning").textContent = network.threshold === null
     ? "How sure: softmax of the outputs, which is no probability."
     : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
-  if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the skin, which can change the answer.";
+  if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the sensor, which can change the answer.";
   $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
@@ -252,8 +252,9 @@ link.on("cleared", (message) => {
   if (recording === null) pen.settled = true; // no events will say so
   document.body.classList.toggle("example", Boolean(message.example));
   if (message.example) showExample(message.example);
-  for (const id of ["hint", "status"]) $(id).classList.toggle("gone", recording !== null);
-  $("told").textContent = message.example ? "An example cannot be saved; clear it and write one." : "";
+  $("hint").classList.toggle("gone", recording !== null);
+  $("status").classList.toggle("gone", recording !== null && about.digits); // else it says what is pressed
+  $("told").textContent = message.example ? "An example cannot be saved." : "";
   unmark();
   complain(null);
 });
@@ -381,7 +382,7 @@ function lost() {
   const drawing = stored("sessionStorage", LOST);
   store("sessionStorage", LOST, null);
   return drawing
-    ? "The connection was lost, and with it the drawing on the skin. If you had just pressed its class, look at the number of saved recordings; otherwise write it again."
+    ? "The connection was lost, and with it the drawing on the sensor. If you had just pressed its class, look at the number of saved recordings; otherwise write it again."
     : null;
 }
 

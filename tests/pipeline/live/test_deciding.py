@@ -14,7 +14,7 @@ from pipeline.data.dataset import inputs_of
 from pipeline.data.events import Events, Sensor
 from pipeline.data.images import tactile_images
 from pipeline.data.steps import EventTable
-from pipeline.live.deciding import EventDecider, decider_of
+from pipeline.live.deciding import Curve, EventDecider, decider_of
 from pipeline.settings import Settings
 from pipeline.skin.simulate import simulate
 from tests.deploy import networks
@@ -57,6 +57,13 @@ def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recording
     assert said.decided is None
     assert 0 <= said.curve.last().label <= 9
     assert decider.begin().answer(Events(*(np.empty(0),) * 4), 0.2) is None
+
+
+def test_no_early_decision_after_the_time_of_the_training():
+    curve = Curve(np.arange(1, 5), np.array([0.5, 0.7, 0.95, 0.99]), np.full(4, 3), np.eye(4))
+    assert curve.first(0.9) == curve.first(0.9, until_s=3) == (3, 0.95, 3.0, True)
+    assert curve.first(0.9, until_s=2.9) is None
+    assert curve.first(None) is None
 
 
 def test_layers_are_as_many_bytes_as_the_page_reads(bundle, decider, recordings):

@@ -43,7 +43,7 @@ def test_the_folder_is_a_source_of_recordings_with_writers(keeper):
     assert read.writers.tolist() == [1, 1, 4]
     assert read.source.simulated
     assert read.source.written
-    assert keeper.writers == [1, 4]
+    assert keeper.writers == {1: 2, 4: 1}
 
 
 def test_another_keeper_goes_on_where_one_was_killed(keeper):

@@ -15,6 +15,7 @@ from pipeline.live.keeping import Keeper
 from pipeline.live.session import LONGEST_S, PAUSE_S, BadMessage, Session
 from pipeline.skin import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
+from tests.pipeline.live.test_keeping import recording
 
 P = parameters.load()
 
@@ -156,6 +157,13 @@ def test_new_writers_on_two_pages_have_two_numbers(session, keeper):
     again = Session(3, keeper, P)
     assert say(again, {**new, "number": 7})[0]["number"] == 7  # the browser has stored it
     assert say(other, new)[0]["number"] == 8
+
+
+def test_a_page_counts_the_recordings_of_its_own_writer(session, keeper):
+    for label in (3, 4):
+        keeper.save(label, recording(writer=1))
+    saved = [say(session, {"type": "writer", "number": n})[0]["saved"] for n in (1, None)]
+    assert saved == [2, 0]
 
 
 def test_a_mislabelled_recording_is_saved_again(session, keeper):
