@@ -1,18 +1,25 @@
 """Tutorials run as they are shown, and their lessons hold."""
 
+import itertools
 import json
 import shutil
 
+import numpy as np
 import pytest
 
 from experiments.tutorials import FOLDER, executed
+from pipeline.data.eventfiles import write_recordings
 from tests.command import printed_by, users_environment
 
 CODE = """
 import json, sys
 from experiments.tutorials import FOLDER, executed
-notebook = json.loads((FOLDER / f"{sys.argv[1]}.ipynb").read_text(encoding="utf-8"))
-executed(notebook, ".")
+text = (FOLDER / f"{sys.argv[1]}.ipynb").read_text(encoding="utf-8")
+for change in sys.argv[2:]:
+    before, after = change.split(" -> ")
+    assert before in text
+    text = text.replace(before, after)
+executed(json.loads(text), ".")
 """
 
 
@@ -75,3 +82,22 @@ def test_a_network_from_pytorch(tmp_path):
     of_torch = accuracies(tmp_path / "runs" / "torch")
     assert 0.75 < of_torch["nir"] < 0.9
     assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.04
+
+
+@pytest.mark.slow
+def test_real_touch(tmp_path):
+    """Two epochs on recordings that stand in for the real ones, each class on taxels of its own."""
+    rng, recordings, parts = np.random.default_rng(0), [], []
+    for label, part in itertools.product(range(21), ("train", "train", "train", "test")):
+        x, t = rng.integers(label, label + 3, 60), np.sort(rng.uniform(0, 2, 60))
+        recordings.append(((x, np.zeros(60, int), t, rng.integers(0, 2, 60)), label))
+        parts.append(part)
+    names = [f"{label:02d}" for label in range(21)]
+    data = write_recordings(tmp_path / "objects.zip", recordings, names, "s", parts=parts)
+    quick = r'{\"kind\": \"events\"} -> {\"kind\": \"events\"}, \"events\": {\"epochs\": 2}'
+    env = {**users_environment(), "TOUCH": str(data)}
+    printed_by(CODE, "4-real-touch", quick, env=env, cwd=tmp_path)
+    run = tmp_path / "runs" / "objects"
+    assert accuracies(run).keys() == {"counts", "trained", "emulator"}
+    assert accuracies(run)["counts"] > 0.5
+    assert (run / "report.html").is_file()
