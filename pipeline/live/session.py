@@ -212,12 +212,9 @@ class Session:
     def state(self) -> dict:
         """The message ``writer``: the writer, those with recordings, and the number of its own."""
         saved = self._keeper.writers
-        return {
-            "type": "writer",
-            "number": self._writer,
-            "known": sorted(saved),
-            "saved": saved[self._writer],
-        }
+        number = self._writer
+        known = {"known": sorted(saved), "saved": saved[number]}
+        return {"type": "writer", "number": number, **known}
 
     def handle(self, text: str) -> list:
         """Handle a message.

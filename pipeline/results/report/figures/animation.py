@@ -54,6 +54,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     times = step * (start + 1 + np.arange(len(chances)))
     heights = [1.0] * len(played.layers) + [1.4]
     figure = Figure(figsize=(10, 1.2 + 1.2 * len(heights)), layout="constrained", dpi=90)
+    figure.set_facecolor(colour("panel"))
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.06)
     left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
     picture, said = left.subplots(2, 1, height_ratios=[1.6, 1])
@@ -68,11 +69,13 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     middle = {"x": 0.5, "ha": "center", "va": "center"}
     names = [shortened(name, 16) for name in classes]
     size = min(48, 400 / max(map(len, names)))
-    answered = said.text(y=0.7, s="…", size=size, color=colour("soft"), **middle)
+    answered = said.text(y=0.7, s="…", size=size, color=colour("soft"), weight="bold", **middle)
     verdict = said.text(y=0.15, s="", size=14, **middle)
-    clocks = [axes.axvline(0, color=colour("ink"), linewidth=1.5) for axes in panels]
-    end, dots = times[played.decided], {"color": colour("ink"), "linestyle": ":", "visible": False}
-    ends = [axes.axvline(end, **dots) for axes in panels]
+    for axes in panels:
+        axes.spines[:].set_visible(False)
+    clocks = [axes.axvline(0, color=colour("soft"), linewidth=1) for axes in panels]
+    end, solid = times[played.decided], {"color": colour("ink"), "linewidth": 2, "visible": False}
+    ends = [axes.axvline(end, **solid) for axes in panels]
     # What comes after the decision does not count, and is faded.
     faded = {"color": "white", "alpha": 0.6, "linewidth": 0, "zorder": 2.4, "visible": False}
     ends += [axes.axvspan(end, extent, **faded) for axes in panels]
