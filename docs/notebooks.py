@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from pathlib import Path
@@ -25,9 +26,9 @@ def on_page_markdown(markdown, page, **_):
     return re.sub(r"(\]\(tutorials/[\w-]+)\.ipynb", r"\1.md", markdown)
 
 
-def on_page_content(html, **_):
+def on_page_content(content, **_):
     """References that docstrings have in Sphinx's notation, without it."""
-    return re.sub(r":(?:attr|class|func|meth|data|mod):(?=<code>)", "", html)
+    return re.sub(r":(?:attr|class|func|meth|data|mod):(?=<code>)", "", content)
 
 
 def page(notebook: dict, name: str) -> str:
@@ -47,6 +48,8 @@ def page(notebook: dict, name: str) -> str:
                 parts.append(f"![{title}: what this code draws](data:image/png;base64,{picture})")
             else:
                 text = "".join(output.get("text", data.get("text/plain", "")))
-                parts.append(f"```text\n{text.rstrip()}\n```")
+                # A search is for what the documents say, not for what a training printed.
+                shown = f"<pre><code>{html.escape(text.rstrip())}</code></pre>"
+                parts.append(f'<div class="highlight" data-search-exclude>{shown}</div>')
     parts.insert(1, f"[This page as a notebook]({name})")
     return "\n\n".join(parts) + "\n"
