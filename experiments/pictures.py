@@ -103,7 +103,7 @@ def main():
         )
     docs, sample = ROOT / "docs", simulated(0, SAMPLES_PER_DIGIT, 2)
     index = sample.ids.index("8/0007")
-    figures.save(recordings.recording(sample, index), docs / "recording.png")
+    figures.save(recordings.draw_recording(sample, index), docs / "recording.png")
     figures.save(recordings.sheet(sample), docs / "sheet.png")
     _live(docs / "live.png")
     write_json(ROOT / "docs" / "pictures.json", stamps())

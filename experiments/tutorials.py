@@ -1,7 +1,7 @@
 """Execute the notebooks of the tutorials and store what their cells print and draw.
 
 The runner has no kernel: cells are executed one after the other in one namespace, in a folder of
-their own.  A cell may draw with ``matplotlib.pyplot``.
+their own.  A cell may draw with ``matplotlib.pyplot``, or ``display`` a figure as in Jupyter.
 """
 
 import base64
@@ -50,15 +50,15 @@ def executed(notebook: dict, folder) -> tuple:
         for cell in notebook["cells"]:
             if cell["cell_type"] == "code":
                 count += 1
+                names["display"] = (shown := []).append
                 text = io.StringIO()
                 code = compile("".join(cell["source"]), f"cell {count}", "exec")
                 with contextlib.redirect_stdout(text):
                     exec(code, names)
-                outputs = []
-                if text.getvalue():
-                    lines = text.getvalue().splitlines(keepends=True)
-                    outputs.append({"name": "stdout", "output_type": "stream", "text": lines})
-                outputs += [_picture(plt.figure(number)) for number in plt.get_fignums()]
+                lines = text.getvalue().splitlines(keepends=True)
+                printed = {"name": "stdout", "output_type": "stream", "text": lines}
+                figures = [*shown, *map(plt.figure, plt.get_fignums())]
+                outputs = [printed] * bool(lines) + list(map(_picture, figures))
                 plt.close("all")
                 cell = {**cell, "execution_count": count, "outputs": outputs}
             cells.append(cell)

@@ -145,7 +145,7 @@ def plot(
     if what == "sheet":
         figure = drawn.sheet(recordings, seed)
     else:
-        figure = drawn.recording(recordings, _index_of(recordings, sample))
+        figure = drawn.draw_recording(recordings, _index_of(recordings, sample))
     figures.save(figure, out)
     show(out)
 

@@ -27,7 +27,7 @@ TILE = 43.0
 NAME, CHARACTER = 24, 0.085
 
 
-def recording(recordings: Recordings, index: int) -> Figure:
+def draw_recording(recordings: Recordings, index: int) -> Figure:
     """The tactile image as it grows, above a raster of all taxels (paper, Figure 4).
 
     A sensor with known positions of its taxels is drawn as it is; of taxels in one row without

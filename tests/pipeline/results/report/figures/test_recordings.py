@@ -28,7 +28,7 @@ def drawn(figure):
 
 
 def test_recording(recordings):
-    figure = data_figures.recording(recordings, 0)
+    figure = data_figures.draw_recording(recordings, 0)
     *frames, raster, _ = figure.get_axes()  # the last is the scale
     first, last = (np.asarray(axes.images[0].get_array()) for axes in (frames[1], frames[-1]))
     assert len(frames) == 8
@@ -68,7 +68,7 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
                     Sensor(1, 3, duration_s=1.0, classes=("a", "b")))  # fmt: skip
     shown = [axes for axes in data_figures.sheet(strip).get_axes() if axes.get_visible()]
     first, second, _ = shown
-    panels = data_figures.recording(strip, 0).get_axes()
+    panels = data_figures.draw_recording(strip, 0).get_axes()
     raster = panels[-2] if positions else panels[0]  # the scale is the last
     np.testing.assert_allclose(raster.collections[0].get_segments(), [[[0, 0], [0, -0.45]]])
     if positions:
