@@ -69,6 +69,8 @@ def export(
     if not (shown := opened.spec.stimulus).static:
         step, silent = 1000 * shown.step_seconds, 1000 * shown.step_seconds * shown.refractory
         show(f"convert with --step {step:g} --set input.refractory={silent:g} for the same input")
+    elif opened.spec.input_shape[-1] > 1:
+        show("convert with --input image and the settings image.* of the run for the same input")
     if inputs is not None:
         checks = opened.checks
         write_arrays(inputs, spikes=input_spikes(opened.spec, checks.inputs), labels=checks.labels)

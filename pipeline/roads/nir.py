@@ -26,7 +26,6 @@ from models.integers import in_integers, rounded
 from models.nir_chain import from_nir, merges_polarities
 from models.nir_graph import NirNetwork, read_nir
 from models.nir_simulator import AT_ONCE, simulate
-from pipeline import paper
 from pipeline.data.dataset import Dataset, event_warnings, require_images_fit
 from pipeline.data.splits import Split
 from pipeline.progress import progress
@@ -34,7 +33,7 @@ from pipeline.roads import counts
 from pipeline.roads.events import DECIDES, confidence_of, presentation_choices, trusted
 from pipeline.roads.road import Imported, Part, Reference, Road, imported_file, is_file
 from pipeline.run import DELETE_ITS_FOLDER
-from pipeline.settings import SIMULATED, Settings
+from pipeline.settings import Settings
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}
@@ -246,7 +245,7 @@ class NirRoad(Road):
 
     @property
     def channels(self):
-        return 2 if self.settings.on_events else 1
+        return 2 if self.settings.on_events else self.settings.image.channels
 
     @property
     def placement(self):
@@ -295,7 +294,8 @@ class NirRoad(Road):
         # read.
         if is_file(nir.file, nir.sha256):
             shape = sensor.rows, sensor.columns, self.channels
-            require_fit(read_nir(nir.file), shape, len(sensor.classes), nir.file)
+            events = self.settings.on_events
+            require_fit(read_nir(nir.file), shape, len(sensor.classes), nir.file, events)
 
     def require_presentable(self, dataset):
         if not self.settings.on_events:
@@ -467,7 +467,8 @@ def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     network = read_nir(source)
     if not is_file(source, settings.nir.sha256):
         raise UserError(f"{source}: has changed; {GIVE_AGAIN}")
-    require_fit(network, _fed_shape(dataset), len(dataset.recordings.sensor.classes), source)
+    classes = len(dataset.recordings.sensor.classes)
+    require_fit(network, _fed_shape(dataset), classes, source, settings.on_events)
     return source, network
 
 
@@ -493,9 +494,6 @@ def refuse_early(settings: Settings, strict: bool = False):
             f"{source}: trained with a reset by subtraction ('nir.reset'), and the chip resets to "
             "v_reset; train it with a reset to zero, or convert it without --strict"
         )
-    if settings.data.source == SIMULATED:
-        skin = settings.skin.rows or paper.ROWS, settings.skin.columns or paper.COLUMNS
-        require_fit(network, (*skin, 2 if settings.on_events else 1), paper.CLASSES, source)
     stepped, area = Stepped.of(settings, network), settings.stimulus.area
     try:
         first, *others = from_nir(network, stepped.seconds, stepped.method)
@@ -507,7 +505,7 @@ def refuse_early(settings: Settings, strict: bool = False):
         raise UserError(f"{source}: {error}") from error
 
 
-def require_fit(network: NirNetwork, fed_shape, classes: int, source):
+def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events: bool):
     """Refuse a graph for another sensor or other classes.
 
     Parameters
@@ -517,6 +515,8 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source):
         (rows, columns, channels) of the input in this run.
     classes : int
     source : path-like
+    on_events : bool
+        Both polarities of events may be one channel of the graph.
 
     Raises
     ------
@@ -524,9 +524,9 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source):
         The message has the required sensor and classes.
     """
     (rows, columns, channels), shape = fed_shape, network.input_shape
-    fits = [(n, rows, columns) for n in {channels, 1}]  # one for both polarities
+    fits = [(n, rows, columns) for n in ({channels, 1} if on_events else {channels})]
     if shape not in (*fits, *((math.prod(fit),) for fit in fits)):
-        what = "events" if channels == 2 else "an image"
+        what = "events" if on_events else "an image"
         raise UserError(
             f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
             f"{columns} taxels would be {channels} x {rows} x {columns} (channels, rows, columns): "

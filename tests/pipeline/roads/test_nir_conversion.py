@@ -1,7 +1,9 @@
 """A NIR graph becomes a run's network: integers on every target, round trip, ladder, bad input."""
 
+import contextlib
 import itertools
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from models.integers import chosen, fired, rounded
 from models.nir_chain import from_nir
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
-from pipeline.roads.nir import Stepped, graph_inputs, settings_of_nir, spec_of_nir
+from pipeline.roads.nir import Stepped, graph_inputs, require_fit, settings_of_nir, spec_of_nir
 from pipeline.settings import Settings
 from tests.command import call as stmnist
 from tests.command import missing
@@ -334,3 +336,13 @@ def test_a_graph_for_another_sensor_leaves_nothing(tmp_path, capsys):
 def test_a_graph_that_was_changed_is_refused(tmp_path):
     with pytest.raises(UserError, match=r"gone\.nir: .*No such file"):
         settings_of_nir(tmp_path / "gone.nir")
+
+
+@pytest.mark.parametrize(
+    ("channels", "on_events", "fits"),
+    [(2, True, True), (1, True, True), (2, False, True), (1, False, False), (4, False, False)],
+)
+def test_both_polarities_may_be_one_channel_of_events_and_not_of_images(channels, on_events, fits):
+    network = SimpleNamespace(input_shape=(channels, 9, 12), outputs=4, nodes=("output",))
+    with contextlib.nullcontext() if fits else pytest.raises(UserError, match="2 x 9 x 12"):
+        require_fit(network, (9, 12, 2), 4, "network.nir", on_events)
