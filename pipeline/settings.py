@@ -491,14 +491,15 @@ def read_own_settings(path) -> Settings:
         As :func:`read_settings`.
     """
     values, chosen = _read(path)
-    for name in chosen:
-        *sections, last = name.split(".")
-        functools.reduce(lambda part, key: part.get(key, {}), sections, values).pop(last, None)
-    return Settings().with_values(values, str(path))
+    settings, changes = Settings().with_values(values, str(path)), {}
+    for name, value in chosen.items():
+        if settings.value(name) == value:  # another value is the user's, who has edited the file
+            put(changes, name, Settings().value(name), str(path))
+    return settings.with_values(changes, str(path))
 
 
 def _read(path):
-    """The values in a file of settings, and the names of those that were chosen."""
+    """The values in a file of settings, and those that were chosen by their names."""
     with reporting_os_errors(path, "cannot read", "check the path"), open_regular(path) as file:
         content = file.read(limits.SETTINGS_BYTES + 1)
     if len(content) > limits.SETTINGS_BYTES:
@@ -507,9 +508,9 @@ def _read(path):
         values = tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); correct or delete it") from error
-    chosen = values.pop("chosen", [])
-    if not isinstance(chosen, list) or not set(map(str, chosen)) <= Settings().flat().keys():
-        raise UserError(f"{path}: 'chosen' is not a list of names of settings; correct it")
+    chosen = values.pop("chosen", {})
+    if not isinstance(chosen, dict) or not chosen.keys() <= Settings().flat().keys():
+        raise UserError(f"{path}: 'chosen' is not a table of settings; delete that line")
     return values, chosen
 
 
@@ -521,16 +522,16 @@ def write_settings(path, settings: Settings, own: Settings | None = None):
     path : path-like
     settings : Settings
     own : Settings, optional
-        What the user has set; the names of the others, which were chosen for the recordings, are
-        marked in the file.
+        What the user has set; the others, which were chosen for the recordings, are also listed in
+        the file.
     """
     sections, flat = settings.to_json(), settings.flat()
     before = flat if own is None else own.flat()
-    chosen = [name for name, value in flat.items() if value != before[name]]
+    chosen = [f'"{k}" = {_toml(v)}' for k, v in flat.items() if v != before[k]]
     lines = ["# Every setting of this experiment; 'stmnist settings' lists their meanings."]
     if chosen:
-        lines += ["# Chosen for the recordings, and chosen again if these change:"]
-        lines += [f"chosen = {_toml(chosen)}", ""]
+        lines += ["# Chosen for the recordings, and again if these change; edit the values below:"]
+        lines += [f"chosen = {{{', '.join(chosen)}}}", ""]
     lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):
@@ -577,7 +578,8 @@ def settings_text(described: list, width: int = 80) -> str:
 def parse_assignments(assignments) -> dict:
     """Turn ``["cnn.epochs=5", "seed=1"]`` into nested values.
 
-    Values are read as TOML, and as plain text where that fails.
+    Values are read as TOML, and as plain text where that fails; a single value is taken as a list
+    of one where a list is needed.
 
     Raises
     ------
@@ -593,6 +595,8 @@ def parse_assignments(assignments) -> dict:
             value = tomllib.loads(f"value = {text}")["value"]
         except (ValueError, RecursionError):
             value = text.strip()
+        if isinstance(Settings().flat().get(name.strip()), tuple) and not isinstance(value, list):
+            value = [value]
         put(values, name.strip(), value, f"--set {assignment!r}")
     return values
 

@@ -301,11 +301,11 @@ def convert(opened: Opened) -> Bundle:
     return bundle
 
 
-def bundle_artifact(run: RunFolder, road: Road, dataset: Origin) -> Artifact:
-    """The bundle of a run."""
-    network, *others = (run.bundle / name for name in (*FILES, "MANIFEST.json"))
+def bundle_artifact(run: RunFolder, road: Road, dataset: Origin, name="bundle") -> Artifact:
+    """The bundle of a run, or one that was adapted from it, such as ``"adapted/7"``."""
+    network, *others = (run.path / name / file for file in (*FILES, "MANIFEST.json"))
     origin = road.bundle_origin(dataset)
-    return Artifact("bundle", network, origin, tuple(others), _recorded_in_bundle)
+    return Artifact(name, network, origin, tuple(others), _recorded_in_bundle)
 
 
 def _recorded_in_bundle(network):

@@ -180,16 +180,11 @@ def require_replaceable(path):
         return
     if not path.is_dir():
         raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
-    others = _others_in(path)
+    others = {each.name for each in path.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
     if others:
         raise UserError(
             f"{path}: not replaced by a bundle, because it also has {min(others)}; move that away"
         )
-
-
-def _others_in(folder):
-    """The names in a folder that are not those of a bundle and its results."""
-    return {each.name for each in folder.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
 
 
 def require_room(samples: int, shape: tuple, stimulus: Stimulus):
@@ -263,7 +258,7 @@ def read_bundle(path) -> Bundle:
     Raises
     ------
     UserError
-        The folder is not a bundle; a file is missing, extra or changed; the version of the schema
+        The folder is not a bundle; a file is missing or changed; the version of the schema
         or the time step is not supported; an array does not fit the description.
     """
     path = Path(path)
@@ -279,12 +274,6 @@ def read_bundle(path) -> Bundle:
             raise UserError(f"{path / name}: missing from the bundle; {_REMEDY}")
         if sha256_of(path / name) != hashes[name]:
             raise UserError(f"{path / name}: changed since the bundle was made; {_REMEDY}")
-    extra = _others_in(path)
-    if extra:
-        raise UserError(
-            f"{path / min(extra)}: not part of the bundle (MANIFEST.json does not list it); "
-            "move it out of the folder"
-        )
     description = read_json(path / "network.json", _REMEDY)
     _check_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
     try:

@@ -22,7 +22,7 @@ def status(run: options.Run, as_json: options.Json = False):
     from pipeline.settings import read_settings
 
     folder = RunFolder(run)
-    statuses = status_of(folder)
+    statuses = status_of(folder, adapted=True)
     options.tell(
         {"run": str(run), "artifacts": [status.to_json() for status in statuses]},
         lambda _: status_text(folder, statuses),

@@ -50,18 +50,20 @@ class Status:
         return {**self.state.to_json(), "accuracy": self.accuracy, "seconds": self.seconds}
 
 
-def status_of(run: RunFolder) -> list:
+def status_of(run: RunFolder, adapted: bool = False) -> list:
     """The state of each artifact of a run.
 
     Parameters
     ----------
     run : RunFolder
+    adapted : bool
+        Also the bundles that were adapted to people, which are no results of the run.
 
     Returns
     -------
     list of Status
         In the order of their dependencies: ``dataset``, the networks, ``threshold`` (on events),
-        ``bundle``, ``checks/<stage>``, ``ladder``.
+        ``bundle``, ``checks/<stage>``, ``ladder``, ``adapted/<writer>``.
 
     Raises
     ------
@@ -76,7 +78,11 @@ def status_of(run: RunFolder) -> list:
     states += _parts(run, road, dataset)
     bundle = bundle_artifact(run, road, dataset).state()
     states.append(Status(bundle))
-    return states + _answers(run, road, dataset, bundle)
+    states += _answers(run, road, dataset, bundle)
+    for network in sorted(run.path.glob("adapted/*/network.json")) if adapted else ():
+        name = f"adapted/{network.parent.name}"
+        states.append(Status(bundle_artifact(run, road, dataset, name).state()))
+    return states
 
 
 def outdated(statuses) -> dict:
@@ -106,8 +112,11 @@ def remedy_text(run, names) -> str:
     """
     targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
     commands = [advised("check", "run", run, "--target", target) for target in targets]
-    if set(names) - {f"checks/{target}" for target in targets}:
+    adapted = {name for name in names if name.startswith("adapted/")}
+    if set(names) - adapted - {f"checks/{target}" for target in targets}:
         commands.insert(0, advised("ladder", run))
+    if adapted:
+        commands.append(advised("adapt", run, "--data", "FILE"))
     return ", then ".join(commands)
 
 
@@ -130,7 +139,7 @@ def outdated_note(path) -> str | None:
         return None
     run = RunFolder(around)
     try:
-        reasons = outdated(status_of(run))
+        reasons = outdated(status_of(run, adapted=True))
     except UserError:
         return None
     name = path.relative_to(around).with_suffix("").as_posix()

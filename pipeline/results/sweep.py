@@ -91,8 +91,6 @@ def _axis(entry, base):
         value = functools.reduce(
             dict.__getitem__, name.split("."), parse_assignments([f"{name}={piece}"])
         )
-        if isinstance(base.flat().get(name), tuple) and not isinstance(value, list):
-            value = [value]
         if (name, value) not in axis:
             axis.append((name, value))
     return axis

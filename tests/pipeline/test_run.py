@@ -66,6 +66,14 @@ def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
     assert run.resolve_settings(None, {}) == own
     changed = run.resolve_settings(None, {"input": {"step": 5.0}})
     assert changed == own.with_values({"input": {"step": 5.0}})
-    run.experiment.write_text('chosen = ["no.such"]\n')
-    with pytest.raises(UserError, match="chosen"):
+    text = run.experiment.read_text()
+    assert text.count("171") == 2  # the value, and that it was chosen
+    run.experiment.write_text(text.replace("\nsteps = 171", "\nsteps = 90"))  # the user edits it
+    assert run.resolve_settings(None, {}) == own.with_values({"presentation": {"steps": 90}})
+    for wrong in ('["seed"]', '{"no.such" = 1}'):
+        run.experiment.write_text(f"chosen = {wrong}\n")
+        with pytest.raises(UserError, match="chosen"):
+            run.resolve_settings(None, {})
+    run.experiment.write_text('chosen = {"cnn.epochs" = 7}\ncnn = 3\n')
+    with pytest.raises(UserError, match="cnn"):
         run.resolve_settings(None, {})

@@ -148,6 +148,7 @@ def test_assignments_of_the_command_line():
         "data": {"source": "x=y", "skip_bad": True},
         "snn": {"max_rates": [1, 2.5]},
     }
+    assert parse_assignments(["snn.max_rates=100"]) == {"snn": {"max_rates": [100]}}
 
 
 @pytest.mark.parametrize(

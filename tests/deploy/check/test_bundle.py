@@ -111,6 +111,14 @@ def test_a_broken_manifest(bundle, manifest):
         read_bundle(bundle.path)
 
 
+def test_a_log_in_the_folder_is_not_in_the_way_and_not_lost(bundle):
+    (bundle.path / "nohup.out").write_text("half a day's work")
+    assert read_bundle(bundle.path).id == bundle.id
+    with pytest.raises(UserError, match=r"nohup\.out"):
+        write_bundle(bundle.path, bundle.spec, bundle.checks)
+    assert (bundle.path / "nohup.out").read_text() == "half a day's work"
+
+
 def test_what_is_no_bundle(tmp_path):
     for path in (tmp_path / "nowhere", tmp_path):
         with pytest.raises(UserError, match=f"{re.escape(str(path))}: not a bundle"):

@@ -87,6 +87,17 @@ def test_an_answer_to_an_earlier_bundle_is_outdated(run, capsys):
     assert found["checks/emulator"]["state"] == "current"
 
 
+def test_a_bundle_adapted_from_an_earlier_network_is_outdated(run, capsys):
+    adapted = shutil.copytree(run / "bundle", run / "adapted" / "7")
+    assert states(run, capsys)["adapted/7"]["state"] == "current"
+    assert outdated_note(adapted) is None
+    settings = run / "experiment.toml"
+    settings.write_text(settings.read_text().replace("epochs = 3\n", "epochs = 2\n", 1))
+    assert states(run, capsys)["adapted/7"]["state"] == "outdated"
+    assert f"stmnist adapt {run}" in outdated_note(adapted)
+    assert "stmnist adapt" not in outdated_note(run / "bundle")
+
+
 def test_missing_artifacts_are_missing(run, capsys):
     (run / "snn" / "weights.npz").unlink()
     (run / "checks" / "nengo.json").unlink()
