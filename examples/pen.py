@@ -1,4 +1,4 @@
-"""Real pen trajectories, pressed on the simulated skin, as recordings.
+"""Real pen trajectories, pressed on the simulated sensor, as recordings.
 
 Give digits of several people in the UNIPEN format, such as the file of the training writers of
 *Pen-Based Recognition of Handwritten Digits* (Alpaydin and Alimoglu, UCI), in this repository's

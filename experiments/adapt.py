@@ -2,8 +2,8 @@
 
 The people of a UNIPEN file are divided into folds.  For each fold the model of handwriting is
 estimated from all other people, a network is trained on recordings simulated with it, and the
-fold's own trajectories are pressed on the same simulated skin.  Of each person, some recordings of
-each class are used to fit the readout, as ``stmnist adapt`` does it, and all others to test it.
+fold's own trajectories are pressed on the same simulated sensor.  Of each person, some recordings
+of each class are used to fit the readout, as ``stmnist adapt`` does it, and all others to test it.
 Several draws of a person are averaged, and intervals are over people.
 """
 
@@ -241,7 +241,7 @@ def main(
     write_json(out / f"{name}.json", found)
     if store and not failed:
         write_json(RESULTS / f"{store}.json", found)
-    title = "real pen trajectories pressed on the simulated skin, people nobody trained on"
+    title = "real pen trajectories pressed on the simulated sensor, people nobody trained on"
     errors = "; ".join(f"{case.alter}: {error}" for case, error in failed.items())
     text = "\n".join([title, *aligned(cells(found))])
     options.conclude(found, errors, lambda value: text, as_json)

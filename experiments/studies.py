@@ -134,7 +134,7 @@ def _presented(name, stage, steps, rate=150.0, **sections):
 
 
 CHOICES = (
-    Line("rate-lif", "rate-based network, 150 Hz", "rate-lif", PAPER),
+    Line("rate-lif", "rate-LIF, 150 Hz", "rate-lif", PAPER),
     *(_presented(f"{n} steps", "spiking-lif", n) for n in (100, 50, 40, 30, 20)),
     _presented("100 steps at 100 Hz", "spiking-lif", 100, 100.0),
     _presented("100 steps, no synapse", "spiking-lif", 100, deployment={"synapse": 0.0}),

@@ -142,9 +142,11 @@ def results_of(calls, processes: int, in_order: bool = True):
         # caller stops.
         for expected in ("A worker stopped while some jobs", r"\d+ tasks (which were|have been)"):
             warnings.filterwarnings("ignore", message=expected)
-        ensure_running()  # otherwise it starts between the workers, and allows Ctrl-C again
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
         stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+        if processes != 1:
+            ensure_running()  # otherwise it starts between the workers, and allows Ctrl-C again
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         with closing(Parallel(processes, return_as=order, **options)(calls)) as results:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             yield results

@@ -214,8 +214,8 @@ class SNN(Section):
     """Training with rate-LIF neurons (paper, Section 3.2.2)."""
 
     #: ``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
-    #: fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-based
-    #: LIF, from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled
+    #: fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-LIF,
+    #: from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled
     #: to the neurons' range and response curve without further training.
     recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
     #: Passes over the training samples; 0 for the default of the recipe, or more on few samples.
@@ -281,8 +281,8 @@ class EventTraining(Section):
     #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
     #: which is one for handwriting.
     parts: Annotated[int, between(0, MOST_PARTS)] = 0
-    #: Length of each part in milliseconds, the last one is open; 0: the time that is
-    #: presented, divided among the parts.
+    #: Length of each part in milliseconds, the last one is open; 0: two seconds, divided
+    #: among the parts.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
     #: Passes over the training samples; 0: as the recipe's updates need.
     epochs: Annotated[int, OWN_EPOCHS] = 0
@@ -716,7 +716,7 @@ def _check_relations(s: Settings):
     n_spiking = len(_parsed(s.cnn.architecture, "cnn.architecture").spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     for file, content in {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}.items():
-        given = "given with 'stmnist convert RUN --model FILE' or --nir FILE"
+        given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
         need(s.value(content) or not s.value(file), file, given)
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip

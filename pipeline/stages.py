@@ -453,7 +453,7 @@ def _answer_artifact(opened, bundle, stage):
 
 
 # The samples of a check on those of the bundle.
-OWN = "its own"
+OWN = "the bundle's"
 
 
 def check_artifact(

@@ -24,7 +24,7 @@ Reading = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="Of stmnist data, a setting of reading: data.time_unit=us, data.downsample=4, "
+        help="A setting of reading recordings: data.time_unit=us, data.downsample=4, "
         "data.skip_bad=true, skin.rows=16, skin.columns=16, data.writers=100; repeatable.",
     ),
 ]

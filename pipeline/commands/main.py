@@ -207,8 +207,8 @@ def main(arguments=None, command=None, name: str = "stmnist"):
 def _interrupt_again(otherwise, dropped):
     """Python drops a Ctrl-C that comes in a destructor, such as those of TensorFlow: repeat it."""
     if dropped.exc_type is KeyboardInterrupt:
-        # It comes in the main thread only, which is therefore this one.
-        threading.Timer(0.01, signal.pthread_kill, (threading.get_ident(), signal.SIGINT)).start()
+        # It comes in the main thread only, which is therefore this one.  SIGINT may be ignored.
+        threading.Timer(0.01, signal.pthread_kill, (threading.get_ident(), signal.SIGTERM)).start()
     else:
         otherwise(dropped)
 

@@ -142,7 +142,7 @@ class Dataset:
         Parameters
         ----------
         how : str
-            ``"time"``, ``"space"`` or ``"none"``, as ``cnn.augment`` in the settings.
+            ``"time"``, ``"space"`` or ``"none"``; see ``cnn.augment`` in the settings.
         """
         if how == "none":
             return None

@@ -50,10 +50,10 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     return text
 
 
-def _counted(facts):
+def _counted(facts, polarities=""):
     if facts["columns"] == facts["events"]:
-        return f"{facts['events']} events"
-    return f"{facts['events']} physical events in {facts['columns']} columns"
+        return f"{facts['events']} events{polarities}"
+    return f"{facts['events']} physical events{polarities} in {facts['columns']} columns"
 
 
 def facts_of_file(path: Path, time_unit: str = "") -> dict:
@@ -112,8 +112,8 @@ def file_text(name: str, facts: dict) -> str:
     kind = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
         kind = " (written by hand on the simulated sensor)"
-    text = f"{printable(name)}{kind}: {_counted(facts)} "
-    text += f"({facts['on']} ON, {facts['off']} OFF) of {facts['taxels']} taxels"
+    polarities = f" ({facts['on']} ON, {facts['off']} OFF)"
+    text = f"{printable(name)}{kind}: {_counted(facts, polarities)} of {facts['taxels']} taxels"
     if "sensor" in facts:
         text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
     text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
@@ -147,7 +147,7 @@ def per_sample(recordings) -> dict:
         "on_physical": np.bincount(sample, is_on, n),
         "off_physical": np.bincount(sample, ~is_on, n),
     }
-    total[total == 0] = np.nan
+    total = np.where(total, total, np.nan)
     for axis, where in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
         place = where[events.taxel] + 1.0
         low, high = np.full(n, np.inf), np.full(n, -np.inf)

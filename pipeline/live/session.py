@@ -211,8 +211,7 @@ class Session:
 
     def state(self) -> dict:
         """The message ``writer``: the writer, those with recordings, and the number of its own."""
-        saved = self._keeper.writers
-        number = self._writer
+        saved, number = self._keeper.writers, self._writer
         known = {"known": sorted(saved), "saved": saved[number]}
         return {"type": "writer", "number": number, **known}
 

@@ -79,10 +79,9 @@ def status_of(run: RunFolder, adapted: bool = False) -> list:
     bundle = bundle_artifact(run, road, dataset).state()
     states.append(Status(bundle))
     states += _answers(run, road, dataset, bundle)
-    for network in sorted(run.path.glob("adapted/*/network.json")) if adapted else ():
-        name = f"adapted/{network.parent.name}"
-        states.append(Status(bundle_artifact(run, road, dataset, name).state()))
-    return states
+    networks = sorted(run.path.glob("adapted/*/network.json")) if adapted else []
+    names = [f"adapted/{network.parent.name}" for network in networks]
+    return states + [Status(bundle_artifact(run, road, dataset, n).state()) for n in names]
 
 
 def outdated(statuses) -> dict:

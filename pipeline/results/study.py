@@ -284,7 +284,7 @@ def dataset_of(case: Case) -> Dataset:
             )
         split = replace(dataset.split, test=dataset.split.test[:0])
         dataset = replace(
-            dataset, split=split, origin=dataset.origin.with_content("samples", "no test part")
+            dataset, split=split, origin=dataset.origin.with_content("samples", "no test split")
         )
     return dataset
 

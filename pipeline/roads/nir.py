@@ -138,8 +138,8 @@ def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
     ----------
     network : NirNetwork
     inputs : ndarray
-        Images (n_samples, rows, columns, 1), which are presented for ``steps`` steps, or frames of
-        events (n_samples, steps, rows, columns, 2).
+        Images (n_samples, rows, columns, channels), which are presented for ``steps`` steps, or
+        frames of events (n_samples, steps, rows, columns, 2).
     steps : int
 
     Returns
@@ -289,12 +289,11 @@ class NirRoad(Road):
         return presentation_choices(self.settings, recordings)
 
     def require_fit(self, recordings):
-        nir, sensor = self.settings.nir, recordings.sensor
+        nir, sensor, events = self.settings.nir, recordings.sensor, self.settings.on_events
         # A file that has changed is not the run's network; the run's copy is compared when it is
         # read.
         if is_file(nir.file, nir.sha256):
             shape = sensor.rows, sensor.columns, self.channels
-            events = self.settings.on_events
             require_fit(read_nir(nir.file), shape, len(sensor.classes), nir.file, events)
 
     def require_presentable(self, dataset):
@@ -338,8 +337,10 @@ def settings_of_nir(
     is_known = before.nir.sha256 == sha256
     was_graph = is_known or before.nir.file == nir["file"]
     if kind is None:
-        is_known = is_known or (was_graph and len(network.input_shape) == 1)
-        kind = before.input.kind if is_known else _kind_of(path, network.input_shape)
+        shape = network.input_shape
+        is_image = before.input.kind == "image" and shape[0] == before.image.channels
+        is_known |= was_graph and (len(shape) == 1 or is_image)
+        kind = before.input.kind if is_known else _kind_of(path, shape)
     changes = {"input": {"kind": kind}, "nir": nir}
     if not (was_graph and before.input.kind == kind):
         changes["input"]["refractory"] = nir["step"] = 0.0
@@ -363,8 +364,8 @@ def _kind_of(path, shape):
             "give its input with --input events or --input image"
         )
     raise UserError(
-        f"{path}: an input of {' x '.join(map(str, shape))}; the skin has two channels of events "
-        "(ON, OFF) or one of an image, (channels, rows, columns): train the network for those"
+        f"{path}: an input of {' x '.join(map(str, shape))}; events have two channels (ON, OFF), "
+        "an image of counts one; others need --input image and, for example, --set image.slices=4"
     )
 
 
@@ -530,7 +531,7 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events:
         raise UserError(
             f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
             f"{columns} taxels would be {channels} x {rows} x {columns} (channels, rows, columns): "
-            "train it for that, or give recordings of its sensor (--data), or the other --input"
+            "train it for that, or give another --data or --input, or other settings image.*"
         )
     if network.outputs != classes:
         raise UserError(

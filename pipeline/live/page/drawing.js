@@ -197,7 +197,7 @@ export function drawRace(canvas, race) {
     context.stroke();
     context.setLineDash([]);
     context.textAlign = "right";
-    if (lane > 400) context.fillText("slower than the training", x(end), ABOVE - 5);
+    if (lane > 560) context.fillText("slower than the training", x(end), ABOVE - 5);
   }
   if (end > window) { // what the network does not receive
     context.fillStyle = colour("--note");
