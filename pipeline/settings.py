@@ -379,6 +379,8 @@ class Settings(Section):
     deployment: Deployment = field(default_factory=Deployment)
     presentation: PresentationSettings = field(default_factory=PresentationSettings)
     check: Check = field(default_factory=Check)
+    # Names of the settings that were set, also those that were set to their defaults.
+    given: tuple = field(default=(), init=False, compare=False, repr=False)
 
     def with_values(self, changes: dict, origin: str = "settings") -> Settings:
         """These settings with some changed.
@@ -403,7 +405,17 @@ class Settings(Section):
             _check_relations(settings)
         except WrongValue as error:
             raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
+        return settings.as_given([*self.given, *_leaves(changes)])
+
+    def as_given(self, names) -> Settings:
+        """The same with other names of settings that were set; see :meth:`is_open`."""
+        settings = replace(self)
+        object.__setattr__(settings, "given", tuple(dict.fromkeys(names)))
         return settings
+
+    def is_open(self, name: str) -> bool:
+        """True if a setting was not set, so that it may be chosen for the recordings."""
+        return name not in self.given and self.value(name) == Settings().value(name)
 
     def presented(self, confidence: float | None = None) -> Presentation:
         """The presentation of samples; events are read from the first step on.
@@ -463,7 +475,7 @@ class Settings(Section):
 
     def to_json(self) -> dict:
         """The settings as plain values."""
-        return asdict(self)
+        return {name: value for name, value in asdict(self).items() if name != "given"}
 
     def flat(self) -> dict:
         """Values by their dotted names, as ``--set`` takes them."""
@@ -478,7 +490,7 @@ def read_settings(path) -> Settings:
     UserError
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
-    values, _ = _read(path)
+    values, _, _ = _read(path)
     return Settings().with_values(values, str(path))
 
 
@@ -490,16 +502,19 @@ def read_own_settings(path) -> Settings:
     UserError
         As :func:`read_settings`.
     """
-    values, chosen = _read(path)
+    values, chosen, given = _read(path)
     settings, changes = Settings().with_values(values, str(path)), {}
+    given = [*(settings.given if given is None else given)]  # a user's own file may be short
     for name, value in chosen.items():
-        if settings.value(name) == value:  # another value is the user's, who has edited the file
+        if settings.value(name) == value:
             put(changes, name, Settings().value(name), str(path))
-    return settings.with_values(changes, str(path))
+        else:  # the user has edited the file
+            given.append(name)
+    return settings.with_values(changes, str(path)).as_given(given)
 
 
 def _read(path):
-    """The values in a file of settings, and those that were chosen by their names."""
+    """The values in a file of settings, those that were chosen, and names of those set."""
     with reporting_os_errors(path, "cannot read", "check the path"), open_regular(path) as file:
         content = file.read(limits.SETTINGS_BYTES + 1)
     if len(content) > limits.SETTINGS_BYTES:
@@ -508,10 +523,11 @@ def _read(path):
         values = tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); correct or delete it") from error
-    chosen = values.pop("chosen", {})
-    if not isinstance(chosen, dict) or not chosen.keys() <= Settings().flat().keys():
-        raise UserError(f"{path}: 'chosen' is not a table of settings; delete that line")
-    return values, chosen
+    chosen, given = values.pop("chosen", {}), values.pop("given", None)
+    for name, kind, named in (("chosen", dict, chosen), ("given", list, given or [])):
+        if not isinstance(named, kind) or not {*map(str, named)} <= Settings().flat().keys():
+            raise UserError(f"{path}: {name!r} has not the names of settings; delete that line")
+    return values, chosen, given
 
 
 def write_settings(path, settings: Settings, own: Settings | None = None):
@@ -532,6 +548,9 @@ def write_settings(path, settings: Settings, own: Settings | None = None):
     if chosen:
         lines += ["# Chosen for the recordings, and again if these change; edit the values below:"]
         lines += [f"chosen = {{{', '.join(chosen)}}}", ""]
+    usual, user = Settings().flat(), own or settings
+    given = [name for name in user.given if before[name] == usual[name]]
+    lines += ["# Set to their defaults, and therefore never chosen:", f"given = {_toml(given)}", ""]
     lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):
@@ -677,12 +696,21 @@ def names_in(section: str) -> tuple:
 
 def _entries(settings, prefix=""):
     """(dotted name, section that has it, name there) of every setting."""
-    for entry in fields(settings):
+    for entry in (entry for entry in fields(settings) if entry.init):
         value = getattr(settings, entry.name)
         if hasattr(value, "__dataclass_fields__"):
             yield from _entries(value, f"{prefix}{entry.name}.")
         else:
             yield prefix + entry.name, settings, entry.name
+
+
+def _leaves(values, prefix=""):
+    """The dotted names of nested values."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name
 
 
 @functools.cache

@@ -1,7 +1,6 @@
 """The road of spiking networks that are trained on the sensor's events."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -190,7 +189,7 @@ class EventRoad(Road):
             hidden = 64 if train is None else hidden_for(len(train), len(sensor.classes))
             chosen["architecture"] = architecture_for(sensor, on_events=True, hidden=hidden)
             lines.insert(0, chosen_text("events", chosen["architecture"], sensor))
-            if now.budget == default.budget:
+            if settings.is_open("events.budget"):
                 events = len(recordings.events) / max(len(recordings), 1)
                 received = events * operations_of_input(chosen["architecture"])
                 budget = OPERATIONS_AN_EVENT * received / CNN_MACS
@@ -203,7 +202,7 @@ class EventRoad(Road):
             )
         if train is not None:
             dropout = dropout_for(len(train), default.dropout)
-            if now.dropout == default.dropout != dropout:
+            if settings.is_open("events.dropout") and dropout != default.dropout:
                 chosen["dropout"] = dropout
                 lines.append(
                     f"dropout of {dropout:g}, for few recordings (another: --set "
@@ -213,7 +212,7 @@ class EventRoad(Road):
                 shown = settings.with_values(changes, settings.data.source)
                 reading = _reading(settings, shown, recordings, train)
                 step = shown.input.step
-                if settings.input.refractory == Settings().input.refractory:
+                if settings.is_open("input.refractory"):
                     changes["input"] = {"step": step, "refractory": reading.refractory * step}
                 part = shown.steps * step / reading.parts
                 chosen |= {"parts": reading.parts, "part": part}
@@ -308,11 +307,10 @@ def presentation_choices(settings: Settings, recordings) -> tuple:
     dict, list of str
         As :meth:`EventRoad.choices`.
     """
-    default = Settings()
     if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
         return {}, []  # as long as the published recordings: the default fits
     longest, step = longest_ms(recordings), settings.input.step
-    is_free = replace(settings.input, kind=default.input.kind) == default.input
+    is_free = settings.is_open("input.step") and settings.is_open("input.refractory")
     while is_free and longest >= step * MOST_STEPS:
         step *= 2
     steps = min(max(math.floor(longest / step) + 1, FEWEST_STEPS), MOST_STEPS)
@@ -344,7 +342,7 @@ def _reading(settings, shown, recordings, train):
     """How the events are read, with the user's refractory period if there is one."""
     table, step = EventTable.of(recordings), shown.input.step
     reading = reading_for(table, recordings.labels, train, step, shown.steps)
-    if settings.input.refractory == Settings().input.refractory:
+    if settings.is_open("input.refractory"):
         return reading
     chosen = shown.input.refractory_steps
     return reading._replace(refractory=chosen, lost=table.lost(step, chosen))

@@ -34,7 +34,7 @@ from pipeline.roads.road import (
     watched,
     write_network,
 )
-from pipeline.settings import Image, Settings
+from pipeline.settings import Image, Settings, names_in
 
 # Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
 # chosen by cross-validation within the training parts of two published data sets of real touch,
@@ -233,7 +233,7 @@ class ImageRoad(Road):
         is_small = min(sensor.rows, sensor.columns) < SMALLEST_GRID
         # The user's own network has these images if it is for as many channels.
         sliced = not own or parse(cnn.architecture).input_shape[2] == 2 * SLICES
-        if is_small and sliced and image == default.image:
+        if is_small and sliced and all(map(settings.is_open, names_in("image"))):
             duration = float(math.ceil(EventTable.of(recordings).typical_duration_ms))
             image = Image("polarities", SLICES, duration, "sqrt-max")
             changes["image"] = asdict(image)
@@ -241,10 +241,10 @@ class ImageRoad(Road):
                 f"{image.channels} channels: square roots of ON and OFF events in {SLICES} slices "
                 f"of {duration / SLICES:.0f} ms (another image: --set image.slices=... and others)"
             )
-            if not cnn.model and settings.snn.dropout == default.snn.dropout:
+            if not cnn.model and settings.is_open("snn.dropout"):
                 changes["snn"] = {"dropout": DROPOUT}
                 lines.append(f"dropout {DROPOUT:g} (another: --set snn.dropout=...)")
-            if settings.deployment.input_rate == default.deployment.input_rate:
+            if settings.is_open("deployment.input_rate"):
                 changes["deployment"] = {"input_rate": INPUT_RATE}
                 lines.append(
                     f"at most {INPUT_RATE:g} input spikes per second of a pixel (another: --set "

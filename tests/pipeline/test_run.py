@@ -70,6 +70,11 @@ def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
     assert text.count("171") == 2  # the value, and that it was chosen
     run.experiment.write_text(text.replace("\nsteps = 171", "\nsteps = 90"))  # the user edits it
     assert run.resolve_settings(None, {}) == own.with_values({"presentation": {"steps": 90}})
+    run.experiment.write_text(text.replace("\nrefractory = 20.0", "\nrefractory = 10.0"))
+    edited = run.resolve_settings(None, {})  # to the default, which is the user's too
+    assert edited.input.refractory == 10
+    assert not edited.is_open("input.refractory")
+    assert edited.is_open("input.step")
     for wrong in ('["seed"]', '{"no.such" = 1}'):
         run.experiment.write_text(f"chosen = {wrong}\n")
         with pytest.raises(UserError, match="chosen"):

@@ -726,7 +726,7 @@ class _Announcer(event.Listener):
     def on_start(self, event):
         if event.data["dispatcher"] in (advance_integers, advance_floats):
             print(
-                "fastloihi: compiling the emulator; this takes some five seconds, once",
+                "fastloihi: compiling the emulator; this takes some five seconds",
                 file=sys.stderr,
                 flush=True,
             )

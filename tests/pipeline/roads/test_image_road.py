@@ -11,6 +11,7 @@ from pipeline.artifacts import CURRENT, MISSING, State
 from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.roads import compared_with, road_of
 from pipeline.roads.road import Imported
+from pipeline.run import RunFolder
 from pipeline.settings import Settings
 
 
@@ -62,6 +63,25 @@ def test_a_network_of_one_s_own_gets_these_channels_if_it_has_as_many(cnn):
     assert "cnn" not in changes
     assert road_of(settings(cnn=cnn, image=changes["image"])).channels == 16
     assert ("snn" in changes) == ("model" not in cnn)
+
+
+def test_a_default_that_the_user_gives_is_kept(tmp_path):
+    default = Settings()
+    given = settings(
+        snn={"dropout": default.snn.dropout},
+        deployment={"input_rate": default.deployment.input_rate},
+    )
+    changes, _ = road_of(given).choices(recordings(1, 30))
+    assert not {"snn", "deployment"} & changes.keys()
+    assert "image" in changes
+    image = {"slices": default.image.slices}
+    assert "image" not in road_of(settings(image=image)).choices(recordings(1, 30))[0]
+    own = given.with_values({"seed": 3})
+    run = RunFolder(tmp_path)
+    run.save_settings(own.with_values(changes), own)
+    again = run.resolve_settings(None, {})  # by a later command
+    assert again == own
+    assert road_of(again).choices(recordings(1, 30))[0] == changes
 
 
 def test_a_grid_gets_the_paper_s_image_and_layers():
