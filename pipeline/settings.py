@@ -405,7 +405,8 @@ class Settings(Section):
             _check_relations(settings)
         except WrongValue as error:
             raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
-        return settings.as_given([*self.given, *_leaves(changes)])
+        named = [name for name in self.flat() if value_in(changes, name) is not None]
+        return settings.as_given([*self.given, *named])
 
     def as_given(self, names) -> Settings:
         """The same with other names of settings that were set; see :meth:`is_open`."""
@@ -490,8 +491,7 @@ def read_settings(path) -> Settings:
     UserError
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
-    values, _, _ = _read(path)
-    return Settings().with_values(values, str(path))
+    return Settings().with_values(_read(path)[0], str(path))
 
 
 def read_own_settings(path) -> Settings:
@@ -548,8 +548,7 @@ def write_settings(path, settings: Settings, own: Settings | None = None):
     if chosen:
         lines += ["# Chosen for the recordings, and again if these change; edit the values below:"]
         lines += [f"chosen = {{{', '.join(chosen)}}}", ""]
-    usual, user = Settings().flat(), own or settings
-    given = [name for name in user.given if before[name] == usual[name]]
+    given = [n for n in (own or settings).given if before[n] == Settings().value(n)]
     lines += ["# Set to their defaults, and therefore never chosen:", f"given = {_toml(given)}", ""]
     lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
@@ -657,6 +656,13 @@ def _toml(value):
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
+def value_in(values: dict, name: str):
+    """A value of nested ones by its dotted name, or None."""
+    for part in name.split("."):
+        values = values.get(part) if isinstance(values, dict) else None
+    return values
+
+
 def merged(old: dict, changes: dict) -> dict:
     """Nested values with some changed."""
     return old | {
@@ -702,15 +708,6 @@ def _entries(settings, prefix=""):
             yield from _entries(value, f"{prefix}{entry.name}.")
         else:
             yield prefix + entry.name, settings, entry.name
-
-
-def _leaves(values, prefix=""):
-    """The dotted names of nested values."""
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name
 
 
 @functools.cache

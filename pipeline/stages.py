@@ -294,9 +294,8 @@ def convert(opened: Opened) -> Bundle:
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     for name in scaled_by_block(spec.layers) if seen.road.is_trained_in_integers else ():
         say(
-            f"{WARNING}{name}: is divided among cores by its outputs, and NengoLoihi scales the "
-            "weights of each core separately, so that its integers differ slightly from those of "
-            "training; compare the predictions of 'stmnist ladder', or use fewer neurons"
+            f"{WARNING}{name}: is divided among cores, whose weights NengoLoihi scales apart, so "
+            "that integers differ a bit from training: see 'stmnist ladder', or use fewer neurons"
         )
     return bundle
 

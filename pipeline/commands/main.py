@@ -186,11 +186,9 @@ def main(arguments=None, command=None, name: str = "stmnist"):
         status = _say(error.format_message(), 2)
     except CheckFailed as error:
         status = _say(str(error), 1)
-    except SeveralErrors as error:
-        for line in error.lines:
-            status = _say(line, 2)
     except UserError as error:
-        status = _say(str(error), 2)
+        for line in error.lines if isinstance(error, SeveralErrors) else [str(error)]:
+            status = _say(line, 2)
     except (BrokenPipeError, SystemExit) as end:
         # The reader, such as head, has closed the pipe.  Typer then ends with status 1.
         if isinstance(end, SystemExit) and not isinstance(end.__context__, BrokenPipeError):

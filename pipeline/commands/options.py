@@ -161,7 +161,7 @@ class Requested:
         UserError
             An assignment is malformed, or contradicts an option.
         """
-        from pipeline.settings import parse_assignments, put  # import NumPy
+        from pipeline.settings import parse_assignments, put, value_in  # import NumPy
 
         changes = parse_assignments(self.assignments or [])
         for option, name, value in (
@@ -172,19 +172,12 @@ class Requested:
             ("--steps", "presentation.steps", self.steps),
         ):
             if value is not None:
-                assigned = _value_in(changes, name)
+                assigned = value_in(changes, name)
                 if assigned not in (None, value):
                     problem = f"contradicts --set {name}={assigned}"
                     raise UserError(f"{option}: {problem}; give only one of them")
                 put(changes, name, value, option)
         return changes
-
-
-def _value_in(changes, name):
-    """A value of nested ones by its dotted name, or None."""
-    for part in name.split("."):
-        changes = changes.get(part) if isinstance(changes, dict) else None
-    return changes
 
 
 CHANGES = {"settings": SettingsFile, "assignments": Assignments}

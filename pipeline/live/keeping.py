@@ -137,11 +137,8 @@ class Keeper:
 
     def _hold(self):
         """Lock the folder, which is created if it does not exist."""
-        taken = (
-            f"{self.folder}: another 'stmnist live' saves recordings there; "
-            "end it, or choose another folder with --record"
-        )
         remedy = "choose another folder with --record"
+        taken = f"{self.folder}: another 'stmnist live' saves there; end it, or {remedy}"
         self._held.enter_context(locked(self.folder / LOCK, taken, remedy))
         remove_leftovers(self.folder)
 

@@ -346,9 +346,7 @@ LEAST_KNOWN = 0.15
 
 
 # The remedy for a model that has changed since it was imported.
-GIVE_MODEL_AGAIN = (
-    "give it again with 'stmnist convert RUN --model FILE' (--retrain too if you gave it)"
-)
+GIVE_MODEL_AGAIN = "give it again with 'stmnist convert RUN --model FILE' (and --retrain if used)"
 
 
 def settings_of_model(path: Path, retrain: bool = False) -> dict:
@@ -426,7 +424,6 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
         raise UserError(
             f"{path}: hardly better than chance on this run's training samples (accuracy "
             f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same); "
-            "train it on tactile images as [image] in the settings makes them, with the classes in "
-            "the same order"
+            "train it on images as [image] in the settings makes them, with classes in this order"
         )
     return path, taken, model.notes

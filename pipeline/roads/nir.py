@@ -438,9 +438,8 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
     if interval[0] <= likeliest:
         say(
-            "nir: hardly better than chance; was the graph trained on inputs in this order (ON and "
-            "OFF, rows from the top, columns), in steps of this duration (--step), with this "
-            "refractory period of the input (input.refractory) and the classes in this order?"
+            "nir: hardly better than chance; was the graph trained on inputs in this order (ON, "
+            "OFF, rows, columns), with this --step, input.refractory and order of the classes?"
         )
     return metrics
 

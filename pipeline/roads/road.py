@@ -157,9 +157,8 @@ class Imported(NamedTuple):
         if not any(what.startswith(SPLIT_AGAIN) for what in changed):
             return None
         return (
-            f"{WARNING}{self.file}: was not trained for this split of the recordings, so that test "
-            "samples may be among its training samples and the accuracies too high; train it on "
-            "this split, and give it again"
+            f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
+            "among those of its training; train it on this split, and give it again"
         )
 
 
@@ -320,9 +319,8 @@ class Road:
             has = "x".join(map(str, parsed.input_shape))
             raise UserError(
                 f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; the "
-                f"recordings give {size} and {classes} classes: train one for those, or give the "
-                "recordings (--data) or images (--set image.slices, image.aggregation) that it is "
-                "for"
+                f"recordings give {size} and {classes}: train one for those, or give its --data or "
+                "images (--set image.slices, image.aggregation)"
             )
         like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(
