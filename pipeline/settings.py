@@ -548,8 +548,8 @@ def write_settings(path, settings: Settings, own: Settings | None = None):
     if chosen:
         lines += ["# Chosen for the recordings, and again if these change; edit the values below:"]
         lines += [f"chosen = {{{', '.join(chosen)}}}", ""]
-    given = [n for n in (own or settings).given if before[n] == Settings().value(n)]
-    lines += ["# Set to their defaults, and therefore never chosen:", f"given = {_toml(given)}", ""]
+    given = _toml((own or settings).given)
+    lines += ["# Set by the user, and therefore never chosen:", f"given = {given}", ""]
     lines += [f"{k} = {_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):

@@ -82,6 +82,11 @@ def test_a_default_that_the_user_gives_is_kept(tmp_path):
     again = run.resolve_settings(None, {})  # by a later command
     assert again == own
     assert road_of(again).choices(recordings(1, 30))[0] == changes
+    run.save_settings(settings(snn={"dropout": 0.3}))
+    run.experiment.write_text(
+        run.experiment.read_text().replace("\ndropout = 0.3", f"\ndropout = {default.snn.dropout}")
+    )
+    assert not run.resolve_settings(None, {}).is_open("snn.dropout")
 
 
 def test_a_grid_gets_the_paper_s_image_and_layers():
