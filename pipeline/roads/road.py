@@ -318,9 +318,9 @@ class Road:
         if self.imported is not None:
             has = "x".join(map(str, parsed.input_shape))
             raise UserError(
-                f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; recordings "
-                f"give {size} and {classes} classes: train one for those, or give its --data or "
-                "images (--set image.slices, image.aggregation)"
+                f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; "
+                f"recordings give {size} and {classes} classes: train one for those, or give its "
+                "--data or images (--set image.slices, image.aggregation)"
             )
         like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(
