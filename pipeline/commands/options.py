@@ -268,9 +268,11 @@ def bundle_in(path: Path) -> Path:
     UserError
         The run has no bundle, or the folder has the results of an experiment.
     """
-    if not (path / "MANIFEST.json").exists() and (path / "bundle").is_dir():
+    if (path / "MANIFEST.json").exists():
+        return path
+    if (path / "bundle").is_dir():
         return path / "bundle"
-    if not (path / "MANIFEST.json").exists() and (path / "experiment.toml").exists():
+    if (path / "experiment.toml").exists():
         refuse_other_folders(path)
         raise UserError(f"{path}: has no bundle yet; make it with {advised('convert', path)}")
     return path

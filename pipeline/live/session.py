@@ -212,8 +212,7 @@ class Session:
     def state(self) -> dict:
         """The message ``writer``: the writer, those with recordings, and the number of its own."""
         saved, number = self._keeper.writers, self._writer
-        known = {"known": sorted(saved), "saved": saved[number]}
-        return {"type": "writer", "number": number, **known}
+        return {"type": "writer", "number": number, "known": sorted(saved), "saved": saved[number]}
 
     def handle(self, text: str) -> list:
         """Handle a message.
