@@ -152,6 +152,12 @@ def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
             assert steps.max(initial=0) < 12
 
 
+def test_no_markup_is_shown_as_text(html):
+    text = html.read_text(encoding="utf-8")
+    assert "&amp;nbsp;" not in text
+    assert "p&nbsp;=&nbsp;" in text or "p&nbsp;&lt;" in text
+
+
 def test_a_run_without_results_is_one_line(tmp_path, refused, run):
     shutil.rmtree(run / "checks")
     assert "stmnist ladder" in refused("report", run)
