@@ -53,7 +53,7 @@ if __name__ == "__main__":
     recordings = list(zip(events, labels, strict=True))
     data = stmnist.write_recordings(f"{what}.zip", recordings, time_unit="us", parts=parts)
     changes = {"data": {"source": str(data.absolute())}, "input": {"kind": "events"}}
-    with (run := stmnist.RunFolder(f"runs/{what}")).locked():
-        opened = stmnist.stages.open_run(run, stmnist.Settings().with_values(changes))
+    settings = stmnist.Settings().with_values(changes)
+    with stmnist.stages.opened_run(f"runs/{what}", settings) as opened:
         print(stmnist.ladder_text(stmnist.measure_ladder(opened)))
-    print(stmnist.write_report(run.path))
+    print(stmnist.write_report(f"runs/{what}"))

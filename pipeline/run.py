@@ -214,16 +214,35 @@ def require_run(run: RunFolder):
 
 
 @contextlib.contextmanager
-def nothing_left_of_a_failure(path: Path):
-    """Remove the folder of a new run if the block fails before anything is saved."""
-    made = [folder for folder in (path, *path.parents) if not folder.exists()]
-    had_lock = (path / LOCK).exists()
+def working_in(path, of_results: bool = False):
+    """Lock a folder for a run, or for results; nothing is left of it if nothing is saved.
+
+    Parameters
+    ----------
+    path : path-like
+    of_results : bool
+        As in :func:`refuse_other_folders`.
+
+    Yields
+    ------
+    RunFolder
+
+    Raises
+    ------
+    UserError
+        As :func:`refuse_other_folders` and :meth:`RunFolder.locked`.
+    """
+    folder, lock = RunFolder(path), RunFolder(path).path / LOCK
+    refuse_other_folders(folder.path, of_results)
+    made = [above for above in (folder.path, *folder.path.parents) if not above.exists()]
+    had_lock = lock.exists()
     try:
-        yield
+        with folder.locked():
+            yield folder
     except BaseException:
         with contextlib.suppress(OSError):
             if not had_lock:
-                (path / LOCK).unlink(missing_ok=True)
-            for folder in made:
-                folder.rmdir()  # an OSError if something is in it
+                lock.unlink(missing_ok=True)
+            for above in made:
+                above.rmdir()  # an OSError if something is in it
         raise

@@ -42,7 +42,7 @@ from pipeline.roads import Road, fitted, new_run_text, road_of, split_text
 from pipeline.roads.image import settings_of_model
 from pipeline.roads.nir import refuse_early, settings_of_nir
 from pipeline.roads.road import read_weights
-from pipeline.run import RunFolder
+from pipeline.run import RunFolder, working_in
 from pipeline.settings import SIMULATED, Settings, read_settings
 from pipeline.training.adaptation import with_rehearsal
 
@@ -53,6 +53,7 @@ __all__ = [
     "convert",
     "open_run",
     "opened_in",
+    "opened_run",
     "refuse_early",
     "settings_of_model",
     "settings_of_nir",
@@ -96,7 +97,7 @@ class Opened:
     def make(self, name: str) -> dict:
         """Make a part, unless it is current; return its record.
 
-        A trained network's record has its ``accuracy`` on each part of the split, the number of
+        A trained network's record has its ``accuracy`` on each set of the split, the number of
         ``epochs`` and the ``seconds`` of the training.
         """
         part, artifact, imported = self.road.part(name), self.artifact(name), self.road.imported
@@ -196,6 +197,31 @@ def open_run(
     return opened
 
 
+@contextlib.contextmanager
+def opened_run(path, settings: Settings, **more):
+    """Lock a run's folder, new or not, for a block of statements, and open it.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder of the run.
+    settings : Settings
+    **more
+        As in :func:`open_run`.
+
+    Yields
+    ------
+    Opened
+
+    Raises
+    ------
+    UserError
+        As :func:`open_run`; the folder has other files, or another process works in it.
+    """
+    with working_in(path) as run:
+        yield open_run(run, settings, **more)
+
+
 def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
     """The description of a run's recordings."""
     return Artifact("dataset", run.dataset, origin)
@@ -245,7 +271,7 @@ def _notes_on_recordings(opened):
     n_test, samples = len(split.test), opened.settings.check.samples
     if split.kind == PUBLISHED and n_test < samples:
         yield (
-            f"{recordings.source.name}: the test part has {n_test} recordings, fewer than the "
+            f"{recordings.source.name}: the test set has {n_test} recordings, fewer than the "
             f"{samples} of a check; the check uses all of them"
         )
     if n_test < FEW:

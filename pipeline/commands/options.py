@@ -24,7 +24,7 @@ import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.terminal import advised, remark, show
-from pipeline.run import RunFolder, nothing_left_of_a_failure, refuse_other_folders
+from pipeline.run import refuse_other_folders, working_in
 
 KEYWORD = Parameter.KEYWORD_ONLY
 
@@ -99,7 +99,7 @@ Input = Annotated[
     str | None, typer.Option("--input", help="Input of the chip: 'image' or 'events'.")
 ]
 Samples = Annotated[
-    int | None, typer.Option(help="Number of samples of the check; 0 for the whole test part.")
+    int | None, typer.Option(help="Number of samples of the check; 0 for the whole test set.")
 ]
 Steps = Annotated[int | None, typer.Option(help="Number of steps of a sample.")]
 SettingsFile = Annotated[
@@ -214,9 +214,7 @@ def resolved(
     """
     from pipeline.settings import merged  # imports NumPy
 
-    folder = RunFolder(path)
-    refuse_other_folders(path, of_results)
-    with nothing_left_of_a_failure(path), folder.locked():
+    with working_in(path, of_results) as folder:
         changes = merged(changes or {}, requested.changes())
         yield folder, folder.resolve_settings(requested.settings, changes)
 
