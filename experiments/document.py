@@ -14,6 +14,7 @@ import inspect
 import json
 import re
 import shlex
+from functools import reduce
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated
@@ -30,12 +31,22 @@ ROOT = Path(__file__).resolve().parent.parent
 # The documents, relative to the root of the repository.
 FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
 
-# The rows of the tables in the README, by experiment.
+# The rows of the table in the README, and their lines in the experiments of its columns.
 BRIEF = {
-    "table2": "counts cnn cnn-matched own-loihi cnn-augmented events-loihi",
-    "real-touch": "counts cnn chip events-chip",
+    "logistic regression on event counts": {"counts"},
+    "CNN, trained as in the paper": {"cnn"},
+    "CNN, longer training": {"cnn-matched"},
+    "CNN, longer training with augmentation": {"cnn-augmented"},
+    "ANN-SNN, longer training, emulated Loihi": {"chip", "own-loihi"},
+    "SNN on events, emulated Loihi": {"events-chip", "events-loihi"},
 }
-REAL_TOUCH = {"objects": "Ev-Objects, 36 classes", "letters": "Braille letters, 27 classes"}
+# The columns: a result and one of its splits.
+COLUMNS = {
+    "Ev-Objects, real": ("real-touch-objects", "published"),
+    "Braille letters, real": ("real-touch-letters", "published"),
+    "simulated digits, random splits": ("table2", "random"),
+    "simulated digits, new writers": ("table2", "writers"),
+}
 
 
 def result(name: str) -> dict:
@@ -77,10 +88,9 @@ def part(name: str) -> str:
     """
     if name in ("commands", "settings"):
         return globals()[name]()
-    if name == "real-touch-brief":
-        return brief({title: result(f"real-touch-{file}") for file, title in REAL_TOUCH.items()})
-    if name.endswith("-brief"):
-        return brief(by_split(result(name.removesuffix("-brief"))))
+    if name.endswith("brief"):
+        kinds = {f"{kind} splits": (name[:-6], kind) for kind in ("random", "writers")}
+        return brief(COLUMNS if name == "brief" else kinds)
     content = result(name)
     kind = content.get("experiment", "sweep")
     if kind == "sweep":
@@ -98,26 +108,16 @@ def part(name: str) -> str:
     return "\n\n".join([*parts, experiment.note])
 
 
-def brief(contents: dict) -> str:
-    """Accuracies of results of one experiment: a row for each line, a column for each result."""
-    first = next(iter(contents.values()))
-    experiment = next(one for one in studies.EXPERIMENTS if one.name == first["experiment"])
-    lines = [["accuracy, mean (SD)", *contents]]
-    titles = {line.name: line.title for line in experiment.lines}
-    for name in BRIEF[experiment.name].split():
-        if any(row["name"] == name for row in first["rows"]):
-            rows = [_entry(content["rows"], name) for content in contents.values()]
-            lines.append([titles[name], *(f"{row['mean']:.3f} ({row['sd']:.3f})" for row in rows)])
+def brief(columns: dict) -> str:
+    """Accuracies, a column for each result and split; empty where a network was not measured."""
+    lines = [["accuracy, mean (SD)", *columns]]
+    for title, names in BRIEF.items():
+        line = []
+        for file, split in columns.values():
+            rows = [r for r in result(file)["rows"] if r["name"] in names and r["split"] == split]
+            line.append("".join(f"{row['mean']:.3f} ({row['sd']:.3f})" for row in rows))
+        lines += [[title, *line]] if any(line) else []
     return markdown(lines)
-
-
-def by_split(content: dict) -> dict:
-    """A result divided by kind of split."""
-    splits = dict.fromkeys(row["split"] for row in content["rows"])
-    return {
-        f"{split} splits": {**content, "rows": [r for r in content["rows"] if r["split"] == split]}
-        for split in splits
-    }
 
 
 def markdown(cells) -> str:
@@ -165,11 +165,9 @@ def figure(address: str) -> str:
     """
     name, *path, layout = shlex.split(address)
     try:
-        value = result(name)
-        for word in path:
-            value = _entry(value, word)
-        points = layout.startswith("100*")
-        return format(100 * value if points else value, layout.removeprefix("100*"))
+        value = reduce(_entry, path, result(name))
+        points = 100 if layout.startswith("100*") else 1
+        return format(points * value, layout.removeprefix("100*"))
     except (KeyError, IndexError, StopIteration, TypeError, ValueError, UserError) as error:
         raise ValueError(f"figure {address!r}: {error!r}") from error
 

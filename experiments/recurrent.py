@@ -1,7 +1,7 @@
 """A recurrent network trained in snnTorch, imported from NIR, on NengoLoihi's emulator.
 
-The network is trained on the published training part of a data set of events and compared on the
-published test part.  PyTorch is in an environment of its own (``make setup-nir``).
+The network is trained on the published training set of a data set of events and compared on the
+published test set.  PyTorch is in an environment of its own (``make setup-nir``).
 """
 
 import subprocess
@@ -34,7 +34,7 @@ def main(
     python: Annotated[Path, typer.Option(help="Python with snnTorch.")] = ROOT
     / ".venv-nir/bin/python",
 ):
-    """Train a recurrent network in snnTorch, import it and compare it on the test part."""
+    """Train a recurrent network in snnTorch, import it and compare it on the test set."""
     changes = {
         "data": {"source": str(data)},
         "input": {"kind": "events", "step": step, "refractory": 0.0},
@@ -42,7 +42,7 @@ def main(
     }
     settings = Settings().with_values(changes, "recurrent")
     dataset = Dataset.of(settings)
-    rows = [("seed", "snnTorch", "graph", target, "points lost", "same answers", "same spikes")]
+    rows = [("seed", "snnTorch", "graph", target, "points lost", "same predictions", "same spikes")]
     with tempfile.TemporaryDirectory() as folder:
         frames = Path(folder) / "frames.npz"
         images = np.moveaxis(dataset.inputs, -1, 2).reshape(*dataset.inputs.shape[:2], -1)

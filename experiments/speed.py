@@ -268,4 +268,4 @@ def main(
     title = "Processor time relative to NengoLoihi's emulator, medians of turns"
     options.tell(found, lambda value: "\n".join([title, *aligned(cells(value))]), as_json)
     if not all(row["identical"] for row in (*found["bundles"].values(), *found["networks"])):
-        raise CheckFailed("the answers differ from those of NengoLoihi's emulator")
+        raise CheckFailed("the predictions differ from those of NengoLoihi's emulator")

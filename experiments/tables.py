@@ -160,5 +160,5 @@ def comparisons_cells(found: dict, titles: dict) -> list:
         agreement = f"{entry['agreement']:.1%}" if "agreement" in entry else ""
         pair = titles[entry["a"]], titles[entry["b"]], entry["split"]
         rows.append([*pair, f"{100 * entry['mean']:+.2f}", interval, p, agreement])
-    heads = ["this row", "against", "splits", "points", "95 % interval", "p, Holm", "equal answers"]
+    heads = ["this row", "against", "splits", "points", "95 % interval", "p, Holm", "agreement"]
     return [heads, *rows]

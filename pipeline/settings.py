@@ -344,7 +344,7 @@ class PresentationSettings(Section):
 class Check(Section):
     """The check that is run on every target."""
 
-    #: Number of samples, drawn at random from the test part, as in the paper; 0 for all. All of
+    #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. All of
     #: them too if there are fewer and the number is the default.
     samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
 
@@ -354,7 +354,7 @@ class Check(Section):
         Parameters
         ----------
         available : int
-            Size of the test part.
+            Size of the test set.
         """
         if self.samples in (0, paper.CHECK_SAMPLES):
             return min(self.samples or available, max(available, 1))

@@ -65,7 +65,7 @@ class CheckSet:
     labels : ndarray of int, shape (n_samples,)
     ids : tuple of str
     seed : int
-        Seed with which they were drawn from the test part.
+        Seed with which they were drawn from the test set.
     """
 
     inputs: np.ndarray

@@ -67,7 +67,7 @@ class Stimulus:
             return f"samples have shape {samples.shape[1:]}, not {wanted}"
         if samples.dtype.kind not in "fiub":
             return "samples are not real numbers"
-        # Only the extremes are converted: the frames of a test part are too large to copy.
+        # Only the extremes are converted: the frames of a test set are too large to copy.
         lowest, highest = float(np.min(samples, initial=0)), float(np.max(samples, initial=0))
         if not -limits.MAGNITUDE <= lowest <= highest <= limits.MAGNITUDE:  # also refuses NaN
             return "samples have a value that is NaN or too large"

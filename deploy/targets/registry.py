@@ -36,7 +36,7 @@ class Target:
     note : str
         Additional information for readers of its results; empty if the title is sufficient.
     slow : bool
-        True if the whole test part takes minutes.
+        True if the whole test set takes minutes.
     floating : bool
         True if the target computes in floating point, so that it would also run a network that the
         chip's integers cannot hold: see :func:`refuse_unfit`.

@@ -8,7 +8,7 @@ from deploy.tables import listed
 from pipeline.data.events import Recordings
 
 # Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
-# samples in both parts.
+# samples in both sets.
 RANDOM, PUBLISHED, WRITERS = "random", "published", "writers"
 
 # Share of the training samples that is held out if there are no validation samples.
@@ -102,7 +102,7 @@ def split_of(
 def _with_all_classes(split, labels):
     """The split with a training sample of each class, from the other parts if necessary.
 
-    Validation samples are taken first, so that the test part never becomes empty.
+    Validation samples are taken first, so that the test set never becomes empty.
     """
     missing = np.setdiff1d(labels, labels[split.train])
     moved = [next(i for i in (*split.validation, *split.test) if labels[i] == c) for c in missing]
@@ -147,7 +147,7 @@ def copies(recordings: Recordings, split: Split) -> tuple:
     Returns
     -------
     in_training, in_classes : list of (str, str)
-        Ids of a recording and of its copy: in the training and the test part; in two classes.
+        Ids of a recording and of its copy: in the training and the test set; in two classes.
         Recordings without events have no copies.
     """
     ids, labels, sizes = recordings.ids, recordings.labels, np.diff(recordings.offsets)
@@ -160,7 +160,7 @@ def copies(recordings: Recordings, split: Split) -> tuple:
 
 
 def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split:
-    """The split of the source; validation samples are drawn from its training part.
+    """The split of the source; validation samples are drawn from its training set.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split
     seed : int
         Seed of the draw of validation samples.
     validation_fraction : float
-        Share of the training part that is used for validation.
+        Share of the training set that is used for validation.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def random_split(
     Raises
     ------
     ValueError
-        Training or test part would be empty.
+        Training or test set would be empty.
     """
     order = np.random.default_rng([seed, 0x5711]).permutation(n_samples)
     n_test = round(n_samples * test_fraction)
@@ -223,7 +223,7 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
     """Split samples so that no writer has both training and test samples.
 
     In random splits the training samples include each test writer's handwriting; in an application
-    the writers are new.  Writers are drawn at random for the test part as long as each brings its
+    the writers are new.  Writers are drawn at random for the test set as long as each brings its
     size closer to the requested fraction.
 
     Parameters
@@ -281,7 +281,7 @@ def hold_out(train: np.ndarray, seed: int):
 
 
 def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:
-    """Draw the samples of the check from the test part (paper, Section 3.2.2: 200 at random).
+    """Draw the samples of the check from the test set (paper, Section 3.2.2: 200 at random).
 
     Parameters
     ----------
@@ -300,5 +300,5 @@ def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarra
         There are fewer test samples than requested.
     """
     if n_samples > len(test):
-        raise ValueError(f"{n_samples} samples requested, the test part has {len(test)}")
+        raise ValueError(f"{n_samples} samples requested, the test set has {len(test)}")
     return np.random.default_rng([seed, 0xC4EC]).choice(np.sort(test), n_samples, replace=False)

@@ -194,7 +194,7 @@ def early_text(value: dict, row: dict) -> str:
     """
     early = value["by_itself"]
     if early["confidence"] >= 1:
-        return f"{row['stage']}: answers at the end of each recording, not earlier"
+        return f"{row['stage']}: decides at the end of each recording, not earlier"
     return (
         f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
         f"{early['share_of_writing_mean']:.0%} of the recording on average: "

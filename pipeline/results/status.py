@@ -36,7 +36,7 @@ class Status:
     ----------
     state : State
     accuracy : float or None
-        Accuracy on the test part, or on the samples of a check.
+        Accuracy on the test set, or on the samples of a check.
     seconds : float or None
         Time it took to make the artifact.
     """

@@ -272,7 +272,7 @@ def dataset_of(case: Case) -> Dataset:
     Raises
     ------
     UserError
-        There are too few samples for the part.
+        There are too few samples for the set.
     """
     settings = case.resolved
     kept = {name: getattr(settings, name) for name in ("seed", "data", "skin", "split")}
@@ -280,7 +280,7 @@ def dataset_of(case: Case) -> Dataset:
     if case.part == "validation":
         if not len(dataset.split.validation):
             raise UserError(
-                f"{case.settings.data.source}: too few samples for a validation part; give more"
+                f"{case.settings.data.source}: too few samples for a validation set; give more"
             )
         split = replace(dataset.split, test=dataset.split.test[:0])
         dataset = replace(

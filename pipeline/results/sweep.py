@@ -1,7 +1,7 @@
 """A sweep: every combination of some settings, tested on validation samples by the fast emulator.
 
-A sweep selects settings, so it does not use the test part: networks are trained on the training
-samples without a held-out validation part, and tested on that part.
+A sweep selects settings, so it does not use the test set: networks are trained on the training
+samples without a held-out validation set, and tested on that set.
 """
 
 import functools

@@ -88,7 +88,7 @@ def fitted(
     n_test = _test_samples(settings, recordings, problems)
     if check and 0 < n_test < settings.check.drawn(n_test):
         problems.append(
-            f"{settings.check.samples} samples requested, the test part has {n_test}; {TOO_SMALL}"
+            f"{settings.check.samples} samples requested, the test set has {n_test}; {TOO_SMALL}"
         )
     if problem := split_problem(recordings, settings.split.kind):
         problems.append(problem)
@@ -120,7 +120,7 @@ def split_text(recordings: Recordings, settings: Settings) -> str:
 
 
 def _test_samples(settings, recordings, problems):
-    """Number of samples in the test part; 0, with a problem, if there can be no split."""
+    """Number of samples in the test set; 0, with a problem, if there can be no split."""
     shares = settings.split
     try:
         fractions = shares.test_fraction, shares.validation_fraction

@@ -37,7 +37,7 @@ from pipeline.roads.road import (
 from pipeline.settings import Image, Settings, names_in
 
 # Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
-# chosen by cross-validation within the training parts of two published data sets of real touch,
+# chosen by cross-validation within the training sets of two published data sets of real touch,
 # with 39 and 80 taxels. Its image has the square roots of the counts of each polarity and slice.
 SLICES, WIDTH, DROPOUT = 8, 256, 0.5
 # Spikes per second of its largest pixel: as accurate there as 500, an eighth of the operations.
@@ -85,7 +85,7 @@ class ImageRoad(Road):
         ),
         "cnn-matched": Reference(
             "CNN, longer training",
-            "the same network, trained as long and as well as the spiking one",
+            "the same CNN, trained further as the spiking network is, but with ReLU neurons",
             "cnn-matched",
             _respond,
             training_versions,
@@ -423,7 +423,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
         raise UserError(
             f"{path}: hardly better than chance on this run's training samples (accuracy "
-            f"{right / len(labels):.3f}, {likeliest:.3f} by always answering the same); "
+            f"{right / len(labels):.3f}, {likeliest:.3f} by always predicting the same class); "
             "train it on images as [image] in the settings makes them, with classes in this order"
         )
     return path, taken, model.notes

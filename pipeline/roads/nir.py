@@ -404,7 +404,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         say(
             "nir: neurons reset to v_reset on the chip, not by subtraction: an accuracy of "
             "{accuracy:.3f} instead of {accuracy_as_trained:.3f} on {samples} training samples, "
-            "{agreement:.1%} of their answers are the same".format(**cost)
+            "{agreement:.1%} of their predictions are the same".format(**cost)
         )
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)

@@ -46,7 +46,7 @@ MOST_WATCHED = 500
 # Settings that change if another file is imported.
 FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
 
-# Beginnings of the changes after which other samples are in the test part.
+# Beginnings of the changes after which other samples are in the test set.
 SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
 
 
@@ -494,7 +494,7 @@ def training_versions() -> dict:
 
 
 def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
-    """The record of a network: its accuracy on each part of the split.
+    """The record of a network: its accuracy on each set of the split.
 
     Parameters
     ----------
@@ -515,7 +515,7 @@ def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dic
 
 
 def accuracies(right, dataset: Dataset) -> dict:
-    """Accuracy on each part of the split, and the interval of the last one.
+    """Accuracy on each set of the split, and the interval of the last one.
 
     Parameters
     ----------
@@ -525,7 +525,7 @@ def accuracies(right, dataset: Dataset) -> dict:
     """
     parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
     accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
-    part = list(accuracy)[-1]  # the validation samples if there is no test part, as in a sweep
+    part = list(accuracy)[-1]  # the validation samples if there is no test set, as in a sweep
     n_samples = len(parts[part])
     return {
         "simulated": dataset.recordings.source.simulated,

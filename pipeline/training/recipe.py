@@ -3,7 +3,7 @@
 For handwriting on the skin the defaults of the settings are the recipe.  They were chosen on
 thousands of recordings of ten classes with few events.  For all other recordings :func:`recipe_for`
 chooses what suits their number, their classes and their events.  The rules were cross-validated
-within the training parts of two sets of real recordings of touch, objects in a robot's hand and
+within the training sets of two sets of real recordings of touch, objects in a robot's hand and
 Braille letters.
 
 The refractory period of the input compresses large counts of events, as a square root does, and

@@ -1,7 +1,7 @@
 """Hold a converted network against what it answered in PyTorch.
 
 ``python -m tests.nir_networks.compare NETWORK.nir ANSWERS.npz RUN [OPTION ...]`` converts the graph
-with ``stmnist convert RUN --nir`` and the options, asks ``fast`` on the whole test part of seed 0,
+with ``stmnist convert RUN --nir`` and the options, asks ``fast`` on the whole test set of seed 0,
 and prints the figures as JSON.
 """
 
@@ -42,7 +42,7 @@ def figures(graph, answers, run, target="fast"):
     Returns
     -------
     dict
-        Accuracies and ``agreement`` on the whole test part; ``graph``, the share of values of the
+        Accuracies and ``agreement`` on the whole test set; ``graph``, the share of values of the
         outputs that the reference simulator has as PyTorch has them, within 1e-3 of the largest.
     """
     theirs = read_arrays(answers, "train again")

@@ -235,7 +235,7 @@ link.on("ready", (network) => {
   $("meaning").textContent = network.threshold === null
     ? "How sure: softmax of the outputs, which is no probability."
     : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
-  if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the sensor, which can change the answer.";
+  if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the sensor, which can change the prediction.";
   $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");

@@ -72,7 +72,7 @@ def test_a_split_by_writers_needs_their_names():
 
 
 def test_a_published_split_is_used():
-    """Every seed has the same test part and check; validation samples are of the training."""
+    """Every seed has the same test set and check; validation samples are of the training."""
     read = published("rrrrrrtt", (0, 0, 0, 1, 1, 1, 0, 1))
     splits = [split_of(read, seed, 0.5, 0.5, "auto") for seed in range(5)]
     for split in splits:
