@@ -743,6 +743,8 @@ def _check_relations(s: Settings):
     for file, content in {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}.items():
         given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
         need(s.value(content) or not s.value(file), file, given)
+        kept = "kept: a run with an imported network stays one; train in another RUN"
+        need(s.value(file) or not s.value(content), file, kept)
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",

@@ -15,7 +15,7 @@ from PIL import Image
 
 from pipeline.look import colour
 
-WIDTH, HEIGHT = 360, 250
+WIDTH, CHART, HEIGHT = 360, 440, 250
 LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
 # Height of a panel of a timeline.
 PANEL = 90
@@ -89,13 +89,13 @@ def line_chart(
         Lower end of the y axis; default: that of the lines.
     points : sequence of (x, y, name), optional
         Single values.
-    levels : sequence of float, optional
-        Heights of dashed lines.
+    levels : sequence of (y, name), optional
+        Dashed lines.
     """
     x = np.concatenate([np.asarray(s.x, float) for s in series])
     y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
-    y = np.append(y, [*(point[1] for point in points), *levels])
-    x_axis = _Axis(x.min(), x.max(), LEFT, WIDTH - RIGHT)
+    y = np.append(y, [*(b for _, b, _ in points), *(b for b, _ in levels)])
+    x_axis = _Axis(x.min(), x.max(), LEFT, CHART - RIGHT)
     y_axis = _Axis(y.min() if least is None else least, y.max(), HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
     for number, s in enumerate(series, 1):
@@ -104,11 +104,13 @@ def line_chart(
             around = _points(x_axis, y_axis, (*s.x, *s.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
         marks.append(_line(x_axis, y_axis, s, number))
-    marks += [_segment("reference", LEFT, b, WIDTH - RIGHT, b) for b in map(y_axis, levels)]
+    for b, name in levels:
+        marks.append(_segment("reference", LEFT, y_axis(b), CHART - RIGHT, y_axis(b)))
+        marks.append(_text(LEFT + 4, y_axis(b) - 6, f"{name} {b:.1f}", "start"))
     for a, b, name in points:
         marks.append(_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %"))
         marks.append(_text(x_axis(a), y_axis(b) - 9, f"{name} {b:.1f}", "end"))
-    return _svg(WIDTH, HEIGHT, marks, description)
+    return _svg(CHART, HEIGHT, marks, description)
 
 
 def interval(value: float, low: float, high: float, least: float) -> Markup:

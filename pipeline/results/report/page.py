@@ -274,10 +274,11 @@ def _over_time(inputs):
     points = [(x[-1], 100 * result["accuracy"], "end")]
     if early:
         points.append((100 * early["share_of_writing_mean"], 100 * early["accuracy"], "early"))
-    counts = [100 * r["accuracy"] for r in inputs.results if r["target"] == "counts"]
+    counts = [r["accuracy"] for r in inputs.results if r["target"] == "counts"]
+    level = [(100 * accuracy, "logistic regression") for accuracy in counts]
     title = "Accuracy over time"
     return {
-        "chart": charts.line_chart([series], label, "accuracy, %", title, 0, points, counts),
+        "chart": charts.line_chart([series], label, "accuracy, %", title, 0, points, level),
         "half": y[int(np.searchsorted(x, x[-1] / 2))] if x[0] <= x[-1] / 2 else None,
         "name": name,
         "early": early,
