@@ -3,7 +3,7 @@
 ``python -m experiments document`` writes them between their marks; a test checks that they are
 current.  Tables and figures come from the files in ``results/``:
 
-- ``<!-- NAME: written by python -m experiments document -->`` begins a table of ``results/NAME``,
+- ``<!-- NAME: made by experiments/document.py -->`` begins a table of ``results/NAME``,
   or ``commands`` or ``settings``; ``<!-- end of NAME -->`` ends it;
 - ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->`` has one value of a file: each word of
   the path (in quotes, if it has blanks) is a key of an object, or the name of an entry of a list
@@ -135,7 +135,7 @@ def with_parts(text: str) -> str:
     ValueError
         A part has a mark at its beginning but not at its end, or a figure does not exist.
     """
-    mark = "written by python -m experiments document -->"
+    mark = "made by experiments/document.py -->"
     for name in re.findall(rf"^<!-- ([\w-]+): {mark}$", text, re.MULTILINE):
         begin, end = f"<!-- {name}: {mark}", f"<!-- end of {name} -->"
         before, _, rest = text.partition(begin)

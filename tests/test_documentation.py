@@ -136,7 +136,7 @@ def test_every_setting_is_in_the_docs():
 
 def test_a_part_without_an_end_is_refused():
     with pytest.raises(ValueError, match="settings"):
-        with_parts("<!-- settings: written by python -m experiments document -->\n")
+        with_parts("<!-- settings: made by experiments/document.py -->\n")
 
 
 @pages
