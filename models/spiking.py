@@ -260,13 +260,8 @@ class SpikingNetwork(tf.Module):
             "keep_v": keep_v,
         }
 
-    def integers(self, values=None) -> dict:
+    def integers(self) -> dict:
         """The integers of each layer on the chip, by name.
-
-        Parameters
-        ----------
-        values : dict of str to tensor, optional
-            Used instead of the variables.
 
         Returns
         -------
@@ -274,9 +269,7 @@ class SpikingNetwork(tf.Module):
         """
         layers = {}
         for name in self.names:
-            chip = self._on_chip(
-                name, self.variables_by_name if values is None else values, tf.float64
-            )
+            chip = self._on_chip(name, self.variables_by_name, tf.float64)
             weights = np.rint(chip["kernel"].numpy() / WEIGHT_UNIT).astype(np.int32)
             scalars = {
                 part: int(chip[part].numpy()) for part in ("threshold", "floor", "keep_u", "keep_v")

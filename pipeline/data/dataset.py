@@ -60,12 +60,7 @@ class Dataset:
 
     @classmethod
     def of(
-        cls,
-        settings: Settings,
-        jobs: int = 1,
-        warn=None,
-        kind: str = "",
-        recordings: Recordings | None = None,
+        cls, settings: Settings, jobs: int = 1, warn=None, recordings: Recordings | None = None
     ) -> Dataset:
         """The recordings named in the settings, split with the seed of the settings.
 
@@ -76,8 +71,6 @@ class Dataset:
             Processes for recordings that are not in the cache.
         warn : callable, optional
             Called with one line for each file that was left out.
-        kind : str
-            Kind of the split instead of setting ``split.kind``.
         recordings : Recordings, optional
             The recordings that the settings name, if they were loaded before.
 
@@ -89,7 +82,7 @@ class Dataset:
         """
         if recordings is None:
             recordings = recordings_of(settings, jobs, warn)
-        split = _checked_split(recordings, settings, kind)
+        split = _checked_split(recordings, settings)
         origin = dataset_origin(settings, recordings.source.sha256, split.kind)
         return cls(recordings, split, origin, settings)
 
@@ -201,12 +194,12 @@ def require_images_fit(images: np.ndarray, settings: Settings):
         )
 
 
-def _checked_split(recordings, settings, kind=""):
+def _checked_split(recordings, settings):
     """The split of recordings as in the settings, after checking their number."""
     source, parts = settings.data.source, settings.split
     try:
         shares = parts.test_fraction, parts.validation_fraction
-        split = split_of(recordings, settings.seed, *shares, kind or parts.kind)
+        split = split_of(recordings, settings.seed, *shares, parts.kind)
     except ValueError as error:
         raise UserError(f"{source}: {error}; {NO_SPLIT}") from error
     if problem := split_problem(recordings, split.kind):

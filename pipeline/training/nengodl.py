@@ -158,7 +158,7 @@ def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray
     return outputs[:, settings.presentation.readout_start :].mean(axis=1).argmax(1)
 
 
-def _convert(settings, weights, kind, synapse, inference_only=True):
+def _convert(settings, weights, kind, synapse):
     """Convert the network to a kind of neurons; returns converter, input node and output probe."""
     snn, architecture = settings.snn, parse(settings.cnn.architecture)
     gains = {
@@ -173,8 +173,9 @@ def _convert(settings, weights, kind, synapse, inference_only=True):
             arrays = on_chip(*(tf.constant(weights[n], tf.float32) for n in names), gain)
             weights.update(zip(names, (array.numpy() for array in arrays), strict=True))
     set_weights(model, weights)
+    swap = {tf.nn.relu: kind()}
     converter = nengo_dl.Converter(
-        model, swap_activations={tf.nn.relu: kind()}, synapse=synapse, inference_only=inference_only
+        model, swap_activations=swap, synapse=synapse, inference_only=True
     )
     # Spiking neurons start from random voltages.  Without its own seed the network would draw them
     # from NumPy's global state, which depends on what this process did before.
