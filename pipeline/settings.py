@@ -12,6 +12,7 @@ import inspect
 import json
 import math
 import os
+import re
 import textwrap
 import tomllib
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -567,10 +568,7 @@ def describe(settings: Settings) -> list:
             "value": getattr(section, entry),
             "default": defaults[name],
             "meaning": _meanings(type(section))[entry],
-            "section": inspect.getdoc(type(section))
-            .partition("\n")[0]
-            .partition(";")[0]
-            .rstrip("."),
+            "section": re.split(r";|\.\n|\.$", inspect.getdoc(type(section)))[0],
         }
         for name, section, entry in _entries(settings)
     ]
@@ -586,10 +584,8 @@ def settings_text(described: list, width: int = 80) -> str:
         value, default = _toml(row["value"]), _toml(row["default"])
         star, otherwise = ("*", f"  (default {default})") if value != default else (" ", "")
         lines.append(f"{star} {row['name']} = {value}{otherwise}")
-        lines += [
-            f"      {part}"
-            for part in textwrap.wrap(row["meaning"], width - 6, break_on_hyphens=False)
-        ]
+        text = textwrap.fill(row["meaning"], width - 6, break_on_hyphens=False)
+        lines.append(textwrap.indent(text, 6 * " "))
     return "\n".join(lines[1:])
 
 
@@ -743,8 +739,7 @@ def _check_relations(s: Settings):
     for file, content in {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}.items():
         given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
         need(s.value(content) or not s.value(file), file, given)
-        kept = "kept: a run with an imported network stays one; train in another RUN"
-        need(s.value(file) or not s.value(content), file, kept)
+        need(s.value(file) or not s.value(content), file, "kept; train others in a new RUN")
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",

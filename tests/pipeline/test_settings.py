@@ -110,6 +110,14 @@ def test_a_wrong_setting_is_named(case):
     assert missing(line, dotted(changes), *facts) == []
 
 
+@pytest.mark.parametrize("names", [("nir", "file", "sha256"), ("cnn", "model", "model_sha256")])
+def test_an_imported_network_stays_in_its_run(names):
+    section, file, content = names
+    imported = Settings().with_values({section: {file: "own.file", content: 64 * "0"}}, "here")
+    with pytest.raises(UserError, match=f"{section}.{file}.* new RUN"):
+        imported.with_values({section: {file: ""}}, "there")
+
+
 def test_a_whole_number_will_do_for_a_fraction():
     assert Settings().with_values({"snn": {"max_rates": [100]}}, "").snn.max_rates == (100.0,)
 
