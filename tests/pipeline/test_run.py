@@ -5,6 +5,7 @@ import pytest
 from deploy.errors import UserError
 from pipeline.run import RunFolder, checks_of
 from pipeline.settings import Settings, read_settings
+from pipeline.stages import opened_run
 from tests.command import call
 
 
@@ -82,3 +83,22 @@ def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
     run.experiment.write_text('chosen = {"cnn.epochs" = 7}\ncnn = 3\n')
     with pytest.raises(UserError, match="cnn"):
         run.resolve_settings(None, {})
+
+
+def test_from_python_too_a_run_begins_only_in_a_folder_of_its_own(tmp_path):
+    """What cannot be opened leaves nothing, and the lock is held as long as the block."""
+    missing = Settings().with_values({"data": {"source": str(tmp_path / "none.zip")}})
+    with pytest.raises(UserError, match=r"none\.zip"), opened_run(tmp_path / "new/run", missing):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(UserError, match=r"thesis\.tex"), opened_run(tmp_path, Settings()):
+        pass
+    small = Settings().with_values({"data": {"samples_per_digit": 5}, "check": {"samples": 5}})
+    with opened_run(tmp_path / "run", small, say=[].append) as opened:
+        assert opened.settings == read_settings(tmp_path / "run/experiment.toml")
+        with (
+            pytest.raises(UserError, match="another process"),
+            opened_run(opened.place.path, small),
+        ):
+            pass
