@@ -282,8 +282,8 @@ class EventTraining(Section):
     #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
     #: which is one for handwriting.
     parts: Annotated[int, between(0, MOST_PARTS)] = 0
-    #: Length of each part in milliseconds, the last one is open; 0: two seconds, divided
-    #: among the parts.
+    #: Length of each part in milliseconds, the last one is open; 0: the presentation, divided
+    #: among the parts; for handwriting two seconds.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
     #: Passes over the training samples; 0: as the recipe's updates need.
     epochs: Annotated[int, OWN_EPOCHS] = 0

@@ -48,10 +48,26 @@ main([], command)
 """
 
 
-def test_in_a_destructor():
-    """Python drops it there, and TensorFlow has many."""
+IN_NATIVE_CODE = """
+import os, signal
+from pipeline.commands.main import main
+
+def command(**options):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        signal.pause()
+    except KeyboardInterrupt:
+        raise TypeError("what native code makes of it")
+
+main([], command)
+"""
+
+
+@pytest.mark.parametrize("program", [IN_A_DESTRUCTOR, IN_NATIVE_CODE])
+def test_where_python_drops_it(program):
+    """In a destructor, of which TensorFlow has many, or as another error of native code."""
     done = subprocess.run(
-        [sys.executable, "-c", IN_A_DESTRUCTOR],
+        [sys.executable, "-c", program],
         capture_output=True,
         text=True,
         timeout=60,

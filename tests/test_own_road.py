@@ -163,7 +163,8 @@ def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, ca
         shown = ("--target", "fast", "--data", tmp_path / name)
         assert call("check", "run", folder / "image", *shown) == 2
         assert reason in capsys.readouterr().err
-    assert call("check", "run", folder / "image", "--target", "fast", "--samples", 5) == 2
+    for others in (("--samples", 5), ("--skip-bad",)):
+        assert call("check", "run", folder / "image", "--target", "fast", *others) == 2
 
 
 @pytest.mark.parametrize("kind", QUICK)

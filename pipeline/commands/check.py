@@ -102,8 +102,9 @@ def run(
     chosen = options_for(target, **vars(board))
     if out is not None:
         require_ending(out, ".json")
-    if others.samples is not None and others.data is None:
-        raise UserError("--samples: needs other recordings; give them with --data FILE")
+    alone = "--skip-bad" if others.skip_bad else "--samples" if others.samples is not None else None
+    if alone and others.data is None:
+        raise UserError(f"{alone}: needs other recordings; give them with --data FILE")
     bundle = options.bundle_in(bundle)
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)

@@ -169,7 +169,15 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     or by the signal TERM.
     """
     prepare()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the workers, as Ctrl-C does
+    interrupts = []
+
+    def interrupt(number, frame):
+        interrupts.append(number)
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGTERM, interrupt)  # ends the workers, as Ctrl-C does
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, interrupt)
     sys.unraisablehook = partial(_interrupt_again, sys.unraisablehook)
     try:
         status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
@@ -199,6 +207,10 @@ def main(arguments=None, command=None, name: str = "stmnist"):
         status = _say(line_of(error), 2)
     except BrokenExecutor:  # joblib's
         status = _say(KILLED, 2)
+    except Exception:
+        if not interrupts:  # which native code, such as TensorFlow's, may turn into other errors
+            raise
+        status = _say(INTERRUPTION, INTERRUPTED)
     sys.exit(status or 0)
 
 

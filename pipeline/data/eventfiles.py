@@ -286,15 +286,16 @@ def _csv(content):
         has_names = all(set(words) & set(names) for names in NAMES.values())
     if not body:
         raise BadRecording("is empty: no events")
+    wanted = list(_by_name(words).values()) if has_names else []
+    read = [words.index(name) for name in wanted] or None  # other columns may have text
+    if has_names and (columns := len(body[0].split(separator))) != len(words):
+        raise BadRecording(f"has {columns} columns below {len(words)} names")
+    most = MAX_EVENTS + 1
     try:
-        table = np.loadtxt(body, delimiter=separator, ndmin=2, max_rows=MAX_EVENTS + 1)
+        table = np.loadtxt(body, delimiter=separator, ndmin=2, max_rows=most, usecols=read)
     except ValueError as error:
         raise BadRecording("has a line that is not numbers, as many as in the others") from error
-    if not has_names:
-        return table
-    if len(words) != table.shape[1]:
-        raise BadRecording(f"has {table.shape[1]} columns below {len(words)} names")
-    return dict(zip(words, table.T, strict=True))
+    return dict(zip(wanted, table.T, strict=True)) if has_names else table
 
 
 def _npz(content):

@@ -7,6 +7,7 @@ samples without a held-out validation set, and tested on that set.
 import functools
 import itertools
 import re
+from collections import defaultdict
 
 import numpy as np
 
@@ -35,7 +36,7 @@ STAGES = ("rate-lif", "trained", "fast")
 SAMPLES_APART = ("seed", "data", "split", "check")
 
 
-def points_of(base: Settings, grid, fit=lambda settings: settings) -> list:
+def points_of(base: Settings, grid, fit=lambda settings, changes: settings) -> list:
     """Every combination of the grid's values.
 
     Parameters
@@ -45,7 +46,7 @@ def points_of(base: Settings, grid, fit=lambda settings: settings) -> list:
         Such as ``"presentation.steps=50,100"`` or ``"snn.max_rates=[100,150],[150,150]"``; a single
         number is taken as a list of one.
     fit : callable
-        ``fit(settings) -> settings``, which chooses what the settings of a point leave open.
+        ``fit(settings, changes) -> settings``: chooses what the settings of a point leave open.
 
     Returns
     -------
@@ -69,8 +70,8 @@ def points_of(base: Settings, grid, fit=lambda settings: settings) -> list:
         for name, value in combination:
             put(values, name, value, "--grid")
         # What was chosen may have replaced a value of the grid that is also the default.
-        point = fit(base.with_values(values, "--grid")).with_values(values, "--grid")
-        points.append((dict(combination), point))
+        point = fit(base.with_values(values, "--grid"), dict(combination))
+        points.append((dict(combination), point.with_values(values, "--grid")))
     return points
 
 
@@ -124,25 +125,31 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     recordings = recordings_of(settings, workers.processes, say)
     fraction = settings.split.validation_fraction or VALIDATION
     divided = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
-    base = fitted(divided, recordings, say=say)
+    base = fitted(divided, recordings)
     split, road = kind_of(base.split.kind, recordings), road_of(base)
-    points = points_of(divided, grid or road.grid, lambda one: fitted(one, recordings))
-    cases, said, unused = [], {}, set(points[0][0])
+    said = defaultdict(list)  # the points that each line is about
+
+    def fit(point, changes):
+        return fitted(point, recordings, say=lambda line: said[line].append(changes))
+
+    points = points_of(divided, grid or road.grid, fit)
+    cases, unused = [], set(points[0][0])
     for number, (changes, of_point) in enumerate(points):
         own = road_of(of_point)
         own.require_fit(recordings)
         origin = dataset_origin(of_point, recordings.source.sha256, split)
         unused -= own.bundle_origin(origin).settings.keys()
         for line in own.notes(recordings):
-            said.setdefault(line, changes)
+            said[line].append(changes)
         for stage in STAGES:
             if stage in own.references or stage in TARGETS:
                 name = f"point-{number}-{stage}"
                 cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
     if unused:
         raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
-    for line, changes in said.items():
-        say(f"{line} ({', '.join(f'{name}={value}' for name, value in changes.items())})")
+    for line, about in said.items():
+        first = ", ".join(f"{name}={value}" for name, value in about[0].items())
+        say(line if len(about) == len(points) else f"{line} ({first})")
     folder.save_settings(base, settings)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     errors = {case.name.split("-")[1]: error for case, error in failed.items()}  # of each point

@@ -208,15 +208,13 @@ class EventRoad(Road):
                     f"dropout of {dropout:g}, for few recordings (another: --set "
                     "events.dropout=...)"
                 )
-            if not now.parts:
-                shown = settings.with_values(changes, settings.data.source)
-                reading = _reading(settings, shown, recordings, train)
-                step = shown.input.step
-                if settings.is_open("input.refractory"):
-                    changes["input"] = {"step": step, "refractory": reading.refractory * step}
-                part = shown.steps * step / reading.parts
-                chosen |= {"parts": reading.parts, "part": part}
-                lines.append(reading.text(step))
+            shown = settings.with_values(changes, settings.data.source)
+            reading, step = _reading(settings, shown, recordings, train), shown.input.step
+            if settings.is_open("input.refractory"):
+                changes["input"] = {"step": step, "refractory": reading.refractory * step}
+            parts = now.parts or reading.parts
+            chosen |= {"parts": parts, "part": now.part or shown.steps * step / parts}
+            lines.append(reading._replace(parts=parts).text(step))
         return ({**changes, "events": chosen} if chosen else changes), lines
 
     def notes(self, recordings):

@@ -33,7 +33,7 @@ from pipeline.roads import counts
 from pipeline.roads.events import DECIDES, confidence_of, presentation_choices, trusted
 from pipeline.roads.road import Imported, Part, Reference, Road, imported_file, is_file
 from pipeline.run import DELETE_ITS_FOLDER
-from pipeline.settings import Settings
+from pipeline.settings import Settings, merged, put
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}
@@ -220,7 +220,7 @@ RUNAWAY = 0.9
 # every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
 # Norse), so that this is what the network was trained for. A board loads the network at the start
 # of each stream, so that it is then loaded for each sample.
-FROM_REST = {"gap": 0, "stream_length": 1}
+FROM_REST = {"input.refractory": 0.0, "presentation.gap": 0, "presentation.stream_length": 1}
 
 
 def _respond(stage, opened, bundle, advance):
@@ -284,9 +284,15 @@ class NirRoad(Road):
         return spec_of_nir(network, stepped, settings.stimulus, shown, samples, provenance)
 
     def choices(self, recordings):
-        if not self.settings.on_events:
-            return {}, []
-        return presentation_choices(self.settings, recordings)
+        settings, changes = self.settings, {}
+        for name, value in FROM_REST.items():
+            if settings.is_open(name):
+                put(changes, name, value, settings.nir.file)
+        if not settings.on_events:
+            return changes, []
+        settings = settings.with_values(changes, settings.nir.file)
+        presented, lines = presentation_choices(settings, recordings)
+        return merged(changes, presented), lines
 
     def require_fit(self, recordings):
         nir, sensor, events = self.settings.nir, recordings.sensor, self.settings.on_events
@@ -343,8 +349,7 @@ def settings_of_nir(
         kind = before.input.kind if is_known else _kind_of(path, shape)
     changes = {"input": {"kind": kind}, "nir": nir}
     if not (was_graph and before.input.kind == kind):
-        changes["input"]["refractory"] = nir["step"] = 0.0
-        changes["presentation"] = FROM_REST
+        nir["step"] = 0.0
     if step is not None:
         changes["input" if kind == "events" else "nir"]["step"] = step
     return changes

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from functools import partial
 
 import numpy as np
 import pytest
@@ -38,7 +37,10 @@ def test_what_is_open_is_chosen_for_each_point(tmp_path):
     """Half the step takes twice the steps, and four slices another network."""
     source = str(write_folder(tmp_path / "own", per_class=5))
     recordings = load_recordings(source, jobs=1)
-    fit = partial(fitted, recordings=recordings)
+
+    def fit(point, changes):
+        return fitted(point, recordings)
+
     own = Settings().with_values({"data": {"source": source}, "input": {"kind": "events"}}, "")
     fine, coarse = sweep.points_of(own, ["input.step=5,10"], fit)
     assert fine[1].input.step == 5

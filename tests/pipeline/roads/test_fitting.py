@@ -1,5 +1,7 @@
 """Defaults that fit recordings of one's own, and everything that does not fit told at once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,15 @@ def test_events_of_a_sensor_of_one_s_own(own):
     assert chosen.input.step == 10
     longest = load_recordings(str(own)).sensor.duration_s
     assert 0.1 * 1000 < chosen.steps * 10 <= 1000 * longest + 10
+
+
+def test_a_number_of_parts_changes_no_other_choice(own):
+    """Each part is its share of the presentation, and the refractory period is chosen as before."""
+    chosen = fitted(settings_of(own, input={"kind": "events"}))
+    parts = fitted(settings_of(own, input={"kind": "events"}, events={"parts": 4}))
+    assert parts.input == chosen.input
+    assert parts.part_starts == tuple(round(k * chosen.steps / 4) for k in range(4))
+    assert replace(parts.events, parts=0, part=0) == replace(chosen.events, parts=0, part=0)
 
 
 def test_long_recordings_get_long_steps(tmp_path):

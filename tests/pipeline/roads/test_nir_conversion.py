@@ -20,7 +20,8 @@ from models.nir_chain import from_nir
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
 from pipeline.roads.nir import Stepped, graph_inputs, require_fit, settings_of_nir, spec_of_nir
-from pipeline.settings import Settings
+from pipeline.run import RunFolder
+from pipeline.settings import Settings, read_settings
 from tests.command import call as stmnist
 from tests.command import missing
 from tests.deploy.networks import random_checks, small_spec
@@ -255,6 +256,11 @@ def test_a_run_of_a_graph(tmp_path, capsys):
     assert stmnist("report", run) == 0
     assert stmnist("deploy", "energy", run / "bundle") == 0
     assert "Emulated Loihi" in (run / "report.html").read_text()
+    # How a graph's samples are presented is chosen for it, and does not outlive it.
+    shown, own = read_settings(run / "experiment.toml"), RunFolder(run).resolve_settings(None, {})
+    assert (shown.presentation.gap, shown.presentation.stream_length) == (0, 1)
+    assert own.presentation == Settings().presentation
+    assert (shown.input.refractory, own.input.refractory) == (0, Settings().input.refractory)
     saved = (run / "experiment.toml").read_bytes()
     other = write_folder(tmp_path / "own", per_class=5)  # of another sensor
     assert stmnist("ladder", run, "--data", other, "--jobs", "1") == 2
