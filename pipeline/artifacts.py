@@ -184,17 +184,17 @@ class State:
         left = len(self.because) - len(shown)
         return ", ".join(shown) + (f" and {left} more" if left else "")
 
-    def announcement(self, action: str) -> str | None:
-        """A message with the reason why an artifact is made again; None if it is missing.
+    def announce(self, action: str, say):
+        """Say why an outdated artifact is made again.
 
         Parameters
         ----------
         action : str
             Such as ``"training"``.
+        say : callable
         """
-        if self.state != OUTDATED:
-            return None
-        return f"{self.name}: {action} again: {self.reasons()}"
+        if self.state == OUTDATED:
+            say(f"{self.name}: {action} again: {self.reasons()}")
 
     def to_json(self) -> dict:
         """``name``, ``state`` and ``because``."""

@@ -105,11 +105,10 @@ class Opened:
         if state.is_current:
             self.say(f"{name}: up to date ({artifact.folder})")
             return state.record
-        lines = [state.announcement(part.action)]
+        state.announce(part.action, self.say)
         if imported is not None and imported.part == name:
-            lines.append(imported.split_note(state, self.settings.seed))
-        for line in filter(None, lines):
-            self.say(line)
+            for line in imported.split_notes(state, self.settings.seed):
+                self.say(line)
         opened = self.restricted(artifact.origin.settings)
         record = artifact.write(part.make(opened, artifact))
         for file in part.temporary:
@@ -244,8 +243,8 @@ def _notes(opened, choices):
     if run.experiment.exists() and (text := split_text(recordings, opened.settings)):
         yield f"{run.path}: {text}"
     yield from choices
-    if road.imported is not None and (note := road.imported.changed_note()) is not None:
-        yield note
+    if road.imported is not None:
+        yield from road.imported.changed_notes()
     yield from _notes_on_recordings(opened)
 
 
@@ -293,8 +292,7 @@ def convert(opened: Opened) -> Bundle:
     if state.is_current:
         say(f"bundle: up to date ({run.bundle})")
         return read_bundle(run.bundle)
-    if (line := state.announcement("writing")) is not None:
-        say(line)
+    state.announce("writing", say)
     seen = opened.restricted(origin.settings)
     view, dataset, recordings = seen.settings, seen.dataset, seen.dataset.recordings
     source, test = recordings.source, dataset.split.test
@@ -366,8 +364,7 @@ def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
     if state.is_current:
         opened.say(f"{stage}: up to date ({path})")
         return read_result(path, DELETE_IT)
-    if (line := state.announcement("answering")) is not None:
-        opened.say(line)
+    state.announce("answering", opened.say)
     if stage in TARGETS:
         with progress(f"check {stage}", len(bundle.checks)) as advance:
             return run_check(bundle, stage, path, opened.settings.seed, advance)
@@ -428,8 +425,7 @@ def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
                     advance(len(bundle.checks), stage)
 
             for name in targets:
-                if (line := states[name].announcement("answering")) is not None:
-                    opened.say(line)
+                states[name].announce("answering", opened.say)
             paths = {name: artifacts[name].record for name in targets}
             seed = opened.settings.seed
             results |= _shared(bundle, paths, seed, jobs, advance, answer_here)

@@ -33,7 +33,7 @@ def status(run: options.Run, as_json: options.Json = False):
     if (note := unread_note(settings)) is not None:
         options.say(note)
     imported = road_of(settings).imported
-    if imported is not None and (note := imported.changed_note()) is not None:
+    for note in imported.changed_notes() if imported is not None else ():
         options.say(note)
 
 

@@ -10,7 +10,7 @@ import importlib.metadata
 import io
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -32,7 +32,7 @@ from deploy.network.responses import Responses
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from models.architecture import parse
-from pipeline.artifacts import MISSING, OUTDATED, Artifact, Origin, State
+from pipeline.artifacts import MISSING, Artifact, Origin, State
 from pipeline.data.dataset import Dataset
 from pipeline.data.events import Recordings
 from pipeline.progress import progress
@@ -127,16 +127,15 @@ class Imported(NamedTuple):
     part: str
     remedy: str
 
-    def changed_note(self) -> str | None:
+    def changed_notes(self) -> Iterator[str]:
         """A warning if the file is another one now, such as a later version."""
-        if not Path(self.file).is_file() or is_file(self.file, self.sha256):
-            return None
-        return (
-            f"{WARNING}{self.file}: has changed since it was imported; the run keeps the earlier "
-            f"version; for this one {self.remedy}"
-        )
+        if Path(self.file).is_file() and not is_file(self.file, self.sha256):
+            yield (
+                f"{WARNING}{self.file}: has changed since it was imported; the run keeps the "
+                f"earlier version; for this one {self.remedy}"
+            )
 
-    def split_note(self, state: State, seed: int) -> str | None:
+    def split_notes(self, state: State, seed: int) -> Iterator[str]:
         """A line on the split that the network must have been trained on; a warning if it is new.
 
         Parameters
@@ -146,20 +145,18 @@ class Imported(NamedTuple):
         seed : int
             Of the split.
         """
+        changed = [change.what for change in state.because]
         if state.state == MISSING:
-            return (
+            yield (
                 f"{self.part}: must have been trained on the training samples of this split only "
                 f"(seed {seed}), otherwise the accuracies are too high"
             )
-        changed = [change.what for change in state.because]
-        if state.state != OUTDATED or any(what in FROM_ELSEWHERE for what in changed):
-            return None
-        if not any(what.startswith(SPLIT_AGAIN) for what in changed):
-            return None
-        return (
-            f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
-            "among those of its training; train it on this split, and give it again"
-        )
+        again = [what for what in changed if what.startswith(SPLIT_AGAIN)]
+        if again and not set(changed) & set(FROM_ELSEWHERE):
+            yield (
+                f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
+                "among those of its training; train it on this split, and give it again"
+            )
 
 
 class Road:

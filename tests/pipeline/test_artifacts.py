@@ -31,14 +31,15 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     state = artifact.state()
     assert state.is_current
     assert state.record["accuracy"] == 0.5
-    assert state.announcement("training") is None
+    state.announce("training", pytest.fail)
     later = Origin.of(changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents)
     state = replace(artifact, origin=later).state()
     assert (state.state, state.to_json()["because"]) == (
         "outdated",
         ["cnn.epochs changed from 0 to 2"],
     )
-    assert "cnn.epochs" in state.announcement("training")
+    state.announce("training", (said := []).append)
+    assert "cnn.epochs" in said[0]
 
 
 def test_contents_settings_that_come_and_settings_that_go_are_told():

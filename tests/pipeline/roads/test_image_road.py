@@ -120,5 +120,5 @@ def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
 
 def test_the_split_of_an_imported_network_is_said_when_it_is_new():
     imported = Imported("graph.nir", "a", "nir", "")
-    assert "seed 7" in imported.split_note(State("nir", MISSING), 7)
-    assert imported.split_note(State("nir", CURRENT), 7) is None
+    assert "seed 7" in "".join(imported.split_notes(State("nir", MISSING), 7))
+    assert not list(imported.split_notes(State("nir", CURRENT), 7))
