@@ -42,6 +42,7 @@ PLACES = {
     "pipeline.progress": ("progress",),
     "pipeline.data.eventfiles": ("write_recordings",),
     "pipeline.results.report": ("write_report",),
+    "pipeline.results.report.samples": ("replay",),
     "pipeline.results.report.figures.recordings": ("draw_recording",),
     "pipeline": ("stages",),
     "pipeline.results.elsewhere": ("predict",),
