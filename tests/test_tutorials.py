@@ -70,8 +70,8 @@ def test_your_own_sensor(tmp_path):
     printed_by(CODE, "2-own-sensor", env=users_environment(), cwd=tmp_path)
     events = accuracies(tmp_path / "runs" / "gestures")
     images = accuracies(tmp_path / "runs" / "gestures-image")
-    assert events["emulator"] > 0.9
-    assert images["emulator"] < events["emulator"]
+    assert 0.75 < events["emulator"] < 1  # noisy gestures, so that there is something to learn
+    assert max(events["counts"], images["emulator"]) < events["emulator"]
     assert (tmp_path / "runs" / "gestures" / "report.html").is_file()
 
 
