@@ -298,17 +298,14 @@ def convert(opened: Opened) -> Bundle:
     source, test = recordings.source, dataset.split.test
     chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
     lost = left_out_lines(source.name, recordings) if source.left_out else []
+    notes = (*lost, *_notes_on_recordings(seen))
     provenance = {
         "made_from": origin.to_json(),
         **dataset.provenance,
         "seed": view.seed,
         "recipe": seen.road.recipe,
         "package": __version__,
-        "warnings": [
-            line.removeprefix(WARNING)
-            for line in (*lost, *_notes_on_recordings(seen))
-            if line.startswith(WARNING)
-        ],
+        "warnings": [n.removeprefix(WARNING) for n in notes if n.startswith(WARNING)],
     }
     spec = seen.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)

@@ -190,6 +190,7 @@ def inference(run: Run) -> dict:
     counted = result.get("synaptic_operations", {})
     operations = sum(counted.values()) / result["n_samples"] if stage else None
     early = result.get("while_written", {}).get("by_itself")
+    early = early if early and early["confidence"] < 1 else None  # else it decides at the end
     of_digits = is_written(*spec.input_shape[:2], classes_of(spec))
     return {
         "input": run.settings.input.kind,
@@ -205,12 +206,10 @@ def inference(run: Run) -> dict:
         "operations_per_mac": operations / CNN_MACS if stage and of_digits else None,
         "steps": spec.presentation.steps,
         "step_ms": 1000 * spec.stimulus.step_seconds,
-        "writing": None
-        if not early or early["confidence"] >= 1  # which decides at the end
-        else {
+        "writing": early
+        and {
             "share": early["share_of_writing_mean"],
-            "accuracy": early["accuracy"],
-            "accuracy_ci95": early["accuracy_ci95"],
+            **{name: early[name] for name in ("accuracy", "accuracy_ci95")},
         },
     }
 
@@ -276,9 +275,7 @@ def runs_text(compared: dict) -> str:
     """
     runs = compared["runs"]
     letters = LETTERS[: len(runs)]
-    lines = [
-        f"{letter}  {printable(run['name'])}" for letter, run in zip(letters, runs, strict=True)
-    ]
+    lines = [f"{a}  {printable(run['name'])}" for a, run in zip(letters, runs, strict=True)]
     lines += ["", *_settings_lines(compared, letters)]
     lines += ["", *_accuracy_lines(compared, letters)]
     lines += ["", *_inference_lines(runs, letters)]
@@ -345,11 +342,8 @@ def _difference_cells(value):
     if value is None:
         return [""] * 4
     counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
-    return [
-        f"{round(value['difference'], 3) + 0.0:+.3f}",
-        *counts,
-        p_text(value["p"]) + star(value["p"]),
-    ]
+    change, p = round(value["difference"], 3) + 0.0, value["p"]
+    return [f"{change:+.3f}", *counts, p_text(p) + star(p)]
 
 
 def _inference_lines(runs, letters):
