@@ -99,23 +99,37 @@ def real_recording(shared_data):
 
 
 @pytest.fixture(scope="session")
-def tiny_run(tmp_path_factory, own_cache):
-    """A finished run; tests copy it before they change it.
+def made_once(tmp_path_factory, own_cache):
+    """``made_once(name, make)``: a folder that ``make(folder)`` fills, once for all processes.
 
-    Made with the command, once for all processes of the tests; each has a copy of its own, and of
-    the recordings in the cache.
+    Each has a copy of its own, and of the recordings in the cache.
     """
     base = tmp_path_factory.getbasetemp()
-    made = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "tiny"
-    with open(made.with_suffix(".lock"), "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not made.exists():
-            begun = tmp_path_factory.mktemp("making")
-            assert call("ladder", begun / "run", *TINY) == 0, "the small run of the main job failed"
-            shutil.copytree(own_cache, begun / "cache")
-            begun.rename(made)
-    shutil.copytree(made / "cache", own_cache, dirs_exist_ok=True)
-    return shutil.copytree(made / "run", tmp_path_factory.mktemp("runs") / "tiny")
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def copy_of(name, make):
+        made, cache = shared / name, shared / f"{name}-cache"  # the last, which tells that all is
+        with open(shared / f"{name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not cache.exists():
+                shutil.rmtree(made, ignore_errors=True)
+                made.mkdir()
+                make(made)
+                shutil.copytree(own_cache, cache)
+        shutil.copytree(cache, own_cache, dirs_exist_ok=True)
+        return shutil.copytree(made, tmp_path_factory.mktemp("copy") / name)
+
+    return copy_of
+
+
+@pytest.fixture(scope="session")
+def tiny_run(made_once):
+    """A finished run; tests copy it before they change it."""
+
+    def make(folder):
+        assert call("ladder", folder / "run", *TINY) == 0, "the small run of the main job failed"
+
+    return made_once("tiny", make) / "run"
 
 
 @pytest.fixture

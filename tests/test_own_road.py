@@ -25,8 +25,11 @@ QUICK = {
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("own")
+def folder(made_once):
+    return made_once("own-road", make)
+
+
+def make(folder):
     write_folder(folder / "own", per_class=25)
     people = write_recordings(
         folder / "people.zip", gestures(6, seed=7), CLASSES, "s", writers=[i % 3 for i in range(24)]
@@ -34,7 +37,6 @@ def folder(tmp_path_factory):
     assert people.exists()
     for kind, quick in QUICK.items():
         assert call("ladder", folder / kind, "--data", folder / "own", *quick) == 0
-    return folder
 
 
 @pytest.mark.parametrize("kind", QUICK)
