@@ -293,7 +293,7 @@ class EventTraining(Section):
     dropout: Annotated[float, FROM_0_BELOW_1] = 0.1
     #: Initial learning rate of Adam; it falls to 0 along a half cosine.
     learning_rate: Annotated[float, ABOVE_0] = 0.003
-    #: Weight of the loss term for early decisions, while the digit is still being written.
+    #: Weight of the loss term for early decisions, before the recording ends.
     early: Annotated[float, AT_LEAST_0] = 1.0
     #: Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
     #: also rotated, shifted, scaled and sheared on the grid of taxels; ``none``; ``auto``,
@@ -345,8 +345,8 @@ class PresentationSettings(Section):
 class Check(Section):
     """The check that is run on every target."""
 
-    #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. All of
-    #: them too if there are fewer and the number is the default.
+    #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. With the
+    #: default all too if there are fewer.
     samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
 
     def drawn(self, available: int) -> int:

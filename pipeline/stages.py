@@ -197,14 +197,15 @@ def open_run(
 
 
 @contextlib.contextmanager
-def opened_run(path, settings: Settings, **more):
+def opened_run(path, settings: Settings | dict | None = None, **more):
     """Lock a run's folder, new or not, for a block of statements, and open it.
 
     Parameters
     ----------
     path : path-like
         Folder of the run.
-    settings : Settings
+    settings : Settings or dict, optional
+        A dict changes what was set for the run, as ``--set`` does; settings replace it.
     **more
         As in :func:`open_run`.
 
@@ -218,6 +219,8 @@ def opened_run(path, settings: Settings, **more):
         As :func:`open_run`; the folder has other files, or another process works in it.
     """
     with working_in(path) as run:
+        if not isinstance(settings, Settings):
+            settings = run.resolve_settings(None, settings or {})
         yield open_run(run, settings, **more)
 
 

@@ -427,7 +427,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         raise UserError(f"{bundle.path}: {error}") from error
     if spec.rehearsal is None:
         raise UserError(
-            f"{bundle.path}: has no responses to training samples; 'stmnist convert' adds them"
+            f"{bundle.path}: has no responses to training samples, which only 'stmnist convert' adds"
         )
     person = responder.person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]

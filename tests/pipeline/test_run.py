@@ -95,7 +95,11 @@ def test_from_python_too_a_run_begins_only_in_a_folder_of_its_own(tmp_path):
     with pytest.raises(UserError, match=r"thesis\.tex"), opened_run(tmp_path, Settings()):
         pass
     small = Settings().with_values({"data": {"samples_per_digit": 5}, "check": {"samples": 5}})
-    with opened_run(tmp_path / "run", small, say=[].append) as opened:
+    with opened_run(tmp_path / "run", small, say=[].append):
+        pass
+    with opened_run(tmp_path / "run", {"seed": 3}, say=[].append) as opened:
+        assert (opened.settings.seed, opened.settings.data.samples_per_digit) == (3, 5)
+        assert opened.settings.is_open("events.dropout")
         assert opened.settings == read_settings(tmp_path / "run/experiment.toml")
         with (
             pytest.raises(UserError, match="another process"),

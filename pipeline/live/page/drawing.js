@@ -132,6 +132,7 @@ const SPANS = [0.1, 0.2, 0.5, 1, 2, 4, 10, 20, 60]; // lengths of a time axis in
 const spanOf = (seconds) => SPANS.find((span) => seconds <= span * 1.001) ?? seconds;
 const [LEFT, BELOW, ABOVE, GAP] = [10, 36, 18, 5];
 const LINES = ["--s1", "--s2", "--s3", "--s4"];
+const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]]; // as in the report, for those who do not see the colours
 const FONT = "13px system-ui, sans-serif"; // of a page whose text has 16 pixels
 
 // Everything on one time axis: events of the sensor, spikes of each layer, belief in the likeliest
@@ -187,7 +188,7 @@ export function drawRace(canvas, race) {
     context.fillStyle = colour("--line");
     context.fillRect(x(tick), bottom, 1, 4);
   }
-  if (onEvents && end > start + race.usualS) { // slower than the recordings of the training
+  if (onEvents && race.events.s.at(-1) > start + race.usualS) { // slower than the recordings of the training
     context.strokeStyle = context.fillStyle = colour("--soft");
     context.lineWidth = 1;
     context.setLineDash([4, 4]);
@@ -314,10 +315,12 @@ function drawBelief(context, race, curves, x, y, high, lane) {
   for (const share of [0.5, 1]) context.fillRect(LEFT, y + rise(share, high), lane, 1);
   curves.forEach((label, i) => {
     context.strokeStyle = lineOf(label);
-    context.lineWidth = i === 0 ? 2.5 : 1.2;
+    context.lineWidth = i === 0 ? 2.5 : 1.4;
+    context.setLineDash(DASHES[lines.indexOf(label)]);
     context.beginPath();
     seconds.forEach((at, step) => context.lineTo(x(at), y + rise(chances[step * classes.length + label] / 255, high)));
     context.stroke();
+    context.setLineDash([]);
   });
   if (verdict) {
     context.fillStyle = lineOf(verdict.label);

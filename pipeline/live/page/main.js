@@ -461,8 +461,8 @@ function showDecision(message) {
   const example = $("shown").dataset.label ?? "";
   const output = $("decision");
   const confidence = message?.verdict?.confidence ?? message?.confidence ?? 1;
-  const chance = confidence < 1 / classes.length; // no better than a guess
-  output.textContent = label === null ? "" : verdict && chance ? "?" : classes[label];
+  const chance = confidence < 1.02 / classes.length; // no better than a guess
+  output.textContent = label === null || (chance && !verdict) ? "" : chance ? "?" : classes[label];
   output.dataset.events = message === null ? 0 : message.events; // to which it is the answer
   const unsure = verdict !== null && verdict.confidence < 0.5;
   const told = verdict !== null && example !== "" && !unsure;
@@ -479,7 +479,7 @@ function showDecision(message) {
     const threshold = ready?.threshold ?? null;
     const waits = !pen.writes && strokes.length && example === "";
     $("decided").textContent = label !== null ? (waits ? `so far; waits ${about.pause_s} s for another stroke` : "so far")
-      : `The network decides ${threshold === null ? "" : `when it is ${percent(threshold)} sure, or `}${canDraw() && example === "" ? `${about.pause_s} s after the last stroke` : "at the end"}.`;
+      : `Decides ${threshold === null ? "" : `when ${percent(threshold)} sure, or `}${canDraw() && example === "" ? `${about.pause_s} s after the last stroke` : "at the end"}.`;
   } else {
     const ended = differs ? `; at the end it would be ${named(message.decision)}` : "";
     const right = chance ? `; a guess: ${classes[label]}` : example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;

@@ -109,7 +109,8 @@ def line_chart(
         marks.append(_text(LEFT + 4, y_axis(b) - 6, f"{name} {b:.1f}", "start"))
     for a, b, name in points:
         marks.append(_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %"))
-        marks.append(_text(x_axis(a), y_axis(b) - 9, f"{name} {b:.1f}", "end"))
+        aside = 18 if any(0 <= level - b < 9 for level, _ in levels) else -9
+        marks.append(_text(x_axis(a), y_axis(b) + aside, f"{name} {b:.1f}", "end"))
     return _svg(CHART, HEIGHT, marks, description)
 
 

@@ -225,7 +225,7 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
             "shape": "x".join(map(str, np.atleast_1d(shape))),
             "weights": weights,
             "neurons": neurons,
-            "where": f"{used} core{'' if used == 1 else 's'}" if used else "host",
+            "where": f"{used}\u00a0core{'' if used == 1 else 's'}" if used else "host",
             "spikes": None if spikes is None else spikes / n,
             "rate": None if spikes is None else spikes / n / neurons / seconds,
             "operations": None if operations is None else operations / n,

@@ -59,10 +59,12 @@ class Replay:
 
 
 def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
-    """Indices of samples to replay: wrong answers, then right ones of the classes mixed up."""
+    """Indices of samples to replay: mistakes, the most frequent first, then right ones."""
     samples = result["samples"]
     rights = [i for i, s in enumerate(samples) if s["label"] == s["prediction"]]
-    mistakes = [i for i, s in enumerate(samples) if s["label"] != s["prediction"]][:wrong]
+    pairs = [(s["label"], s["prediction"]) for s in samples]
+    mistakes = [i for i, (label, prediction) in enumerate(pairs) if label != prediction]
+    mistakes = sorted(mistakes, key=lambda i: (-pairs.count(pairs[i]), pairs[i]))[:wrong]
     first = {samples[i]["label"]: i for i in reversed(rights)}  # of each class
     mixed = [samples[i][key] for i in mistakes for key in ("label", "prediction")]
     order = [*(first[label] for label in mixed if label in first), *sorted(first.values()), *rights]

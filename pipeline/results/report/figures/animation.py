@@ -18,7 +18,10 @@ FRAMES, FRAME_MS, LAST_MS = 48, 60, 3000
 
 LONGEST_NAME = 32
 
-# Probability below which an answer is not shown: it would only flicker.
+NAMES = {"on": "ON: rises", "off": "OFF: falls"}
+# Of the curves, for those who do not see their colours.
+STYLES = ("-", "--", ":", "-.")
+# Probability below which a prediction is not shown: it would only flicker.
 LIKELY = 0.4
 
 
@@ -85,7 +88,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         title = f"{layer.name}\n{layer.size} {layer.unit}"
         axes.set_ylabel(title, rotation=0, ha="right", va="center")
         for kind, steps, rows in layer.groups:
-            tall = {"markersize": max(1, 60 / layer.size), "label": kind.upper()}
+            tall = {"markersize": max(1, 60 / layer.size), "label": NAMES.get(kind)}
             line = axes.plot([], [], "|", color=colour("ink" if kind == "s1" else kind), **tall)[0]
             marks.append((line, step * (steps + 0.5), rows))
         if len(layer.groups) > 1:
@@ -101,8 +104,8 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     speed = f"{speed:.2g} times faster" if speed > 1 else f"{1 / speed:.2g} times slower"
     scores.set(ylim=(0, 106), xlabel=f"milliseconds, shown {speed}", ylabel=probability)
     lines = {
-        c: scores.plot([], [], color=colour(f"s{n}"), label=shortened(classes[c], LONGEST_NAME))[0]
-        for n, c in enumerate(played.shown(label), 1)
+        c: scores.plot([], [], colour(f"s{n}"), ls=ls, label=shortened(classes[c], LONGEST_NAME))[0]
+        for n, (c, ls) in enumerate(zip(played.shown(label), STYLES, strict=False), 1)
     }
     scores.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
     scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)

@@ -132,7 +132,7 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     is_strip = _is_strip(recordings.taxels)
     what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down" * is_strip
     figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
-    _scale(figure, width, height, "most (root scale)" if is_strip else "most, in each picture")
+    _scale(figure, width, height, "most, in each picture" + " (root)" * is_strip)
     return figure
 
 
