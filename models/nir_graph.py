@@ -368,9 +368,7 @@ class _Values:
         if array is None:
             self.refuse(f"its {name} is not an array of numbers; write the graph again")
         if not np.isfinite(array).all():
-            self.refuse(
-                f"its {name} has NaN or infinite values; train again, and keep decays below 1"
-            )
+            self.refuse(f"its {name} has NaN or infinite values; train again, with decays below 1")
         if np.abs(array).max(initial=0) > limits.MAGNITUDE:
             self.refuse(f"its {name} has a value above {limits.MAGNITUDE:g}; scale it")
         return array

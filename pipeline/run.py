@@ -133,9 +133,7 @@ class RunFolder:
             Another process has locked it, it has a file's name, or a folder in it is a link.
         """
         if self.path.suffix.lower() in FILES and not self.path.is_dir():
-            raise UserError(
-                f"{self.path}: has a file's name; RUN is a folder, such as runs/default"
-            )
+            raise UserError(f"{self.path}: has a file's name; RUN is a folder: runs/default")
         taken = (
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"

@@ -54,7 +54,7 @@ def adapt(
         refuse_linked_folder(beside)
     if place.resolve() == bundle.path.resolve():
         raise UserError(
-            f"{place}: is the bundle to adapt, which is not changed; choose another --out"
+            f"{place}: is the bundle to adapt, which stays as it is; give another --out"
         )
     require_replaceable(place)
     if out is None and place.exists():
@@ -101,9 +101,7 @@ def _of_one(recordings, writer) -> tuple:
     source, known = recordings.source.name, sorted(set(recordings.writers.tolist()))
     if writer is None:
         if len(known) > 1:
-            raise UserError(
-                f"{source}: has several writers ({listed(known)}); choose one with --writer"
-            )
+            raise UserError(f"{source}: has writers {listed(known)}; choose one with --writer")
         return recordings, str(known[0]) if known and known[0] >= 0 else Path(source).stem
     if writer not in known:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")

@@ -43,9 +43,7 @@ def convert(
     ] = None,
     strict: Annotated[
         bool,
-        typer.Option(
-            "--strict", help="With --nir: refuse a graph that was trained with another reset."
-        ),
+        typer.Option("--strict", help="With --nir: refuse a graph trained with another reset."),
     ] = False,
     retrain: Annotated[
         bool, typer.Option("--retrain", help="With --model: continue training with rate-LIF.")

@@ -82,9 +82,7 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
     if isinstance(recording, EventRecording):
         unit = time_unit or recording.unit or recognised([recording.time])
         if not unit:
-            raise UserError(
-                f"{path}: no unit fits its times; give it with --set data.time_unit=..."
-            )
+            raise UserError(f"{path}: no unit fits its times; give --set data.time_unit=...")
         time_ns = to_ns(recording.time, unit, recording.time[-1] * UNITS[unit] > LATEST_S)
         first, last = time_ns[[0, -1]]
         taxels, polarity = recording.x << 16 | recording.y, recording.polarity

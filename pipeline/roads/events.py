@@ -197,9 +197,7 @@ class EventRoad(Road):
                     chosen["budget"] = float(min(round(budget, 1), 1000.0))
         if now.augment == default.augment:
             chosen["augment"] = how = augmentation_for(recordings)
-            lines.append(
-                f"augmentation in {how} (another: --set events.augment=time, space or none)"
-            )
+            lines.append(f"augmentation in {how} (another: --set events.augment=time, space, none)")
         if train is not None:
             dropout = dropout_for(len(train), default.dropout)
             if settings.is_open("events.dropout") and dropout != default.dropout:

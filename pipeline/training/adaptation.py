@@ -427,7 +427,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         raise UserError(f"{bundle.path}: {error}") from error
     if spec.rehearsal is None:
         raise UserError(
-            f"{bundle.path}: has no responses to training samples, which only 'stmnist convert' adds"
+            f"{bundle.path}: has no responses to training samples; only 'stmnist convert' adds them"
         )
     person = responder.person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
@@ -492,9 +492,7 @@ def require_fit(spec: NetworkSpec, recordings: Recordings):
     counts = np.bincount(recordings.labels, minlength=len(known))
     if not counts.all():
         missing = [known[label] for label in np.flatnonzero(counts == 0)]
-        raise UserError(
-            f"{source}: no recording of {listed(missing)}; give at least one of each class"
-        )
+        raise UserError(f"{source}: no recording of {listed(missing)}; give one of each class")
 
 
 def _with_threshold(spec, responder, recordings):
