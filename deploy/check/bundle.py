@@ -133,7 +133,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         The path is a file's, or a folder's with other files than a bundle's, which would be lost;
         the samples are too large for a bundle; or the folder cannot be written.
     ValueError
-        Labels, or frames of events, are not whole numbers of their range.
+        The samples of the check do not fit the network, or each other.
     """
     path = Path(os.path.realpath(str(path)))  # a link that the user names is followed
     samples = {
@@ -146,6 +146,9 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         if stored.dtype.kind != "f" and not np.array_equal(stored, given):
             raise ValueError("a label or an event is not a whole number, or out of range")
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
+    wrong = _wrong_with(samples, spec)
+    if wrong is not None:
+        raise ValueError(f"the samples of the check do not fit the network: {wrong}")
     with reporting_os_errors(path, "cannot write", FREE_IT):
         require_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)

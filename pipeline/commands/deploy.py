@@ -81,7 +81,7 @@ def energy(
     bundle: options.Bundle,
     result: Annotated[
         Path | None,
-        typer.Argument(help="Check result (default: that of emulator or fast beside the bundle)."),
+        typer.Argument(help="Check result (default: the bundle's own, of emulator or fast)."),
     ] = None,
     as_json: options.Json = False,
 ):

@@ -232,15 +232,17 @@ def test_weights_that_are_none(bundle, changes, fact):
         read_bundle(with_arrays(bundle, "weights.npz", **changes))
 
 
-@pytest.mark.parametrize("change", [
-    lambda c: replace(c, inputs=0.7 * c.inputs),
-    lambda c: replace(c, inputs=c.inputs.astype(int) + 256),
-    lambda c: replace(c, labels=c.labels + 0.7),
-    lambda c: replace(c, labels=c.labels.astype(str)),
+@pytest.mark.parametrize(("change", "fact"), [
+    (lambda c: replace(c, inputs=0.7 * c.inputs), "whole number"),
+    (lambda c: replace(c, inputs=c.inputs.astype(int) + 256), "whole number"),
+    (lambda c: replace(c, labels=c.labels + 0.7), "whole number"),
+    (lambda c: replace(c, labels=c.labels.astype(str)), "whole number"),
+    (lambda c: replace(c, labels=c.labels[:3]), "^the samples of the check .*length"),
+    (lambda c: replace(c, ids=tuple("abca")), "^the samples of the check .*same id"),
 ])  # fmt: skip
-def test_samples_that_would_be_stored_as_others(tmp_path, change):
+def test_samples_that_would_be_stored_as_others(tmp_path, change, fact):
     spec = events_spec()
-    checks = CheckSet(random_frames(spec, 4), np.arange(4), tuple("abcd"), 0)
-    with pytest.raises(ValueError, match="whole number"):
+    checks = CheckSet(random_frames(spec, 4), np.arange(4) % 3, tuple("abcd"), 0)
+    with pytest.raises(ValueError, match=fact):
         write_bundle(tmp_path / "b", spec, change(checks))
     assert not (tmp_path / "b").exists()
