@@ -19,7 +19,7 @@ from deploy.terminal import show
 from models.nir_graph import read_nir
 from models.nir_simulator import simulate
 from pipeline.data.dataset import Dataset
-from pipeline.roads.nir import FROM_REST, Stepped, graph_inputs, spec_of_nir
+from pipeline.roads.nir import Stepped, graph_inputs, spec_of_nir
 from pipeline.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,7 +38,7 @@ def main(
     changes = {
         "data": {"source": str(data)},
         "input": {"kind": "events", "step": step, "refractory": 0.0},
-        "presentation": FROM_REST,
+        "presentation": {"gap": 0, "stream_length": 1},  # as PyTorch trains it
     }
     settings = Settings().with_values(changes, "recurrent")
     dataset = Dataset.of(settings)

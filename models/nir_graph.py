@@ -399,9 +399,7 @@ class _Values:
         array = np.repeat(array, dimensions) if array.size == 1 else array
         good = array.size == dimensions and (array == np.rint(array)).all()
         if not good or array.min() < least or array.max() > limits.NEURONS:
-            self.refuse(
-                f"its {name} must be {dimensions} whole number(s), at least {least}; correct it"
-            )
+            self.refuse(f"its {name} must be {dimensions} whole number(s), at least {least}")
         return tuple(int(n) for n in array)
 
     def image(self, shape, dimensions=2):

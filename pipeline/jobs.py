@@ -13,6 +13,7 @@ from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import KILLED, UserError
+from pipeline.interrupts import interruptible
 
 # Largest number of characters in a failure's line; the traceback has the whole message.
 MESSAGE_LENGTH = 160
@@ -172,7 +173,8 @@ def _numbered(number, function, job):
 def attempt(function, job):
     """Call a function for a job; return its result, or a :class:`Failure` if it raises an error."""
     try:
-        return function(job)
+        with interruptible():
+            return function(job)
     except UserError as error:
         return Failure(_one_line(error), str(error), error)
     except Exception as error:

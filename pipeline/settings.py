@@ -52,6 +52,8 @@ class _Access(enum.Enum):
 # Settings with the path of a file. The origin of an artifact has a hash of the file's content
 # instead of the path, so that every artifact may read these settings.
 PATHS = ("data.source", "cnn.model", "nir.file")
+# Files of imported networks, and the settings with their hashes.
+IMPORTED = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
 
 
 class Section:
@@ -404,6 +406,9 @@ class Settings(Section):
                 source = os.path.abspath(settings.data.source)
                 settings = replace(settings, data=replace(settings.data, source=source))
             _check_relations(settings)
+            for file, content in IMPORTED.items():
+                if self.value(file) and settings.value(content) and not settings.value(file):
+                    raise WrongValue(file, "must be kept; train others in a new RUN")
         except WrongValue as error:
             raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
         named = [name for name in self.flat() if value_in(changes, name) is not None]
@@ -736,10 +741,9 @@ def _check_relations(s: Settings):
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
     n_spiking = len(_parsed(s.cnn.architecture, "cnn.architecture").spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
-    for file, content in {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}.items():
+    for file, content in IMPORTED.items():
         given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
         need(s.value(content) or not s.value(file), file, given)
-        need(s.value(file) or not s.value(content), file, "kept; train others in a new RUN")
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",

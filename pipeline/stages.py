@@ -205,7 +205,8 @@ def opened_run(path, settings: Settings | dict | None = None, **more):
     path : path-like
         Folder of the run.
     settings : Settings or dict, optional
-        A dict changes what was set for the run, as ``--set`` does; settings replace it.
+        A dict, nested as in :meth:`pipeline.settings.Settings.with_values`, changes what was set
+        for the run; settings replace it.
     **more
         As in :func:`open_run`.
 
@@ -220,7 +221,7 @@ def opened_run(path, settings: Settings | dict | None = None, **more):
     """
     with working_in(path) as run:
         if not isinstance(settings, Settings):
-            settings = run.resolve_settings(None, settings or {})
+            settings = run.resolve_settings(None, {}).with_values(settings or {})
         yield open_run(run, settings, **more)
 
 

@@ -115,7 +115,7 @@ def made_once(tmp_path_factory, own_cache):
                 shutil.rmtree(made, ignore_errors=True)
                 made.mkdir()
                 make(made)
-                shutil.copytree(own_cache, cache)
+                shutil.copytree(own_cache, made.with_suffix(".copy")).rename(cache)
         shutil.copytree(cache, own_cache, dirs_exist_ok=True)
         return shutil.copytree(made, tmp_path_factory.mktemp("copy") / name)
 

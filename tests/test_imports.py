@@ -62,7 +62,7 @@ def imported(path):
 # Of each package, from the ground up: a module imports from its own floor or from below.
 FLOORS = {
     "pipeline": [
-        {"jobs", "look", "paper", "progress"},
+        {"interrupts", "jobs", "look", "paper", "progress"},
         {"settings"},
         {"artifacts"},
         {"run"},

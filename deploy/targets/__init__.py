@@ -40,9 +40,7 @@ class BoardOptions:
     """
 
     board: Optional[str] = _option(None, "Name of a board (default: the cluster's choice).")
-    partition: Optional[str] = _option(
-        None, "SLURM partition (default: the board is on this host)."
-    )
+    partition: Optional[str] = _option(None, "SLURM partition (default: a board of this host).")
     chips: int = _option(1, "Largest number of chips to use.", 1, 10_000)
     attempts: int = _option(3, "Largest number of attempts for each stream of samples.", 1, 1000)
     wait: float = _option(

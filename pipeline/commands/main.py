@@ -1,10 +1,8 @@
 """The command ``stmnist``: its sub-commands, and errors as one line and an exit status."""
 
-import signal
 import sys
-import threading
 from concurrent.futures import BrokenExecutor
-from functools import cached_property, partial
+from functools import cached_property
 from importlib import import_module
 
 import typer
@@ -15,6 +13,7 @@ from deploy import __version__
 from deploy.errors import KILLED, CheckFailed, SeveralErrors, UserError, line_of, one_line
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 from pipeline.commands.options import for_typer
+from pipeline.interrupts import interruptible, listen
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError = typer.BadParameter.__base__
@@ -169,18 +168,11 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     or by the signal TERM.
     """
     prepare()
-    interrupts = []
-
-    def interrupt(number, frame):
-        interrupts.append(number)
-        signal.default_int_handler(number, frame)
-
-    signal.signal(signal.SIGTERM, interrupt)  # ends the workers, as Ctrl-C does
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, interrupt)
-    sys.unraisablehook = partial(_interrupt_again, sys.unraisablehook)
+    listen()
     try:
-        status = (command or command_line())(args=arguments, prog_name=name, standalone_mode=False)
+        with interruptible():
+            run = command or command_line()
+            status = run(args=arguments, prog_name=name, standalone_mode=False)
         if status == INTERRUPTED:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
         sys.stdout.flush()  # errors could not be reported when Python exits
@@ -207,20 +199,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
         status = _say(line_of(error), 2)
     except BrokenExecutor:  # joblib's
         status = _say(KILLED, 2)
-    except Exception:
-        if not interrupts:  # which native code, such as TensorFlow's, may turn into other errors
-            raise
-        status = _say(INTERRUPTION, INTERRUPTED)
     sys.exit(status or 0)
-
-
-def _interrupt_again(otherwise, dropped):
-    """Python drops a Ctrl-C that comes in a destructor, such as those of TensorFlow: repeat it."""
-    if dropped.exc_type is KeyboardInterrupt:
-        # It comes in the main thread only, which is therefore this one.  SIGINT may be ignored.
-        threading.Timer(0.01, signal.pthread_kill, (threading.get_ident(), signal.SIGTERM)).start()
-    else:
-        otherwise(dropped)
 
 
 def _say(message, status):

@@ -288,8 +288,9 @@ def _csv(content):
         raise BadRecording("is empty: no events")
     wanted = list(_by_name(words).values()) if has_names else []
     read = [words.index(name) for name in wanted] or None  # other columns may have text
-    if has_names and (columns := len(body[0].split(separator))) != len(words):
-        raise BadRecording(f"has {columns} columns below {len(words)} names")
+    odd = next((line for line in body if len(line.split(separator)) != len(words)), None)
+    if has_names and odd is not None:
+        raise BadRecording(f"has {len(odd.split(separator))} columns below {len(words)} names")
     most = MAX_EVENTS + 1
     try:
         table = np.loadtxt(body, delimiter=separator, ndmin=2, max_rows=most, usecols=read)

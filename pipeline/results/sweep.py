@@ -36,7 +36,7 @@ STAGES = ("rate-lif", "trained", "fast")
 SAMPLES_APART = ("seed", "data", "split", "check")
 
 
-def points_of(base: Settings, grid, fit=lambda settings, changes: settings) -> list:
+def points_of(base: Settings, grid) -> list:
     """Every combination of the grid's values.
 
     Parameters
@@ -45,8 +45,6 @@ def points_of(base: Settings, grid, fit=lambda settings, changes: settings) -> l
     grid : sequence of str
         Such as ``"presentation.steps=50,100"`` or ``"snn.max_rates=[100,150],[150,150]"``; a single
         number is taken as a list of one.
-    fit : callable
-        ``fit(settings, changes) -> settings``: chooses what the settings of a point leave open.
 
     Returns
     -------
@@ -69,9 +67,7 @@ def points_of(base: Settings, grid, fit=lambda settings, changes: settings) -> l
         values: dict = {}
         for name, value in combination:
             put(values, name, value, "--grid")
-        # What was chosen may have replaced a value of the grid that is also the default.
-        point = fit(base.with_values(values, "--grid"), dict(combination))
-        points.append((dict(combination), point.with_values(values, "--grid")))
+        points.append((dict(combination), base.with_values(values, "--grid")))
     return points
 
 
@@ -128,18 +124,16 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     base = fitted(divided, recordings)
     split, road = kind_of(base.split.kind, recordings), road_of(base)
     said = defaultdict(list)  # the points that each line is about
-
-    def fit(point, changes):
-        return fitted(point, recordings, say=lambda line: said[line].append(changes))
-
-    points = points_of(divided, grid or road.grid, fit)
+    points = points_of(divided, grid or road.grid)
     cases, unused = [], set(points[0][0])
-    for number, (changes, of_point) in enumerate(points):
+    for number, (changes, asked) in enumerate(points):
+        lines = []
+        of_point = fitted(asked, recordings, say=lines.append)
         own = road_of(of_point)
         own.require_fit(recordings)
         origin = dataset_origin(of_point, recordings.source.sha256, split)
         unused -= own.bundle_origin(origin).settings.keys()
-        for line in own.notes(recordings):
+        for line in (*lines, *own.notes(recordings)):
             said[line].append(changes)
         for stage in STAGES:
             if stage in own.references or stage in TARGETS:
@@ -148,8 +142,9 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     if unused:
         raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
     for line, about in said.items():
-        first = ", ".join(f"{name}={value}" for name, value in about[0].items())
-        say(line if len(about) == len(points) else f"{line} ({first})")
+        common = {k: v for k, v in about[0].items() if all(one[k] == v for one in about)}
+        where = ", ".join(f"{name}={value}" for name, value in common.items()) or "some points"
+        say(line if len(about) == len(points) else f"{line} ({where})")
     folder.save_settings(base, settings)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     errors = {case.name.split("-")[1]: error for case, error in failed.items()}  # of each point

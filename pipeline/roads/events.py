@@ -184,8 +184,8 @@ class EventRoad(Road):
         changes, lines = presentation_choices(settings, recordings)
         now, sensor, chosen = settings.events, recordings.sensor, {}
         train = None if is_handwriting(recordings) else _training(settings, recordings)
-        is_default = now.architecture == default.architecture
-        if is_default and not is_for(now.architecture, sensor, self.channels):
+        fits = is_for(now.architecture, sensor, self.channels)
+        if not fits and settings.is_open("events.architecture"):
             hidden = 64 if train is None else hidden_for(len(train), len(sensor.classes))
             chosen["architecture"] = architecture_for(sensor, on_events=True, hidden=hidden)
             lines.insert(0, chosen_text("events", chosen["architecture"], sensor))
@@ -212,7 +212,7 @@ class EventRoad(Road):
                 changes["input"] = {"step": step, "refractory": reading.refractory * step}
             parts = now.parts or reading.parts
             chosen |= {"parts": parts, "part": now.part or shown.steps * step / parts}
-            lines.append(reading._replace(parts=parts).text(step))
+            lines.append(reading.text(step, parts))
         return ({**changes, "events": chosen} if chosen else changes), lines
 
     def notes(self, recordings):

@@ -225,9 +225,9 @@ class ImageRoad(Road):
         return layers_json(spec, rates, activations)
 
     def choices(self, recordings):
-        settings, default = self.settings, Settings()
+        settings = self.settings
         sensor, cnn = recordings.sensor, settings.cnn
-        own = cnn.model or cnn.architecture != default.cnn.architecture
+        own = cnn.model or not settings.is_open("cnn.architecture")
         changes, lines = {}, []
         image = settings.image
         is_small = min(sensor.rows, sensor.columns) < SMALLEST_GRID

@@ -330,7 +330,7 @@ def settings_of_nir(
         for events and one for images.
     before : Settings, optional
         The run's present settings.  If they are of the same file, which may have changed, and have
-        the same kind of input, their presentation and steps are kept.
+        the same kind of input, ``nir.step`` is kept.
 
     Raises
     ------

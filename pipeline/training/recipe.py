@@ -74,9 +74,9 @@ class Reading(NamedTuple):
     accuracy: float
     complete: float
 
-    def text(self, step_ms: float) -> str:
-        """The choice and its reason in a line."""
-        how = f"each of {self.parts} parts" if self.parts > 1 else "the whole"
+    def text(self, step_ms: float, parts: int) -> str:
+        """The choice and its reason in a line, with the number of parts that the network has."""
+        how = f"each of {parts} parts" if parts > 1 else "the whole"
         return (
             f"refractory period of {self.refractory * step_ms:g} ms: {self.lost:.0%} of the "
             "events are merged or ignored; a linear classifier of the others, cross-validated in "

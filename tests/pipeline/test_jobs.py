@@ -9,7 +9,7 @@ import pytest
 from joblib import delayed
 
 from deploy.errors import UserError
-from pipeline import jobs
+from pipeline import interrupts, jobs
 from pipeline.jobs import Failure, run_jobs
 
 
@@ -107,6 +107,12 @@ def test_a_long_message_is_cut_and_kept_in_the_details():
 
 def test_no_jobs():
     assert list(run_jobs(reciprocal, [], 2)) == []
+
+
+def test_nor_is_one_that_native_code_made_another_error(monkeypatch):
+    monkeypatch.setattr(interrupts, "_seen", [2])
+    with pytest.raises(KeyboardInterrupt):
+        list(run_jobs(int, ["no number", "1"], 1))
 
 
 def test_an_interruption_is_no_failure():

@@ -1,5 +1,6 @@
 """Some samples of a check again, with every spike and the probabilities at each step."""
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -64,7 +65,8 @@ def choose_samples(result: dict, wrong: int = 8, right: int = 2) -> list:
     rights = [i for i, s in enumerate(samples) if s["label"] == s["prediction"]]
     pairs = [(s["label"], s["prediction"]) for s in samples]
     mistakes = [i for i, (label, prediction) in enumerate(pairs) if label != prediction]
-    mistakes = sorted(mistakes, key=lambda i: (-pairs.count(pairs[i]), pairs[i]))[:wrong]
+    often = Counter(pairs)
+    mistakes = sorted(mistakes, key=lambda i: (-often[pairs[i]], pairs[i]))[:wrong]
     first = {samples[i]["label"]: i for i in reversed(rights)}  # of each class
     mixed = [samples[i][key] for i in mistakes for key in ("label", "prediction")]
     order = [*(first[label] for label in mixed if label in first), *sorted(first.values()), *rights]

@@ -94,6 +94,7 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
     ("a.csv", b"\xff", "UTF-8"),
     ("a.csv", b"x,y,t,p\n", "empty"),
     ("a.csv", b"x,y,t\n1,2,3", "'p'"),
+    ("a.csv", b"a,x,y,t,p\n9,1,2,0,1\n9,1,2,0,5,1", "6 columns below 5"),
     ("a.npy", npy(np.zeros((2, 5))), r"\(2, 5\)"),
     ("a.npy", npy(X)[:-1], "damaged"),
     ("a.npz", npz(x=X, y=Y, t=T), "'p'"),

@@ -38,15 +38,17 @@ def test_what_is_open_is_chosen_for_each_point(tmp_path):
     source = str(write_folder(tmp_path / "own", per_class=5))
     recordings = load_recordings(source, jobs=1)
 
-    def fit(point, changes):
-        return fitted(point, recordings)
+    def points_of(base, grid):
+        return [fitted(point, recordings) for _, point in sweep.points_of(base, grid)]
 
     own = Settings().with_values({"data": {"source": source}, "input": {"kind": "events"}}, "")
-    fine, coarse = sweep.points_of(own, ["input.step=5,10"], fit)
-    assert fine[1].input.step == 5
-    assert fine[1].steps == pytest.approx(2 * coarse[1].steps, abs=1)
+    fine, coarse = points_of(own, ["input.step=5,10"])
+    assert fine.input.step == 5
+    assert fine.steps == pytest.approx(2 * coarse.steps, abs=1)
+    auto, none = points_of(own, ["events.augment=auto,none"])
+    assert (auto.events.augment, none.events.augment) == ("time", "none")
     images = own.with_values({"input": {"kind": "image"}}, "")
-    (_, sliced), (_, plain) = sweep.points_of(images, ["image.slices=4,1"], fit)
+    sliced, plain = points_of(images, ["image.slices=4,1"])
     assert sliced.cnn.architecture.startswith("9x12x4")
     assert plain.cnn.architecture.startswith("9x12-")
 

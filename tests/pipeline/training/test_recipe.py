@@ -44,7 +44,7 @@ def test_what_place_tells_needs_no_parts_and_the_longest_period():
     reading = recipe.reading_for(*table_of(events), np.arange(120), 10.0, 100)
     assert (reading.parts, reading.refractory) == (1, max(recipe.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
-    assert "parts" not in reading.text(10.0)
+    assert "parts" not in reading.text(10.0, reading.parts)
 
 
 def test_left_out_accuracy_is_that_of_fits_without_the_sample():

@@ -33,6 +33,18 @@ def test_marks_of_a_timeline_share_their_time_axis():
     assert x[1] == float(middle) == float(root.find(".//*[@class='reference']").get("x1"))
 
 
+@pytest.mark.parametrize(("value", "is_below"), [(88, True), (95, False), (60, False)])
+def test_a_point_s_name_does_not_cross_the_dashed_line(value, is_below):
+    series = charts.Series("a", (0, 1), (0.0, value))
+    points, levels = [(1, value, "end")], [(92, "regression")]
+    chart = charts.line_chart([series], "x", "y", least=0, points=points, levels=levels)
+    root = ElementTree.fromstring(chart)
+    at = {text.text.split()[0]: float(text.get("y")) for text in root.iter("text")}
+    dot = float(root.find(".//*[@class='dot']").get("cy"))
+    assert (at["end"] > dot) is is_below
+    assert at["regression"] < float(root.find(".//*[@class='reference']").get("y1"))
+
+
 def test_an_interval_is_drawn_from_its_lower_to_its_upper_end():
     root = ElementTree.fromstring(charts.interval(0.75, 0.6, 0.9, 0.5))
     (line,), (dot,) = (root.findall(f".//*[@class='{name}']") for name in ("line s1", "dot"))

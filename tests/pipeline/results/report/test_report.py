@@ -136,6 +136,12 @@ def test_right_samples_are_of_the_classes_that_are_mixed_up():
     assert choose_samples({"samples": result["samples"][:3]}) == [0, 1]
 
 
+def test_the_most_frequent_mistakes_are_shown_first():
+    pairs = [(0, 1), (4, 2), (1, 3), (4, 2), (1, 3), (4, 2)]
+    result = {"samples": [{"label": a, "prediction": b} for a, b in pairs]}
+    assert choose_samples(result, wrong=4) == [1, 3, 5, 2]
+
+
 def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     bundle = read_bundle(tiny_run / "bundle")
     spec = bundle.spec.with_presentation(steps=12, gap=0, readout_start=3, stream_length=2)
