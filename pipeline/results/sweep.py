@@ -142,9 +142,9 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     if unused:
         raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
     for line, about in said.items():
-        common = {k: v for k, v in about[0].items() if all(one[k] == v for one in about)}
-        where = ", ".join(f"{name}={value}" for name, value in common.items()) or "some points"
-        say(line if len(about) == len(points) else f"{line} ({where})")
+        where = ", ".join(f"{k}={v}" for k, v in about[0].items() if all(c[k] == v for c in about))
+        say(line if len(about) == len(points) else f"{line} ({where or 'some points'})")
+    (folder.path / "rows").mkdir(exist_ok=True)  # from now on the folder is no run
     folder.save_settings(base, settings)
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     errors = {case.name.split("-")[1]: error for case, error in failed.items()}  # of each point

@@ -189,6 +189,16 @@ def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
     assert [list(point) for point in resumed] == [list(point) for point in whole]
 
 
+def test_a_sweep_that_has_no_point_yet_is_no_run(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sweep, "study", lambda *arguments: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        call("sweep", tmp_path / "out", "--jobs", 1, *GRID)
+    assert call("train", tmp_path / "out") == 2
+    assert "results of a sweep" in capsys.readouterr().err
+    monkeypatch.setattr(sweep, "study", lambda *arguments: ([], {}))
+    assert call("sweep", tmp_path / "out", "--jobs", 1, *GRID) == 0
+
+
 def test_a_sweep_on_events(tmp_path, capsys):
     folder = tmp_path / "out"
     tiny = ("--set", "data.samples_per_digit=40", "--set", "events.epochs=1", "--jobs", 1)
