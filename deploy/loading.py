@@ -143,7 +143,7 @@ def _built(hint, value, name, extra):
         return origin(_built(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(parts))
     if origin is dict:
         _require(isinstance(value, dict), name, "a table of values", value)
-        of_values = inner[1] if inner else None
+        of_values = inner[1] if inner else None  # None lets a value of any kind pass
         return {key: _built(of_values, v, _joined(name, key), extra) for key, v in value.items()}
     if origin is bool:
         _require(type(value) is bool, name, "true or false", value)

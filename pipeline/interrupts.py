@@ -21,7 +21,10 @@ def listen():
 
 @contextlib.contextmanager
 def interruptible():
-    """Raise a `KeyboardInterrupt` again that native code, as TensorFlow's, made another error."""
+    """Raise `KeyboardInterrupt` if native code, such as TensorFlow's, has raised another error.
+
+    Only an error after an interruption of this process counts.
+    """
     try:
         yield
     except Exception as error:

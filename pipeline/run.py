@@ -133,7 +133,7 @@ class RunFolder:
             Another process has locked it, it has a file's name, or a folder in it is a link.
         """
         if self.path.suffix.lower() in FILES and not self.path.is_dir():
-            raise UserError(f"{self.path}: has a file's name; RUN is a folder: runs/default")
+            raise UserError(f"{self.path}: has a file's name; give a folder, such as runs/default")
         taken = (
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"
@@ -230,17 +230,17 @@ def working_in(path, of_results: bool = False):
     UserError
         As :func:`refuse_other_folders` and :meth:`RunFolder.locked`.
     """
-    folder, lock = RunFolder(path), RunFolder(path).path / LOCK
+    folder = RunFolder(path)
     refuse_other_folders(folder.path, of_results)
     made = [above for above in (folder.path, *folder.path.parents) if not above.exists()]
-    had_lock = lock.exists()
+    had_lock = (folder.path / LOCK).exists()
     try:
         with folder.locked():
             yield folder
     except BaseException:
         with contextlib.suppress(OSError):
             if not had_lock:
-                lock.unlink(missing_ok=True)
+                (folder.path / LOCK).unlink(missing_ok=True)
             for above in made:
                 above.rmdir()  # an OSError if something is in it
         raise

@@ -146,8 +146,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         if stored.dtype.kind != "f" and not np.array_equal(stored, given):
             raise ValueError("a label or an event is not a whole number, or out of range")
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
-    wrong = _wrong_with(samples, spec)
-    if wrong is not None:
+    if (wrong := _wrong_with(samples, spec)) is not None:
         raise ValueError(f"the samples of the check do not fit the network: {wrong}")
     with reporting_os_errors(path, "cannot write", FREE_IT):
         require_replaceable(path)
@@ -290,8 +289,7 @@ def read_bundle(path) -> Bundle:
 
 def _read_checks(path, spec):
     arrays = read_arrays(path, _REMEDY)
-    wrong = _wrong_with(arrays, spec)
-    if wrong is not None:
+    if (wrong := _wrong_with(arrays, spec)) is not None:
         raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
     inputs = arrays["inputs"]
     return CheckSet(

@@ -138,7 +138,7 @@ def _populations(positions, constants):
         for index, column in enumerate(values.T.tolist()):
             keep_u, keep_v, v_min, v_max, refractory, threshold = column
             if threshold % 64 or v_max != LARGEST:
-                raise UserError(f"layer {layer}: Lava cannot have its threshold or upper bound")
+                raise UserError(f"layer {layer}: Lava cannot hold its threshold or upper bound")
             places = np.flatnonzero(group.ravel() == index)
             yield (
                 layer,
@@ -164,7 +164,7 @@ def _bias(bias, label):
         exponents += np.abs(bias >> exponents) >= beyond
     mantissas = bias >> exponents
     if np.any(mantissas << exponents != bias) or np.any(np.abs(mantissas) >= beyond):
-        raise UserError(f"layer {label}: a bias exceeds {LOIHI.bias_bits} bits and an exponent")
+        raise UserError(f"layer {label}: bias does not fit {LOIHI.bias_bits} bits and an exponent")
     return mantissas.astype(np.int32), exponents.astype(np.int32)
 
 

@@ -53,9 +53,7 @@ def adapt(
     if out is None:
         refuse_linked_folder(beside)
     if place.resolve() == bundle.path.resolve():
-        raise UserError(
-            f"{place}: is the bundle to adapt, which stays as it is; give another --out"
-        )
+        raise UserError(f"{place}: is the bundle to adapt; choose another --out")
     require_replaceable(place)
     if out is None and place.exists():
         _require_same_person(place, read_bundle(place), bundle, recordings)

@@ -308,7 +308,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     table, step, steps = EventTable.of(recordings), settings.input.step, settings.steps
     empty = int(np.sum(np.diff(table.offsets) == 0))
     if empty == len(recordings):
-        raise UserError(f"{recordings.source.name}: no recording has an event; give others")
+        raise UserError(f"{recordings.source.name}: no recording has events; use other recordings")
     shared, lost = table.lost(step), table.lost(step, settings.input.refractory_steps)
     lines = [
         f"events: {shared:.1%} are merged into one spike with another event of their taxel and "

@@ -286,11 +286,13 @@ def _csv(content):
         has_names = all(set(words) & set(names) for names in NAMES.values())
     if not body:
         raise BadRecording("is empty: no events")
-    wanted = list(_by_name(words).values()) if has_names else []
-    read = [words.index(name) for name in wanted] or None  # other columns may have text
-    odd = next((line for line in body if len(line.split(separator)) != len(words)), None)
-    if has_names and odd is not None:
-        raise BadRecording(f"has {len(odd.split(separator))} columns below {len(words)} names")
+    wanted = read = None
+    if has_names:
+        wanted = list(_by_name(words).values())
+        read = [words.index(name) for name in wanted]  # other columns may have text
+        sizes = {len(line.partition("#")[0].split(separator)) for line in body}
+        if odd := sizes - {len(words)}:
+            raise BadRecording(f"has {min(odd)} columns below {len(words)} names")
     most = MAX_EVENTS + 1
     try:
         table = np.loadtxt(body, delimiter=separator, ndmin=2, max_rows=most, usecols=read)

@@ -228,7 +228,7 @@ def _unit_of(path, recordings, parts, reading):
     stated = set.union(set(), *units.values())
     if len(stated) > 1:
         names = [UNIT_NAMES[unit] for unit in UNITS if unit in stated]
-        raise UserError(f"{path}: files with times in {' and in '.join(names)}; convert them")
+        raise UserError(f"{path}: files with times in {' and in '.join(names)}; use one unit")
     spans = {}
     for recording, part in zip(recordings, parts, strict=True):
         spans.setdefault(part, []).append(_span(recording.time))

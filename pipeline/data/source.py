@@ -354,8 +354,8 @@ def read_source(
     entries, read = ([values[index] for index in settled.kept] for values in (entries, read))
     classes = {entry.of_class for entry in entries}
     if lost := sorted({entry.of_class for entry in listing.entries} - classes):
-        first = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or omit them"
-        raise SeveralErrors([first, *_refusals(path, refused, listing.total, False)])
+        head = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or remove them"
+        raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
     the_sensor, ids = settled.sensor(classes), [entry.id for entry in entries]
     return collect(
         samples=settled.events,

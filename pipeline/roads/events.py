@@ -207,12 +207,14 @@ class EventRoad(Road):
                     "events.dropout=...)"
                 )
             shown = settings.with_values(changes, settings.data.source)
-            reading, step = _reading(settings, shown, recordings, train), shown.input.step
-            if settings.is_open("input.refractory"):
-                changes["input"] = {"step": step, "refractory": reading.refractory * step}
-            parts = now.parts or reading.parts
+            parts, step, is_open = now.parts, shown.input.step, settings.is_open("input.refractory")
+            if is_open or not parts:  # what the user has set needs no estimate, which takes seconds
+                reading = _reading(settings, shown, recordings, train)
+                parts = parts or reading.parts
+                lines.append(reading.text(step, parts))
+                if is_open:
+                    changes["input"] = {"step": step, "refractory": reading.refractory * step}
             chosen |= {"parts": parts, "part": now.part or shown.steps * step / parts}
-            lines.append(reading.text(step, parts))
         return ({**changes, "events": chosen} if chosen else changes), lines
 
     def notes(self, recordings):

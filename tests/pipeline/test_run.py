@@ -86,7 +86,7 @@ def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
 
 
 def test_from_python_too_a_run_begins_only_in_a_folder_of_its_own(tmp_path):
-    """What cannot be opened leaves nothing, and the lock is held as long as the block."""
+    """A run that cannot be opened leaves no file, and the lock is held until the block ends."""
     missing = Settings().with_values({"data": {"source": str(tmp_path / "none.zip")}})
     with pytest.raises(UserError, match=r"none\.zip"), opened_run(tmp_path / "new/run", missing):
         pass
