@@ -17,8 +17,8 @@ import numpy as np
 
 import stmnist
 from experiments import unipen
-from pipeline.data.library import simulated
-from pipeline.skin import parameters
+from pipeline.recordings.library import simulated
+from pipeline.simulation import parameters
 
 if __name__ == "__main__":
     known = [trace for trace in unipen.read(Path(sys.argv[1])) if trace.writer >= 0]

@@ -23,13 +23,13 @@ from experiments import handwriting, unipen
 from experiments.studies import RESULTS, Store, measured
 from experiments.tables import interval_text
 from pipeline.commands import options
-from pipeline.data.dataset import Dataset, dataset_origin, split_of
-from pipeline.data.library import simulated
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hidden
+from pipeline.recordings.dataset import Dataset, dataset_origin, split_of
+from pipeline.recordings.library import simulated
 from pipeline.results.study import Case, study
-from pipeline.settings import SIMULATED
-from pipeline.skin import parameters
+from pipeline.run.settings import SIMULATED
+from pipeline.simulation import parameters
 from pipeline.stages import opened_in
 from pipeline.training.adaptation import Person, Responder, refit, require_fit, with_rehearsal
 

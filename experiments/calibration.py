@@ -1,6 +1,7 @@
 """The fit of the simulated recordings to the paper's Table 1.
 
-Each digit has seven parameters (:class:`pipeline.skin.parameters.Form`).  Each of them is adjusted
+Each digit has seven parameters (:class:`pipeline.simulation.parameters.Form`).  Each of them is
+adjusted
 by the one cell, or pair of cells, of Table 1 on which it has the largest effect:
 
 ==========  =====================================================  ===============================
@@ -37,14 +38,14 @@ from deploy.tables import aligned
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.commands.data import SimulationSeed
-from pipeline.data import statistics
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
-from pipeline.skin.parameters import CALIBRATION, Form, Parameters, load
-from pipeline.skin.simulate import simulate, source_of
+from pipeline.recordings import statistics
+from pipeline.simulation.parameters import CALIBRATION, Form, Parameters, load
+from pipeline.simulation.simulate import simulate, source_of
 
 # The paper's Table 1: for each digit a pair (mean, SD) of each measure of
-# :func:`pipeline.data.statistics.per_sample`, and the number of samples.
+# :func:`pipeline.recordings.statistics.per_sample`, and the number of samples.
 TABLE1 = {
     int(digit): row
     for digit, row in read_json(Path(__file__).with_name("table1.json"), "restore it").items()
@@ -84,7 +85,7 @@ class Cell:
     ----------
     digit : int
     measure : str
-        One of the measures of :func:`pipeline.data.statistics.per_sample`.
+        One of the measures of :func:`pipeline.recordings.statistics.per_sample`.
     part : str
         ``"mean"`` or ``"sd"``.
     simulated, paper : float
@@ -144,7 +145,7 @@ def step(form: Form, row, paper, damping) -> Form:
     ----------
     form : Form
     row, paper : dict
-        Values of this digit, as in :func:`pipeline.data.statistics.table`.
+        Values of this digit, as in :func:`pipeline.recordings.statistics.table`.
     damping : float
         Part of the step to take.
     """

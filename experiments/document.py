@@ -25,7 +25,7 @@ from deploy.errors import UserError
 from deploy.files import read_json, replacing
 from experiments import adapt, speed, studies, tables
 from pipeline.results.sweep import sweep_text
-from pipeline.settings import Settings, describe
+from pipeline.run.settings import Settings, describe
 
 ROOT = Path(__file__).resolve().parent.parent
 # The documents, relative to the root of the repository.

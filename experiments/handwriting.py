@@ -1,4 +1,4 @@
-"""Estimating the model of handwriting (:mod:`pipeline.skin.shape_model`) from pen trajectories."""
+"""Estimating the model of handwriting (:mod:`.shape_model`) from pen trajectories."""
 
 import warnings
 from pathlib import Path
@@ -12,9 +12,9 @@ from deploy.errors import UserError
 from deploy.files import sha256_of
 from deploy.terminal import show
 from experiments import unipen
-from pipeline.skin import shape_model
-from pipeline.skin.handwriting import Trace
-from pipeline.skin.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
+from pipeline.simulation import shape_model
+from pipeline.simulation.handwriting import Trace
+from pipeline.simulation.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
 
 # Source and licence of files from which a model may be estimated, by their hash.
 KNOWN_HANDWRITING = {
@@ -166,7 +166,7 @@ def _points_of(traces, count):
 
 
 def vector(trace: Trace, points) -> np.ndarray:
-    """A trajectory as the vector that :class:`pipeline.skin.shape_model.Allograph` describes."""
+    """A trajectory as the vector that :class:`.Allograph` describes."""
     places = [resampled(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
     last = np.log([len(stroke) - 1 for stroke in trace.strokes])
     return np.concatenate([*places, last[1:] - last[0]])
@@ -259,7 +259,7 @@ def main(
 ):
     """Estimate the model of handwriting from recorded pen trajectories.
 
-    pipeline/skin/shape_model.py describes the model.  The file has its parameters and no
+    pipeline/simulation/shape_model.py describes the model.  The file has its parameters and no
     trajectory; the simulation reads the file that is written by default.
     """
     traces = unipen.read(file)

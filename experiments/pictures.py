@@ -17,11 +17,11 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.terminal import show
-from pipeline.data.library import simulated
 from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.recordings.library import simulated
 from pipeline.results.report import figures
 from pipeline.results.report.figures import recordings
-from pipeline.skin import handwriting, parameters, simulate
+from pipeline.simulation import handwriting, parameters, simulate
 
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ("pipeline/results/report/figures/recordings.py", "pipeline/look.css")

@@ -16,11 +16,11 @@ from deploy.files import read_arrays, write_arrays
 from deploy.tables import aligned
 from deploy.targets.registry import answer
 from deploy.terminal import show
-from models.nir_graph import read_nir
-from models.nir_simulator import simulate
-from pipeline.data.dataset import Dataset
-from pipeline.roads.nir import Stepped, graph_inputs, spec_of_nir
-from pipeline.settings import Settings
+from models.nir.graph import read_nir
+from models.nir.simulator import simulate
+from pipeline.kinds.nir.kind import Stepped, graph_inputs, spec_of_nir
+from pipeline.recordings.dataset import Dataset
+from pipeline.run.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 

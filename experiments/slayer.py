@@ -37,10 +37,10 @@ from pathlib import Path
 import numpy as np
 
 from models.architecture import parse
-from models.keras2 import quiet_compiler, tf
+from models.keras.keras2 import quiet_compiler, tf
 from models.spiking import scan, weighted_sums
-from pipeline.data.events import Recordings
-from pipeline.data.steps import spike_frames
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.steps import spike_frames
 from pipeline.training.events import Checkpoint, train_epochs
 
 _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
@@ -352,7 +352,7 @@ def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Pat
 
     Parameters
     ----------
-    dataset : pipeline.data.dataset.Dataset
+    dataset : pipeline.recordings.dataset.Dataset
     index : ndarray of int
         Samples to predict.
     seed : int

@@ -20,12 +20,12 @@ from deploy.files import write_json
 from deploy.tables import aligned
 from experiments import tables
 from experiments.variants import VARIANTS, varied
-from pipeline.artifacts import Library
 from pipeline.commands import options
-from pipeline.data.library import recordings_of
+from pipeline.kinds import fitted
+from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case
-from pipeline.roads import fitted
+from pipeline.run.artifacts import Library
 
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"

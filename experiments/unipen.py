@@ -14,8 +14,8 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
-from pipeline.skin.handwriting import Trace
-from pipeline.skin.shape_model import boxed
+from pipeline.simulation.handwriting import Trace
+from pipeline.simulation.shape_model import boxed
 
 # Characters that are read of a file; a thousand writers take a tenth of it.
 MOST_TEXT = 1 << 26

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data.dataset import Dataset
-from pipeline.data.events import EVENT_DTYPES, Events, Recordings
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings
 
 # Description of the information that remains in the events, by name.
 VARIANTS = {

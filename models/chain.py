@@ -7,10 +7,10 @@ deployed network of any of them:
 =======================================  =========================================================
 :func:`from_rates`                       a network trained on images with rate-based neurons
 :func:`models.integers.from_integers`    a network trained on events in the chip's integers
-:func:`models.nir_chain.from_nir`        a NIR graph; :func:`models.integers.in_integers` rounds it
+:func:`models.nir.chain.from_nir`        a NIR graph; :func:`models.integers.in_integers` rounds it
 =======================================  =========================================================
 
-A user's Keras model becomes an architecture and weights (:mod:`models.keras_model`), from which
+A user's Keras model becomes an architecture and weights (:mod:`models.keras.reader`), from which
 rate-based neurons are made.
 """
 
@@ -178,7 +178,7 @@ def from_rates(
     architecture : Architecture
     weights : dict
         Weights of the rate-based network.
-    snn : pipeline.settings.SNN
+    snn : pipeline.run.settings.SNN
         Rates and time constants of the neurons, and whether weights are rounded as on the chip.
     synapse : float or None
         Time constant in seconds of the low-pass on spikes between layers; None for none.

@@ -24,7 +24,7 @@ import numpy as np
 
 from deploy.network.chip import LOIHI
 from models.architecture import Architecture
-from models.keras2 import as_written, tf
+from models.keras.keras2 import as_written, tf
 
 # Time step in seconds.
 DT = LOIHI.dt

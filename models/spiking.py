@@ -57,7 +57,7 @@ from models.integers import (
     WEIGHT_UNIT,
     Integers,
 )
-from models.keras2 import quiet_compiler, tf
+from models.keras.keras2 import quiet_compiler, tf
 
 BIAS_EXPONENTS = 7
 

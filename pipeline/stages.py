@@ -30,20 +30,20 @@ from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
-from pipeline.artifacts import DELETE_IT, Artifact, Library, Origin
-from pipeline.data.dataset import Dataset
-from pipeline.data.events import facts_of
-from pipeline.data.library import recordings_of
-from pipeline.data.source import left_out_lines
-from pipeline.data.splits import PUBLISHED, copies
 from pipeline.jobs import Failure, run_jobs
+from pipeline.kinds import NetworkKind, fitted, kind_of_network, new_run_text, split_text
+from pipeline.kinds.image.kind import settings_of_model
+from pipeline.kinds.kind import read_weights
+from pipeline.kinds.nir.kind import refuse_early, settings_of_nir
 from pipeline.progress import hidden, progress
-from pipeline.roads import Road, fitted, new_run_text, road_of, split_text
-from pipeline.roads.image import settings_of_model
-from pipeline.roads.nir import refuse_early, settings_of_nir
-from pipeline.roads.road import read_weights
-from pipeline.run import RunFolder, working_in
-from pipeline.settings import SIMULATED, Settings, read_settings
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.events import facts_of
+from pipeline.recordings.library import recordings_of
+from pipeline.recordings.source import left_out_lines
+from pipeline.recordings.splits import PUBLISHED, copies
+from pipeline.run.artifacts import DELETE_IT, Artifact, Library, Origin
+from pipeline.run.folder import RunFolder, working_in
+from pipeline.run.settings import SIMULATED, Settings, read_settings
 from pipeline.training.adaptation import with_rehearsal
 
 __all__ = [
@@ -71,7 +71,7 @@ class Opened:
     settings : Settings
         With all that was chosen for the recordings.
     dataset : Dataset
-    road : Road
+    kind : NetworkKind
         What depends on the kind of network.
     say : callable
         Called with a line about each stage.
@@ -80,18 +80,18 @@ class Opened:
     place: RunFolder | Library
     settings: Settings
     dataset: Dataset
-    road: Road
+    kind: NetworkKind
     say: Callable = print
 
     def artifact(self, name: str) -> Artifact:
-        """One of the :attr:`pipeline.roads.road.Road.parts`."""
-        return self.road.artifact(name, self.place, self.dataset.origin)
+        """One of the :attr:`pipeline.kinds.kind.NetworkKind.parts`."""
+        return self.kind.artifact(name, self.place, self.dataset.origin)
 
     def restricted(self, names) -> Opened:
         """The same with the named settings only; reading others is an error."""
         view = self.settings.only(names)
         return replace(
-            self, settings=view, dataset=self.dataset.seen_by(view), road=type(self.road)(view)
+            self, settings=view, dataset=self.dataset.seen_by(view), kind=type(self.kind)(view)
         )
 
     def make(self, name: str) -> dict:
@@ -100,7 +100,7 @@ class Opened:
         A trained network's record has its ``accuracy`` on each set of the split, the number of
         ``epochs`` and the ``seconds`` of the training.
         """
-        part, artifact, imported = self.road.part(name), self.artifact(name), self.road.imported
+        part, artifact, imported = self.kind.part(name), self.artifact(name), self.kind.imported
         state = artifact.state()
         if state.is_current:
             self.say(f"{name}: up to date ({artifact.folder})")
@@ -117,18 +117,18 @@ class Opened:
 
     def make_all(self) -> dict:
         """Make all that the bundle is made from; return the record of the deployed network."""
-        for part in self.road.parts:
-            if self.road.is_deployed(part.name):
+        for part in self.kind.parts:
+            if self.kind.is_deployed(part.name):
                 self.make(part.name)
-        return self.artifact(self.road.deployed).state().record
+        return self.artifact(self.kind.deployed).state().record
 
     def weights(self, name: str) -> dict:
-        """The trained arrays of a part; see :func:`pipeline.roads.road.read_weights`."""
-        return read_weights(self.artifact(name).folder, self.road.shapes(name))
+        """The trained arrays of a part; see :func:`pipeline.kinds.kind.read_weights`."""
+        return read_weights(self.artifact(name).folder, self.kind.shapes(name))
 
     def spec(self, provenance: dict | None = None) -> NetworkSpec:
         """The deployed network, made from the trained one."""
-        return self.road.spec(self, provenance or {})
+        return self.kind.spec(self, provenance or {})
 
 
 def opened_in(place, settings: Settings, dataset: Dataset, say=print) -> Opened:
@@ -142,7 +142,7 @@ def opened_in(place, settings: Settings, dataset: Dataset, say=print) -> Opened:
     dataset : Dataset
     say : callable
     """
-    return Opened(place, settings, dataset, road_of(settings), say)
+    return Opened(place, settings, dataset, kind_of_network(settings), say)
 
 
 def open_run(
@@ -180,11 +180,11 @@ def open_run(
     if check:
         require_replaceable(run.bundle)
         sensor, stimulus = recordings.sensor, chosen.stimulus
-        shape = (sensor.rows, sensor.columns, opened.road.channels)
+        shape = (sensor.rows, sensor.columns, opened.kind.channels)
         samples = chosen.check.drawn(len(dataset.split.test))
         require_room(samples, stimulus.sample_shape(shape, chosen.steps), stimulus)
-        opened.road.require_presentable(dataset)
-    opened.road.require_usable(opened)
+        opened.kind.require_presentable(dataset)
+    opened.kind.require_usable(opened)
     for line in _notes(opened, lines):
         say(line)
     run.save_settings(chosen, settings)
@@ -205,7 +205,8 @@ def opened_run(path, settings: Settings | dict | None = None, **more):
     path : path-like
         Folder of the run.
     settings : Settings or dict, optional
-        A dict, nested as in :meth:`pipeline.settings.Settings.with_values`, changes what was set
+        A dict, nested as in :meth:`pipeline.run.settings.Settings.with_values`, changes what was
+        set
         for the run; settings replace it.
     **more
         As in :func:`open_run`.
@@ -232,12 +233,12 @@ def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
 
 def _notes(opened, choices):
     """What the user should know of the recordings and of what was chosen for them."""
-    run, recordings, road = opened.place, opened.dataset.recordings, opened.road
+    run, recordings, kind = opened.place, opened.dataset.recordings, opened.kind
     if run.experiment.exists():
-        was = road_of(read_settings(run.experiment))
-        if was.kind != road.kind:
+        was = kind_of_network(read_settings(run.experiment))
+        if was.name != kind.name:
             yield (
-                f"{WARNING}{run.path}: was a run of the kind {was.kind!r}; its network and bundle "
+                f"{WARNING}{run.path}: was a run of the kind {was.name!r}; its network and bundle "
                 "are replaced (name another folder to keep both)"
             )
     elif opened.settings.data.source == SIMULATED:
@@ -247,8 +248,8 @@ def _notes(opened, choices):
     if run.experiment.exists() and (text := split_text(recordings, opened.settings)):
         yield f"{run.path}: {text}"
     yield from choices
-    if road.imported is not None:
-        yield from road.imported.changed_notes()
+    if kind.imported is not None:
+        yield from kind.imported.changed_notes()
     yield from _notes_on_recordings(opened)
 
 
@@ -265,7 +266,7 @@ COPIES = (
 def _notes_on_recordings(opened):
     """Lines on what is not presented, on parts that are not independent, and on what is missing."""
     recordings, split = opened.dataset.recordings, opened.dataset.split
-    yield from opened.road.notes(recordings)
+    yield from opened.kind.notes(recordings)
     if split.kind == PUBLISHED or not recordings.source.simulated:
         for pairs, what in zip(copies(recordings, split), COPIES, strict=True):
             if pairs:
@@ -291,7 +292,7 @@ def convert(opened: Opened) -> Bundle:
     """Make all that the bundle is made from, and write it, unless it is current."""
     opened.make_all()
     run, say = opened.place, opened.say
-    artifact = bundle_artifact(run, opened.road, opened.dataset.origin)
+    artifact = bundle_artifact(run, opened.kind, opened.dataset.origin)
     state, origin = artifact.state(), artifact.origin
     if state.is_current:
         say(f"bundle: up to date ({run.bundle})")
@@ -307,7 +308,7 @@ def convert(opened: Opened) -> Bundle:
         "made_from": origin.to_json(),
         **dataset.provenance,
         "seed": view.seed,
-        "recipe": seen.road.recipe,
+        "recipe": seen.kind.recipe,
         "package": __version__,
         "warnings": [n.removeprefix(WARNING) for n in notes if n.startswith(WARNING)],
     }
@@ -317,7 +318,7 @@ def convert(opened: Opened) -> Bundle:
     checks = CheckSet(dataset.inputs[chosen], some.labels, some.ids, view.seed)
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
-    for name in scaled_by_block(spec.layers) if seen.road.is_trained_in_integers else ():
+    for name in scaled_by_block(spec.layers) if seen.kind.is_trained_in_integers else ():
         say(
             f"{WARNING}{name}: is divided among cores, whose weights NengoLoihi scales apart, so "
             "that integers differ a bit from training: see 'stmnist ladder', or use fewer neurons"
@@ -325,10 +326,10 @@ def convert(opened: Opened) -> Bundle:
     return bundle
 
 
-def bundle_artifact(run: RunFolder, road: Road, dataset: Origin, name="bundle") -> Artifact:
+def bundle_artifact(run: RunFolder, kind: NetworkKind, dataset: Origin, name="bundle") -> Artifact:
     """The bundle of a run, or one that was adapted from it, such as ``"adapted/7"``."""
     network, *others = (run.path / name / file for file in (*FILES, "MANIFEST.json"))
-    origin = road.bundle_origin(dataset)
+    origin = kind.bundle_origin(dataset)
     return Artifact(name, network, origin, tuple(others), _recorded_in_bundle)
 
 
@@ -358,7 +359,7 @@ def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
     bundle : Bundle
         The run's own bundle, or :func:`on_test_split` of it.
     stage : str
-        One of the road's reference stages, or a target.
+        One of the kind's reference stages, or a target.
     """
     artifact = _answer_artifact(opened, bundle, stage)
     path, state = artifact.record, artifact.state()
@@ -369,9 +370,9 @@ def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
     if stage in TARGETS:
         with progress(f"check {stage}", len(bundle.checks)) as advance:
             return run_check(bundle, stage, path, opened.settings.seed, advance)
-    reference = opened.road.references[stage]
+    reference = opened.kind.references[stage]
     part = reference.part
-    if not opened.road.is_deployed(part):
+    if not opened.kind.is_deployed(part):
         opened.make(part)
     origin, made_from = opened.artifact(part).origin, bundle.spec.provenance["made_from"]
     seen = opened.restricted(made_from["settings"].keys() | origin.settings.keys())
@@ -380,7 +381,7 @@ def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
         responses = reference.respond(stage, seen, bundle, advance)
     seconds = time.perf_counter() - begun
     extra = {"versions": reference.versions()}
-    if not opened.road.is_deployed(part):
+    if not opened.kind.is_deployed(part):
         extra["network"] = origin.key
     samples = records_of(bundle.checks, responses)
     result = result_of(bundle, stage, opened.settings.seed, samples, seconds, extra)
@@ -465,10 +466,10 @@ def _answered(work):
 
 def _answer_artifact(opened, bundle, stage):
     """The artifact of a check's result; one that is damaged is refused and not replaced."""
-    if stage not in (stages := (*opened.road.references, *TARGETS)):
+    if stage not in (stages := (*opened.kind.references, *TARGETS)):
         raise ValueError(f"no stage {stage!r}; the stages are {', '.join(stages)}")
     origin = opened.dataset.origin
-    artifact = check_artifact(opened.place, stage, opened.road, origin, bundle.id)
+    artifact = check_artifact(opened.place, stage, opened.kind, origin, bundle.id)
     if artifact.record.exists():
         read_result(artifact.record, DELETE_IT)
     return artifact
@@ -479,7 +480,7 @@ OWN = "the bundle's"
 
 
 def check_artifact(
-    run: RunFolder, stage: str, road: Road, dataset: Origin, bundle_id: str
+    run: RunFolder, stage: str, kind: NetworkKind, dataset: Origin, bundle_id: str
 ) -> Artifact:
     """The result of a stage on a bundle's samples.
 
@@ -487,9 +488,9 @@ def check_artifact(
     from which the bundle is not made depends on that network too.
     """
     contents = {"bundle": bundle_id, "target": stage, "samples": OWN}
-    if stage in road.references and not road.is_deployed(part := road.references[stage].part):
-        contents["network"] = road.origin(part, dataset).key
-    origin = Origin({"seed": road.settings.seed}, contents)
+    if stage in kind.references and not kind.is_deployed(part := kind.references[stage].part):
+        contents["network"] = kind.origin(part, dataset).key
+    origin = Origin({"seed": kind.settings.seed}, contents)
     return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_recorded_in_check)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from pipeline.skin.handwriting import Motion
+from pipeline.simulation.handwriting import Motion
 
 ARGUMENTS = (
     "--no-sandbox",

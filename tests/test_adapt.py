@@ -10,15 +10,15 @@ import pytest
 from deploy.check.bundle import read_bundle, write_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.data.events import Recordings
-from pipeline.data.source import write_zip
 from pipeline.live.network import SHIPPED
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.source import write_zip
 from pipeline.results.elsewhere import recordings_for
-from pipeline.settings import Settings, write_settings
-from pipeline.skin import handwriting, parameters
-from pipeline.skin.handwriting import Trace
-from pipeline.skin.shape_model import boxed
-from pipeline.skin.simulate import simulate
+from pipeline.run.settings import Settings, write_settings
+from pipeline.simulation import handwriting, parameters
+from pipeline.simulation.handwriting import Trace
+from pipeline.simulation.shape_model import boxed
+from pipeline.simulation.simulate import simulate
 from tests.command import call
 
 # From (down, right) to that of a digit that leans to the left.

@@ -13,10 +13,10 @@ from joblib import delayed
 from deploy.check.results import read_result
 from deploy.files import read_json, write_json
 from pipeline import progress, stages
-from pipeline.data.eventfiles import write_recordings
 from pipeline.jobs import results_of
-from pipeline.run import RunFolder
-from pipeline.settings import Settings, read_settings
+from pipeline.recordings.formats.eventfiles import write_recordings
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import Settings, read_settings
 from tests.command import call, missing, plain, started, wait_until_said
 from tests.pipeline.handmade import archive, good_members
 
@@ -115,7 +115,7 @@ def test_a_process_that_is_killed(refused, tmp_path, monkeypatch):
         with results_of([delayed(os.kill)(0, 0), delayed(os.abort)()], 2) as results:
             return list(results)
 
-    monkeypatch.setattr("pipeline.data.statistics.facts_with_events", killed)
+    monkeypatch.setattr("pipeline.recordings.statistics.facts_with_events", killed)
     assert "--jobs" in refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
 
 

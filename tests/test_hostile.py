@@ -7,8 +7,8 @@ import re
 import pytest
 
 from deploy.files import read_json, write_json
-from pipeline.run import RunFolder
-from pipeline.settings import read_settings
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import read_settings
 
 from .command import call
 from .pipeline.handmade import archive, good_members
@@ -141,7 +141,7 @@ def test_a_file_that_is_not_there_does_not_become_a_run(refused, tmp_path, verb)
 
 
 def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.data.matfile.LARGEST", 10_000)
+    monkeypatch.setattr("pipeline.recordings.formats.mat.LARGEST", 10_000)
     monkeypatch.setattr("deploy.limits.TEXT_BYTES", 10_000)
     path = tmp_path / "large"
     path.touch()

@@ -5,8 +5,8 @@ import re
 import numpy as np
 
 from deploy.check.bundle import read_bundle
-from pipeline.data.dataset import positions_of
 from pipeline.live.network import about, sensor_of
+from pipeline.recordings.dataset import positions_of
 from tests.command import call
 from tests.pipeline.handmade import archive, npz
 

@@ -10,7 +10,7 @@ from tests.command import LEAVE_GARBAGE, ROOT
 
 IMPORT_BOTH = """
 import subprocess, sys
-from models.keras2 import tf
+from models.keras.keras2 import tf
 import keras as keras3
 print("Keras", tf.keras.Model.__module__)
 def refuse(*arguments, **options):
@@ -66,7 +66,7 @@ def test_keras_3_is_refused_and_nengodl_finds_no_keras_of_its_time():
 import tensorflow
 tensorflow.keras.Model  # takes Keras 3
 try:
-    import models.keras2
+    import models.keras.keras2
 except ImportError as error:
     print(error)
 import subprocess

@@ -2,7 +2,7 @@
 
 import contextlib
 
-from models.keras2 import tf
+from models.keras.keras2 import tf
 
 
 @contextlib.contextmanager

@@ -79,7 +79,7 @@ def adapt(
 
 def _require_same_person(place, old, bundle, recordings):
     """Refuse to replace a network that was fitted to none of these recordings."""
-    from pipeline.data.dataset import training_hashes
+    from pipeline.recordings.dataset import training_hashes
 
     fitted_to = training_hashes(old.spec) - training_hashes(bundle.spec)
     if fitted_to and fitted_to.isdisjoint(recordings.hashes):

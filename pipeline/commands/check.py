@@ -13,7 +13,7 @@ from deploy.errors import UserError
 from deploy.targets import NAMES, BoardOptions
 from deploy.terminal import WARNING
 from pipeline.commands import options
-from pipeline.run import checks_of
+from pipeline.run.folder import checks_of
 
 
 def _board_option(each):
@@ -147,7 +147,7 @@ def _checked(bundle, path, target, seed, chosen):
 def _loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
     from deploy.check.results import loss_text, read_result
-    from pipeline.roads import COMPARED_WITH
+    from pipeline.kinds import COMPARED_WITH
 
     for stage in COMPARED_WITH:
         with contextlib.suppress(UserError):  # missing or damaged: no comparison

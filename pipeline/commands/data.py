@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.files import require_ending
 from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.settings import SIMULATED, Settings, merged
+from pipeline.run.settings import SIMULATED, Settings, merged
 
 Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
 SimulationSeed = Annotated[
@@ -31,7 +31,7 @@ Reading = Annotated[
 
 
 def _recordings(source, reading, jobs, **data):
-    from pipeline.data.library import recordings_of
+    from pipeline.recordings.library import recordings_of
 
     return recordings_of(_settings(source, reading, **data), jobs, options.say)
 
@@ -49,7 +49,7 @@ def import_(
     as_json: options.Json = False,
 ):
     """Read recordings once and store them in the cache, so that the next start is fast."""
-    from pipeline.data.statistics import facts_with_events, recordings_text
+    from pipeline.recordings.statistics import facts_with_events, recordings_text
 
     recordings = _recordings(source, reading, jobs)
     facts = facts_with_events(recordings)
@@ -62,7 +62,7 @@ def inspect(
     as_json: options.Json = False,
 ):
     """Print facts about one recording."""
-    from pipeline.data.statistics import facts_of_file, file_text
+    from pipeline.recordings.statistics import facts_of_file, file_text
 
     facts = facts_of_file(file, _settings(str(file), reading).data.time_unit)
     options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
@@ -82,9 +82,9 @@ def simulate_(
     require_ending(out, ".zip")
     if os.path.lexists(out):
         raise UserError(f"{out}: exists; choose another name, or move it away")
-    from pipeline.data.source import write_zip
-    from pipeline.data.statistics import facts_with_events
     from pipeline.progress import progress
+    from pipeline.recordings.source import write_zip
+    from pipeline.recordings.statistics import facts_with_events
 
     recordings = _recordings(
         SIMULATED, reading, jobs, simulation_seed=seed, samples_per_digit=samples_per_digit
@@ -107,7 +107,7 @@ def stats(
     Events are counted as the paper does, one for each column of a file; physical events count each
     burst of columns once.
     """
-    from pipeline.data.statistics import table1_json, table1_text
+    from pipeline.recordings.statistics import table1_json, table1_text
 
     recordings = _recordings(data, reading, jobs, simulation_seed=seed)
     options.tell(table1_json(recordings), lambda _: table1_text(recordings), as_json)

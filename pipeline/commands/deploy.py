@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from deploy.files import require_ending
 from deploy.terminal import advised, show
 from pipeline.commands import options
-from pipeline.run import checks_of
+from pipeline.run.folder import checks_of
 
 
 class Format(StrEnum):

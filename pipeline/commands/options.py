@@ -24,7 +24,7 @@ import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.terminal import advised, remark, show
-from pipeline.run import refuse_other_folders, working_in
+from pipeline.run.folder import refuse_other_folders, working_in
 
 KEYWORD = Parameter.KEYWORD_ONLY
 
@@ -152,14 +152,15 @@ class Requested:
     assignments: list[str] | None = None
 
     def changes(self) -> dict:
-        """The settings that the options change, nested as in :class:`pipeline.settings.Settings`.
+        """The settings that the options change, nested as in
+        :class:`pipeline.run.settings.Settings`.
 
         Raises
         ------
         UserError
             An assignment is malformed, or contradicts an option.
         """
-        from pipeline.settings import parse_assignments, put, value_in  # import NumPy
+        from pipeline.run.settings import parse_assignments, put, value_in  # import NumPy
 
         changes = parse_assignments(self.assignments or [])
         for option, name, value in (
@@ -210,7 +211,7 @@ def resolved(
     UserError
         A file or value is wrong, or another process is working in the folder.
     """
-    from pipeline.settings import merged  # imports NumPy
+    from pipeline.run.settings import merged  # imports NumPy
 
     with working_in(path, of_results) as folder:
         changes = merged(changes or {}, requested.changes())

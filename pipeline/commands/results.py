@@ -8,7 +8,7 @@ import typer
 from deploy.errors import UserError
 from deploy.files import require_ending
 from pipeline.commands import options
-from pipeline.run import RunFolder
+from pipeline.run.folder import RunFolder
 
 
 def status(run: options.Run, as_json: options.Json = False):
@@ -16,10 +16,10 @@ def status(run: options.Run, as_json: options.Json = False):
 
     Nothing is made or changed.
     """
-    from pipeline.artifacts import OUTDATED
+    from pipeline.kinds import kind_of_network
     from pipeline.results.status import status_of, status_text, unread_note
-    from pipeline.roads import road_of
-    from pipeline.settings import read_settings
+    from pipeline.run.artifacts import OUTDATED
+    from pipeline.run.settings import read_settings
 
     folder = RunFolder(run)
     statuses = status_of(folder, adapted=True)
@@ -32,7 +32,7 @@ def status(run: options.Run, as_json: options.Json = False):
     settings = read_settings(folder.experiment)
     if (note := unread_note(settings)) is not None:
         options.say(note)
-    imported = road_of(settings).imported
+    imported = kind_of_network(settings).imported
     for note in imported.changed_notes() if imported is not None else ():
         options.say(note)
 

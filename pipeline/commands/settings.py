@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from pipeline.commands import options
-from pipeline.run import RunFolder
-from pipeline.settings import Settings, describe, read_settings, settings_text
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import Settings, describe, read_settings, settings_text
 
 
 def settings(

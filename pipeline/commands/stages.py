@@ -8,19 +8,19 @@ import typer
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.run import RunFolder, refuse_other_folders
+from pipeline.run.folder import RunFolder, refuse_other_folders
 
 
 def train(run: options.Run, requested: options.TrainingRequested, jobs: options.Jobs = 2):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
 
-    from pipeline.roads import road_of  # imports all that a run is made with
+    from pipeline.kinds import kind_of_network  # imports all that a run is made with
 
     def examine(settings):
-        return road_of(settings).trained  # an error if the network was trained elsewhere
+        return kind_of_network(settings).trained  # an error if the network was trained elsewhere
 
     with options.opened(run, requested, jobs, check=False, examine=examine) as opened:
-        for name in opened.road.trained:
+        for name in opened.kind.trained:
             opened.make(name)
     options.suggest("ladder", run)
 
@@ -74,17 +74,17 @@ def convert(
         changes = stages.settings_of_nir(nir, step, requested.input, before)
         examine = functools.partial(stages.refuse_early, strict=strict)
     with options.opened(run, requested, jobs, changes, examine=examine) as opened:
-        bundle, road = stages.convert(opened), opened.road
-        for stage, reference in road.references.items():
-            if road.is_deployed(reference.part):
+        bundle, kind = stages.convert(opened), opened.kind
+        for stage, reference in kind.references.items():
+            if kind.is_deployed(reference.part):
                 stages.answer(opened, bundle, stage)
     options.suggest("ladder", run)
 
 
 def _require_model(settings):
-    from pipeline.roads import road_of
+    from pipeline.kinds import kind_of_network
 
-    if road_of(settings).imported is None:
+    if kind_of_network(settings).imported is None:
         raise UserError("--model: Keras models receive tactile images; leave out --input events")
 
 

@@ -19,9 +19,9 @@ from deploy.network.decision import confidence, probabilities
 from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
 from deploy.targets.fast import Emulation
-from pipeline.data.dataset import inputs_for
-from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.data.steps import EventTable
+from pipeline.recordings.dataset import inputs_for
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.steps import EventTable
 
 # Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
 # screen.

@@ -10,11 +10,11 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
-from pipeline.data.events import Events, Recordings
-from pipeline.data.library import recordings_of
-from pipeline.run import RunFolder
-from pipeline.settings import read_settings
-from pipeline.skin.writing import START_S
+from pipeline.recordings.events import Events, Recordings
+from pipeline.recordings.library import recordings_of
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import read_settings
+from pipeline.simulation.writing import START_S
 
 # Time from an example's last event to its end.
 AFTERWARDS_S = 0.05
@@ -28,7 +28,7 @@ class Example:
     ----------
     events : Events
         Events of the page's sensor, whose taxels are numbered column by column; the first event is
-        at :data:`pipeline.skin.writing.START_S`.
+        at :data:`pipeline.simulation.writing.START_S`.
     label : int
     name : str
     """
@@ -73,7 +73,7 @@ class Examples:
 
 
 class Replayed:
-    """An existing recording, instead of a :class:`~pipeline.skin.writing.Writing`.
+    """An existing recording, instead of a :class:`~pipeline.simulation.writing.Writing`.
 
     Parameters
     ----------

@@ -19,8 +19,8 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import locked, open_regular, remove_leftovers, replacing, reporting_os_errors
-from pipeline.data.events import Sensor, TaxelMap
-from pipeline.data.matfile import (
+from pipeline.recordings.events import Sensor, TaxelMap
+from pipeline.recordings.formats.mat import (
     BadRecording,
     MatRecording,
     lookup_table_bytes,

@@ -6,9 +6,9 @@ from pathlib import Path
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
-from pipeline.data.dataset import classes_of, positions_of
-from pipeline.data.events import Sensor, are_digits, is_written
 from pipeline.live import RECORD
+from pipeline.recordings.dataset import classes_of, positions_of
+from pipeline.recordings.events import Sensor, are_digits, is_written
 
 # The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
 # settings of ``shipped.toml``.

@@ -31,7 +31,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import MOST_TAXELS, PAUSE_S, BadMessage, Session, problem
-from pipeline.skin.writing import START_S
+from pipeline.simulation.writing import START_S
 
 # Default address of the page, which other machines cannot reach.
 HOST = "127.0.0.1"
@@ -106,7 +106,7 @@ class Live:
     make_decider : callable
         Returns the :class:`~pipeline.live.deciding.Decider`; may take long.
     keeper : Keeper
-    p : pipeline.skin.parameters.Parameters
+    p : pipeline.simulation.parameters.Parameters
     about : dict
         Plain values for the page: ``bundle``, ``accuracy`` and the like.
     make_tests : callable, optional

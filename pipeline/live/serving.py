@@ -11,8 +11,8 @@ from deploy.errors import UserError
 from deploy.terminal import remark, show
 from pipeline.live.network import about, record_folder, sensor_of
 from pipeline.results.status import outdated_note
-from pipeline.run import RunFolder, run_around
-from pipeline.skin import parameters
+from pipeline.run.folder import RunFolder, run_around
+from pipeline.simulation import parameters
 
 
 def serve(

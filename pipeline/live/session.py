@@ -25,12 +25,12 @@ import math
 import numpy as np
 
 from deploy.errors import UserError, line_of
-from pipeline.data.events import Events, joined
-from pipeline.data.matfile import MatRecording
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.examples import Examples, Replayed
 from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper
-from pipeline.skin.writing import MARGIN, START_S, PenPoint, Writing
+from pipeline.recordings.events import Events, joined
+from pipeline.recordings.formats.mat import MatRecording
+from pipeline.simulation.writing import MARGIN, START_S, PenPoint, Writing
 
 # Maximum duration of a recording. The published ones last 2 s; some people write more slowly.
 LONGEST_S = 10.0
@@ -178,7 +178,7 @@ class Session:
     number : int
         Unique among the sessions of a server; seed of the skin's noise and of the examples' order.
     keeper : Keeper
-    p : pipeline.skin.parameters.Parameters
+    p : pipeline.simulation.parameters.Parameters
     """
 
     def __init__(self, number, keeper: Keeper, p):

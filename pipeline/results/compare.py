@@ -15,15 +15,15 @@ from deploy.preflight.plan import make_plan
 from deploy.tables import SIGNIFICANCE, aligned, p_text, plain, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import advised, printable
-from pipeline.artifacts import DELETE_IT
-from pipeline.data.dataset import classes_of
-from pipeline.data.events import is_written
+from pipeline.kinds import REFERENCES, kind_of_network
+from pipeline.kinds.kind import FROM_ELSEWHERE
 from pipeline.paper import CNN_MACS
+from pipeline.recordings.dataset import classes_of
+from pipeline.recordings.events import is_written
 from pipeline.results.status import outdated, remedy_text, status_of
-from pipeline.roads import REFERENCES, road_of
-from pipeline.roads.road import FROM_ELSEWHERE
-from pipeline.run import RunFolder, require_run
-from pipeline.settings import SIMULATED, Settings, read_settings
+from pipeline.run.artifacts import DELETE_IT
+from pipeline.run.folder import RunFolder, require_run
+from pipeline.run.settings import SIMULATED, Settings, read_settings
 from pipeline.stages import settings_read
 
 SCHEMA = "stmnist-runs/1"
@@ -165,7 +165,7 @@ def _different_settings(runs):
     sources = [run.settings.data.source for run in runs]
     if len(contents) > 1 and {*sources} != {SIMULATED}:  # not the same ones in another place
         different.append({"name": "data.source", "values": sources})
-    imported = [road_of(run.settings).imported for run in runs]
+    imported = [kind_of_network(run.settings).imported for run in runs]
     if len({one and one.sha256 for one in imported}) > 1:
         files = [one.file if one else "training" for one in imported]
         different.append({"name": "network from", "values": files})

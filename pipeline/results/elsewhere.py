@@ -12,23 +12,23 @@ from deploy.network.stimulus import EventFrames
 from deploy.tables import listed
 from deploy.targets.registry import answer
 from deploy.terminal import WARNING, remark
-from pipeline.data.dataset import (
+from pipeline.paper import CHECK_SAMPLES
+from pipeline.recordings.dataset import (
     classes_of,
     cut_text,
     inputs_for,
     require_sensor_fits,
     training_hashes,
 )
-from pipeline.data.eventfiles import UNITS
-from pipeline.data.events import UNIT_NAMES, Recordings
-from pipeline.data.library import load_recordings
-from pipeline.data.sensor import Reading
-from pipeline.data.splits import draw_check_samples
-from pipeline.data.steps import EventTable
-from pipeline.paper import CHECK_SAMPLES
+from pipeline.recordings.events import UNIT_NAMES, Recordings
+from pipeline.recordings.formats.eventfiles import UNITS
+from pipeline.recordings.library import load_recordings
+from pipeline.recordings.sensor import Reading
+from pipeline.recordings.splits import draw_check_samples
+from pipeline.recordings.steps import EventTable
 from pipeline.results.ladder import confusion_matrix
-from pipeline.run import checks_of, run_around
-from pipeline.settings import Image, Settings, read_settings
+from pipeline.run.folder import checks_of, run_around
+from pipeline.run.settings import Image, Settings, read_settings
 
 # Name of the folder in a run's results.
 FOLDER = "other"

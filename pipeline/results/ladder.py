@@ -11,11 +11,11 @@ from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
-from pipeline.artifacts import DELETE_IT, Artifact, Origin
+from pipeline.kinds import NetworkKind, compared_with
+from pipeline.kinds.diagnosis import layers_text, least_faithful
 from pipeline.progress import progress
-from pipeline.roads import Road, compared_with
-from pipeline.roads.diagnosis import layers_text, least_faithful
-from pipeline.run import RunFolder
+from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
+from pipeline.run.folder import RunFolder
 from pipeline.stages import Opened, answer_all, convert
 
 # Targets whose existing results are included, but which the ladder does not run.
@@ -28,9 +28,9 @@ TRAINED = ("rate-lif", "trained")
 MOST_LOST = 3.0
 
 
-def ladder_stages(road: Road) -> list:
-    """Stages of the ladder of a road, in order: without ``fast``, which answers as ``emulator``."""
-    return [*road.reference_stages, *(name for name in TARGETS if name != "fast")]
+def ladder_stages(kind: NetworkKind) -> list:
+    """Stages of the ladder of a kind, in order: without ``fast``, which answers as ``emulator``."""
+    return [*kind.reference_stages, *(name for name in TARGETS if name != "fast")]
 
 
 def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
@@ -51,7 +51,7 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
         See :func:`ladder_json`.
     """
     run, bundle = opened.place, convert(opened)
-    asked = asked or [stage for stage in ladder_stages(opened.road) if stage not in BOARDS]
+    asked = asked or [stage for stage in ladder_stages(opened.kind) if stage not in BOARDS]
     results = answer_all(opened, bundle, asked, jobs)
     # A board's result is included if it exists and belongs to this bundle.
     for board in map(run.check, BOARDS):
@@ -67,7 +67,7 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
         return state.record
     seen = opened.restricted(bundle.spec.provenance["made_from"]["settings"])
     with progress("compare layers", len(bundle.checks)) as advance:
-        layers = seen.road.fidelity(seen, bundle, advance)
+        layers = seen.kind.fidelity(seen, bundle, advance)
     classes = opened.dataset.recordings.sensor.classes
     return artifact.write(ladder_json(results, layers, classes))
 
@@ -148,7 +148,7 @@ def ladder_json(results, layers=None, classes=None) -> dict:
     results : sequence of dict
         As in :func:`ladder_rows`.
     layers : list of dict, optional
-        From :func:`pipeline.roads.diagnosis.layers_json`.
+        From :func:`pipeline.kinds.diagnosis.layers_json`.
     classes : sequence of str, optional
         Class names in the order of the scores; default: numbers from 0.
     """

@@ -11,14 +11,14 @@ from deploy.files import read_json, reporting_damage, sha256_of
 from deploy.tables import aligned
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING, advised
-from pipeline.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
-from pipeline.data.dataset import dataset_origin
-from pipeline.data.library import identity_of
-from pipeline.data.splits import RANDOM
+from pipeline.kinds import kind_of_network
+from pipeline.recordings.dataset import dataset_origin
+from pipeline.recordings.library import identity_of
+from pipeline.recordings.splits import RANDOM
 from pipeline.results.ladder import BOARDS, ladder_artifact, ladder_stages
-from pipeline.roads import road_of
-from pipeline.run import RunFolder, require_run, run_around
-from pipeline.settings import Settings, read_settings
+from pipeline.run.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
+from pipeline.run.folder import RunFolder, require_run, run_around
+from pipeline.run.settings import Settings, read_settings
 from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
 
 # Width of the text in columns.
@@ -73,15 +73,15 @@ def status_of(run: RunFolder, adapted: bool = False) -> list:
     require_run(run)
     settings = read_settings(run.experiment)
     dataset = _dataset_origin(run, settings)
-    road = road_of(settings)
+    kind = kind_of_network(settings)
     states = [Status(dataset_artifact(run, dataset).state())]
-    states += _parts(run, road, dataset)
-    bundle = bundle_artifact(run, road, dataset).state()
+    states += _parts(run, kind, dataset)
+    bundle = bundle_artifact(run, kind, dataset).state()
     states.append(Status(bundle))
-    states += _answers(run, road, dataset, bundle)
+    states += _answers(run, kind, dataset, bundle)
     networks = sorted(run.path.glob("adapted/*/network.json")) if adapted else []
     names = [f"adapted/{network.parent.name}" for network in networks]
-    return states + [Status(bundle_artifact(run, road, dataset, n).state()) for n in names]
+    return states + [Status(bundle_artifact(run, kind, dataset, n).state()) for n in names]
 
 
 def outdated(statuses) -> dict:
@@ -192,14 +192,14 @@ def unread_note(settings: Settings) -> str | None:
     return None
 
 
-def _parts(run, road, dataset):
-    """The states of a road's parts, with accuracies and durations from their records."""
+def _parts(run, kind, dataset):
+    """The states of a kind's parts, with accuracies and durations from their records."""
     statuses = {}
-    answering = {road.references[stage].part for stage in road.reference_stages}
-    for part in road.parts:
-        if part.name not in answering and not road.is_deployed(part.name):
+    answering = {kind.references[stage].part for stage in kind.reference_stages}
+    for part in kind.parts:
+        if part.name not in answering and not kind.is_deployed(part.name):
             continue
-        artifact = road.artifact(part.name, run, dataset)
+        artifact = kind.artifact(part.name, run, dataset)
         state = artifact.state()
         with reporting_damage(artifact.record, DELETE_IT):
             accuracy = _number(state.record.get("accuracy", {}).get("test"))
@@ -217,14 +217,14 @@ def _number(value):
     raise ValueError(f"{str(value)[:40]!r} is no number")
 
 
-def _answers(run, road, dataset, bundle):
+def _answers(run, kind, dataset, bundle):
     """Checks and ladder, of the bundle's samples."""
-    expected = ladder_stages(road)
+    expected = ladder_stages(kind)
     there = bundle.state != MISSING
     bundle_id = sha256_of(run.bundle / "MANIFEST.json") if there else ""
     statuses, results = [], {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
-        artifact = check_artifact(run, stage, road, dataset, bundle_id)
+        artifact = check_artifact(run, stage, kind, dataset, bundle_id)
         if not artifact.record.exists():
             # Not every run needs every target: a result that was never
             # requested is not reported as missing.

@@ -25,12 +25,12 @@ from deploy.network.stimulus import last_steps
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
 from deploy.targets.registry import answer as answer_on_target
-from pipeline.artifacts import DELETE_IT, Library
-from pipeline.data.dataset import Dataset
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden, progress
-from pipeline.settings import Settings
+from pipeline.recordings.dataset import Dataset
+from pipeline.run.artifacts import DELETE_IT, Library
+from pipeline.run.settings import Settings
 from pipeline.stages import opened_in
 
 SCHEMA = "stmnist-row/1"
@@ -67,7 +67,7 @@ class Case:
     seed : int
         Seed of the split and of the training.
     split : str
-        Kind of the split, see :class:`pipeline.data.splits.Split`.
+        Kind of the split, see :class:`pipeline.recordings.splits.Split`.
     part : str
         ``"test"``, or ``"validation"``; then the test samples are not used at all.
     alter : str
@@ -238,8 +238,8 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
 def reference(case: Case, opened, inputs) -> np.ndarray:
     """Predictions of a stage before the chip, shape (n_samples,)."""
     settings = case.resolved
-    part = opened.road.references[case.stage].part
-    for used in opened.road.part(part).uses:
+    part = opened.kind.references[case.stage].part
+    for used in opened.kind.part(part).uses:
         opened.make(used)
     opened.make(part)
     if case.stage == "counts":

@@ -16,14 +16,14 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import in_blocks, plain
 from deploy.targets.registry import TARGETS
-from pipeline.data.dataset import dataset_origin
-from pipeline.data.library import recordings_of
-from pipeline.data.splits import kind_of
+from pipeline.kinds import fitted, kind_of_network
 from pipeline.paper import CNN_MACS
+from pipeline.recordings.dataset import dataset_origin
+from pipeline.recordings.library import recordings_of
+from pipeline.recordings.splits import kind_of
 from pipeline.results.study import Case, Workers, study
-from pipeline.roads import fitted, road_of
-from pipeline.run import RunFolder
-from pipeline.settings import Settings, parse_assignments, put
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import Settings, parse_assignments, put
 
 SCHEMA = "stmnist-sweep/3"
 # Share of the training samples held out for the evaluation, if the settings have none.
@@ -57,7 +57,7 @@ def points_of(base: Settings, grid) -> list:
         An entry cannot be read, names no setting or one that changes the samples, or a combination
         is out of range.
     """
-    _ = road_of(base).trained  # an error if the network is not trained here
+    _ = kind_of_network(base).trained  # an error if the network is not trained here
     axes = [_axis(entry, base) for entry in grid]
     names = [axis[0][0] for axis in axes]
     if len(set(names)) < len(names):
@@ -122,14 +122,14 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     fraction = settings.split.validation_fraction or VALIDATION
     divided = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
     base = fitted(divided, recordings)
-    split, road = kind_of(base.split.kind, recordings), road_of(base)
+    split, kind = kind_of(base.split.kind, recordings), kind_of_network(base)
     said = defaultdict(list)  # the points that each line is about
-    points = points_of(divided, grid or road.grid)
+    points = points_of(divided, grid or kind.grid)
     cases, unused = [], set(points[0][0])
     for number, (changes, asked) in enumerate(points):
         lines = []
         of_point = fitted(asked, recordings, say=lines.append)
-        own = road_of(of_point)
+        own = kind_of_network(of_point)
         own.require_fit(recordings)
         origin = dataset_origin(of_point, recordings.source.sha256, split)
         unused -= own.bundle_origin(origin).settings.keys()

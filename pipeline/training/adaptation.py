@@ -31,16 +31,16 @@ from deploy.network.spec import NetworkSpec, Rehearsal
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.tables import listed
 from deploy.targets.fast import Emulation
-from pipeline.data.altering import AUGMENTATIONS, altered_recordings, augmentation_for
-from pipeline.data.dataset import (
+from pipeline.recordings.altering import AUGMENTATIONS, altered_recordings, augmentation_for
+from pipeline.recordings.dataset import (
     TRAINED_ON,
     classes_of,
     inputs_for,
     require_sensor_fits,
     training_hashes,
 )
-from pipeline.data.events import Recordings
-from pipeline.settings import Image
+from pipeline.recordings.events import Recordings
+from pipeline.run.settings import Image
 
 PULLS = (3e-4, 3e-3)
 # Strengths of regularisation and of rehearsal among which cross-validation chooses.

@@ -32,12 +32,12 @@ from deploy.network.decision import (
 )
 from deploy.network.stimulus import last_steps
 from models.architecture import parse
-from models.keras2 import tf
+from models.keras.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
-from pipeline.data.altering import AUGMENTATIONS, Alteration, alter
-from pipeline.data.steps import EventTable, spike_frames
 from pipeline.paper import CNN_MACS
-from pipeline.settings import EventTraining, Input, Settings
+from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
+from pipeline.recordings.steps import EventTable, spike_frames
+from pipeline.run.settings import EventTraining, Input, Settings
 from pipeline.training.networks import make_deterministic
 from pipeline.training.recipe import epochs_for
 
@@ -77,7 +77,7 @@ class EventRecipe:
         Recording time in milliseconds that one step of the chip represents.
     refractory : int
         Refractory period of a taxel in steps; see
-        :func:`pipeline.data.steps.spike_frames`.
+        :func:`pipeline.recordings.steps.spike_frames`.
     tau_u_ms, tau_v_ms : tuple of float
         Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float

@@ -19,8 +19,8 @@ import numpy as np
 import deploy.network.loihi_import  # noqa: F401  (puts back what Nengo needs of NumPy 1)
 from models.architecture import parse
 from models.cnn import build_cnn, gain_for, on_chip, set_weights
-from models.keras2 import tf
-from pipeline.settings import Settings
+from models.keras.keras2 import tf
+from pipeline.run.settings import Settings
 
 
 @contextlib.contextmanager

@@ -25,8 +25,8 @@ from models.cnn import (
     set_weights,
     with_noise,
 )
-from models.keras2 import as_written, tf
-from pipeline.settings import Settings
+from models.keras.keras2 import as_written, tf
+from pipeline.run.settings import Settings
 
 # Quantile of a layer's activations that is scaled to 1 when a CNN's weights are reused.
 PERCENTILE = 99.9
@@ -74,7 +74,7 @@ class Recipe:
 
         Parameters
         ----------
-        section : pipeline.settings.CNN or pipeline.settings.SNN
+        section : pipeline.run.settings.CNN or pipeline.run.settings.SNN
         n_samples : int
             Number of training samples.
         """
@@ -169,7 +169,8 @@ def train_cnn(
         ``advance(1, note)`` after each epoch.
     altered : callable, optional
         ``altered(rng, indices)`` returns the images of some training samples for an epoch, such as
-        :meth:`pipeline.data.dataset.Dataset.altered`.  Default: the images themselves, whatever
+        :meth:`pipeline.recordings.dataset.Dataset.altered`.  Default: the images themselves,
+        whatever
         ``cnn.augment`` is.
 
     Returns

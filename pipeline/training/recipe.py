@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pipeline.data.steps import EventTable
+from pipeline.recordings.steps import EventTable
 
 # Minimum number of updates of the weights in a training on events.
 UPDATES = 1440

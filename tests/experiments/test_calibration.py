@@ -10,9 +10,9 @@ from deploy.errors import CheckFailed
 from experiments import calibration
 from experiments.calibration import BOUNDS, TABLE1, calibrate, cells, step
 from experiments.document import result
-from pipeline.data import statistics
-from pipeline.skin import parameters
-from pipeline.skin.simulate import simulate, source_of
+from pipeline.recordings import statistics
+from pipeline.simulation import parameters
+from pipeline.simulation.simulate import simulate, source_of
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from experiments.slayer import bin_events
-from pipeline.data.events import Events, Source, TaxelMap, collect, expand_bursts
+from pipeline.recordings.events import Events, Source, TaxelMap, collect, expand_bursts
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 

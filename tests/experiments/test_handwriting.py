@@ -8,9 +8,9 @@ import pytest
 from deploy.files import sha256_of
 from experiments import handwriting as fit
 from experiments.__main__ import main
-from pipeline.skin import shape_model
-from pipeline.skin.handwriting import Trace
-from pipeline.skin.shape_model import POINTS, Allograph
+from pipeline.simulation import shape_model
+from pipeline.simulation.handwriting import Trace
+from pipeline.simulation.shape_model import POINTS, Allograph
 from tests.command import call
 
 BUILT_IN = shape_model.load()

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.slayer import Slayer, SlayerNetwork, fire
-from models.keras2 import tf
+from models.keras.keras2 import tf
 from tests.untraced import untraced
 
 NEURON = Slayer(tau_s=4.0, tau_r=2.0, theta=2.0)

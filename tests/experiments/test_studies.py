@@ -10,9 +10,9 @@ import pytest
 from deploy.check.bundle import read_bundle
 from experiments import adapt, document, speed, studies, tables
 from experiments.__main__ import OTHERS, main
-from pipeline.data.library import recordings_of
+from pipeline.recordings.library import recordings_of
 from pipeline.results.study import Case
-from pipeline.settings import Settings
+from pipeline.run.settings import Settings
 from pipeline.training.adaptation import with_rehearsal
 from tests.command import call, missing
 from tests.experiments.test_tables import row
@@ -104,7 +104,7 @@ def test_an_experiment_from_end_to_end(tmp_path, capsys, monkeypatch):
 @pytest.mark.slow
 def test_slayer_is_trained_on_events(tmp_path, monkeypatch):
     from experiments import slayer
-    from pipeline.artifacts import Library
+    from pipeline.run.artifacts import Library
 
     whole = slayer.Slayer
     small = {"epochs": 1, "bins": 20}

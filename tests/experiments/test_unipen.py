@@ -5,7 +5,7 @@ import pytest
 
 from deploy.errors import UserError
 from experiments import unipen
-from pipeline.skin import handwriting, parameters
+from pipeline.simulation import handwriting, parameters
 
 P = parameters.load()
 

@@ -4,11 +4,11 @@ import itertools
 
 import numpy as np
 
-from models.nir_graph import read_nir
+from models.nir.graph import read_nir
 
 
 class Graph:
-    """What :func:`models.nir_graph.read_nir` takes for a graph in memory."""
+    """What :func:`models.nir.graph.read_nir` takes for a graph in memory."""
 
     def __init__(self, tree):
         self.tree, self.nodes = tree, tree["nodes"]

@@ -85,7 +85,7 @@ def test_fan_out_by_hand():
 @pytest.mark.parametrize("stride", [1, 2, 3, 5])
 @pytest.mark.parametrize("kernel", [1, 2, 3, 4])
 def test_shape_and_fan_out_are_tensorflows(kernel, stride, padding):
-    from models.keras2 import tf
+    from models.keras.keras2 import tf
 
     layer, shape = Convolution(3, kernel, stride, padding), (7, 10, 2)
     frame = tf.Variable(tf.zeros((1, *shape)))
@@ -99,7 +99,7 @@ def test_shape_and_fan_out_are_tensorflows(kernel, stride, padding):
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7])
 def test_pooling_is_tensorflows(size):
-    from models.keras2 import tf
+    from models.keras.keras2 import tf
 
     layer, shape = Pooling(size), (7, 10, 2)
     frame = tf.Variable(tf.zeros((1, *shape)))

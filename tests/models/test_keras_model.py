@@ -10,7 +10,7 @@ import pytest
 from deploy.errors import UserError
 from models.architecture import parse
 from models.cnn import build_cnn, predict, set_weights
-from models.keras_model import ModelFileError, _Layer, from_layers, read_keras
+from models.keras.reader import ModelFileError, _Layer, from_layers, read_keras
 from tests.command import missing
 from tests.models import keras_models
 

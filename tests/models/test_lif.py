@@ -4,7 +4,7 @@ import pytest
 
 from deploy.network.loihi_import import nengo_loihi
 from models.cnn import RateLIF, gain_for, on_chip_time_constants
-from models.keras2 import tf
+from models.keras.keras2 import tf
 
 RATE = 150.0
 

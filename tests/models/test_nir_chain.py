@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from models.integers import chosen, currents, fired, moments_of, rounded
-from models.nir_chain import from_nir
-from models.nir_graph import NirError, read_nir
-from models.nir_simulator import METHODS, simulate
+from models.nir.chain import from_nir
+from models.nir.graph import NirError, read_nir
+from models.nir.simulator import METHODS, simulate
 from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, spikes, tree_of
 
 

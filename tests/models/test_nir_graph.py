@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from models.nir_graph import NirError, read_nir
+from models.nir.graph import NirError, read_nir
 from tests.command import missing
 from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, tree_of
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from models.nir_graph import NirError, read_nir
-from models.nir_simulator import RESETS, run_node, simulate
+from models.nir.graph import NirError, read_nir
+from models.nir.simulator import RESETS, run_node, simulate
 from tests.models.nir_graphs import Graph, conv, lif, network_of, tree_of
 
 H = 0.002

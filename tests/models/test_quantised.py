@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.cnn import OnChipConv2D, eight_bits, twelve_bits
-from models.keras2 import tf
+from models.keras.keras2 import tf
 
 
 def test_rounding_by_hand():

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from models import spiking
 from models.architecture import parse
-from models.keras2 import tf
+from models.keras.keras2 import tf
 from models.spiking import Integers, Neuron, SpikingNetwork
 from tests.models import spiking_in_numpy
 from tests.models.on_emulator import emulate

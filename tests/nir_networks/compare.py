@@ -15,11 +15,11 @@ import numpy as np
 from deploy.check.bundle import read_bundle
 from deploy.files import read_arrays
 from deploy.targets.registry import answer
-from models.nir_graph import read_nir
-from models.nir_simulator import simulate
-from pipeline.data.dataset import Dataset
-from pipeline.roads.nir import Stepped, graph_inputs
-from pipeline.settings import read_settings
+from models.nir.graph import read_nir
+from models.nir.simulator import simulate
+from pipeline.kinds.nir.kind import Stepped, graph_inputs
+from pipeline.recordings.dataset import Dataset
+from pipeline.run.settings import read_settings
 
 
 def convert(graph, run, *options):

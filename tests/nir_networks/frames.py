@@ -10,8 +10,8 @@ import sys
 import numpy as np
 
 from deploy.files import write_arrays
-from pipeline.data.dataset import Dataset
-from pipeline.settings import Settings
+from pipeline.recordings.dataset import Dataset
+from pipeline.run.settings import Settings
 
 
 def main(file, step_ms, samples_per_digit=0):

@@ -6,8 +6,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from models.nir_graph import SNNTORCH_STEP, SPIKING, read_nir
-from models.nir_simulator import simulate
+from models.nir.graph import SNNTORCH_STEP, SPIKING, read_nir
+from models.nir.simulator import simulate
 from tests.command import ROOT
 
 PYTHON = ROOT / ".venv-nir" / "bin" / "python"

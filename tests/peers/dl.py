@@ -15,7 +15,7 @@ os.environ.setdefault("TF_USE_LEGACY_KERAS", "1")
 import nengo
 import pytest
 
-from models.keras2 import tf
+from models.keras.keras2 import tf
 from pipeline.training import nengodl  # noqa: F401  (the substitutions of NengoDL's world)
 from tests.peers import old
 

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import scipy.io
 
-from pipeline.data.events import Events, Source, collect
+from pipeline.recordings.events import Events, Source, collect
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.files import read_json, write_json
-from pipeline.artifacts import Artifact, Library, Origin
-from pipeline.data.dataset import dataset_origin
-from pipeline.roads import road_of
-from pipeline.settings import PATHS, Settings, UndeclaredSetting
+from pipeline.kinds import kind_of_network
+from pipeline.recordings.dataset import dataset_origin
+from pipeline.run.artifacts import Artifact, Library, Origin
+from pipeline.run.settings import PATHS, Settings, UndeclaredSetting
 
 SETTINGS = Settings()
 
@@ -109,7 +109,7 @@ def test_no_path_is_part_of_an_origin():
     there = changed("data.source", "/there/x.zip").with_values(
         {"cnn": {"model": "/there/m.keras", "model_sha256": "a"}}
     )
-    one, two = (road_of(s).bundle_origin(dataset_origin(s, "ab")) for s in (here, there))
+    one, two = (kind_of_network(s).bundle_origin(dataset_origin(s, "ab")) for s in (here, there))
     assert one == two
 
 
@@ -167,9 +167,9 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
         for settings in (SETTINGS, changed(name, value)):
             settings = replace(settings, input=replace(settings.input, kind=kind))
             dataset = dataset_origin(settings, "ab")
-            road = road_of(settings)
-            made = {"dataset": dataset, "bundle": road.bundle_origin(dataset)}
-            made |= {part.name: road.origin(part.name, dataset) for part in road.parts}
+            network = kind_of_network(settings)
+            made = {"dataset": dataset, "bundle": network.bundle_origin(dataset)}
+            made |= {part.name: network.origin(part.name, dataset) for part in network.parts}
             del made["counts"]  # which depends on the dataset alone
             found.append(made)
         one, two = found

@@ -3,8 +3,8 @@
 import pytest
 
 from deploy.errors import UserError
-from pipeline.run import RunFolder, checks_of
-from pipeline.settings import Settings, read_settings
+from pipeline.run.folder import RunFolder, checks_of
+from pipeline.run.settings import Settings, read_settings
 from pipeline.stages import opened_run
 from tests.command import call
 

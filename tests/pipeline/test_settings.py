@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.network.spec import Presentation
-from pipeline.run import RunFolder
-from pipeline.settings import Settings, describe, parse_assignments, read_settings, write_settings
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import (
+    Settings,
+    describe,
+    parse_assignments,
+    read_settings,
+    write_settings,
+)
 from tests.command import call, missing
 
 

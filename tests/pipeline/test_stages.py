@@ -8,10 +8,10 @@ import pytest
 from deploy.check.results import read_result
 from deploy.check.run import OpenCheck, run_check
 from deploy.errors import UserError
-from pipeline.artifacts import Origin
-from pipeline.roads import road_of
-from pipeline.run import RunFolder
-from pipeline.settings import Settings
+from pipeline.kinds import kind_of_network
+from pipeline.run.artifacts import Origin
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import Settings
 from pipeline.stages import answer_all, opened_in
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at
@@ -85,7 +85,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones(bundle, tmp_path):
     with pytest.raises(ValueError, match="emulator"):
         answered(tmp_path, bundle, ["emu"])
     with pytest.raises(ValueError, match="cnn"):
-        road_of(Settings()).part("cn")
+        kind_of_network(Settings()).part("cn")
 
 
 def test_a_target_that_fails_leaves_the_others_results(bundle, tmp_path):

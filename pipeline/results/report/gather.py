@@ -8,16 +8,16 @@ from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage
 from deploy.preflight.plan import make_plan
 from deploy.terminal import advised
+from pipeline.kinds import kind_of_network
+from pipeline.kinds.kind import read_history
 from pipeline.progress import progress
 from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.ladder import ladder_stages
 from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
 from pipeline.results.status import outdated, status_of
-from pipeline.roads import road_of
-from pipeline.roads.road import read_history
-from pipeline.run import RunFolder, require_run
-from pipeline.settings import read_settings
+from pipeline.run.folder import RunFolder, require_run
+from pipeline.run.settings import read_settings
 
 REMEDY = "delete it and make it again"
 
@@ -40,8 +40,8 @@ def gather(folder: RunFolder) -> Inputs:
     require_run(folder)
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
-    road = road_of(settings)
-    stages = [stage for stage in ladder_stages(road) if folder.check(stage).exists()]
+    kind = kind_of_network(settings)
+    stages = [stage for stage in ladder_stages(kind) if folder.check(stage).exists()]
     results = [read_result(folder.check(stage)) for stage in stages]
     for stage, result in zip(stages, results, strict=True):
         if result["target"] != stage or not {*result["spikes"]} <= {*bundle.spec.spiking_layers}:
@@ -56,8 +56,8 @@ def gather(folder: RunFolder) -> Inputs:
     with progress("replay samples", len(chosen)) as advance:
         replays = replay(bundle, chosen, settings.seed, advance)
     titles, metrics, histories = {}, {}, {}
-    for reference in road.references.values():
-        titles.setdefault(folder.folder(road.part(reference.part).folder), reference.title)
+    for reference in kind.references.values():
+        titles.setdefault(folder.folder(kind.part(reference.part).folder), reference.title)
     for path, title in titles.items():
         if (path / "metrics.json").exists():
             metrics[title] = _test_accuracy(path / "metrics.json")

@@ -17,11 +17,11 @@ from deploy.network.responses import seconds_per_sample
 from deploy.tables import SIGNIFICANCE, p_text
 from deploy.targets.registry import TARGETS
 from pipeline import look
-from pipeline.data.dataset import positions_of
+from pipeline.kinds import COMPARED_WITH, REFERENCES
+from pipeline.recordings.dataset import positions_of
 from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts
-from pipeline.roads import COMPARED_WITH, REFERENCES
-from pipeline.settings import PATHS, Settings
+from pipeline.run.settings import PATHS, Settings
 from pipeline.stages import settings_read
 
 # Intervals of time of a small picture of a strip.

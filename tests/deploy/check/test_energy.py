@@ -8,7 +8,7 @@ from deploy.check.text import summary
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from deploy.targets.registry import answer
-from pipeline.run import checks_of
+from pipeline.run.folder import checks_of
 from tests.command import call
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
@@ -84,7 +84,7 @@ def test_energy_of_a_bundle_that_never_ran_names_the_target_to_run(tmp_path, cap
 
 @pytest.mark.slow
 def test_constants_and_cnn_are_those_of_keras_spiking():
-    from models.keras2 import tf  # before anybody asks TensorFlow for Keras
+    from models.keras.keras2 import tf  # before anybody asks TensorFlow for Keras
 
     keras_spiking = pytest.importorskip("keras_spiking")
 

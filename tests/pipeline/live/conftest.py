@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from pipeline.data.events import DIGITS, Sensor
 from pipeline.live.deciding import Answer, Curve
-from pipeline.skin import parameters
+from pipeline.recordings.events import DIGITS, Sensor
+from pipeline.simulation import parameters
 
 
 class Parrot:

@@ -13,8 +13,8 @@ import sys
 import pytest
 
 from deploy.check.bundle import read_bundle
-from pipeline.data.source import read_source
 from pipeline.live.network import SHIPPED
+from pipeline.recordings.source import read_source
 from tests.command import call, environment
 from tests.pipeline.live.conftest import stroke
 

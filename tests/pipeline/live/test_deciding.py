@@ -10,13 +10,13 @@ from deploy.check.bundle import Bundle, read_bundle
 from deploy.network.decision import confidence
 from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import answer as answers_of
-from pipeline.data.dataset import inputs_of
-from pipeline.data.events import Events, Sensor
-from pipeline.data.images import tactile_images
-from pipeline.data.steps import EventTable
 from pipeline.live.deciding import Curve, EventDecider, decider_of
-from pipeline.settings import Settings
-from pipeline.skin.simulate import simulate
+from pipeline.recordings.dataset import inputs_of
+from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.images import tactile_images
+from pipeline.recordings.steps import EventTable
+from pipeline.run.settings import Settings
+from pipeline.simulation.simulate import simulate
 from tests.deploy import networks
 
 

@@ -11,14 +11,14 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from deploy.targets.registry import answer
-from pipeline.data.events import Events, Sensor
-from pipeline.data.library import recordings_of
 from pipeline.live.deciding import decider_of
 from pipeline.live.examples import Example, Examples, Replayed, check_examples
 from pipeline.live.network import SHIPPED
-from pipeline.run import RunFolder
-from pipeline.settings import read_settings
-from pipeline.skin.writing import START_S
+from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.library import recordings_of
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import read_settings
+from pipeline.simulation.writing import START_S
 
 
 def line(n=5):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.data.events import Events, Sensor
-from pipeline.data.matfile import MatRecording, read_recording
-from pipeline.data.source import read_source
 from pipeline.live.keeping import Keeper
+from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.formats.mat import MatRecording, read_recording
+from pipeline.recordings.source import read_source
 
 
 def recording(writer=1, taxel=5):

@@ -6,8 +6,8 @@ import pytest
 
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
-from pipeline.data.events import Sensor
 from pipeline.live.network import SHIPPED, about, record_folder, sensor_of
+from pipeline.recordings.events import Sensor
 from tests.own_sensor import CLASSES
 
 BUNDLE = read_bundle(SHIPPED)

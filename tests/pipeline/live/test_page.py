@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.data.events import Events, Sensor
-from pipeline.data.matfile import read_recording
-from pipeline.data.source import read_source
-from pipeline.skin import handwriting, parameters, simulate
+from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.formats.mat import read_recording
+from pipeline.recordings.source import read_source
+from pipeline.simulation import handwriting, parameters, simulate
 from tests.own_sensor import CLASSES
 from tests.pipeline.live.conftest import served
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data.events import Events, Sensor
-from pipeline.data.matfile import read_recording
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import LONGEST_S, PAUSE_S, BadMessage, Session
-from pipeline.skin import parameters
+from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.formats.mat import read_recording
+from pipeline.simulation import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
 from tests.pipeline.live.test_keeping import recording
 

@@ -8,10 +8,10 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
 from deploy.targets.registry import answer
-from pipeline.data.events import Sensor
-from pipeline.data.library import identity_of
 from pipeline.live.network import SHIPPED, sensor_of
-from pipeline.settings import read_settings
+from pipeline.recordings.events import Sensor
+from pipeline.recordings.library import identity_of
+from pipeline.run.settings import read_settings
 from tests.command import ROOT, call
 
 RECIPE = SHIPPED.with_name("shipped.toml")

@@ -6,7 +6,7 @@ import shutil
 
 from deploy.files import read_json
 from pipeline.results.status import outdated_note
-from pipeline.run import RunFolder
+from pipeline.run.folder import RunFolder
 from tests.command import call
 
 ON_IMAGES = [

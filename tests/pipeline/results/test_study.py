@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from deploy.errors import CheckFailed, UserError
-from pipeline.data.dataset import Dataset
-from pipeline.data.library import recordings_of
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case, Workers
-from pipeline.settings import Settings
+from pipeline.run.settings import Settings
 
 SMALL = Settings().with_values(
     {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"

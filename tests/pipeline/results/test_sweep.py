@@ -11,10 +11,10 @@ from hypothesis.extra.numpy import arrays
 
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.data.library import load_recordings
+from pipeline.kinds import EventsKind, ImageKind, fitted
+from pipeline.recordings.library import load_recordings
 from pipeline.results import sweep
-from pipeline.roads import EventRoad, ImageRoad, fitted
-from pipeline.settings import Settings, read_settings
+from pipeline.run.settings import Settings, read_settings
 from tests.command import call
 from tests.own_sensor import write_folder
 
@@ -71,8 +71,8 @@ def test_a_wrong_grid_is_refused_before_anything_is_trained(entry, problem):
 
 
 def test_the_default_grids_are_grids():
-    assert len(sweep.points_of(SMALL, ImageRoad.grid)) == 16
-    assert len(sweep.points_of(SMALL, EventRoad.grid)) == 4
+    assert len(sweep.points_of(SMALL, ImageKind.grid)) == 16
+    assert len(sweep.points_of(SMALL, EventsKind.grid)) == 4
 
 
 def test_pareto_front_by_hand():

@@ -4,7 +4,7 @@ import numpy as np
 
 from deploy.check.bundle import read_bundle
 from pipeline.live.network import SHIPPED
-from pipeline.skin.simulate import simulate
+from pipeline.simulation.simulate import simulate
 from pipeline.training import adaptation
 
 

@@ -12,11 +12,11 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import answer
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
-from pipeline.data.dataset import Dataset, classes_of, inputs_for
+from pipeline.kinds.image.kind import deployed, to_spec
+from pipeline.recordings.dataset import Dataset, classes_of, inputs_for
 from pipeline.results.elsewhere import trained_on
 from pipeline.results.report.figures.animation import animate
-from pipeline.roads.image import deployed, to_spec
-from pipeline.settings import Settings
+from pipeline.run.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training import networks as training
 from pipeline.training.nengodl import nengo_dl

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.data.steps import EventTable
-from pipeline.roads.counts import fit_baseline
+from pipeline.kinds.counts import fit_baseline
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.steps import EventTable
 
 
 def recordings():

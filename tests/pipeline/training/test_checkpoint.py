@@ -3,7 +3,7 @@
 import pytest
 
 from deploy.errors import UserError
-from models.keras2 import tf
+from models.keras.keras2 import tf
 from pipeline.training.events import Checkpoint, train_epochs
 
 

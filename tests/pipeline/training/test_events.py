@@ -6,11 +6,11 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.decision import Estimator, choose_threshold
 from models.architecture import parse
-from models.keras2 import tf
+from models.keras.keras2 import tf
 from models.spiking import SpikingNetwork
-from pipeline.data.altering import AUGMENTATIONS, Alteration
-from pipeline.data.steps import EventTable
 from pipeline.paper import CNN_MACS
+from pipeline.recordings.altering import AUGMENTATIONS, Alteration
+from pipeline.recordings.steps import EventTable
 from pipeline.training import events
 from pipeline.training.events import (
     TAIL,

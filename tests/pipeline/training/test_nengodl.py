@@ -9,9 +9,9 @@ from deploy.network.responses import join
 from deploy.targets.registry import answer
 from models.architecture import parse
 from models.cnn import gain_for
-from models.keras2 import tf
-from pipeline.roads.image import to_spec
-from pipeline.settings import Settings
+from models.keras.keras2 import tf
+from pipeline.kinds.image.kind import to_spec
+from pipeline.run.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training import networks as training
 from tests.untraced import untraced

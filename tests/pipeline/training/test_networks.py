@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.cnn import activations
-from pipeline.settings import Settings, write_settings
+from pipeline.run.settings import Settings, write_settings
 from pipeline.training import networks as training
 from tests.command import LEAVE_GARBAGE, users_environment
 
@@ -84,7 +84,7 @@ def test_the_number_of_cores_does_not_matter(stripes, tmp_path):
 
 IN_ANOTHER = """
 import numpy as np
-from pipeline.settings import read_settings
+from pipeline.run.settings import read_settings
 from pipeline.training.networks import train_cnn, train_rate_network
 
 chosen, stripes = read_settings("chosen.toml"), list(np.load("data.npz").values())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.data.steps import EventTable
+from pipeline.recordings.steps import EventTable
 from pipeline.training import recipe
 
 

@@ -8,8 +8,8 @@ from PIL import Image
 from deploy.check.bundle import Bundle
 from deploy.files import replacing, require_ending
 from deploy.tables import shortened
-from pipeline.data.dataset import classes_of, positions_of
 from pipeline.look import colour
+from pipeline.recordings.dataset import classes_of, positions_of
 from pipeline.results.report.figures import SHADES
 from pipeline.results.report.samples import replay
 

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deploy.tables import shortened, shortened_apart
-from pipeline.data.events import DIGITS, Recordings
-from pipeline.data.images import tactile_images
 from pipeline.look import colour
+from pipeline.recordings.events import DIGITS, Recordings
+from pipeline.recordings.images import tactile_images
 from pipeline.results.report.figures import SHADES, plain
 
 # Tactile images above the raster.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from pipeline.data.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.look import colour
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.results.report.figures import recordings as data_figures
 
 

@@ -1,0 +1,1 @@
+"""Keras: the version that NengoDL works with, and models of the user."""

@@ -1,0 +1,1 @@
+"""NIR graphs: read, simulated, and turned into layers for the chip."""

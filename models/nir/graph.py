@@ -1,0 +1,566 @@
+"""Read NIR graphs as a chain of nodes, each of which is validated.
+
+Pedersen et al., "Neuromorphic intermediate representation: A unified instruction set for
+interoperable brain-inspired computing", Nature Communications 15, 8122 (2024), gives the nodes'
+equations, which are repeated in :mod:`models.nir.simulator`.  Shapes are those of NIR and
+PyTorch: channels first.
+
+A graph can be used if it is a chain from one input to one output.  A layer of neurons may also be
+connected to itself, through one ``Linear`` or ``Affine``.  Subgraphs are replaced by their nodes.
+Parameters of neurons may be one value, or one value for each neuron.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import itertools
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy import limits
+from deploy.errors import UserError
+from deploy.files import reporting_os_errors
+
+# Nodes whose output is spikes.
+SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
+
+# Nodes with a state whose output is not spikes.
+FILTERS = ("LI", "CubaLI")
+
+# Maximum number of dimensions of an input that are read; more than 4 cannot be used.
+MAX_DIMENSIONS = 7
+
+# Time step in seconds for which snnTorch's exporter writes time constants, independently of the
+# training.
+SNNTORCH_STEP = 1e-4
+
+
+class NirError(UserError):
+    """A file or graph is not NIR, or has parts that cannot be used; the message is one line."""
+
+
+def shown(text) -> str:
+    """Text from a file for a message: quoted, on one line, and shortened."""
+    text = repr(str(text)[:60])
+    return text if len(text) <= 80 else text[:77] + "...'"
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node of a chain.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        NIR's name of the node's class, such as ``"LIF"``.
+    input_shape, shape : tuple of int
+        Shapes of input and output; images as (channels, rows, columns).
+    parameters : dict
+        By NIR's names.  Those of neurons are arrays of the node's shape.  Weights and biases are
+        arrays as in NIR (a missing bias is zero).  ``padding`` is a pair (before, after) for each
+        dimension, ``stride``, ``dilation`` and ``kernel_size`` a number for each.
+    loop : Node or None
+        The ``Linear`` or ``Affine`` through which the node is connected to itself.
+    """
+
+    name: str
+    kind: str
+    input_shape: tuple
+    shape: tuple
+    parameters: dict = field(repr=False)
+    loop: Node | None = None
+
+    def __str__(self):
+        return f"node {shown(self.name)} ({self.kind})"
+
+    def __getitem__(self, name):
+        return self.parameters[name]
+
+
+@dataclass(frozen=True)
+class NirNetwork:
+    """A NIR graph that is a chain of nodes, read and validated.
+
+    Attributes
+    ----------
+    input_shape : tuple of int
+        Shape of the input at each step: (channels, rows, columns), or flat.
+    nodes : tuple of Node
+        In order, without the input and output nodes.
+    metadata : dict
+        Metadata of the graph; not validated.
+    """
+
+    input_shape: tuple
+    nodes: tuple
+    metadata: dict = field(default_factory=dict, repr=False)
+
+    @property
+    def outputs(self) -> int:
+        """Number of output values."""
+        return math.prod(self.nodes[-1].shape)
+
+    @property
+    def step(self) -> float | None:
+        """Seconds of the graph's time in a step, if the graph says so; None otherwise.
+
+        Graphs that this project exports have it in their metadata, as ``dt``.
+        """
+        if self.written_by_snntorch:
+            return SNNTORCH_STEP
+        step = np.asarray(self.metadata.get("dt"))
+        return float(step) if step.dtype.kind == "f" and step.size == 1 and step > 0 else None
+
+    @property
+    def written_by_snntorch(self) -> bool:
+        """True if the neurons' parameters have the form that snnTorch's exporter writes.
+
+        snnTorch has no time unit: a share beta of a neuron's potential remains after each step.
+        Its exporter writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward
+        Euler step of h is identical to the network's own step.
+        """
+        neurons = [node for node in self.nodes if node.kind in ("LIF", "CubaLIF")]
+        pairs = [(node["r"], node["tau" if node.kind == "LIF" else "tau_mem"]) for node in neurons]
+        pairs += [(node["w_in"], node["tau_syn"]) for node in neurons if node.kind == "CubaLIF"]
+        return bool(pairs) and all(
+            np.allclose(gain * SNNTORCH_STEP, tau, rtol=1e-3, atol=0) for gain, tau in pairs
+        )
+
+
+def read_nir(source) -> NirNetwork:
+    """Read a NIR graph.
+
+    Parameters
+    ----------
+    source : path-like or nir.NIRGraph
+        A file, or a graph in memory.
+
+    Returns
+    -------
+    NirNetwork
+
+    Raises
+    ------
+    NirError
+        The source is not a NIR graph, or cannot be used: it is not a chain, or has unknown nodes,
+        or shapes or values that do not fit.  The message names the file, the node and a remedy.
+    UserError
+        The file cannot be read.
+    """
+    if hasattr(source, "to_dict"):
+        return _network(source.to_dict())
+    with reporting_os_errors(source, "cannot read", "check the path"):
+        content = Path(source).read_bytes()
+    try:
+        return _parsed(content)
+    except NirError as error:
+        raise NirError(f"{source}: {error}") from error
+
+
+@functools.lru_cache(maxsize=2)
+def _parsed(content: bytes) -> NirNetwork:
+    """The network of a file's content, which a command parses once though it is asked for often."""
+    import nir  # imports h5py
+
+    try:
+        tree = nir.read(io.BytesIO(content), type_check=False).to_dict()
+    except Exception as error:  # nir and h5py fail in many ways on other files and invalid nodes
+        reason = " ".join(str(error).split())[:200]
+        raise NirError(
+            f"not a NIR graph, or a damaged one ({reason}); write it with nir.write(path, graph)"
+        ) from error
+    return _network(tree)
+
+
+def _network(tree) -> NirNetwork:
+    nodes, edges = _flat(tree)
+    loops = _loops(nodes, edges)
+    first, order = _chain(nodes, edges)
+    input_shape = shape = _input_shape(first, nodes[first], [nodes[name] for name in order])
+    chain = []
+    for name in order:
+        node = _node(name, nodes[name], shape)
+        if name in loops:
+            if node.kind not in SPIKING:
+                raise NirError(f"{node}: is connected to itself; only layers of neurons can be")
+            loop = _node(*loops[name], (math.prod(node.shape),))
+            if loop.shape != loop.input_shape:
+                raise NirError(f"{loop}: puts out {loop.shape[0]} values to {loop.input_shape[0]}")
+            node = replace(node, loop=loop)
+        chain.append(node)
+        shape = node.shape
+    if not any(node.kind in SPIKING for node in chain):
+        raise NirError(
+            "has no neurons that spike, which is what the chip has; put a LIF, CubaLIF or IF "
+            "between its layers"
+        )
+    metadata = tree.get("metadata")
+    return NirNetwork(input_shape, tuple(chain), metadata if isinstance(metadata, dict) else {})
+
+
+def _node(name, values, shape) -> Node:
+    """A node for an input of a shape."""
+    kind = _kind(values)
+    handler = _HANDLERS.get(kind)
+    if handler is None:
+        raise NirError(
+            f"node {shown(name)}: {shown(kind)} cannot be used; "
+            + _INSTEAD.get(kind, "use " + ", ".join(_HANDLERS))
+        )
+    reader = _Values(f"node {shown(name)} ({kind})", values)
+    after, parameters = handler(reader, shape)
+    if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
+        reader.refuse(
+            f"puts out {math.prod(after)} values, and a layer can have 1 to {limits.NEURONS}; "
+            "use strides, averaging or fewer filters"
+        )
+    return Node(name, kind, shape, after, parameters)
+
+
+# --- the graph ------------------------------------------------------------------------------------
+
+
+def _flat(tree, prefix="") -> tuple:
+    """Nodes by name, and edges, with subgraphs replaced by their nodes and edges."""
+    nodes, inside = {}, {}
+    edges = {(prefix + _text(a), prefix + _text(b)) for a, b in tree["edges"]}
+    for name, node in ((prefix + name, node) for name, node in tree["nodes"].items()):
+        if _kind(node) != "NIRGraph":
+            nodes[name] = node
+            continue
+        own, own_edges = _flat(node, f"{name}.")
+        inside[name] = [_end(own, kind, f"graph {shown(name)}: ") for kind in ("Input", "Output")]
+        nodes |= own
+        edges |= own_edges
+    edges = {
+        (inside[a][1] if a in inside else a, inside[b][0] if b in inside else b) for a, b in edges
+    }
+    for name in {name for pair in edges for name in pair} - nodes.keys():
+        raise NirError(f"an edge to {shown(name)}, which does not exist; write it again")
+    for end in itertools.chain(*inside.values()):  # remove nodes that only pass values on
+        before = [a for a, b in edges if b == end]
+        after = [b for a, b in edges if a == end]
+        edges = {pair for pair in edges if end not in pair}
+        edges |= set(itertools.product(before, after))
+        del nodes[end]
+    return nodes, edges
+
+
+def _end(nodes, kind, where="") -> str:
+    """Name of the only node of a kind."""
+    names = [name for name, node in nodes.items() if _kind(node) == kind]
+    if len(names) != 1:
+        listed = f" ({', '.join(map(shown, names[:5]))})" if names else ""
+        raise NirError(
+            f"{where}has {len(names)} nodes of kind {kind}{listed}; a chain from one Input to one "
+            "Output can be used"
+        )
+    return names[0]
+
+
+def _loops(nodes, edges) -> dict:
+    """(name, values) of the node between each recurrent layer and itself, by the layer's name.
+
+    These nodes and their edges are removed.
+    """
+    loops = {}
+    for name in list(nodes):
+        before = {a for a, b in edges if b == name}
+        after = {b for a, b in edges if a == name}
+        if _kind(nodes[name]) not in ("Linear", "Affine") or before != after or len(before) != 1:
+            continue
+        (layer,) = before
+        if layer in loops:
+            raise NirError(
+                f"node {shown(layer)}: is connected to itself twice, through "
+                f"{shown(loops[layer][0])} and {shown(name)}; add their weights in one node"
+            )
+        loops[layer] = name, nodes.pop(name)
+        edges -= {(layer, name), (name, layer)}
+    return loops
+
+
+def _chain(nodes, edges) -> tuple:
+    """Name of the input node, and names of the nodes between input and output, in order."""
+    first, last = _end(nodes, "Input"), _end(nodes, "Output")
+    after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
+    order, name = [], first
+    while name != last:
+        if len(after[name]) != 1 or len(order) > len(nodes):
+            leads = " and ".join(map(shown, after[name][:3])) or "nothing"
+            raise NirError(
+                f"node {shown(name)} ({_kind(nodes[name])}) leads to {leads}; a chain from input "
+                "to output can be used, in which a layer of neurons may also be connected to "
+                "itself, through one Linear or Affine and without delays"
+            )
+        (name,) = after[name]
+        order.append(name)
+    order = order[:-1]
+    aside = sorted(nodes.keys() - {first, last, *order})
+    if aside:
+        raise NirError(
+            f"node {shown(aside[0])} is on a branch or leads nowhere; a chain of nodes without "
+            "branches from input to output can be used"
+        )
+    if not order:
+        raise NirError("has no nodes between input and output; write the trained network")
+    return first, order
+
+
+def _text(value) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _kind(node) -> str:
+    return _text(node.get("type", "nothing"))
+
+
+def _input_shape(name, node, later) -> tuple:
+    """The shape of an input; a leading dimension of 1, that of samples, is left out."""
+    shape = node.get("shape")
+    if shape is None and isinstance(node.get("input_type"), dict):
+        shape = node["input_type"].get("input")
+    try:
+        shape = tuple(int(n) for n in np.asarray(shape).ravel()[:MAX_DIMENSIONS])
+    except (TypeError, ValueError, OverflowError):  # no numbers, NaN, infinity
+        shape = ()
+    flat = _kind(later[0]) in ("Affine", "Linear") if later else False
+    if shape[:1] == (1,) and (len(shape) == 4 or (len(shape) == 2 and flat)):
+        shape = shape[1:]
+    if not 1 <= len(shape) <= 3 or min(shape) < 1 or math.prod(shape) > limits.NEURONS:
+        sizes = "x".join(map(str, shape[:6])) or "nothing"
+        raise NirError(
+            f"node {shown(name)} (Input): a shape of {sizes}; write the graph with a sample of "
+            "shape (channels, rows, columns) or (values,), without a dimension for samples"
+        )
+    return shape
+
+
+# --- the nodes ------------------------------------------------------------------------------------
+
+
+class _Values:
+    """Reads a node's values and refuses invalid ones."""
+
+    def __init__(self, where, values):
+        self.where, self.values = where, values
+
+    def refuse(self, problem):
+        raise NirError(f"{self.where}: {problem}")
+
+    def array(self, name, default=None) -> np.ndarray:
+        """Finite numbers, float64."""
+        value = self.values.get(name)
+        if value is None:
+            value = default
+        if value is None:
+            self.refuse(f"has no {name}; write the graph with a current version of nir")
+        try:
+            array = np.asarray(value)
+            array = array.astype(float) if array.dtype.kind in "fiub" else None
+        except (TypeError, ValueError):
+            array = None
+        if array is None:
+            self.refuse(f"its {name} is not an array of numbers; write the graph again")
+        if not np.isfinite(array).all():
+            self.refuse(f"its {name} has NaN or infinite values; train again, with decays below 1")
+        if np.abs(array).max(initial=0) > limits.MAGNITUDE:
+            self.refuse(f"its {name} has a value above {limits.MAGNITUDE:g}; scale it")
+        return array
+
+    def spread(self, name, shape, default=None) -> np.ndarray:
+        """One value for each neuron."""
+        array = self.array(name, default)
+        try:
+            return np.broadcast_to(array, shape).copy()
+        except ValueError:
+            if array.size == math.prod(shape):
+                return array.reshape(shape)
+            self.refuse(
+                f"its {name} has shape {array.shape}, its input {shape}; give one value, or "
+                "one for each neuron"
+            )
+
+    def positive(self, name, shape) -> np.ndarray:
+        """A time constant in seconds for each neuron."""
+        array = self.spread(name, shape)
+        if array.min() <= 0:
+            self.refuse(f"its {name} is not above 0; give time constants in seconds")
+        return array
+
+    def counts(self, name, dimensions, least=1, default=None) -> tuple:
+        """A whole number for each dimension."""
+        array = self.array(name, default).ravel()
+        array = np.repeat(array, dimensions) if array.size == 1 else array
+        good = array.size == dimensions and (array == np.rint(array)).all()
+        if not good or array.min() < least or array.max() > limits.NEURONS:
+            self.refuse(f"its {name} must be {dimensions} whole number(s), at least {least}")
+        return tuple(int(n) for n in array)
+
+    def image(self, shape, dimensions=2):
+        if len(shape) != dimensions + 1:
+            self.refuse(
+                f"reads {'rows and columns' if dimensions == 2 else 'a row'} of channels, and its "
+                f"input has shape {shape}; put it before the Flatten, or reshape the input"
+            )
+
+
+def _affine(values, shape):
+    weight = values.array("weight")
+    if weight.ndim != 2:
+        values.refuse(f"a weight of shape {weight.shape}; use (outputs, inputs)")
+    if len(shape) != 1 and math.prod(shape) == weight.shape[1]:
+        shape = (math.prod(shape),)
+    if shape != (weight.shape[1],):
+        values.refuse(
+            f"for {weight.shape[1]} values, and its input is {' x '.join(map(str, shape))}; put a "
+            "Flatten before it, or train it for that input"
+        )
+    bias = values.spread("bias", (weight.shape[0],), 0.0)
+    return (weight.shape[0],), {"weight": weight, "bias": bias}
+
+
+def _convolution(dimensions):
+    def handler(values, shape):
+        values.image(shape, dimensions)
+        weight = values.array("weight")
+        if weight.ndim != 2 + dimensions or min(weight.shape) < 1:
+            values.refuse(
+                f"a weight of shape {weight.shape}; use (filters, channels, "
+                + ("rows, columns)" if dimensions == 2 else "places)")
+            )
+        (groups,) = values.counts("groups", 1, default=1)
+        channels = weight.shape[1] * groups
+        if channels != shape[0] or weight.shape[0] % groups:
+            values.refuse(
+                f"for {channels} channels in {groups} group(s), its input has {shape[0]}; train it "
+                "for that input, with groups that divide its filters"
+            )
+        stride = values.counts("stride", dimensions, default=1)
+        dilation = values.counts("dilation", dimensions, default=1)
+        reach = [(k - 1) * d + 1 for k, d in zip(weight.shape[2:], dilation, strict=True)]
+        padding = _padding(values, dimensions, reach, stride)
+        sizes = [
+            (n + sum(pads) - r) // s + 1
+            for n, pads, r, s in zip(shape[1:], padding, reach, stride, strict=True)
+        ]
+        if min(sizes) < 1:
+            values.refuse("its kernel is larger than its input; use a smaller one, or padding")
+        parameters = {
+            "weight": weight,
+            "bias": values.spread("bias", (weight.shape[0],), 0.0),
+            "stride": stride,
+            "padding": padding,
+            "dilation": dilation,
+            "groups": groups,
+        }
+        return (weight.shape[0], *sizes), parameters
+
+    return handler
+
+
+def _padding(values, dimensions, reach, stride):
+    padding = values.values.get("padding", 0)
+    if isinstance(padding, (str, bytes)):
+        if _text(padding) == "valid":
+            return ((0, 0),) * dimensions
+        if _text(padding) != "same" or max(stride) > 1:
+            values.refuse(
+                f"padding {shown(_text(padding))} with a stride of {max(stride)}; give the padding "
+                "as a number"
+            )
+        return tuple(((r - 1) // 2, (r - 1) - (r - 1) // 2) for r in reach)
+    return tuple((n, n) for n in values.counts("padding", dimensions, 0, default=0))
+
+
+def _pool(values, shape):
+    values.image(shape)
+    size = values.counts("kernel_size", 2)
+    stride = values.counts("stride", 2, default=size)
+    padding = _padding(values, 2, size, stride)
+    if any(2 * before > n for (before, _), n in zip(padding, size, strict=True)):
+        values.refuse("a padding of more than half of its windows; use less")
+    sizes = [
+        (n + sum(pads) - k) // s + 1
+        for n, pads, k, s in zip(shape[1:], padding, size, stride, strict=True)
+    ]
+    if min(sizes) < 1:
+        values.refuse("its windows are larger than its input; use smaller ones")
+    return (shape[0], *sizes), {"kernel_size": size, "stride": stride, "padding": padding}
+
+
+def _flatten(values, shape):
+    ends = [values.array("start_dim", 0), values.array("end_dim", -1)]
+    if any(end.size != 1 or end.item() != np.rint(end.item()) for end in ends):
+        values.refuse("its start_dim and end_dim are not a whole number each")
+    first, last = (int(end.item()) for end in ends)
+    declared = values.values.get("input_type")
+    if isinstance(declared, dict):
+        declared = declared.get("input")
+    if declared is not None and np.size(declared) == len(shape) + 1 and first > 0:
+        first -= 1  # counted with a dimension for samples in front
+    first, last = (n + len(shape) if n < 0 else n for n in (first, last))
+    if not 0 <= first < len(shape):
+        first = 0
+    last = min(max(last, first), len(shape) - 1)
+    return (*shape[:first], math.prod(shape[first : last + 1]), *shape[last + 1 :]), {}
+
+
+def _scale(values, shape):
+    return shape, {"scale": values.spread("scale", shape)}
+
+
+def _threshold(values, shape):
+    threshold = values.spread("threshold", shape)
+    if threshold.min() <= 0:
+        values.refuse("its threshold must be above 0, or it spikes without input; train it again")
+    return shape, {"threshold": threshold}
+
+
+def _neurons(times, *, spikes, leak=True, weighs=False):
+    def handler(values, shape):
+        parameters = {name: values.positive(name, shape) for name in times}
+        parameters["r"] = values.spread("r", shape)
+        if leak:
+            parameters["v_leak"] = values.spread("v_leak", shape)
+        if weighs:
+            parameters["w_in"] = values.spread("w_in", shape, 1.0)
+        if spikes:
+            parameters["v_threshold"] = values.spread("v_threshold", shape)
+            parameters["v_reset"] = values.spread("v_reset", shape, 0.0)
+            if (parameters["v_threshold"] <= parameters["v_reset"]).any():
+                values.refuse("its v_threshold must be above its v_reset; train it again")
+        return shape, parameters
+
+    return handler
+
+
+_HANDLERS = {
+    "Affine": _affine,
+    "Linear": _affine,
+    "Conv1d": _convolution(1),
+    "Conv2d": _convolution(2),
+    "SumPool2d": _pool,
+    "AvgPool2d": _pool,
+    "Flatten": _flatten,
+    "Scale": _scale,
+    "Threshold": _threshold,
+    "IF": _neurons((), spikes=True, leak=False),
+    "LIF": _neurons(("tau",), spikes=True),
+    "LI": _neurons(("tau",), spikes=False),
+    "CubaLIF": _neurons(("tau_syn", "tau_mem"), spikes=True, weighs=True),
+    "CubaLI": _neurons(("tau_syn", "tau_mem"), spikes=False, weighs=True),
+}
+
+# Possible replacement of an unsupported node.
+_INSTEAD = {
+    "Delay": "the chip's axons have no delays here; train without",
+    "I": "the chip has no integrator without a leak; use LI with a long time constant",
+    "Input": "a chain has one input",
+    "Output": "a chain has one output",
+}

@@ -1,0 +1,131 @@
+"""Architectures: the choice of one for a sensor, and whether the chip can hold it."""
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.network.spec import NetworkSpec, Neurons, Presentation
+from deploy.network.stimulus import EventFrames, ImageSpikes
+from models.architecture import parse
+from models.chain import deployed, links_of
+from pipeline.recordings.events import Sensor, size_text
+from pipeline.run.settings import Deployment
+
+# Rows and columns of the first convolution's output on images, at most, on average.
+LARGEST_MAP = 14
+
+# More chips than any system has, for whether the cores are large enough.
+ANY_NUMBER = 10_000
+
+# Rows and columns that an image needs for the paper's convolutions.
+SMALLEST_GRID = 6
+
+# The same for a network on events, as in the first layer of the default network.
+EVENT_MAP = 5
+
+
+def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels: int = 1) -> str:
+    """An architecture for a sensor and its classes, in the paper's notation.
+
+    These are the paper's layers if they fit.  For larger sensors the first convolution has a
+    stride, and for sensors with too few rows or columns for a convolution there is a hidden dense
+    layer.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    on_events : bool
+        For events, with a channel for each polarity.
+    hidden : int
+        Neurons of the hidden layer of a network on events, or of one without convolutions.
+    channels : int
+        Channels of an image.
+    """
+    rows, columns, classes = sensor.rows, sensor.columns, len(sensor.classes)
+    side, smallest = math.sqrt(rows * columns), min(rows, columns)
+    channels = 2 if on_events else channels
+    size, end = f"{rows}x{columns}" + (f"x{channels}" if channels > 1 else ""), f"{classes}o"
+    if on_events:
+        stride = max(3, math.floor(side / EVENT_MAP))
+        middle = [f"24c{stride + 1}s{stride}", f"{hidden}"] if smallest > stride else [f"{hidden}"]
+    elif smallest < SMALLEST_GRID:
+        middle = [f"{hidden}"]
+    elif side <= LARGEST_MAP + 3:
+        middle = ["6c4", "24c3"]
+    else:
+        stride = math.ceil((side - 4) / (LARGEST_MAP - 2))
+        first = f"6c{stride + 2}s{stride}"
+        middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else ["64"]
+    return "-".join([size, *middle, end])
+
+
+def chosen_text(section: str, architecture: str, sensor: Sensor) -> str:
+    """A line about the choice of an architecture."""
+    return (
+        f"{architecture}: chosen for {size_text(sensor)} and {len(sensor.classes)} classes "
+        f"(another: --set {section}.architecture=...)"
+    )
+
+
+def is_for(architecture: str, sensor: Sensor, channels: int) -> bool:
+    """True if an architecture has the sensor's input size and as many outputs as classes."""
+    parsed, shape = parse(architecture), (sensor.rows, sensor.columns, channels)
+    return parsed.input_shape == shape and parsed.outputs == len(sensor.classes)
+
+
+def operations_of_input(architecture: str) -> float:
+    """Synaptic operations of the first layer that an event causes, on average."""
+    parsed = parse(architecture)
+    return float(np.mean(parsed.layers[0].fan_out(parsed.input_shape)))
+
+
+@functools.lru_cache(maxsize=8)
+def chip_problems(architecture: str, on_events: bool, deployment: Deployment) -> tuple:
+    """Reasons why a network of an architecture does not fit the cores of the chip.
+
+    They are those of the plan of an untrained network of the same architecture; the resources that
+    it needs do not depend on the values of the weights.
+
+    Parameters
+    ----------
+    architecture : str
+    on_events : bool
+        Whether its input is events, not images.
+    deployment : pipeline.run.settings.Deployment
+
+    Returns
+    -------
+    tuple of str
+        One line for each layer and limit, with the excess and a remedy.
+    """
+    from deploy.preflight.plan import make_plan  # imports NengoLoihi, which takes seconds
+
+    plan = make_plan(untrained(architecture, on_events, deployment), ANY_NUMBER)
+    return tuple(f"{architecture}: {problem}" for problem in plan.problems)
+
+
+def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec:
+    """A network with random weights.
+
+    Parameters
+    ----------
+    text : str
+        Its architecture.
+    on_events : bool
+        Whether its input is events, not images.
+    deployment : pipeline.run.settings.Deployment
+    """
+    rng, links = np.random.default_rng(0), links_of(parse(text))
+    on_host = on_events or deployment.readout == "host"
+    chain = [
+        replace(
+            link,
+            weights=rng.uniform(0.5, 1.0, link.weights.shape),
+            neuron=None if on_host and link is links[-1] else Neurons(0.01),
+            tau_syn=deployment.synapse or None,
+        )
+        for link in links
+    ]
+    return deployed(chain, EventFrames() if on_events else ImageSpikes(), Presentation())

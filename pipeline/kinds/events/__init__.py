@@ -1,0 +1,1 @@
+"""Spiking networks that are trained on the events of the sensor."""

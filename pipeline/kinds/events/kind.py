@@ -1,0 +1,366 @@
+"""The kind of spiking networks that are trained on the sensor's events."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deploy.files import reporting_damage
+from deploy.network.decision import Estimator, Threshold
+from deploy.network.responses import read_output
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import EventFrames
+from models import chain
+from models.architecture import parse
+from models.integers import from_integers
+from pipeline.kinds import counts
+from pipeline.kinds.architectures import architecture_for, chosen_text, is_for, operations_of_input
+from pipeline.kinds.kind import (
+    NetworkKind,
+    Part,
+    Reference,
+    accuracy_text,
+    metrics_of,
+    timed,
+    training_versions,
+    write_network,
+)
+from pipeline.paper import CNN_MACS
+from pipeline.recordings.altering import augmentation_for
+from pipeline.recordings.dataset import Dataset, event_warnings
+from pipeline.recordings.events import Sensor, is_handwriting
+from pipeline.recordings.splits import split_of
+from pipeline.recordings.steps import EventTable
+from pipeline.run.artifacts import DELETE_IT
+from pipeline.run.folder import DELETE_ITS_FOLDER
+from pipeline.run.settings import Settings
+from pipeline.training.recipe import dropout_for, hidden_for, reading_for
+
+# Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
+# percentage point, is less than half a sample.
+FEWEST = 100
+
+# Settings that the confidence depends on.
+DECIDES = ("presentation.steps", "presentation.early_loss")
+
+# Minimum and maximum number of steps of a presentation of events; longer recordings get longer
+# steps.
+FEWEST_STEPS, MOST_STEPS = 50, 400
+
+# Synaptic operations that a network on events may take, in multiples of what its first layer takes
+# to receive the events: with many classes, the readout takes as many as the first layer.
+OPERATIONS_AN_EVENT = 4
+
+# State of a training that is not complete.
+CHECKPOINT = "checkpoint.npz"
+
+# Maximum number of held-out samples for the learning curve.
+MOST_WATCHED = 200
+
+
+class EventSamples(NamedTuple):
+    """Training samples, and held-out samples for choosing the confidence.
+
+    Attributes
+    ----------
+    table : EventTable
+        Events of all samples of the dataset.
+    labels : ndarray of int, shape (n_samples,)
+    train, held_out : ndarray of int
+        Indices.
+    """
+
+    table: EventTable
+    labels: np.ndarray
+    train: np.ndarray
+    held_out: np.ndarray
+
+
+def _respond(stage, opened, bundle, advance):
+    """Each sample from rest, delayed as on the chip."""
+    from pipeline.training.events import TrainedOnEvents, arriving
+
+    network = TrainedOnEvents.of(opened.settings, opened.weights("events"))
+    frames = bundle.checks.inputs.astype(np.uint8)
+    answers = network.answers(frames, advance)
+    arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
+    output = np.diff(arriving(answers.outputs, network.recipe).astype(float), axis=1, prepend=0)
+    return read_output(bundle.spec, output, {"input": arrived, **answers.spikes})
+
+
+class EventsKind(NetworkKind):
+    """A spiking network trained on events in the chip's integers."""
+
+    name = "events"
+    references = {  # noqa: RUF012 - declared as a class variable in the base
+        "counts": counts.REFERENCE,
+        "trained": Reference(
+            "Trained network",
+            "the spiking network as trained, with each sample from rest",
+            "events",
+            _respond,
+            training_versions,
+        ),
+    }
+    deployed = "threshold"
+    section = "events"
+    channels = 2
+    grid = ("events.budget=0.6,0.9", "events.early=0.3,1")
+
+    @property
+    def parts(self):
+        training = ("training.json", "weights.npz")
+        reads = ("input", "events")
+        return (
+            counts.PART,
+            Part("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
+            # The confidence depends on the length of the presentation, unlike the training.
+            Part("threshold", "threshold", ("metrics.json",), DECIDES, self._choose,
+                 uses=("events",), action="choosing"),
+        )  # fmt: skip
+
+    @property
+    def trained(self):
+        return ("events", "threshold")
+
+    def shapes(self, name):
+        parsed = parse(self.settings.events.architecture)
+        parts = len(self.settings.part_starts)
+        return parsed.event_weight_shapes(parts) | Estimator.shapes(parsed.outputs)
+
+    @staticmethod
+    def _train(opened, artifact):
+        """Train the network; an interrupted training continues after its last epoch."""
+        from pipeline.training import events  # TensorFlow takes seconds to import
+
+        settings, dataset = opened.settings, opened.dataset
+        table, labels, indices, held_out = event_samples(dataset, settings.seed)
+        recipe = events.EventRecipe.of(settings).for_samples(len(indices))
+        updates = recipe.epochs * -(-len(indices) // recipe.batch_size)
+        opened.say(
+            f"events: {recipe.epochs} epochs, {updates:,} updates, on {len(indices):,} samples"
+        )
+        checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
+        arguments = recipe, table, labels, indices, settings.seed
+        curve = held_out[:: -(-len(held_out) // MOST_WATCHED) or 1]
+        trained, seconds = timed(
+            *("events", recipe.epochs, events.train_events, *arguments),
+            validation=curve, checkpoint=checkpoint,
+        )  # fmt: skip
+        write_network(artifact.folder, trained, on_test=False)
+        epochs = len(trained.history)
+        return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
+
+    @staticmethod
+    def _choose(opened, artifact):
+        """Choose the confidence for early decisions of the network; measure its accuracy."""
+        from pipeline.training.events import TrainedOnEvents
+
+        settings, dataset = opened.settings, opened.dataset
+        trained = TrainedOnEvents.of(settings, opened.weights("events"))
+        samples = event_samples(dataset, settings.seed)
+        held_out = samples.held_out
+        chosen = choose(settings, samples, trained, settings.seed)
+        training = opened.artifact("events")
+        with reporting_damage(training.record, DELETE_ITS_FOLDER):
+            record = training.state().record
+            seconds, epochs = float(record["seconds"]), int(record["epochs"])
+        metrics = metrics_of(trained, dataset, seconds, training_versions())
+        metrics["epochs"] = epochs
+        metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
+        opened.say(accuracy_text("events", metrics))
+        opened.say(f"threshold: {_decision_text(chosen, len(held_out))}")
+        return metrics
+
+    def spec(self, opened, provenance):
+        from pipeline.training.events import EventRecipe
+
+        shown = self.settings.presented(confidence_of(opened.artifact("threshold")))
+        recipe = EventRecipe.of(self.settings)
+        return spec_of_events(recipe, opened.weights("events"), shown, provenance)
+
+    def choices(self, recordings):
+        settings, default = self.settings, Settings().events
+        changes, lines = presentation_choices(settings, recordings)
+        now, sensor, chosen = settings.events, recordings.sensor, {}
+        train = None if is_handwriting(recordings) else _training(settings, recordings)
+        fits = is_for(now.architecture, sensor, self.channels)
+        if not fits and settings.is_open("events.architecture"):
+            hidden = 64 if train is None else hidden_for(len(train), len(sensor.classes))
+            chosen["architecture"] = architecture_for(sensor, on_events=True, hidden=hidden)
+            lines.insert(0, chosen_text("events", chosen["architecture"], sensor))
+            if settings.is_open("events.budget"):
+                events = len(recordings.events) / max(len(recordings), 1)
+                received = events * operations_of_input(chosen["architecture"])
+                budget = OPERATIONS_AN_EVENT * received / CNN_MACS
+                if budget > now.budget:
+                    chosen["budget"] = float(min(round(budget, 1), 1000.0))
+        if now.augment == default.augment:
+            chosen["augment"] = how = augmentation_for(recordings)
+            lines.append(f"augmentation in {how} (another: --set events.augment=time, space, none)")
+        if train is not None:
+            dropout = dropout_for(len(train), default.dropout)
+            if settings.is_open("events.dropout") and dropout != default.dropout:
+                chosen["dropout"] = dropout
+                lines.append(
+                    f"dropout of {dropout:g}, for few recordings (another: --set "
+                    "events.dropout=...)"
+                )
+            shown = settings.with_values(changes, settings.data.source)
+            parts, step, is_open = now.parts, shown.input.step, settings.is_open("input.refractory")
+            if is_open or not parts:  # what the user has set needs no estimate, which takes seconds
+                reading = _reading(settings, shown, recordings, train)
+                parts = parts or reading.parts
+                lines.append(reading.text(step, parts))
+                if is_open:
+                    changes["input"] = {"step": step, "refractory": reading.refractory * step}
+            chosen |= {"parts": parts, "part": now.part or shown.steps * step / parts}
+        return ({**changes, "events": chosen} if chosen else changes), lines
+
+    def notes(self, recordings):
+        return event_warnings(self.settings, recordings)
+
+
+def spec_of_events(
+    recipe, weights: dict, presentation: Presentation, provenance: dict
+) -> NetworkSpec:
+    """Describe the spiking network trained on events.
+
+    The confidence estimator is trained on training samples.  It is left out if no early decisions
+    were found on others: after few samples it takes every answer for right.
+
+    NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
+    recipe, independently of the recording time that it represents.
+
+    Parameters
+    ----------
+    recipe : pipeline.training.events.EventRecipe
+    weights : dict
+        Weights of a :class:`pipeline.training.events.TrainedOnEvents`.
+    presentation : Presentation
+    provenance : dict
+        Stored in the bundle.
+    """
+    from pipeline.training.events import network_of  # imports TensorFlow
+
+    architecture = parse(recipe.architecture)
+    integers = network_of(recipe, weights).integers()
+    links = from_integers(architecture, weights, integers, recipe.starts)
+    is_early = presentation.threshold < 1
+    estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
+    stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory)
+    return chain.deployed(links, stimulus, presentation, provenance, estimator)
+
+
+def event_samples(dataset: Dataset, seed: int) -> EventSamples:
+    """Hold out the validation samples or, if there are none, some of the training samples.
+
+    Without validation samples, no training samples are held out if these would be too few to choose
+    a confidence on: the network learns from all of them and decides at the end.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    seed : int
+        Seed of :meth:`pipeline.recordings.splits.Split.held_out`.
+    """
+    table, (train, held_out) = EventTable.of(dataset.recordings), dataset.split.held_out(seed)
+    if not len(dataset.split.validation) and len(held_out) < FEWEST:
+        train, held_out = dataset.split.train, held_out[:0]
+    return EventSamples(table, dataset.labels, train, held_out)
+
+
+def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
+    """Choose the confidence for early decisions on the held-out samples; see :func:`trusted`."""
+    table, labels, _, held_out = samples
+    if not len(held_out):
+        return Threshold(1.0, 0.0, 1.0)
+    loss = settings.presentation.early_loss
+    chosen = trained.threshold(table, labels, held_out, settings.steps, seed, loss)
+    return trusted(chosen, len(held_out))
+
+
+def trusted(chosen: Threshold, samples: int) -> Threshold:
+    """A confidence for early decisions, or 1 if it was chosen on fewer samples than `FEWEST`.
+
+    With a confidence of 1 the network decides at the end of each recording.
+    """
+    return chosen if samples >= FEWEST else chosen._replace(confidence=1.0, share=1.0)
+
+
+def confidence_of(artifact) -> float | None:
+    """The confidence for early decisions in a network's record, or None."""
+    with reporting_damage(artifact.record, DELETE_IT):
+        chosen = artifact.state().record["decides_by_itself"]
+        if chosen is not None and not 0 <= chosen["confidence"] <= 1:
+            raise ValueError("a confidence that is not from 0 to 1")
+        return chosen and float(chosen["confidence"])
+
+
+def presentation_choices(settings: Settings, recordings) -> tuple:
+    """Present events for as long as the recordings last, with a suitable length of steps.
+
+    Returns
+    -------
+    dict, list of str
+        As :meth:`EventsKind.choices`.
+    """
+    if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
+        return {}, []  # as long as the published recordings: the default fits
+    longest, step = longest_ms(recordings), settings.input.step
+    is_free = settings.is_open("input.step") and settings.is_open("input.refractory")
+    while is_free and longest >= step * MOST_STEPS:
+        step *= 2
+    steps = min(max(math.floor(longest / step) + 1, FEWEST_STEPS), MOST_STEPS)
+    changes = {"presentation": {"steps": steps}}
+    if step != settings.input.step:
+        changes["input"] = {"step": step, "refractory": step}
+    part = "as long as the recordings last"
+    if longest < (steps - 1) * step:
+        part = f"the fewest; the recordings last up to {longest / 1000:.2g} s"
+    if longest >= steps * step:
+        part = (
+            f"the first {steps * step / 1000:g} s of recordings of up to {longest / 1000:.4g} s "
+            "(more: a longer --set input.step=..., or --steps)"
+        )
+    return changes, [f"{steps} steps of {step:g} ms: {part}"]
+
+
+def _training(settings, recordings):
+    """Indices of the training samples; none if there can be no split."""
+    shares = settings.split
+    fractions = shares.test_fraction, shares.validation_fraction
+    try:
+        return split_of(recordings, settings.seed, *fractions, shares.kind).train
+    except ValueError:
+        return np.empty(0, int)
+
+
+def _reading(settings, shown, recordings, train):
+    """How the events are read, with the user's refractory period if there is one."""
+    table, step = EventTable.of(recordings), shown.input.step
+    reading = reading_for(table, recordings.labels, train, step, shown.steps)
+    if settings.is_open("input.refractory"):
+        return reading
+    chosen = shown.input.refractory_steps
+    return reading._replace(refractory=chosen, lost=table.lost(step, chosen))
+
+
+def longest_ms(recordings) -> float:
+    """Time of the last event of all recordings in milliseconds."""
+    return float(EventTable.of(recordings).duration_ms.max(initial=0))
+
+
+def _decision_text(chosen, samples):
+    if chosen.confidence < 1:
+        return (
+            f"early decision at a confidence of {chosen.confidence:.4f}, after "
+            f"{chosen.share:.0%} of a recording on {samples} held-out samples"
+        )
+    why = ""
+    if samples < FEWEST:
+        why = (
+            f", since fewer than {FEWEST} samples could be held out to choose a confidence on "
+            "(more: split.validation_fraction)"
+        )
+    return f"no early decisions, the network decides at the end of each recording{why}"

@@ -1,0 +1,1 @@
+"""Networks on tactile images: the CNN of the paper, or a Keras model of the user."""

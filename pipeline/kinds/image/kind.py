@@ -1,0 +1,429 @@
+"""The kind of networks on tactile images: the paper's CNN, or a user's Keras model in its place."""
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.files import copy_file, sha256_of
+from deploy.network.spec import NetworkSpec
+from deploy.targets.fast import firing_rates
+from models import chain
+from models.architecture import parse
+from models.keras.reader import read_keras
+from pipeline.kinds import counts
+from pipeline.kinds.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
+from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
+from pipeline.kinds.kind import (
+    Imported,
+    NetworkKind,
+    Part,
+    Reference,
+    accuracy_text,
+    imported_file,
+    metrics_of,
+    responses_of,
+    timed,
+    training_versions,
+    watched,
+    write_network,
+)
+from pipeline.recordings.dataset import Dataset, require_images_fit
+from pipeline.recordings.events import is_handwriting
+from pipeline.recordings.steps import EventTable
+from pipeline.run.settings import Image, Settings, names_in
+
+# Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
+# chosen by cross-validation within the training sets of two published data sets of real touch,
+# with 39 and 80 taxels. Its image has the square roots of the counts of each polarity and slice.
+SLICES, WIDTH, DROPOUT = 8, 256, 0.5
+# Spikes per second of its largest pixel: as accurate there as 500, an eighth of the operations.
+INPUT_RATE = 60.0
+
+
+def _respond(stage, opened, bundle, advance):
+    settings, images = opened.settings, bundle.checks.inputs
+    weights = opened.weights(ImageKind.references[stage].part)
+    # Both import TensorFlow, which takes ten seconds and is not needed for a finished stage.
+    if stage == "spiking-lif":
+        from pipeline.training import nengodl
+
+        logits = nengodl.run(settings, weights, images, settings.steps, advance=advance)
+        return responses_of(logits, settings.presentation)
+    from pipeline.training.networks import TrainedCNN, TrainedRates
+
+    network = TrainedCNN if stage.startswith("cnn") else TrainedRates
+    logits = network(settings, weights).logits(images)[:, None]
+    advance(len(images))
+    return responses_of(logits, settings.presentation)
+
+
+# Settings of the neurons, and those that have an effect in each recipe of the spiking network.
+NEURONS = ("snn.recipe", "snn.max_rates", "snn.tau_rc", "snn.tau_ref")
+SNN_SETTINGS = {
+    "loihi": ("snn", "cnn.augment"),
+    "paper": (*NEURONS, "snn.epochs", "snn.batch_size", "snn.learning_rate"),
+    "as-is": NEURONS,
+}
+
+
+class ImageKind(NetworkKind):
+    """CNN, rate-LIF network, spiking network: the paper's way."""
+
+    name = "image"
+    references = {  # noqa: RUF012 - declared as a class variable in the base
+        "counts": counts.REFERENCE,
+        "cnn": Reference(
+            "CNN of the paper",
+            "the network without spikes, in the paper's training",
+            "cnn",
+            _respond,
+            training_versions,
+        ),
+        "cnn-matched": Reference(
+            "CNN, longer training",
+            "the same CNN, trained further as the spiking network is, but with ReLU neurons",
+            "cnn-matched",
+            _respond,
+            training_versions,
+        ),
+        "rate-lif": Reference(
+            "Rate-LIF",
+            "LIF neurons with firing rates instead of spikes",
+            "rate-lif",
+            _respond,
+            training_versions,
+        ),
+        "spiking-lif": Reference(
+            "Spiking LIF, NengoDL",
+            "the same weights with spiking neurons",
+            "rate-lif",
+            _respond,
+            training_versions,
+        ),
+    }
+    deployed = "rate-lif"
+    placement = ("deployment",)
+    section = "cnn"
+    grid = (
+        "presentation.steps=50,100",
+        "deployment.synapse=0.005,0.01",
+        "snn.max_rates=100,150",
+        "snn.spike_penalty=0,0.05",
+    )
+
+    @property
+    def reference_stages(self):
+        settings = self.settings
+        if settings.snn.recipe == "loihi" and not settings.cnn.model:
+            return tuple(self.references)
+        # No CNN can be trained as a network that is not trained further than the CNN itself.
+        return tuple(stage for stage in self.references if stage != "cnn-matched")
+
+    @property
+    def channels(self):
+        return self.settings.image.channels
+
+    @property
+    def parts(self):
+        cnn = ["cnn.model_sha256"]
+        if not self.settings.cnn.model:
+            cnn = ["cnn.epochs", "cnn.batch_size", "cnn.learning_rate", "cnn.augment"]
+        files, further = ("metrics.json", "weights.npz"), SNN_SETTINGS[self.settings.snn.recipe]
+        reads = ("input.kind", "image", "cnn.architecture", *cnn)
+        return (
+            counts.PART,
+            Part("cnn", "cnn", files, reads, self._cnn),
+            Part("cnn-matched", "cnn-matched", files, further, self._matched, uses=("cnn",)),
+            Part("rate-lif", "snn", files, further, self._rates, uses=("cnn",)),
+        )
+
+    @property
+    def trained(self):
+        return ("cnn",)
+
+    @property
+    def recipe(self):
+        return self.settings.snn.recipe
+
+    @property
+    def is_trained_in_integers(self):
+        return self.settings.snn.recipe == "loihi"
+
+    @property
+    def imported(self):
+        cnn = self.settings.cnn
+        if not cnn.model:
+            return None
+        return Imported(cnn.model, cnn.model_sha256, "cnn", GIVE_MODEL_AGAIN)
+
+    def shapes(self, name):
+        return parse(self.settings.cnn.architecture).weight_shapes
+
+    @staticmethod
+    def _cnn(opened, artifact):
+        """Train the CNN, or read the user's own."""
+        settings, dataset = opened.settings, opened.dataset
+        if settings.cnn.model:
+            path, trained, notes = take_over(artifact.folder, settings, dataset)
+            for note in notes:
+                opened.say(f"cnn: {note}")
+            copy = copy_of_model(artifact.folder, settings)
+            if path != copy:
+                copy_file(path, copy)
+            seconds = 0.0
+        else:
+            from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
+
+            data, how = dataset.part("train"), settings.cnn.augment
+            altered = dataset.altered("none" if how == "auto" else how)
+            epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
+            arguments = settings, data, settings.seed, watched(dataset)
+            trained, seconds = timed("cnn", epochs, train_cnn, *arguments, altered=altered)
+        write_network(artifact.folder, trained, not len(dataset.split.validation))
+        metrics = metrics_of(trained, dataset, seconds, training_versions())
+        opened.say(accuracy_text("cnn", metrics))
+        return metrics
+
+    @staticmethod
+    def _matched(opened, artifact):
+        """Train the CNN further, as the rate-based network is trained."""
+        from pipeline.training.networks import train_matched
+
+        _, metrics = _trained_further("cnn-matched", train_matched, opened, artifact)
+        opened.say(accuracy_text("cnn-matched", metrics))
+        return metrics
+
+    @staticmethod
+    def _rates(opened, artifact):
+        """Train the rate-LIF network, starting from the CNN."""
+        from pipeline.training.networks import train_rate_network
+
+        trained, metrics = _trained_further("rate-lif", train_rate_network, opened, artifact)
+        images, _ = opened.dataset.part("train")
+        metrics["neurons"] = _neurons(opened.settings, trained, images)
+        opened.say(accuracy_text("rate-lif", metrics))
+        for line in training_lines(metrics["neurons"]):
+            opened.say(f"rate-lif: {line}")
+        return metrics
+
+    def spec(self, opened, provenance):
+        opened.weights("cnn")  # a damaged CNN is found now, not when its answers are compared
+        weights = opened.weights("rate-lif")
+        return deployed(self.settings, weights, provenance, opened.dataset.part("train"))
+
+    def fidelity(self, opened, bundle, advance=None):
+        from pipeline.training.networks import TrainedRates
+
+        spec, inputs = bundle.spec, bundle.checks.inputs
+        start = spec.presentation.readout_start
+        rates = firing_rates(spec, inputs, self.settings.seed, start, advance)
+        activations = TrainedRates(self.settings, opened.weights("rate-lif")).activations(inputs)
+        return layers_json(spec, rates, activations)
+
+    def choices(self, recordings):
+        settings = self.settings
+        sensor, cnn = recordings.sensor, settings.cnn
+        own = cnn.model or not settings.is_open("cnn.architecture")
+        changes, lines = {}, []
+        image = settings.image
+        is_small = min(sensor.rows, sensor.columns) < SMALLEST_GRID
+        # The user's own network has these images if it is for as many channels.
+        sliced = not own or parse(cnn.architecture).input_shape[2] == 2 * SLICES
+        if is_small and sliced and all(map(settings.is_open, names_in("image"))):
+            duration = float(math.ceil(EventTable.of(recordings).typical_duration_ms))
+            image = Image("polarities", SLICES, duration, "sqrt-max")
+            changes["image"] = asdict(image)
+            lines.append(
+                f"{image.channels} channels: square roots of ON and OFF events in {SLICES} slices "
+                f"of {duration / SLICES:.0f} ms (another image: --set image.slices=... and others)"
+            )
+            if not cnn.model and settings.is_open("snn.dropout"):
+                changes["snn"] = {"dropout": DROPOUT}
+                lines.append(f"dropout {DROPOUT:g} (another: --set snn.dropout=...)")
+            if settings.is_open("deployment.input_rate"):
+                changes["deployment"] = {"input_rate": INPUT_RATE}
+                lines.append(
+                    f"at most {INPUT_RATE:g} input spikes per second of a pixel (another: --set "
+                    "deployment.input_rate=...)"
+                )
+        elif is_for(cnn.architecture, sensor, image.channels):
+            return {}, []
+        if own:
+            return changes, lines
+        chosen = architecture_for(sensor, False, WIDTH, image.channels)
+        rates, layers = settings.snn.max_rates, len(parse(chosen).spiking)
+        if len(rates) > layers:  # the user's, since the default is one rate
+            raise UserError(
+                f"'snn.max_rates' has {len(rates)} rates, and {chosen}, chosen for the recordings, "
+                f"has {layers} layer{'' if layers == 1 else 's'} of neurons; give as many rates or "
+                "one, or choose cnn.architecture"
+            )
+        changes["cnn"] = {"architecture": chosen}
+        return changes, [chosen_text("cnn", chosen, sensor), *lines]
+
+    def require_presentable(self, dataset):
+        require_images_fit(dataset.inputs, self.settings)
+
+    def require_usable(self, opened):
+        if self.settings.cnn.model and not opened.artifact("cnn").state().is_current:
+            take_over(opened.artifact("cnn").folder, self.settings, opened.dataset)
+
+
+def deployed(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
+    """Describe the spiking network on images with the given weights.
+
+    Parameters
+    ----------
+    settings : Settings
+    weights : dict
+        Weights of the rate-based network.
+    provenance : dict
+        Stored in the bundle; :attr:`Dataset.provenance` has what other recordings are read with.
+    data : (images, labels)
+        Training samples, which determine the range of a readout on the chip.
+
+    Raises
+    ------
+    UserError
+        The images cannot be presented to this network.
+    """
+    images, labels = data
+    require_images_fit(images, settings)
+    range_of = None
+    if settings.deployment.readout == "chip":
+        from pipeline.training.networks import TrainedRates
+
+        range_of = TrainedRates(settings, weights).logits(images), labels
+    return to_spec(settings, weights, provenance, range_of)
+
+
+def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:
+    """As :func:`deployed`; ``range_of`` is that of :func:`models.chain.from_rates`."""
+    architecture, synapse = parse(settings.cnn.architecture), settings.deployment.synapse
+    links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
+    provenance = {"image": asdict(settings.image), **provenance}  # for other recordings
+    return chain.deployed(links, settings.stimulus, settings.presented(), provenance)
+
+
+def _trained_further(name, function, opened, artifact):
+    """Train a network that starts from the CNN; write it, and return it and its metrics."""
+    from pipeline.training.networks import snn_recipe
+
+    settings, dataset = opened.settings, opened.dataset
+    data, how = dataset.part("train"), "none"
+    if settings.snn.recipe == "loihi":
+        how = settings.cnn.augment
+        if how == "auto":
+            # On validation samples of handwriting, alterations in space help the CNN (by 0.2 and
+            # 1.8 points) and not the spiking network (by 0.5 points).
+            how = "none" if is_handwriting(dataset.recordings) else "time"
+    epochs = snn_recipe(settings.snn, len(data[0])).epochs
+    altered = dataset.altered(how)
+    arguments = settings, data, settings.seed, opened.weights("cnn"), altered, watched(dataset)
+    trained, seconds = timed(name, epochs, function, *arguments)
+    write_network(artifact.folder, trained, not len(dataset.split.validation))
+    metrics = metrics_of(trained, dataset, seconds, training_versions())
+    return trained, {**metrics, "augment": how}
+
+
+def _neurons(settings, trained, inputs):
+    """Shares of silent and saturated neurons of each layer on the training samples."""
+    fastest = fastest_rate(settings.snn.tau_ref)
+    outputs = trained.activations(inputs)
+    return {
+        name: activity(output * settings.snn.max_rate(index), fastest)
+        for index, (name, output) in enumerate(outputs.items())
+    }
+
+
+# Minimum accuracy of a user's model, as a share of the range from chance to 1. The best of 30
+# networks of three layers with Keras's initial weights had 0.06 by chance, on ten classes.
+LEAST_KNOWN = 0.15
+
+
+# The remedy for a model that has changed since it was imported.
+GIVE_MODEL_AGAIN = "give it again with 'stmnist convert RUN --model FILE' (and --retrain if used)"
+
+
+def settings_of_model(path: Path, retrain: bool = False) -> dict:
+    """Changes of the settings with which a user's Keras model replaces the CNN.
+
+    Parameters
+    ----------
+    path : path-like
+    retrain : bool
+        Train the model further with rate-LIF neurons.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is not a Keras model, or does not fit any chip.
+    """
+    path = Path(path)
+    model, sha256 = read_keras(path), sha256_of(path)
+    rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
+    return {
+        "input": {"kind": "image"},
+        "nir": {"file": "", "sha256": ""},
+        "cnn": {
+            "model": str(path.absolute()),
+            "model_sha256": sha256,
+            "architecture": str(model.architecture),
+        },
+        "snn": {"recipe": "loihi" if retrain else "as-is", "max_rates": rates},
+    }
+
+
+def copy_of_model(folder: Path, settings: Settings) -> Path:
+    """The run's copy of the user's model, in the folder of the CNN."""
+    return folder / f"model{Path(settings.cnn.model).suffix.lower()}"
+
+
+def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
+    """Use the user's model instead of the CNN; it must be better than chance.
+
+    The run's copy is used if the user's file has changed or cannot be read, for example on another
+    machine.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the CNN.
+    settings : Settings
+        Settings from :func:`settings_of_model`.
+    dataset : Dataset
+
+    Returns
+    -------
+    Path, TrainedCNN, sequence of str
+        The file that was read, the network, and messages about it.
+
+    Raises
+    ------
+    UserError
+        The model cannot be read or has changed, and the run has no copy; or it is not better than
+        chance.
+    """
+    copy = copy_of_model(folder, settings)
+    path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
+    model = read_keras(path)
+    imported = settings.cnn.model_sha256, settings.cnn.architecture
+    if (sha256_of(path), str(model.architecture)) != imported:
+        raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
+    from pipeline.training.networks import TrainedCNN
+
+    images, labels = dataset.part("train")
+    taken = TrainedCNN(settings, model.weights)
+    right = int((taken.logits(images).argmax(1) == labels).sum())
+    likeliest = np.bincount(labels).max() / len(labels)
+    if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
+        raise UserError(
+            f"{path}: hardly better than chance on this run's training samples (accuracy "
+            f"{right / len(labels):.3f}, {likeliest:.3f} by always predicting the same class); "
+            "train it on images as [image] in the settings makes them, with classes in this order"
+        )
+    return path, taken, model.notes

@@ -1,0 +1,557 @@
+"""What the kinds have in common.
+
+A *kind* is all that depends on the kind of network: the artifacts from which its bundle is made,
+the deployed network, the reference stages of the ladder, and the settings that are chosen for the
+recordings.  Nothing outside of this package asks what kind of network a run has.
+"""
+
+import csv
+import importlib.metadata
+import io
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from deploy import limits
+from deploy.check.bundle import Bundle
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.files import (
+    open_regular,
+    read_arrays,
+    replacing,
+    reporting_os_errors,
+    sha256_of,
+    write_arrays,
+)
+from deploy.network.responses import Responses
+from deploy.network.spec import NetworkSpec
+from deploy.terminal import WARNING
+from models.architecture import parse
+from pipeline.kinds.architectures import architecture_for, chip_problems, is_for
+from pipeline.progress import progress
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.events import Recordings
+from pipeline.run.artifacts import MISSING, Artifact, Origin, State
+from pipeline.run.folder import DELETE_ITS_FOLDER
+from pipeline.run.settings import Settings
+
+# Maximum number of test samples for the learning curve.
+MOST_WATCHED = 500
+
+# Settings that change if another file is imported.
+FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
+
+# Beginnings of the changes after which other samples are in the test set.
+SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
+
+
+class Part(NamedTuple):
+    """An artifact from which a bundle or a reference stage is made, such as a trained network.
+
+    Attributes
+    ----------
+    name : str
+    folder : str
+        Name of its folder; see :meth:`pipeline.run.RunFolder.folder`.
+    files : tuple of str
+        The record first, which is written last.
+    reads : tuple of str
+        Settings and sections that are read to make it, besides those of the parts that it uses.
+    make : callable
+        ``make(opened, artifact)`` makes the files and returns the content of the record;
+        ``opened`` is a :class:`pipeline.stages.Opened` in which only these settings can be read.
+    uses : tuple of str
+        Names of the parts from which it is made; without one it is made from the recordings.
+    action : str
+        What the user is told: ``"training"``, ``"choosing"`` or ``"reading"``.
+    temporary : tuple of str
+        Files that are deleted when the part is complete.
+    """
+
+    name: str
+    folder: str
+    files: tuple
+    reads: tuple
+    make: Callable
+    uses: tuple = ()
+    action: str = "training"
+    temporary: tuple = ()
+
+
+class Reference(NamedTuple):
+    """A stage of the ladder before the bundle, with which those of the targets are compared.
+
+    Attributes
+    ----------
+    title : str
+    note : str
+        What it is, in a few words.
+    part : str
+        Name of the part that answers.
+    respond : callable
+        ``respond(stage, opened, bundle, advance)``: the responses to the samples of a bundle, as
+        :class:`deploy.network.responses.Responses`; ``advance`` is called with the number of
+        samples done since the last call.
+    versions : callable
+        Versions of the packages that compute it.
+    """
+
+    title: str
+    note: str
+    part: str
+    respond: Callable
+    versions: Callable
+
+
+class Imported(NamedTuple):
+    """A user's file from which a part of a kind is read.
+
+    Attributes
+    ----------
+    file : str
+    sha256 : str
+        Of its content when it was imported.
+    part : str
+        Name of the part that is read from it.
+    remedy : str
+        How a changed file is imported again.
+    """
+
+    file: str
+    sha256: str
+    part: str
+    remedy: str
+
+    def changed_notes(self) -> Iterator[str]:
+        """A warning if the file is another one now, such as a later version."""
+        if Path(self.file).is_file() and not is_file(self.file, self.sha256):
+            yield (
+                f"{WARNING}{self.file}: has changed since it was imported; the run keeps the "
+                f"earlier version; for this one {self.remedy}"
+            )
+
+    def split_notes(self, state: State, seed: int) -> Iterator[str]:
+        """A line on the split that the network must have been trained on; a warning if it is new.
+
+        Parameters
+        ----------
+        state : State
+            Of the part that is read from the file.
+        seed : int
+            Of the split.
+        """
+        changed = [change.what for change in state.because]
+        if state.state == MISSING:
+            yield (
+                f"{self.part}: must have been trained on the training samples of this split only "
+                f"(seed {seed}), otherwise the accuracies are too high"
+            )
+        again = [what for what in changed if what.startswith(SPLIT_AGAIN)]
+        if again and not set(changed) & set(FROM_ELSEWHERE):
+            yield (
+                f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
+                "among those of its training; train it on this split, and give it again"
+            )
+
+
+class NetworkKind:
+    """What depends on the kind of network; a subclass is a kind.
+
+    Parameters
+    ----------
+    settings : Settings
+    """
+
+    # Name of the kind.
+    name: ClassVar[str]
+    # The :class:`Reference` stages of the ladder by their names, in order.
+    references: ClassVar[dict] = {}
+    # Name of the part from which the bundle is made.
+    deployed: ClassVar[str]
+    # Settings of the deployed network that the bundle depends on, besides the presentation.
+    placement: ClassVar[tuple] = ()
+    # Section of the settings that has its architecture; empty if the network has its own.
+    section: ClassVar[str] = ""
+    # Channels of its input.
+    channels: ClassVar[int]
+    # Values of settings that a sweep tries unless the user names others.
+    grid: ClassVar[tuple] = ()
+
+    def __init__(self, settings: Settings):
+        self.settings = settings
+
+    @property
+    def architecture(self) -> str:
+        """The architecture of the network in the notation; empty if it has its own."""
+        return getattr(self.settings, self.section).architecture if self.section else ""
+
+    @property
+    def reference_stages(self) -> tuple:
+        """Names of the stages of :attr:`references` that the ladder of these settings has."""
+        return tuple(self.references)
+
+    @property
+    def parts(self) -> tuple:
+        """The :class:`Part` of each artifact before the bundle, in the order of their making."""
+        raise NotImplementedError
+
+    @property
+    def trained(self) -> tuple:
+        """Names of the parts that ``stmnist train`` makes.
+
+        Raises
+        ------
+        UserError
+            The network was trained elsewhere.
+        """
+        raise NotImplementedError
+
+    @property
+    def recipe(self) -> str:
+        """How the network was made, for the bundle's provenance."""
+        return self.name
+
+    @property
+    def is_trained_in_integers(self) -> bool:
+        """True if the chip's integers are those of the trained network."""
+        return True
+
+    @property
+    def imported(self) -> Imported | None:
+        """The user's file that the network is read from, if there is one."""
+        return None
+
+    def part(self, name: str) -> Part:
+        """The part with a name."""
+        parts = {part.name: part for part in self.parts}
+        if name not in parts:
+            raise ValueError(f"no part {name!r}; the parts are {', '.join(parts)}")
+        return parts[name]
+
+    def origin(self, name: str, dataset: Origin) -> Origin:
+        """The origin of a part, from that of the dataset."""
+        part = self.part(name)
+        uses = [self.origin(used, dataset) for used in part.uses] or [dataset]
+        return Origin.of(self.settings, part.reads, uses)
+
+    def is_deployed(self, name: str) -> bool:
+        """True if the bundle is made from a part, directly or through others."""
+        uses = [self.deployed]
+        for part in uses:
+            uses += self.part(part).uses
+        return name in uses
+
+    def artifact(self, name: str, place, dataset: Origin) -> Artifact:
+        """A part in a run's folder or in a library."""
+        part, origin = self.part(name), self.origin(name, dataset)
+        folder = place.folder(part.folder, origin)
+        record, *files = (folder / file for file in part.files)
+        return Artifact(name, record, origin, tuple(files))
+
+    def bundle_origin(self, dataset: Origin) -> Origin:
+        """The origin of the bundle."""
+        reads = [*self.placement, "presentation", "check"]
+        return Origin.of(self.settings, reads, [self.origin(self.deployed, dataset)])
+
+    def shapes(self, name: str) -> dict:
+        """The shapes of the arrays that a part has, by their names."""
+        raise NotImplementedError
+
+    def spec(self, opened, provenance: dict) -> NetworkSpec:
+        """The deployed network.
+
+        Parameters
+        ----------
+        opened : pipeline.stages.Opened
+            With the parts.
+        provenance : dict
+            Stored in the bundle.
+        """
+        raise NotImplementedError
+
+    def fidelity(self, opened, bundle: Bundle, advance=None) -> list | None:
+        """Compare the firing rates on the chip with those of the trained network.
+
+        Returns
+        -------
+        list of dict or None
+            See :func:`pipeline.kinds.diagnosis.layers_json`; None without a network with rates.
+        """
+        return None
+
+    def choices(self, recordings: Recordings) -> tuple:
+        """Choose settings that have their defaults, for the recordings.
+
+        Returns
+        -------
+        changes : dict
+            As :meth:`pipeline.run.settings.Settings.with_values` takes them.
+        lines : list of str
+            A line about each choice.
+
+        Raises
+        ------
+        UserError
+            The user's other settings do not fit what is chosen.
+        """
+        return {}, []
+
+    def require_fit(self, recordings: Recordings):
+        """Refuse recordings of another sensor or with other classes than the network is for.
+
+        Raises
+        ------
+        UserError
+        """
+        sensor, classes = recordings.sensor, len(recordings.sensor.classes)
+        if is_for(self.architecture, sensor, self.channels):
+            return
+        size, parsed = f"{sensor.rows}x{sensor.columns}x{self.channels}", parse(self.architecture)
+        if self.imported is not None:
+            has = "x".join(map(str, parsed.input_shape))
+            raise UserError(
+                f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; "
+                f"recordings give {size} and {classes} classes: train one for those, or give its "
+                "--data or images (--set image.slices, image.aggregation)"
+            )
+        like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
+        raise UserError(
+            f"{self.settings.data.source}: '{self.section}.architecture' must be for an input of "
+            f"{size} and {classes} classes, such as {like}, not {self.architecture}"
+        )
+
+    def chip_problems(self) -> tuple:
+        """Reasons why the network does not fit the cores of the chip, a line each.
+
+        A user's network is examined when it is read.
+        """
+        usual = type(self)(Settings())
+        if not self.section or (self.architecture, self.settings.deployment) == (
+            usual.architecture,
+            usual.settings.deployment,
+        ):
+            return ()
+        return chip_problems(self.architecture, self.settings.on_events, self.settings.deployment)
+
+    def require_presentable(self, dataset: Dataset):
+        """Refuse samples that cannot be presented to the chip.
+
+        Raises
+        ------
+        UserError
+        """
+
+    def require_usable(self, opened):
+        """Refuse a user's network that cannot be used, before anything is written.
+
+        Raises
+        ------
+        UserError
+        """
+
+    def notes(self, recordings: Recordings) -> list:
+        """Lines for the user about the presentation of the recordings."""
+        return []
+
+
+def responses_of(logits: np.ndarray, presentation) -> Responses:
+    """Compute scores and decisions from logits.
+
+    Parameters
+    ----------
+    logits : ndarray, shape (n_samples, steps, classes)
+        Logits at each step; one step for a network without time.
+    presentation : pipeline.run.settings.PresentationSettings
+        In networks with time, the score at a step is the mean from ``readout_start`` to it.
+    """
+    start = presentation.readout_start if logits.shape[1] > 1 else 0
+    window = logits[:, start:]
+    scores = np.cumsum(window, axis=1) / np.arange(1, window.shape[1] + 1)[:, None]
+    decisions = np.full(logits.shape[:2], -1)
+    decisions[:, start:] = np.argmax(scores, axis=2)
+    return Responses(scores[:, -1], decisions, {}, {})
+
+
+def timed(name: str, epochs: int, function, *arguments, **more) -> tuple:
+    """Run a training with a progress bar; return the network and the seconds that it took."""
+    with progress(f"train {name}", epochs) as advance:
+        begun = time.perf_counter()
+        trained = function(*arguments, advance=advance, **more)
+        return trained, time.perf_counter() - begun
+
+
+def watched(dataset: Dataset):
+    """Samples for the learning curve: validation samples or, without these, some test samples.
+
+    No result depends on them.
+    """
+    if (validation := dataset.part("validation")) is not None:
+        return validation
+    index = dataset.split.test
+    index = index[:: max(1, -(-len(index) // MOST_WATCHED))]
+    return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
+
+
+def write_network(folder: Path, trained, on_test: bool):
+    """Write weights and history; delete the records first, because they mark them as complete.
+
+    Parameters
+    ----------
+    folder : Path
+    trained : pipeline.training.networks.Trained or pipeline.training.events.TrainedOnEvents
+    on_test : bool
+        True if the learning curve is that of test samples, not of held-out training samples.
+    """
+    for record in ("metrics.json", "training.json"):
+        (folder / record).unlink(missing_ok=True)
+    write_arrays(folder / "weights.npz", **trained.weights)
+    history = trained.history
+    if on_test:
+        history = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in history]
+    write_history(folder / "history.csv", history)
+
+
+def write_history(path, history: list):
+    """Write the history of a training.
+
+    Parameters
+    ----------
+    path : path-like
+    history : list of dict
+        One dict per epoch, all with the same keys.  If it is empty, as for a network that was not
+        trained here, an existing file is deleted.
+    """
+    if not history:
+        Path(path).unlink(missing_ok=True)
+        return
+    with replacing(path, "w") as file:
+        writer = csv.DictWriter(file, fieldnames=list(history[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(history)
+
+
+def read_history(path) -> list:
+    """Read the file of :func:`write_history`; all values are floats.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or is not a table of numbers with an accuracy and at least one row.
+    """
+    try:
+        with (
+            reporting_os_errors(path, "cannot read", DELETE_ITS_FOLDER),
+            open_regular(path, "r", newline="", encoding="utf-8") as file,
+        ):
+            text = file.read(limits.SETTINGS_BYTES * 16)
+        rows = [
+            {key: float(value) for key, value in row.items()}
+            for row in csv.DictReader(io.StringIO(text, newline=""), strict=True)
+        ]
+    except (ValueError, TypeError, csv.Error) as error:
+        raise UserError(f"{path}: not a learning curve ({error}); {DELETE_ITS_FOLDER}") from error
+    finite = all(math.isfinite(value) for row in rows for value in row.values())
+    if not (rows and finite and {"epoch", "accuracy"} <= set(rows[0])):
+        raise UserError(f"{path}: not a learning curve, or one with gaps; {DELETE_ITS_FOLDER}")
+    return rows
+
+
+def read_weights(folder: Path, shapes: dict) -> dict:
+    """The trained arrays in a network's folder.
+
+    Parameters
+    ----------
+    folder : Path
+    shapes : dict of str to tuple of int
+        The shape of each array.
+
+    Raises
+    ------
+    UserError
+        The arrays are missing, damaged, or of other shapes.
+    """
+    path = folder / "weights.npz"
+    weights = read_arrays(path, DELETE_ITS_FOLDER)
+    if {name: array.shape for name, array in weights.items()} != shapes:
+        raise UserError(
+            f"{path}: not the weights of the architecture in the settings; {DELETE_ITS_FOLDER}"
+        )
+    return weights
+
+
+def training_versions() -> dict:
+    """Versions of the packages that trained networks need."""
+    names = ("tensorflow", "nengo-dl")
+    return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
+
+
+def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
+    """The record of a network: its accuracy on each set of the split.
+
+    Parameters
+    ----------
+    trained
+        With ``logits`` and ``history``.
+    dataset : Dataset
+    seconds : float
+        Time of the training.
+    versions : dict
+    """
+    right = np.argmax(trained.logits(dataset.inputs), axis=1) == dataset.labels
+    return {
+        **accuracies(right, dataset),
+        "epochs": len(trained.history),
+        "seconds": seconds,
+        "versions": versions,
+    }
+
+
+def accuracies(right, dataset: Dataset) -> dict:
+    """Accuracy on each set of the split, and the interval of the last one.
+
+    Parameters
+    ----------
+    right : ndarray of bool, shape (n_samples,)
+        Whether the answer to each sample of the dataset is right.
+    dataset : Dataset
+    """
+    parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
+    accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
+    part = list(accuracy)[-1]  # the validation samples if there is no test set, as in a sweep
+    n_samples = len(parts[part])
+    return {
+        "simulated": dataset.recordings.source.simulated,
+        "accuracy": accuracy,
+        f"{part}_accuracy_ci95": list(wilson_interval(int(right[parts[part]].sum()), n_samples)),
+        f"n_{part}": n_samples,
+    }
+
+
+def accuracy_text(name: str, metrics: dict) -> str:
+    """A line about the accuracy of a network."""
+    part = list(metrics["accuracy"])[-1]
+    return (
+        f"{name}: {part} accuracy {metrics['accuracy'][part]:.3f} on {metrics[f'n_{part}']} "
+        f"samples, {metrics['seconds']:.0f} s"
+    )
+
+
+def is_file(path, sha256: str) -> bool:
+    """True if a file can be read and has this SHA-256."""
+    try:
+        return sha256_of(Path(path)) == sha256
+    except (OSError, UserError):
+        return False
+
+
+def imported_file(file, sha256: str, copy: Path) -> Path:
+    """The file of a network that was imported: the user's, or the run's copy if that has changed.
+
+    The user's file is also returned if the copy is damaged or missing; then neither has the hash.
+    """
+    return next((path for path in (Path(file), copy) if is_file(path, sha256)), Path(file))

@@ -1,0 +1,1 @@
+"""Networks that were trained elsewhere and come as a NIR graph."""

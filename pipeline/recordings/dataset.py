@@ -1,0 +1,339 @@
+"""Data sets for networks: the input and label of each recording, and the split."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.network.spec import NetworkSpec
+from deploy.network.stimulus import EventFrames
+from deploy.terminal import WARNING
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.images import AlteredImages, tactile_images
+from pipeline.recordings.library import recordings_of
+from pipeline.recordings.splits import PUBLISHED, Split, split_of, split_problem
+from pipeline.recordings.steps import EventTable
+from pipeline.run.artifacts import Origin
+from pipeline.run.settings import SIMULATED, Image, Settings
+
+# Recordings whose frames of events are made at once, which bounds the memory.
+AT_ONCE = 500
+
+# Share of merged events above which a shorter step is suggested.
+MOST_LOST = 0.1
+
+# Entry of a bundle's provenance with the hashes of the recordings that it was made with.
+TRAINED_ON = "training_recordings"
+
+# Remedy for too few samples for the check.
+TOO_SMALL = "ask for fewer (--samples, or check.samples) or give more data"
+
+# Remedy for too few samples for the split.
+NO_SPLIT = "give other data, or another split.kind or split.test_fraction"
+
+# Version of the rules by which files become recordings; to be raised if they change, because files
+# that are read differently have the same hash.
+READING = "3"
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Recordings, their split and the inputs of networks made from them.
+
+    Attributes
+    ----------
+    recordings : Recordings
+    split : Split
+    origin : Origin
+        Origin of the recordings and of their split.
+    settings : Settings
+        Settings with which :attr:`inputs` are made; see :meth:`seen_by`.
+    """
+
+    recordings: Recordings
+    split: Split
+    origin: Origin
+    settings: Settings
+    _made: dict = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def of(
+        cls, settings: Settings, jobs: int = 1, warn=None, recordings: Recordings | None = None
+    ) -> Dataset:
+        """The recordings named in the settings, split with the seed of the settings.
+
+        Parameters
+        ----------
+        settings : Settings
+        jobs : int
+            Processes for recordings that are not in the cache.
+        warn : callable, optional
+            Called with one line for each file that was left out.
+        recordings : Recordings, optional
+            The recordings that the settings name, if they were loaded before.
+
+        Raises
+        ------
+        UserError
+            The source cannot be read, is too small for the split, or has a class with a single
+            recording.
+        """
+        if recordings is None:
+            recordings = recordings_of(settings, jobs, warn)
+        split = _checked_split(recordings, settings)
+        origin = dataset_origin(settings, recordings.source.sha256, split.kind)
+        return cls(recordings, split, origin, settings)
+
+    def __len__(self):
+        return len(self.recordings)
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """The inputs made from each recording; see :func:`inputs_of`."""
+        key = _what_is_shown(self.settings)
+        if key not in self._made:
+            self._made.clear()  # frames of events take a quarter of a gigabyte
+            self._made[key] = inputs_of(self.recordings, self.settings)
+        return self._made[key]
+
+    @property
+    def provenance(self) -> dict:
+        """Entries of a network's provenance: what other recordings are read with and known by."""
+        recordings, split, data = self.recordings, self.split, self.settings.data
+        source, places, hashes = recordings.source, recordings.taxels.positions, recordings.hashes
+        return {
+            "source": source.name,
+            "source_sha256": source.sha256,
+            "simulated": source.simulated,
+            "polarities": recordings.sensor.polarities,
+            "classes": list(recordings.sensor.classes),
+            "positions": None if places is None else places.tolist(),
+            "time_unit": source.time_unit or None,
+            "downsample": 1 if data.source == SIMULATED else data.downsample,
+            TRAINED_ON: sorted({hashes[i] for i in (*split.train, *split.validation)}),
+        }
+
+    def seen_by(self, view: Settings) -> Dataset:
+        """The same samples, with inputs that are made with the settings of a view only."""
+        return replace(self, settings=view)
+
+    @property
+    def labels(self) -> np.ndarray:
+        """The class of each sample, shape (n_samples,)."""
+        return self.recordings.labels
+
+    def part(self, name: str):
+        """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
+        index = getattr(self.split, name)
+        return (self.inputs[index], self.labels[index]) if len(index) else None
+
+    def altered(self, how: str) -> AlteredImages | None:
+        """The images of ``part("train")``, altered anew for each epoch; None for ``"none"``.
+
+        Parameters
+        ----------
+        how : str
+            ``"time"``, ``"space"`` or ``"none"``; see ``cnn.augment`` in the settings.
+        """
+        if how == "none":
+            return None
+        return AlteredImages(self.recordings.part(self.split.train), self.settings.image, how)
+
+
+def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
+    """The origin of recordings and their split.
+
+    Parameters
+    ----------
+    settings : Settings
+    recordings_sha256 : str
+        Hash of the recordings' content.
+    kind : str
+        Kind of the split, see :class:`pipeline.recordings.splits.Split`.
+    """
+    reads = ["seed", "split.kind", "split.validation_fraction", "data.skip_bad", "skin"]
+    if kind != PUBLISHED:
+        reads.append("split.test_fraction")
+    if settings.data.source == SIMULATED:
+        reads += ["data.simulation_seed", "data.samples_per_digit", "data.writers"]
+    else:
+        reads += ["data.time_unit", "data.downsample"]
+    contents = {"recordings": recordings_sha256, "split": kind}
+    if settings.data.source != SIMULATED:
+        contents["rules of reading files"] = READING
+    return Origin.of(settings, reads, contents=contents)
+
+
+def _what_is_shown(settings):
+    """The settings on which :func:`inputs_of` depends."""
+    if settings.on_events:
+        return settings.input.step, settings.input.refractory, settings.steps
+    return settings.image
+
+
+def require_images_fit(images: np.ndarray, settings: Settings):
+    """Refuse images that cannot be presented to the chip.
+
+    Parameters
+    ----------
+    images : ndarray, shape (n_samples, rows, columns, channels)
+    settings : Settings
+
+    Raises
+    ------
+    UserError
+        A pixel would spike more than once per step.
+    """
+    problem = settings.stimulus.complaint(images, images.shape[1:], settings.steps)
+    if problem is not None:
+        raise UserError(
+            f"'image.normalisation' {settings.image.normalisation!r}: {problem}; "
+            "choose another, or a lower deployment.input_rate"
+        )
+
+
+def _checked_split(recordings, settings):
+    """The split of recordings as in the settings, after checking their number."""
+    source, parts = settings.data.source, settings.split
+    try:
+        shares = parts.test_fraction, parts.validation_fraction
+        split = split_of(recordings, settings.seed, *shares, parts.kind)
+    except ValueError as error:
+        raise UserError(f"{source}: {error}; {NO_SPLIT}") from error
+    if problem := split_problem(recordings, split.kind):
+        raise UserError(f"{source}: {problem}")
+    return split
+
+
+def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
+    """The inputs of networks, made from each recording.
+
+    Returns
+    -------
+    ndarray
+        With ``input.kind = "image"`` tactile images, float32, shape (n_samples, rows, columns,
+        channels); with ``"events"`` the events of each step of the presentation, uint8, shape
+        (n_samples, steps, rows, columns, 2), first ON, then OFF.
+    """
+    image = settings.image
+    if settings.on_events:
+        shown, steps, table = settings.input, settings.steps, EventTable.of(recordings)
+        inputs = np.empty((len(table), steps, *table.size, 2), np.uint8)
+        for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
+            frames = table.frames(some, shown.step, steps, shown.refractory_steps)
+            inputs[some] = np.moveaxis(frames, 0, 1)
+        return inputs
+    return tactile_images(recordings, image)
+
+
+def classes_of(spec: NetworkSpec) -> tuple:
+    """Names of the classes of a deployed network; numbers for a bundle without names."""
+    return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
+
+
+def positions_of(spec: NetworkSpec) -> np.ndarray | None:
+    """Where a deployed network's taxels are on the sensor.
+
+    Returns
+    -------
+    ndarray of float, shape (n_taxels, 2), or None
+        To the right and down; the larger extent is 1, the origin is the upper left corner.  None if
+        the positions are not known.
+    """
+    known = spec.provenance.get("positions")
+    if known is None:
+        return None
+    positions = np.asarray(known, float)
+    positions = positions - positions.min(axis=0)
+    return positions / (positions.max() or 1.0)
+
+
+def training_hashes(spec: NetworkSpec) -> set:
+    """Hashes of the recordings that a network was trained on or fitted to, if they are known."""
+    hashes = spec.provenance.get(TRAINED_ON)
+    return set(map(str, hashes)) if isinstance(hashes, list) else set()
+
+
+def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):
+    """Refuse recordings of another sensor than that of a deployed network.
+
+    Raises
+    ------
+    UserError
+    """
+    (rows, columns), sensor = spec.input_shape[:2], recordings.sensor
+    if (sensor.rows, sensor.columns) != (rows, columns):
+        raise UserError(
+            f"{recordings.source.name}: recordings of {sensor.rows}x{sensor.columns} taxels; the "
+            f"network is for {rows}x{columns}: give recordings of its sensor"
+        )
+
+
+def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = None):
+    """The inputs of a deployed network for other recordings than its own.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    recordings : Recordings
+    image : Image, optional
+        Conversion of events to images, for a network on images whose bundle does not have it.
+
+    Returns
+    -------
+    ndarray
+        As from :func:`inputs_of`.
+    """
+    stimulus = spec.stimulus
+    if isinstance(stimulus, EventFrames):
+        table, steps = EventTable.of(recordings), spec.presentation.steps
+        step_ms = 1000 * stimulus.step_seconds
+        frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.refractory)
+        return np.moveaxis(frames, 0, 1)
+    if (recorded := spec.provenance.get("image")) is not None:
+        image = Settings().with_values({"image": recorded}, "provenance of the bundle").image
+    return tactile_images(recordings, image)
+
+
+def event_warnings(settings: Settings, recordings: Recordings) -> list:
+    """Warnings about events that are not presented, a line each; see setting ``input.step``.
+
+    Raises
+    ------
+    UserError
+        No recording has an event.
+    """
+    table, step, steps = EventTable.of(recordings), settings.input.step, settings.steps
+    empty = int(np.sum(np.diff(table.offsets) == 0))
+    if empty == len(recordings):
+        raise UserError(f"{recordings.source.name}: no recording has events; use other recordings")
+    shared, lost = table.lost(step), table.lost(step, settings.input.refractory_steps)
+    lines = [
+        f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
+        f"polarity in the same step of {step:g} ms"
+    ]
+    if shared > MOST_LOST:
+        lines[0] += "; a shorter input.step merges fewer"
+    if lost > shared:
+        lines.append(
+            f"events: {lost - shared:.1%} more are ignored in their taxel's refractory period, "
+            f"{settings.input.refractory_steps * step:g} ms after a spike (input.refractory)"
+        )
+    if empty:
+        lines.append(f"{WARNING}{empty} of {len(recordings)} recordings have no events")
+    if line := cut_text(table, step, steps):
+        lines.append(f"{WARNING}{line}; choose more presentation.steps")
+    return lines
+
+
+def cut_text(table: EventTable, step_ms: float, steps: int) -> str:
+    """A note on recordings that are longer than their presentation; empty if there are none."""
+    number = int(np.sum(table.duration_ms >= step_ms * steps))
+    if not number:
+        return ""
+    return (
+        f"{number} of {len(table)} recordings are longer than {steps} steps of {step_ms:g} ms, and "
+        "their ends are not presented"
+    )

@@ -1,0 +1,133 @@
+"""Tactile images: events aggregated over a recording, one pixel per taxel (paper, Section 3.2.1).
+
+The paper leaves open what "aggregating the FA responses" and "normalized" mean.  Both are settings:
+
+aggregation
+    ``count``    physical events of either polarity (default)
+    ``columns``  columns of the file, as the paper's Table 1 counts; weights ON by about 1.8
+    ``signed``   ON minus OFF events
+    ``on``, ``off``  events of one polarity
+    ``polarities``  ON and OFF events as two channels
+slices
+    number of equal slices of time, each with channels of its own: with 4 slices and two polarities
+    an image has 8 channels.  It is still presented as one image, all channels at once.
+normalisation
+    ``max``      divided by the image's largest magnitude (default)
+    ``sum``      divided by the sum of magnitudes
+    ``sqrt-max`` square root of the magnitude, then as ``max``; reduces the effect of very active
+                 taxels
+    ``none``     unchanged; counts would spike too often for the chip, except at a low
+                 ``deployment.input_rate``
+"""
+
+import numpy as np
+
+from pipeline.recordings.altering import AUGMENTATIONS, moved
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.steps import EventTable
+from pipeline.run.settings import Image
+
+
+def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
+    """Normalise each image separately.
+
+    Parameters
+    ----------
+    images : ndarray, shape (n_samples, rows, columns) or (n_samples, rows, columns, channels)
+    normalisation : str
+        See the module's description.
+
+    Returns
+    -------
+    ndarray of float, same shape
+        An image without events stays zero.
+
+    """
+    if normalisation == "none":
+        return images.astype(float)
+    if normalisation == "sqrt-max":
+        images = np.sign(images) * np.sqrt(np.abs(images))
+    reduce = np.sum if normalisation == "sum" else np.max
+    scale = reduce(np.abs(images), axis=tuple(range(1, images.ndim)), keepdims=True)
+    return images / np.where(scale > 0, scale, 1.0)
+
+
+def tactile_images(recordings: Recordings, image: Image | None = None) -> np.ndarray:
+    """Normalised tactile images, shape (n_samples, rows, columns, channels), float32.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    image : pipeline.run.settings.Image, optional
+        Default: the default settings.
+    """
+    image = image or Image()
+    return _as_images(_counts(recordings, image), image)
+
+
+def _as_images(counts, image):
+    """Images of the counts of :meth:`EventTable.sliced_counts`."""
+    on, off = counts[..., 0], counts[..., 1]
+    channels = {
+        "count": [on + off],
+        "columns": [on + off],  # these counts are of columns already
+        "signed": [on - off],
+        "on": [on],
+        "off": [off],
+        "polarities": [on, off],
+    }[image.aggregation]
+    n, _, rows, columns = on.shape
+    images = np.stack(channels, axis=2).reshape(n, -1, rows, columns)
+    return normalise(np.moveaxis(images, 1, 3), image.normalisation).astype(np.float32)
+
+
+def _counts(recordings, image):
+    weights = recordings.events.columns if image.aggregation == "columns" else None
+    return EventTable.of(recordings).sliced_counts(image.slices, image.duration_ms, weights)
+
+
+class AlteredImages:
+    """Images of training samples whose events are altered anew for each epoch.
+
+    The alterations are those of :mod:`pipeline.recordings.altering`: the events of a taxel all
+    move to
+    the same place, so that their counts are moved, and of the counts a random share is dropped.
+    Times are not stretched.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        The training samples.
+    image : pipeline.run.settings.Image
+    how : str
+        A key of :data:`pipeline.recordings.altering.AUGMENTATIONS`.
+    """
+
+    def __init__(self, recordings: Recordings, image: Image, how: str):
+        self._counts, self._image = _counts(recordings, image), image
+        self._how, self._moves = AUGMENTATIONS[how], how == "space"
+
+    def __call__(self, rng, indices) -> np.ndarray:
+        """Altered images of some samples, shape (n, rows, columns, channels), float32."""
+        counts = self._counts[indices]
+        kept = np.broadcast_to(
+            1 - rng.uniform(0, self._how.drop, len(counts))[:, None, None, None, None], counts.shape
+        )
+        some = counts > 0
+        counts[some] = rng.binomial(counts[some].astype(np.int64), kept[some])
+        if self._moves:
+            counts = self._moved(rng, counts)
+        return _as_images(counts, self._image)
+
+    def _moved(self, rng, counts):
+        n, slices, rows, columns, _ = counts.shape
+        places = np.indices((rows, columns)).reshape(2, -1).T
+        sample = np.repeat(np.arange(n), len(places))
+        to = moved(self._how, rng, n, sample, np.tile(places, (n, 1)), (rows, columns))
+        inside = ((to >= 0) & (to < (rows, columns))).all(1)
+        cell = ((sample * rows + to[:, 0]) * columns + to[:, 1])[inside]
+        values = np.moveaxis(counts, 1, 3).reshape(len(sample), -1)[inside]
+        summed = np.stack(
+            [np.bincount(cell, part, minlength=n * rows * columns) for part in values.T], axis=-1
+        )
+        return np.moveaxis(summed.reshape(n, rows, columns, slices, 2), 3, 1)

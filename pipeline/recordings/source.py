@@ -1,0 +1,578 @@
+"""A source of recordings: a zip or folder with a sub-folder for each class.
+
+::
+
+    LUT.mat, taxels.csv           places or positions of the taxels, optional
+    train/, test/                 the parts of a published split, optional
+        <class>/<recording>       all with one suffix
+
+There may be any number of folders around everything, as ``data_submission`` in ST-MNIST's archive.
+Hidden files, ``README*``, ``LICENSE*``, ``*.txt`` and ``*.md`` are ignored; anything else is
+refused by name.  A zip is read without being unpacked to disk.
+"""
+
+import contextlib
+import functools
+import hashlib
+import json
+import lzma
+import os
+import re
+import zipfile
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path, PurePosixPath
+
+from joblib import delayed
+
+from deploy.errors import SeveralErrors, UserError
+from deploy.files import open_regular, replacing, sha256_of, zip_member
+from deploy.terminal import WARNING, printable
+from pipeline.jobs import results_of
+from pipeline.recordings import sensor
+from pipeline.recordings.events import Recordings, Source, collect
+from pipeline.recordings.formats.eventfiles import SUFFIXES as EVENT_SUFFIXES
+from pipeline.recordings.formats.eventfiles import read_events
+from pipeline.recordings.formats.mat import (
+    LARGEST,
+    BadRecording,
+    MatRecording,
+    lookup_table_bytes,
+    read_limited,
+    read_lookup_table,
+    read_recording,
+    recording_bytes,
+)
+
+SUFFIXES = (".mat", *EVENT_SUFFIXES)
+LOOKUP_TABLE, POSITIONS = "lut.mat", "taxels.csv"
+IGNORED = ("readme*", "license*", "*.txt", "*.md")
+# Part of a published split, by the name of a folder in lower case.
+PARTS = {"train": "train", "training": "train", "test": "test", "testing": "test"}
+
+VALIDATION = ("validation", "valid", "val", "dev")
+
+# Events of a source. The published recordings have 20 million columns, and a quarter as many
+# events; a million events take up to 75 MB and a tenth of a second.
+MOST_EVENTS = 22_000_000
+
+# Recordings of a source.
+MOST_FILES = 100_000
+
+# Number of files that a worker reads at a time: a compromise of overhead and progress bar.
+CHUNK = 32
+
+# Number of reasons, and of files that were left out, that are listed individually.
+LISTED = 10
+
+# Errors that reading a member of a damaged zip raises.
+READ_ERRORS = (
+    *(OSError, EOFError, RuntimeError, ValueError, KeyError, zipfile.BadZipFile),
+    *(zlib.error, lzma.LZMAError),
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file with a recording.
+
+    Attributes
+    ----------
+    member : str
+        Its path in the source.
+    part : str
+        ``"train"`` or ``"test"`` in a source with a published split, otherwise empty.
+    of_class : str
+        Name of its class.
+    """
+
+    member: str
+    part: str
+    of_class: str
+
+    @property
+    def id(self) -> str:
+        """The recording's id: part, class and name without suffix."""
+        return str(PurePosixPath(self.part, self.of_class, PurePosixPath(self.member).stem))
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The files of a source.
+
+    Attributes
+    ----------
+    path : Path
+    entries : tuple of Entry
+        In order of part, class and path.
+    lookup_table, positions : str or None
+        Member paths of ``LUT.mat`` and ``taxels.csv``.
+    refused : tuple of (str, str)
+        Path and reason of each file or folder that does not belong to a source.
+    """
+
+    path: Path
+    entries: tuple
+    lookup_table: str | None
+    positions: str | None
+    refused: tuple
+
+    @property
+    def total(self) -> int:
+        """Number of files and folders, recordings or not."""
+        return len(self.entries) + len(self.refused)
+
+    @property
+    def files(self) -> list:
+        """Member paths of all files that are read."""
+        tables = [name for name in (self.lookup_table, self.positions) if name]
+        return tables + [entry.member for entry in self.entries]
+
+
+def list_source(path) -> Listing:
+    """Find the recordings in a zip or folder.
+
+    Raises
+    ------
+    UserError
+        The source does not exist, is not a zip or a damaged zip, or has no recordings, recordings
+        of several kinds or a folder of validation samples.
+    """
+    path = Path(path)
+    files, folders, refused = _members(path)
+    tables, members = {LOOKUP_TABLE: [], POSITIONS: []}, []
+    for name in files:
+        member = PurePosixPath(name)
+        if not _is_ignored(member):
+            tables.get(member.name.lower(), members).append(member)
+    for name, several in tables.items():
+        if len(several) > 1:
+            listed = " and ".join(_short(member) for member in several[:2])
+            raise UserError(f"{path}: has several files {name}: {listed}; keep one")
+    kinds = {member.suffix.lower(): member for member in reversed(members)}
+    kinds = {suffix: kinds[suffix] for suffix in SUFFIXES if suffix in kinds}
+    if not kinds:
+        raise UserError(
+            f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
+            "other files of events, <digit>/*.mat in the ST-MNIST archive"
+        )
+    if len(kinds) > 1:
+        raise UserError(
+            f"{path}: holds both {' and '.join(kinds)} files, such as "
+            f"{' and '.join(map(_short, kinds.values()))}; keep one kind of recording"
+        )
+    (suffix,) = kinds
+    recordings = [member for member in members if member.suffix.lower() == suffix]
+    refused += [
+        (str(member), f"is not a recording (the others are {suffix} files); move it away")
+        for member in members
+        if member.suffix.lower() != suffix
+    ]
+    if len(recordings) > MOST_FILES:
+        raise UserError(
+            f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
+            "of it"
+        )
+    around = _folders_around(recordings)
+    inside = [m.relative_to(around) for m in recordings if m.is_relative_to(around)]
+    tops = {m.parts[0] for m in inside if len(m.parts) > 1}
+    in_parts = {PARTS.get(m.parts[0].lower()) for m in inside if len(m.parts) > 2} - {None}
+    is_published = len(in_parts) == 2
+    if is_published and (extra := [top for top in tops if top.lower() in VALIDATION]):
+        raise UserError(
+            f"{path}: has a folder {extra[0]!r} beside train and test; move its recordings to "
+            "train, from which validation samples are drawn, or move it away"
+        )
+    entries = []
+    for member in recordings:
+        part, problem = _part_of(member, around, is_published)
+        if problem:
+            refused.append((str(member), problem))
+        else:
+            entries.append(Entry(str(member), part, member.parts[-2]))
+    if not entries:
+        raise UserError(f"{path}: {_short(refused[-1][0])} {refused[-1][1]}")
+    refused += _empty_classes(entries, folders)
+    entries.sort(key=lambda e: (e.part != "train", sensor.class_order(e.of_class), e.member))
+    lookup_table, positions = (str(names[0]) if names else None for names in tables.values())
+    return Listing(path, tuple(entries), lookup_table, positions, tuple(sorted(refused)))
+
+
+def _members(path):
+    """Paths of all files and folders of a source, and files refused with the reason."""
+    if path.is_dir():
+        files, folders, refused = [], [], []
+        for root, below, names in os.walk(path, followlinks=True):
+            around = Path(root)
+            above = {os.path.realpath(folder) for folder in (around, *around.parents)}
+            # Links in a circle end.
+            below[:] = [name for name in below if os.path.realpath(around / name) not in above]
+            for name in sorted([*below, *names]):
+                entry = around / name
+                member = entry.relative_to(path).as_posix()
+                if entry.is_file():
+                    files.append(member)
+                elif entry.is_dir():
+                    folders.append(member)
+                elif not _is_ignored(PurePosixPath(member)):
+                    refused.append((member, "is not a regular file; move it away"))
+        return sorted(files), folders, refused
+    if not path.exists():
+        raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
+    if path.suffix.lower() in SUFFIXES:
+        raise UserError(f"{path}: is one recording; give the zip or folder of all of them")
+    try:
+        with open_regular(path) as file, _archive(file) as archive:
+            members = archive.infolist()
+    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
+        raise UserError(
+            f"{path}: not a zip archive, or cut short ({error}); download it again"
+        ) from error
+    files, refused = {}, []
+    for info in members:
+        name = info.filename
+        if info.is_dir():
+            continue
+        if name in files or PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
+            reason = "is in the archive twice" if name in files else "has a path out of the archive"
+            refused.append((name, reason))
+        else:
+            files[name] = info
+    around = {parent for name in files for parent in PurePosixPath(name).parents}
+    folders = {PurePosixPath(info.filename) for info in members if info.is_dir()}
+    return list(files), sorted(map(str, (around | folders) - {PurePosixPath(".")})), refused
+
+
+def _is_ignored(member):
+    if any(name.startswith(".") or name == "__MACOSX" for name in member.parts):
+        return True
+    return any(fnmatch(member.name.lower(), pattern) for pattern in IGNORED)
+
+
+def _folders_around(recordings) -> PurePosixPath:
+    """The folders around most recordings, inside of which are the folders of the classes."""
+    around = PurePosixPath()
+    while True:
+        depth = len(around.parts)
+        tops = Counter(
+            m.parts[depth]
+            for m in recordings
+            if len(m.parts) > depth + 2 and m.is_relative_to(around)
+        )
+        is_published = len({PARTS.get(top.lower()) for top in tops} - {None}) == 2
+        if is_published or not tops:
+            return around
+        top, number = tops.most_common(1)[0]
+        if 2 * number <= len(recordings):
+            return around
+        around /= top
+
+
+def _part_of(member, around, is_published):
+    """The part of a recording, or the reason why it is in a wrong folder."""
+    if not member.is_relative_to(around):
+        return "", f"is not in {around}, as the others are; move it"
+    folders = member.relative_to(around).parts[:-1]
+    if is_published:
+        part = PARTS.get(folders[0].lower() if folders else "")
+        if part is None:
+            return "", "is neither in train nor in test, as the others are; move it away"
+        folders = folders[1:]
+    if not folders:
+        return "", "is not in a folder of a class; give the folder above, or make a folder for it"
+    if len(folders) > 1:
+        return "", "is in a folder inside that of a class; move it"
+    return (part if is_published else ""), None
+
+
+def _empty_classes(entries, folders):
+    """Folders beside those of the classes that have no recording."""
+    classes = {PurePosixPath(entry.member).parent for entry in entries}
+    beside = {folder.parent for folder in classes}
+    return [
+        (str(folder), "is a class without a recording; remove the folder")
+        for folder in map(PurePosixPath, folders)
+        if folder.parent in beside and folder not in classes and not _is_ignored(folder)
+    ]
+
+
+def read_source(
+    path, jobs: int = 2, skip_bad: bool = False, progress=None, reading=sensor.AS_FOUND
+) -> Recordings:
+    """Read every recording of a zip or folder, in parallel.
+
+    Parameters
+    ----------
+    path : path-like
+    jobs : int
+        Processes.
+    skip_bad : bool
+        True to continue without refused files; they are in ``source.left_out``.
+    progress : callable, optional
+        ``progress(label, total)``, a context manager that yields ``advance(n)``.
+    reading : pipeline.recordings.sensor.Reading
+        Properties that the user has specified.
+
+    Returns
+    -------
+    Recordings
+
+    Raises
+    ------
+    UserError
+        The sensor or the unit of time cannot be determined, or differ between the parts of a
+        published split; or files are refused, with a line for each reason, or with ``skip_bad``
+        all files of a class.
+    """
+    listing = list_source(path)
+    entries, read, refused = [], [], list(listing.refused)
+    chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
+    names = [[entry.member for entry in chunk] for chunk in chunks]
+    calls = (delayed(_read_members)(listing.path, some) for some in names)
+    n_events, bar = 0, _shown(progress, "import", len(listing.entries))
+    with results_of(calls, jobs) as work, bar as advance:
+        for chunk, results in zip(chunks, work, strict=True):
+            for entry, recording in zip(chunk, results, strict=True):
+                if isinstance(recording, str):
+                    refused.append((entry.member, recording))
+                else:
+                    entries.append(entry)
+                    read.append(recording)
+            n_events += sum(_size_of(recording) for recording in results)
+            _require_few(listing.path, n_events)
+            advance(len(chunk))
+    lookup, positions = _tables_of(listing)
+    if not read:
+        raise SeveralErrors(_refusals(path, refused, listing.total, False))
+    parts = [entry.part for entry in entries]
+    settled = sensor.settle(path, read, parts, lookup, positions, reading)
+    refused += [(entries[index].member, why) for index, why in settled.refused.items()]
+    if refused and not skip_bad:
+        raise SeveralErrors(_refusals(path, refused, listing.total))
+    entries, read = ([values[index] for index in settled.kept] for values in (entries, read))
+    classes = {entry.of_class for entry in entries}
+    if lost := sorted({entry.of_class for entry in listing.entries} - classes):
+        head = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or remove them"
+        raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
+    the_sensor, ids = settled.sensor(classes), [entry.id for entry in entries]
+    return collect(
+        samples=settled.events,
+        labels=[the_sensor.classes.index(entry.of_class) for entry in entries],
+        ids=ids if len(set(ids)) == len(ids) else [entry.member for entry in entries],
+        writers=[recording.writer for recording in read],
+        source=Source(
+            name=listing.path.name,
+            sha256=content_hash(listing),
+            simulated=any(recording.simulated for recording in read),
+            written=all(getattr(recording, "written", None) for recording in read),
+            left_out=tuple(f"{_short(name)}: {reason}" for name, reason in refused),
+            time_unit=settled.time_unit,
+        ),
+        taxels=settled.taxels,
+        sensor=the_sensor,
+        parts=[entry.part for entry in entries],
+    )
+
+
+def _tables_of(listing):
+    """The contents of ``LUT.mat`` and ``taxels.csv``, each None without the file."""
+    tables = []
+    for name, read in (
+        (listing.lookup_table, read_lookup_table),
+        (listing.positions, sensor.read_positions),
+    ):
+        try:
+            tables.append(None if name is None else read(_reader(listing.path).read(name)))
+        except BadRecording as error:
+            raise UserError(f"{listing.path}: {name} {error}; correct or remove it") from error
+    return tables
+
+
+def left_out_lines(path, recordings: Recordings) -> list:
+    """Messages about the files that were left out of a source, a line each.
+
+    Parameters
+    ----------
+    path : path-like
+        Path of the source.
+    recordings : Recordings
+        From :func:`read_source`.
+    """
+    left_out = recordings.source.left_out
+    lines = [f"{WARNING}{path}: left out {line}" for line in left_out[:LISTED]]
+    if len(left_out) > LISTED:
+        lines.append(f"{WARNING}{path}: left out {len(left_out) - LISTED} more")
+    return lines
+
+
+def _refusals(path, refused, total, can_skip=True):
+    """A line for each kind of reason: number of files, the first ones, and the reason of the first.
+
+    If there are several kinds, a line with the remedy precedes them.
+    """
+    kinds = {}
+    for name, reason in sorted(refused):
+        kinds.setdefault(re.sub(r"'[^']*'|-?[\d.]+", "*", reason), []).append((name, reason))
+    lines = []
+    for files in list(kinds.values())[:LISTED]:
+        (name, reason), others = files[0], [_short(other) for other, _ in files[1:3]]
+        if len(files) > 3:
+            others.append(f"{len(files) - 3} more")
+        also = f" (also {', '.join(others)})" if others else ""
+        lines.append(f"{len(files)} of {total} files refused: {_short(name)}{also} {reason}")
+    if len(kinds) > LISTED:
+        lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
+    remedy = "correct them" + can_skip * (
+        ", or leave them out: --set data.skip_bad=true (of 'adapt' and 'check run' --skip-bad)"
+    )
+    if len(lines) == 1:
+        return [f"{path}: {lines[0]}; {remedy}"]
+    head = f"{len(refused)} of {total} files refused, for {len(kinds)} reasons; {remedy}"
+    return [f"{path}: {line}" for line in (head, *lines)]
+
+
+def _short(name, longest=120):
+    name = printable(str(name))
+    return name if len(name) <= longest else f"...{name[3 - longest :]}"
+
+
+# Reading.
+
+
+def read_file(name: str, content: bytes):
+    """A recording of any sensor: MatRecording, or EventRecording of a file of events.
+
+    Raises
+    ------
+    BadRecording
+    """
+    if PurePosixPath(name).suffix.lower() in EVENT_SUFFIXES:
+        return read_events(content, name)
+    return read_recording(content, n_taxels=None)
+
+
+def _read_members(path, names):
+    """Read some members: each recording, or the reason to refuse it."""
+    reader, results, n_events = _reader(path), [], 0
+    for name in names:
+        try:
+            results.append(read_file(name, reader.read(name)))
+        except BadRecording as error:
+            results.append(str(error))
+        n_events += _size_of(results[-1])
+        _require_few(path, n_events)
+    return results
+
+
+def _size_of(recording):
+    """Number of events of a recording; 0 for the reason to refuse one."""
+    return 0 if isinstance(recording, str) else len(recording)
+
+
+def _require_few(path, n_events):
+    if n_events > MOST_EVENTS:
+        raise UserError(
+            f"{path}: holds more than {MOST_EVENTS:,} events in all; give a part of it, such as "
+            "fewer recordings of each class"
+        )
+
+
+def _archive(file):
+    """A zip.  Names without a mark are UTF-8, as ``zip`` writes them, or else of code page 437."""
+    try:
+        return zipfile.ZipFile(file, metadata_encoding="utf-8")
+    except UnicodeDecodeError:
+        return zipfile.ZipFile(file)
+
+
+class _Reader:
+    """Content of a source's members."""
+
+    def __init__(self, path: Path):
+        self.folder = path if path.is_dir() else None
+        self.archive = None if self.folder else _archive(open_regular(path))
+
+    def read(self, name) -> bytes:
+        try:
+            opened = open_regular(self.folder / name) if self.folder else self.archive.open(name)
+            with opened as file:
+                content = read_limited(file)
+        except NotImplementedError as error:
+            raise BadRecording(f"has an unsupported compression ({error})") from error
+        except READ_ERRORS as error:
+            raise BadRecording(f"cannot be read from the source ({error})") from error
+        if len(content) > LARGEST:
+            raise BadRecording(f"is larger than {LARGEST:,} bytes")
+        return content
+
+
+def _reader(path: Path) -> _Reader:
+    """A reader of the present source, opened once per process, because a zip's list is long."""
+    state = path.stat()
+    return _open_reader(path, state.st_ino, state.st_size, state.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=1)
+def _open_reader(path, *_state):
+    return _Reader(path)
+
+
+# Identity.
+
+
+def content_hash(listing: Listing) -> str:
+    """SHA-256 over a source's content: of the zip, or of every file of a folder that is read."""
+    if not listing.path.is_dir():
+        return sha256_of(listing.path)
+    hashes = {name: sha256_of(listing.path / name) for name in listing.files}
+    return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
+
+
+def fingerprint(listing: Listing) -> str:
+    """A fast substitute for the content hash: names, sizes and modification times."""
+    path = listing.path
+    files = [path / name for name in listing.files] if path.is_dir() else [path]
+    stats = [(str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns) for f in files]
+    return hashlib.sha256(json.dumps(stats).encode()).hexdigest()
+
+
+# Writing.
+
+
+def write_zip(path, recordings: Recordings, progress=None):
+    """Write recordings as a zip in the published layout; equal recordings give equal bytes.
+
+    Parameters
+    ----------
+    path : path-like
+    recordings : Recordings
+        Their ids become the names: ``"3/0042"`` is ``data_submission/3/0042.mat``.
+    progress : callable, optional
+        As in :func:`read_source`.
+    """
+    with (
+        replacing(path) as file,
+        zipfile.ZipFile(file, "w") as archive,
+        _shown(progress, "write", len(recordings)) as advance,
+    ):
+
+        def add(name, content):  # stored: recordings are compressed already
+            member = PurePosixPath("data_submission", name)
+            archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
+
+        add("LUT.mat", lookup_table_bytes(recordings.taxels))
+        for index, name in enumerate(recordings.ids):
+            recording = MatRecording(
+                recordings[index],
+                recordings.source.simulated,
+                int(recordings.writers[index]),
+                n_taxels=len(recordings.taxels),
+            )
+            add(f"{name}.mat", recording_bytes(recording))
+            advance(1)
+
+
+def _shown(progress, label, total):
+    return progress(label, total) if progress else contextlib.nullcontext(lambda n: None)

@@ -1,0 +1,304 @@
+"""Splits of samples into training, validation and test samples."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deploy.tables import listed
+from pipeline.recordings.events import Recordings
+
+# Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
+# samples in both sets.
+RANDOM, PUBLISHED, WRITERS = "random", "published", "writers"
+
+# Share of the training samples that is held out if there are no validation samples.
+HELD_OUT = 0.1
+
+
+@dataclass(frozen=True)
+class Split:
+    """Indices of samples in three disjoint parts, which together are all samples.
+
+    Attributes
+    ----------
+    train : ndarray of int
+        In increasing order.
+    validation, test : ndarray of int
+        In random order: recordings are sorted by digit, and a network whose state is not reset
+        between samples has a higher accuracy if both have the same label.  Settings are chosen
+        on ``validation``, never on ``test``.
+    kind : str
+        ``"random"``, ``"published"`` or ``"writers"``.
+    """
+
+    train: np.ndarray
+    validation: np.ndarray
+    test: np.ndarray
+    kind: str = RANDOM
+
+    def held_out(self, seed: int) -> tuple:
+        """Samples to train on, and held-out samples: for validation or else of the training.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of :func:`hold_out`.
+        """
+        if len(self.validation):
+            return self.train, self.validation
+        return hold_out(self.train, seed)
+
+    def check_samples(self, n_samples: int, seed: int) -> np.ndarray:
+        """Draw the samples of the check; see :func:`draw_check_samples`.
+
+        Those of a published split are the same for every seed, which changes the training only.
+        """
+        return draw_check_samples(self.test, n_samples, 0 if self.kind == PUBLISHED else seed)
+
+
+def kind_of(kind: str, recordings: Recordings) -> str:
+    """The kind of the split: that of the settings, or for ``"auto"`` the published one if any."""
+    if kind != "auto":
+        return kind
+    return PUBLISHED if recordings.is_split else RANDOM
+
+
+def split_of(
+    recordings: Recordings,
+    seed: int,
+    test_fraction: float,
+    validation_fraction: float = 0.0,
+    kind: str = RANDOM,
+) -> Split:
+    """Split recordings into training, validation and test samples.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    seed : int
+    test_fraction, validation_fraction : float
+        See :func:`random_split`; in splits by writers also validation samples are of own writers.
+    kind : str
+        ``"auto"`` or a kind of split, see :class:`Split`.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, the writers are not known, or the source has no published split.
+    """
+    kind = kind_of(kind, recordings)
+    if kind == WRITERS:
+        split = writer_split(recordings.writers, seed, test_fraction)
+        if not validation_fraction:
+            return split
+        inner = writer_split(recordings.writers[split.train], seed, validation_fraction)
+        return replace(split, train=split.train[inner.train], validation=split.train[inner.test])
+    if kind == PUBLISHED:
+        return published_split(recordings.parts, seed, validation_fraction)
+    split = random_split(len(recordings), seed, test_fraction, validation_fraction)
+    return _with_all_classes(split, recordings.labels)
+
+
+def _with_all_classes(split, labels):
+    """The split with a training sample of each class, from the other parts if necessary.
+
+    Validation samples are taken first, so that the test set never becomes empty.
+    """
+    missing = np.setdiff1d(labels, labels[split.train])
+    moved = [next(i for i in (*split.validation, *split.test) if labels[i] == c) for c in missing]
+    train = np.sort(np.concatenate([split.train, np.array(moved, int)]))
+    left = (part[~np.isin(part, moved)] for part in (split.validation, split.test))
+    return Split(train, *left, split.kind)
+
+
+def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
+    """Find a class with too few recordings for a training.
+
+    A class with one recording can be used for training or for testing, but not for both.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    kind : str
+        Kind of the split.
+    """
+    classes, labels = recordings.sensor.classes, recordings.labels
+    counts = np.bincount(labels, minlength=len(classes))
+    if np.count_nonzero(counts) < 2:
+        return "recordings of one class only; at least two are needed"
+    if kind_of(kind, recordings) != PUBLISHED or not recordings.is_split:
+        if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
+            return f"only one recording of {listed(single)}; record more, or take the folder away"
+        return None
+    remedy = "add some, or use --set split.kind=random"
+    for part, least in (("train", 2), ("test", 1)):
+        in_part = np.array([each == part for each in recordings.parts])
+        counts_in_part = np.bincount(labels[in_part], minlength=len(classes))
+        few = [classes[i] for i in np.flatnonzero((counts_in_part < least) & (counts > 0))]
+        if few:
+            number = "no recording" if least == 1 else "fewer than two recordings"
+            return f"{number} of {listed(map(repr, few))} in its folder {part}; {remedy}"
+    return None
+
+
+def copies(recordings: Recordings, split: Split) -> tuple:
+    """Recordings with the same events, where that says that an accuracy is not what it seems.
+
+    Returns
+    -------
+    in_training, in_classes : list of (str, str)
+        Ids of a recording and of its copy: in the training and the test set; in two classes.
+        Recordings without events have no copies.
+    """
+    ids, labels, sizes = recordings.ids, recordings.labels, np.diff(recordings.offsets)
+    content = [h if n else i for i, (h, n) in enumerate(zip(recordings.hashes, sizes, strict=True))]
+    train = {content[i]: i for i in (*split.validation[::-1], *split.train[::-1])}
+    first = {c: i for i, c in reversed([*enumerate(content)])}
+    in_training = [(ids[train[content[i]]], ids[i]) for i in split.test if content[i] in train]
+    others = ((first[c], i) for i, c in enumerate(content) if labels[first[c]] != labels[i])
+    return in_training, [(ids[one], ids[other]) for one, other in others]
+
+
+def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split:
+    """The split of the source; validation samples are drawn from its training set.
+
+    Parameters
+    ----------
+    parts : sequence of str
+        ``"train"`` or ``"test"`` for each recording.
+    seed : int
+        Seed of the draw of validation samples.
+    validation_fraction : float
+        Share of the training set that is used for validation.
+
+    Raises
+    ------
+    ValueError
+        The source has no published split.
+    """
+    parts = np.array(parts, dtype=str)
+    train, test = (np.flatnonzero(parts == part) for part in ("train", "test"))
+    if not len(train) or not len(test):
+        raise ValueError("has no folders train and test, of a published split")
+    order = np.random.default_rng([seed, 0x9B71]).permutation(train)
+    n_validation = round(len(train) * validation_fraction)
+    test = np.random.default_rng(0x7E57).permutation(test)
+    return Split(np.sort(order[n_validation:]), order[:n_validation], test, PUBLISHED)
+
+
+def random_split(
+    n_samples: int, seed: int, test_fraction: float = 0.2, validation_fraction: float = 0.0
+) -> Split:
+    """Split samples at random, as the paper does: 80-20, over samples and not over writers.
+
+    Parameters
+    ----------
+    n_samples : int
+    seed : int
+    test_fraction : float
+        Share of all samples that is used for testing.
+    validation_fraction : float
+        Share of the other samples that is used for validation.  The test samples do not depend on
+        it.
+
+    Returns
+    -------
+    Split
+
+    Raises
+    ------
+    ValueError
+        Training or test set would be empty.
+    """
+    order = np.random.default_rng([seed, 0x5711]).permutation(n_samples)
+    n_test = round(n_samples * test_fraction)
+    n_validation = round((n_samples - n_test) * validation_fraction)
+    test, validation, train = np.split(order, [n_test, n_test + n_validation])
+    if len(test) == 0 or len(train) == 0:
+        raise ValueError(f"{n_samples} samples are too few for a split with {test_fraction} test")
+    return Split(np.sort(train), validation, test)
+
+
+def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> Split:
+    """Split samples so that no writer has both training and test samples.
+
+    In random splits the training samples include each test writer's handwriting; in an application
+    the writers are new.  Writers are drawn at random for the test set as long as each brings its
+    size closer to the requested fraction.
+
+    Parameters
+    ----------
+    writers : ndarray of int, shape (n_samples,)
+        See :class:`pipeline.recordings.events.Recordings`.
+    seed : int
+    test_fraction : float
+        Share of all samples that is used for testing, as closely as possible with whole writers.
+
+    Returns
+    -------
+    Split
+        Without validation samples.
+
+    Raises
+    ------
+    ValueError
+        Writers are not known, or there is only one.
+    """
+    writers = np.asarray(writers)
+    if len(writers) == 0 or writers.min() < 0:
+        raise ValueError("the writers of these recordings are not known")
+    names, sizes = np.unique(writers, return_counts=True)
+    if len(names) < 2:
+        raise ValueError("all recordings are of one writer")
+    wanted, chosen, size = len(writers) * test_fraction, [], 0
+    rng = np.random.default_rng([seed, 0x3217])
+    for index in rng.permutation(len(names)):
+        nearer = abs(size + sizes[index] - wanted) < abs(size - wanted)
+        if (nearer or not chosen) and len(chosen) < len(names) - 1:
+            chosen.append(names[index])
+            size += sizes[index]
+    in_test = np.isin(writers, chosen)
+    test = rng.permutation(np.flatnonzero(in_test))
+    return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), test, WRITERS)
+
+
+def hold_out(train: np.ndarray, seed: int):
+    """Hold out some of the training samples, at least one, to select something on them.
+
+    Parameters
+    ----------
+    train : ndarray of int
+    seed : int
+
+    Returns
+    -------
+    train, held_out : ndarray of int
+        In increasing order.
+    """
+    order = np.random.default_rng([seed, 0x4E1D]).permutation(train)
+    count = max(1, round(HELD_OUT * len(order)))
+    return np.sort(order[count:]), np.sort(order[:count])
+
+
+def draw_check_samples(test: np.ndarray, n_samples: int, seed: int) -> np.ndarray:
+    """Draw the samples of the check from the test set (paper, Section 3.2.2: 200 at random).
+
+    Parameters
+    ----------
+    test : ndarray of int
+        Indices of the test samples.
+    n_samples, seed : int
+
+    Returns
+    -------
+    ndarray of int, shape (n_samples,)
+        Indices of samples, in the order in which they are presented.
+
+    Raises
+    ------
+    ValueError
+        There are fewer test samples than requested.
+    """
+    if n_samples > len(test):
+        raise ValueError(f"{n_samples} samples requested, the test set has {len(test)}")
+    return np.random.default_rng([seed, 0xC4EC]).choice(np.sort(test), n_samples, replace=False)

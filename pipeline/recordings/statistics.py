@@ -1,0 +1,233 @@
+"""What recordings are: their numbers, sizes and durations, and the paper's Table 1 for them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from deploy.errors import UserError
+from deploy.files import open_regular, reporting_os_errors
+from deploy.tables import in_blocks, listed, shortened_apart
+from deploy.terminal import printable
+from pipeline.recordings.events import (
+    TICK_NS,
+    UNIT_NAMES,
+    Recordings,
+    Sensor,
+    facts_of,
+    is_written,
+    reading_text,
+)
+from pipeline.recordings.formats.eventfiles import UNITS, EventRecording
+from pipeline.recordings.formats.mat import LATEST_S, BadRecording, read_limited
+from pipeline.recordings.sensor import recognised, to_ns
+from pipeline.recordings.source import read_file
+
+
+def facts_with_events(recordings: Recordings) -> dict:
+    """:func:`facts_of` with the numbers of physical events and of the files' columns."""
+    return {
+        **facts_of(recordings),
+        "events": len(recordings.events),
+        "columns": int(recordings.events.columns.sum(dtype=np.int64)),
+    }
+
+
+def recordings_text(facts: dict, recordings: Recordings) -> str:
+    """:func:`facts_with_events` of recordings in a few lines."""
+    sensor = recordings.sensor
+    kind = "simulated recordings" if facts["simulated"] else "recordings"
+    if facts["written"]:
+        kind = "recordings, written by hand on the simulated sensor,"
+    of_each = listed(
+        f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
+    )
+    source = printable(facts["source"])
+    text = f"{facts['samples']} {kind} in {source}; of each class: {of_each}\n"
+    text += _counted(facts)
+    if sensor != Sensor():
+        text += f"\n{reading_text(recordings)}"
+    return text
+
+
+def _counted(facts, polarities=""):
+    if facts["columns"] == facts["events"]:
+        return f"{facts['events']} events{polarities}"
+    return f"{facts['events']} physical events{polarities} in {facts['columns']} columns"
+
+
+def facts_of_file(path: Path, time_unit: str = "") -> dict:
+    """Counts and times of one recording: columns of the file, and physical events.
+
+    Parameters
+    ----------
+    path : Path
+    time_unit : str
+        Unit of times in a file of events; empty to infer it from the times.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, or is not a recording.
+    """
+    try:
+        with reporting_os_errors(path, "cannot read", "check the path"), open_regular(path) as file:
+            recording = read_file(path.name, read_limited(file))
+    except BadRecording as error:
+        raise UserError(
+            f"{path}: {error}; expected a recording as ST-MNIST has them, or a file of events "
+            "x, y, t, p"
+        ) from error
+    facts = {"simulated": recording.simulated, "columns": len(recording), "events": len(recording)}
+    if isinstance(recording, EventRecording):
+        unit = time_unit or recording.unit or recognised([recording.time])
+        if not unit:
+            raise UserError(f"{path}: no unit fits its times; give --set data.time_unit=...")
+        time_ns = to_ns(recording.time, unit, recording.time[-1] * UNITS[unit] > LATEST_S)
+        first, last = time_ns[[0, -1]]
+        taxels, polarity = recording.x << 16 | recording.y, recording.polarity
+        rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
+        facts |= {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
+    else:
+        events = recording.events
+        first, last = events.time_ns[0], events.time_ns[-1] + TICK_NS * (events.columns[-1] - 1)
+        taxels, polarity = events.taxel, events.polarity
+        facts["columns"] = int(events.columns.sum(dtype=np.int64))
+        if recording.written:
+            facts |= {"source": "written", "writer": recording.writer}
+    return {
+        **facts,
+        "on": int((polarity == 1).sum()),
+        "off": int((polarity == -1).sum()),
+        "t_first_s": float(first * 1e-9),
+        "t_last_s": float(last * 1e-9),
+        "taxels": len(np.unique(taxels)),
+    }
+
+
+def file_text(name: str, facts: dict) -> str:
+    """:func:`facts_of_file` in a line."""
+    kind = " (simulated)" if facts["simulated"] else ""
+    if facts.get("source") == "written":
+        kind = " (written by hand on the simulated sensor)"
+    polarities = f" ({facts['on']} ON, {facts['off']} OFF)"
+    text = f"{printable(name)}{kind}: {_counted(facts, polarities)} of {facts['taxels']} taxels"
+    if "sensor" in facts:
+        text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
+    text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
+    if "time_unit" in facts:
+        text += f", times read as {UNIT_NAMES[facts['time_unit']]}"
+    return text
+
+
+# The paper's Table 1.
+
+
+def per_sample(recordings) -> dict:
+    """The measures of every recording.
+
+    Every column of the published array counts as an event, as in the paper; ``on_physical`` and
+    ``off_physical`` count each burst once.  X and Y are 1-based.
+
+    Returns
+    -------
+    dict of str to ndarray of float, shape (n_samples,)
+        The means and ranges of a recording without events are NaN.
+    """
+    events, n = recordings.events, len(recordings)
+    sample = recordings.sample_of_event
+    columns = events.columns.astype(float)
+    is_on = events.polarity > 0
+    total = np.bincount(sample, columns, n)
+    measures = {
+        "on": np.bincount(sample, columns * is_on, n),
+        "off": np.bincount(sample, columns * ~is_on, n),
+        "on_physical": np.bincount(sample, is_on, n),
+        "off_physical": np.bincount(sample, ~is_on, n),
+    }
+    total = np.where(total, total, np.nan)
+    for axis, where in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
+        place = where[events.taxel] + 1.0
+        low, high = np.full(n, np.inf), np.full(n, -np.inf)
+        np.minimum.at(low, sample, place)
+        np.maximum.at(high, sample, place)
+        measures[axis + "_mean"] = np.bincount(sample, columns * place, n) / total
+        measures[axis + "_range"] = np.where(np.isnan(total), np.nan, high - low)
+    return measures
+
+
+def table(recordings) -> dict:
+    """Mean and standard deviation of each measure over the recordings of each digit.
+
+    Returns
+    -------
+    dict of int to dict
+        For each digit that occurs: a pair (mean, SD) for each measure, and ``samples``.
+    """
+    measures = per_sample(recordings)
+    result = {}
+    for digit in np.unique(recordings.labels):
+        of_digit = recordings.labels == digit
+        result[int(digit)] = {name: _mean_sd(values[of_digit]) for name, values in measures.items()}
+        result[int(digit)]["samples"] = int(of_digit.sum())
+    return result
+
+
+def _mean_sd(values):
+    """Mean and sample SD without NaN; NaN if there are too few values."""
+    values = values[~np.isnan(values)]
+    mean = float(values.mean()) if len(values) else math.nan
+    return mean, float(values.std(ddof=1)) if len(values) > 1 else math.nan
+
+
+LABELS = {
+    "on": "ON events",
+    "off": "OFF events",
+    "on_physical": "physical ON",
+    "off_physical": "physical OFF",
+    "x_mean": "X mean",
+    "y_mean": "Y mean",
+    "x_range": "X range",
+    "y_range": "Y range",
+}
+
+
+# The table of recordings other than digits, whose positions are not the paper's X and Y.
+OWN_LABELS = {
+    name: label.replace("X", "row").replace("Y", "column").replace("physical ", "")
+    for name, label in LABELS.items()
+    if name not in ("on", "off")
+}
+
+# Characters of a class's name above its column.
+LONGEST_HEAD = 20
+
+
+def table1_json(recordings) -> dict:
+    """The table as plain values."""
+    names = recordings.sensor.classes
+    digits = {names[digit]: _plain(row) for digit, row in table(recordings).items()}
+    return {"simulated": recordings.source.simulated, "samples": len(recordings), "digits": digits}
+
+
+def table1_text(recordings) -> str:
+    """The table as text."""
+    ours = table(recordings)
+    name = printable(recordings.source.name)
+    if recordings.source.simulated and "simulated" not in name:
+        name += " (simulated)"
+    sensor = recordings.sensor
+    written = is_written(sensor.rows, sensor.columns, sensor.classes)
+    rows = [["", *shortened_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
+    for measure, label in (LABELS if written else OWN_LABELS).items():
+        form = ("{:.2f} ({:.2f})" if measure[0] in "xy" else "{:.0f} ({:.0f})").format
+        rows.append([label, *(form(*row[measure]) for row in ours.values())])
+    rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
+    return "\n".join([f"{name}, {len(recordings)} samples: mean (SD)", *in_blocks(rows)])
+
+
+def _plain(row):
+    return {
+        name: [None if math.isnan(v) else v for v in value] if isinstance(value, tuple) else value
+        for name, value in row.items()
+    }

@@ -1,0 +1,608 @@
+"""Every setting of an experiment: its default, its limits, and above it its meaning.
+
+A run stores its settings in ``experiment.toml``; ``stmnist settings`` prints their meanings.
+"""
+
+from __future__ import annotations
+
+import difflib
+import enum
+import functools
+import math
+import os
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Annotated
+
+from deploy import limits
+from deploy.errors import UserError
+from deploy.loading import Limit, WrongValue, between, load, one_of
+from deploy.network.spec import Presentation
+from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
+from models.architecture import NotationError, parse
+from pipeline import paper
+
+AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
+AUGMENTATIONS = ("auto", "time", "space", "none")
+RECIPES = ("loihi", "paper", "as-is")
+# The name of the built-in recordings.
+SIMULATED = "simulated"
+NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
+
+
+class UndeclaredSetting(Exception):
+    """Code read a setting that the artifact it is making does not declare.
+
+    This is a programming error: the setting belongs in the ``reads`` of that artifact's origin, see
+    :mod:`pipeline.run.artifacts`.
+    """
+
+
+class _Access(enum.Enum):
+    """Stands in a section for a value that may not be read; the same object after pickling."""
+
+    DENIED = 0
+
+
+# Settings with the path of a file. The origin of an artifact has a hash of the file's content
+# instead of the path, so that every artifact may read these settings.
+PATHS = ("data.source", "cnn.model", "nir.file")
+# Files of imported networks, and the settings with their hashes.
+IMPORTED = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
+
+
+class Section:
+    """Base of the settings and their sections; see :meth:`Settings.only`."""
+
+    def __getattribute__(self, name):
+        value = object.__getattribute__(self, name)
+        if value is _Access.DENIED:
+            raise UndeclaredSetting(
+                f"{type(self).__name__}.{name} is read, but the artifact that is being made does "
+                "not declare it; add it to the reads of the artifact's origin"
+            )
+        return value
+
+
+SEED = between(0, 2**31 - 1)
+EPOCHS, BATCH = between(1, limits.EPOCHS), between(1, limits.BATCH)
+OWN_EPOCHS, OWN_BATCH = between(0, limits.EPOCHS), between(0, limits.BATCH)
+STEPS, STEPS_OR_NONE = between(1, limits.STEPS), between(0, limits.STEPS)
+MOST_DOWNSAMPLED = 64
+MOST_PARTS = 64
+SAMPLES, SAMPLES_OR_ALL = between(1, limits.SAMPLES), between(0, limits.SAMPLES)
+TAU = between(1e-6, limits.SECONDS, " seconds")
+TAU_OR_NONE = between(0, limits.SECONDS, " seconds")
+REFRACTORY = between(1e-9, limits.REFRACTORY_S, " seconds")
+AT_LEAST_0 = between(0, 1000)
+ABOVE_0 = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
+INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
+FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
+RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
+STEP = between(0.1, 1000, " milliseconds")
+STEP_OR_NONE = Limit(
+    lambda value: value == 0 or 1e-3 <= value <= 1e6, "0, or from 0.001 to 1000000 milliseconds"
+)
+SIDE = between(0, 256)
+
+
+@dataclass(frozen=True)
+class Data(Section):
+    """The recordings."""
+
+    #: ``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's.
+    source: str = "simulated"
+    #: Seed of simulated recordings; the experiment's own seed does not change them.
+    simulation_seed: Annotated[int, SEED] = 0
+    #: Simulated recordings of each digit; 0 for the published numbers, 6,953 in all.
+    samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = 0
+    #: Simulated people; 0 for the paper's 23.  Others write all digits alike in place, size and
+    #: force; a thousand of them help with people who are not among them (docs/simulation.md).
+    writers: Annotated[int, between(0, limits.SAMPLES)] = 0
+    #: Leave out files that cannot be read instead of stopping.
+    skip_bad: bool = False
+    #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
+    #: duration of the recordings.
+    time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
+    #: Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels.
+    downsample: Annotated[int, between(1, MOST_DOWNSAMPLED)] = 1
+
+
+@dataclass(frozen=True)
+class Input(Section):
+    """The input of the network on the chip."""
+
+    #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
+    #: the sensor's events.
+    kind: Annotated[str, one_of("image", "events")] = "image"
+    #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
+    step: Annotated[float, STEP] = 10.0
+    #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
+    #: whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only.
+    refractory: Annotated[float, AT_LEAST_0] = 10.0
+
+    @property
+    def refractory_steps(self) -> int:
+        """The refractory period in steps."""
+        return int(self.refractory / self.step + 1e-9)
+
+
+@dataclass(frozen=True)
+class SkinSize(Section):
+    """The array of taxels."""
+
+    #: Rows of taxels; 0: ten for the simulated sensor, and for recordings the number in their
+    #: look-up table or their largest coordinate.
+    rows: Annotated[int, SIDE] = 0
+    #: Columns of taxels; 0 has the same meaning as for the rows.
+    columns: Annotated[int, SIDE] = 0
+
+
+@dataclass(frozen=True)
+class Image(Section):
+    """Conversion of events to a tactile image; see :mod:`pipeline.recordings.images`."""
+
+    #: Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
+    #: the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only;
+    #: ``polarities``, ON and OFF events as two channels.
+    aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
+    #: Number of equal slices of time whose events are counted separately, each as channels of the
+    #: image.
+    slices: Annotated[int, between(1, 64)] = 1
+    #: Time from the first event that is divided into slices, in milliseconds; later events are
+    #: counted in the last slice.  0 for two seconds.
+    duration: Annotated[float, between(0, 1e7, " milliseconds")] = 0.0
+    #: Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
+    #: ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, undivided
+    #: counts, which need a low ``deployment.input_rate``.
+    normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
+
+    @property
+    def channels(self) -> int:
+        """Channels of an image."""
+        return self.slices * (2 if self.aggregation == "polarities" else 1)
+
+    @property
+    def duration_ms(self) -> float:
+        """Time that is divided into slices, also if ``duration`` is 0."""
+        return self.duration or 1000 * paper.DURATION_S
+
+
+@dataclass(frozen=True)
+class SplitShares(Section):
+    """The test and validation samples."""
+
+    #: ``published``, the split of a source with the folders ``train`` and ``test``; ``random``,
+    #: over all samples, as in the paper; ``writers``, people with test samples have no training
+    #: samples; ``auto``, the published one if there is one, otherwise random.
+    kind: Annotated[str, one_of("auto", "random", "published", "writers")] = "auto"
+
+    #: Share of all samples that is used for testing (paper: 80-20 splits); not of a published
+    #: split, which has its own.
+    test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
+    #: Share of the training samples that is held out for choosing settings.
+    validation_fraction: Annotated[float, FROM_0_BELOW_1] = 0.0
+
+
+@dataclass(frozen=True)
+class CNN(Section):
+    """The convolutional network and its training (paper, Section 3.2.1)."""
+
+    #: Input, convolutions (``6c4``: six filters of 4x4) and outputs.
+    architecture: str = "10x10-6c4-24c3-10o"
+    #: Passes over the training samples; 0 for the paper's 20, or more on few samples.
+    epochs: Annotated[int, OWN_EPOCHS] = 0
+    #: Samples per training step.  Not given in the paper; Keras's default.
+    batch_size: Annotated[int, BATCH] = 32
+    #: Learning rate of RMSProp.  Not given in the paper; Keras's default.
+    learning_rate: Annotated[float, ABOVE_0] = 0.001
+    #: Alterations of the events of training samples, before the image is made: ``time``, dropped
+    #: events; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels;
+    #: ``none``; ``auto``, ``none`` for the paper's CNN and for handwriting on the simulated sensor
+    #: or ST-MNIST's, and ``time`` in the spiking network's training on other recordings.
+    augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
+    #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.
+    model: str = ""
+    #: SHA-256 of that file's content.
+    model_sha256: str = ""
+
+
+@dataclass(frozen=True)
+class SNN(Section):
+    """Training with rate-LIF neurons (paper, Section 3.2.2)."""
+
+    #: ``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
+    #: fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-LIF,
+    #: from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled
+    #: to the neurons' range and response curve without further training.
+    recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
+    #: Passes over the training samples; 0 for the default of the recipe, or more on few samples.
+    epochs: Annotated[int, OWN_EPOCHS] = 0
+    #: Samples per training step; 0 for the default of the recipe.
+    batch_size: Annotated[int, OWN_BATCH] = 0
+    #: Initial learning rate; 0 for the default of the recipe.
+    learning_rate: Annotated[float, AT_LEAST_0] = 0.0
+    #: Standard deviation of the noise on each neuron's input while training, relative to the
+    #: activation at ``max_rates``; recipe ``loihi`` only.
+    noise: Annotated[float, AT_LEAST_0] = 0.1
+    #: Share of the neurons that are left out at random while training; recipe ``loihi`` only.
+    dropout: Annotated[float, FROM_0_BELOW_1] = 0.0
+    #: Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps,
+    #: in multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only.
+    spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
+    #: Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
+    #: the last entry also applies to all layers after it.
+    max_rates: tuple[float, ...] = (150.0,)
+    #: Membrane time constant in seconds.
+    tau_rc: Annotated[float, TAU] = 0.02
+    #: Refractory period in seconds.
+    tau_ref: Annotated[float, REFRACTORY] = 0.001
+
+    @property
+    def is_on_chip(self) -> bool:
+        """True if the rate-based network has the chip's rates and 8-bit weights."""
+        return self.recipe != "paper"
+
+    def max_rate(self, index: int) -> float:
+        """The maximum rate of layer of neurons ``index``, counted from 0."""
+        return self.max_rates[min(index, len(self.max_rates) - 1)]
+
+
+@dataclass(frozen=True)
+class NIR(Section):
+    """A NIR graph that replaces the trained network; see :mod:`pipeline.kinds.nir.kind`."""
+
+    #: A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for
+    #: networks that are trained here.
+    file: str = ""
+    #: SHA-256 of that file's content.
+    sha256: str = ""
+    #: Milliseconds of the graph's time in a step of the chip; 0: as the graph has it (0.1 if
+    #: snnTorch's exporter wrote it), otherwise the value of ``input.step``, or 1 with images.
+    step: Annotated[float, STEP_OR_NONE] = 0.0
+    #: Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
+    #: Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote
+    #: the graph, otherwise ``exact``.
+    method: Annotated[str, one_of("auto", "exact", "euler")] = "auto"
+    #: The reset with which the graph was trained, which NIR does not record: ``value``, to
+    #: ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
+    #: step, as snnTorch does unless ``reset_delay=False``.
+    reset: Annotated[str, one_of("value", "subtract", "subtract-late")] = "value"
+
+
+@dataclass(frozen=True)
+class EventTraining(Section):
+    """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
+
+    #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
+    architecture: str = "10x10x2-24c4s3-64-10o"
+    #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
+    #: which is one for handwriting.
+    parts: Annotated[int, between(0, MOST_PARTS)] = 0
+    #: Length of each part in milliseconds, the last one is open; 0: the presentation, divided
+    #: among the parts; for handwriting two seconds.
+    part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
+    #: Passes over the training samples; 0: as the recipe's updates need.
+    epochs: Annotated[int, OWN_EPOCHS] = 0
+    #: Samples per training step.
+    batch_size: Annotated[int, BATCH] = 32
+    #: Share of a layer's neurons whose spikes are left out of a training sample.
+    dropout: Annotated[float, FROM_0_BELOW_1] = 0.1
+    #: Initial learning rate of Adam; it falls to 0 along a half cosine.
+    learning_rate: Annotated[float, ABOVE_0] = 0.003
+    #: Weight of the loss term for early decisions, before the recording ends.
+    early: Annotated[float, AT_LEAST_0] = 1.0
+    #: Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
+    #: also rotated, shifted, scaled and sheared on the grid of taxels; ``none``; ``auto``,
+    #: ``space`` for handwriting on the simulated sensor or ST-MNIST's, and ``time`` for other
+    #: recordings.
+    augment: Annotated[str, one_of("auto", "time", "space", "none")] = "auto"
+    #: Synaptic operations per inference above which the loss has a penalty, in multiples of the
+    #: multiply-accumulates of the paper's CNN.
+    budget: Annotated[float, ABOVE_0] = 0.8
+
+
+@dataclass(frozen=True)
+class Deployment(Section):
+    """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
+
+    #: ``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
+    #: for each class, of networks on images only.
+    readout: Annotated[str, one_of("chip", "host")] = "host"
+    #: Spikes per second of a pixel of value 1.
+    input_rate: Annotated[float, RATE] = 500.0
+    #: Initial voltage of an input neuron in a sample, as a share of its threshold.  Its number of
+    #: spikes is the expected number, rounded to the nearest with 0.5 and down with 0.
+    input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
+    #: Time constant in seconds of the low-pass on every spiking connection; 0 for none.
+    synapse: Annotated[float, TAU_OR_NONE] = 0.008
+
+
+@dataclass(frozen=True)
+class PresentationSettings(Section):
+    """Presentation of the samples; see :class:`deploy.network.spec.Presentation`."""
+
+    #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
+    #: ``input.step``.  0 for 100 steps, or with events for as many as the
+    #: longest recording needs, from 50 to 400.
+    steps: Annotated[int, STEPS_OR_NONE] = 0
+    #: Silent steps before each sample.
+    gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
+    #: First step of the readout window, over which the output is averaged for the decision; with
+    #: events always the first step of the presentation.
+    readout_start: Annotated[int, STEPS_OR_NONE] = Presentation.readout_start
+    #: Number of samples that are presented before the network is reset.
+    stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
+    #: Largest loss of accuracy by early decisions, on held-out samples; a smaller one makes fewer
+    #: mistakes and later decisions.  Events only.
+    early_loss: Annotated[float, FROM_0_BELOW_1] = 0.005
+
+
+@dataclass(frozen=True)
+class Check(Section):
+    """The check that is run on every target."""
+
+    #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. With the
+    #: default all too if there are fewer.
+    samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
+
+    def drawn(self, available: int) -> int:
+        """Number of samples to draw.
+
+        Parameters
+        ----------
+        available : int
+            Size of the test set.
+        """
+        if self.samples in (0, paper.CHECK_SAMPLES):
+            return min(self.samples or available, max(available, 1))
+        return self.samples
+
+
+@dataclass(frozen=True)
+class Settings(Section):
+    """All settings of an experiment."""
+
+    #: Seed of the split, the training and the choice of the check's samples.
+    seed: Annotated[int, SEED] = 0
+    data: Data = field(default_factory=Data)
+    input: Input = field(default_factory=Input)
+    skin: SkinSize = field(default_factory=SkinSize)
+    image: Image = field(default_factory=Image)
+    split: SplitShares = field(default_factory=SplitShares)
+    cnn: CNN = field(default_factory=CNN)
+    snn: SNN = field(default_factory=SNN)
+    nir: NIR = field(default_factory=NIR)
+    events: EventTraining = field(default_factory=EventTraining)
+    deployment: Deployment = field(default_factory=Deployment)
+    presentation: PresentationSettings = field(default_factory=PresentationSettings)
+    check: Check = field(default_factory=Check)
+    # Names of the settings that were set, also those that were set to their defaults.
+    given: tuple = field(default=(), init=False, compare=False, repr=False)
+
+    def with_values(self, changes: dict, origin: str = "settings") -> Settings:
+        """These settings with some changed.
+
+        Parameters
+        ----------
+        changes : dict
+            As read from TOML: ``{"seed": 1, "cnn": {"epochs": 5}}``.
+        origin : str
+            Source of the values, for the error's line.
+
+        Raises
+        ------
+        UserError
+            An unknown setting, or a value of the wrong kind or out of range.
+        """
+        try:
+            settings = load(Settings, merged(self.to_json(), changes))
+            if settings.data.source != SIMULATED:  # a run can be repeated from any folder
+                source = os.path.abspath(settings.data.source)
+                settings = replace(settings, data=replace(settings.data, source=source))
+            _check_relations(settings)
+            for file, content in IMPORTED.items():
+                if self.value(file) and settings.value(content) and not settings.value(file):
+                    raise WrongValue(file, "must be kept; train others in a new RUN")
+        except WrongValue as error:
+            raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
+        named = [name for name in self.flat() if value_in(changes, name) is not None]
+        return settings.as_given([*self.given, *named])
+
+    def as_given(self, names) -> Settings:
+        """The same with other names of settings that were set; see :meth:`is_open`."""
+        settings = replace(self)
+        object.__setattr__(settings, "given", tuple(dict.fromkeys(names)))
+        return settings
+
+    def is_open(self, name: str) -> bool:
+        """True if a setting was not set, so that it may be chosen for the recordings."""
+        return name not in self.given and self.value(name) == Settings().value(name)
+
+    def presented(self, confidence: float | None = None) -> Presentation:
+        """The presentation of samples; events are read from the first step on.
+
+        Parameters
+        ----------
+        confidence : float, optional
+            See :class:`deploy.network.spec.Presentation`.
+        """
+        shown = {**asdict(self.presentation), "steps": self.steps, "confidence": confidence}
+        del shown["early_loss"]  # by which the confidence was chosen
+        return Presentation(**(shown | {"readout_start": 0} if self.on_events else shown))
+
+    @property
+    def stimulus(self) -> Stimulus:
+        """The input of the chip."""
+        if self.on_events:
+            return EventFrames(self.input.step / 1000, self.input.refractory_steps)
+        return ImageSpikes(self.deployment.input_rate, self.deployment.input_phase)
+
+    @property
+    def steps(self) -> int:
+        """Steps for which a sample is presented, also if ``presentation.steps`` is 0."""
+        if self.presentation.steps:
+            return self.presentation.steps
+        if not self.on_events:
+            return Presentation.steps
+        return min(round(1000 * paper.DURATION_S / self.input.step), limits.STEPS)
+
+    @property
+    def part_starts(self) -> tuple:
+        """First step of each part of a sample that has readout weights of its own."""
+        if self.nir.file:
+            return (0,)
+        parts = self.events.parts or 1
+        part = (self.events.part or 1000 * paper.DURATION_S / parts) / self.input.step
+        return tuple(sorted({round(k * part) for k in range(parts)}))
+
+    @property
+    def on_events(self) -> bool:
+        """True if the input of the chip is events, not images."""
+        return self.input.kind == "events"
+
+    def value(self, name: str):
+        """The value of a setting by its dotted name, such as ``"cnn.epochs"``."""
+        return functools.reduce(getattr, name.split("."), self)
+
+    def only(self, names) -> Settings:
+        """Only the named settings; reading any other raises `UndeclaredSetting`.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Dotted names.  :data:`PATHS` remain readable too.
+        """
+        return _narrowed(self, {*names, *PATHS}, "")
+
+    def to_json(self) -> dict:
+        """The settings as plain values."""
+        return {name: value for name, value in asdict(self).items() if name != "given"}
+
+    def flat(self) -> dict:
+        """Values by their dotted names, as ``--set`` takes them."""
+        return {name: getattr(section, entry) for name, section, entry in entries_of(self)}
+
+
+def put(values: dict, name: str, value, origin: str):
+    """Put a value into nested ones; it replaces an existing one.
+
+    Parameters
+    ----------
+    values : dict
+        As :meth:`Settings.with_values` takes them.
+    name : str
+        Dotted.
+    value
+    origin : str
+        For the error's line.
+
+    Raises
+    ------
+    UserError
+        A name is used both as a section and as a value.
+    """
+    *sections, last = name.split(".")
+    for section in sections:
+        values = values.setdefault(section, {})
+        if not isinstance(values, dict):
+            raise UserError(
+                f"{origin}: {section!r} has a value of its own too; give it or {name!r}, not both"
+            )
+    if isinstance(values.get(last), dict) and not isinstance(value, dict):
+        raise UserError(f"{origin}: {name!r} has a value in it too; give one of them")
+    values[last] = value
+
+
+def value_in(values: dict, name: str):
+    """A value of nested ones by its dotted name, or None."""
+    for part in name.split("."):
+        values = values.get(part) if isinstance(values, dict) else None
+    return values
+
+
+def merged(old: dict, changes: dict) -> dict:
+    """Nested values with some changed."""
+    return old | {
+        name: merged(old[name], value)
+        if isinstance(value, dict) and isinstance(old.get(name), dict)
+        else value
+        for name, value in changes.items()
+    }
+
+
+def _suggestion(error):
+    """The known name that is most similar to an unknown one."""
+    unknown = error.problem == "is unknown"
+    near = difflib.get_close_matches(error.name, Settings().flat(), n=1) if unknown else []
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+def _narrowed(section, kept, prefix):
+    """A copy of a section in which only the values in ``kept`` may be read."""
+    copy = object.__new__(type(section))
+    for name, value in object.__getattribute__(section, "__dict__").items():
+        if isinstance(value, Section):
+            value = _narrowed(value, kept, f"{prefix}{name}.")
+        elif prefix + name not in kept:
+            value = _Access.DENIED
+        object.__setattr__(copy, name, value)
+    return copy
+
+
+def names_in(section: str) -> tuple:
+    """Dotted names of the settings of a section, or the name itself if it is a setting's."""
+    value = functools.reduce(getattr, section.split("."), Settings())
+    if not isinstance(value, Section):
+        return (section,)
+    return tuple(name for name, _, _ in entries_of(value, f"{section}."))
+
+
+def entries_of(settings, prefix=""):
+    """(dotted name, section that has it, name there) of every setting."""
+    for entry in (entry for entry in fields(settings) if entry.init):
+        value = getattr(settings, entry.name)
+        if hasattr(value, "__dataclass_fields__"):
+            yield from entries_of(value, f"{prefix}{entry.name}.")
+        else:
+            yield prefix + entry.name, settings, entry.name
+
+
+def _check_relations(s: Settings):
+    """Check the limits of a setting that depend on other settings, and the notations."""
+
+    def need(condition, name, expected):
+        if not condition:
+            raise WrongValue(name, f"must be {expected}")
+
+    inside = 0 <= s.presentation.readout_start < s.steps
+    need(s.on_events or inside, "presentation.readout_start",
+         f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
+         "with so few steps give it too, such as "
+         f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
+    layers = _parsed(s.events.architecture, "events.architecture").layers
+    need(len(layers) > 1 and all(layer.kind != "pool" for layer in layers),
+         "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
+    n_spiking = len(_parsed(s.cnn.architecture, "cnn.architecture").spiking)
+    need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
+    for file, content in IMPORTED.items():
+        given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
+        need(s.value(content) or not s.value(file), file, given)
+    need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
+         f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
+    need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
+         f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
+
+
+def _parsed(architecture, name):
+    try:
+        parsed = parse(architecture)
+    except NotationError as error:
+        raise WrongValue(name, f"is not a network: {error}") from error
+    weights = sum(map(math.prod, parsed.weight_shapes.values()))
+    if weights > limits.WEIGHTS or max(map(math.prod, parsed.shapes)) > limits.NEURONS:
+        raise WrongValue(
+            name,
+            f"must be a network of at most {limits.WEIGHTS} weights, "
+            f"and {limits.NEURONS} neurons in a layer",
+        )
+    return parsed

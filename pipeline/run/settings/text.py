@@ -1,0 +1,82 @@
+"""Settings on the command line: their meanings as text, and ``--set`` options."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import re
+import textwrap
+import tomllib
+
+from deploy.errors import UserError
+from pipeline.run.settings.schema import Settings, entries_of, put
+from pipeline.run.settings.toml import toml_text
+
+
+def describe(settings: Settings) -> list:
+    """Every setting: a dict of ``name``, ``value``, ``default``, ``meaning`` and ``section``."""
+    defaults = Settings().flat()
+    return [
+        {
+            "name": name,
+            "value": getattr(section, entry),
+            "default": defaults[name],
+            "meaning": _meanings(type(section))[entry],
+            "section": re.split(r";|\.\n|\.$", inspect.getdoc(type(section)))[0],
+        }
+        for name, section, entry in entries_of(settings)
+    ]
+
+
+def settings_text(described: list, width: int = 80) -> str:
+    """The result of :func:`describe` as text; a star marks values that are not the default."""
+    lines, section = [], None
+    for row in described:
+        if row["section"] != section:
+            section = row["section"]
+            lines += ["", f"# {section}"]
+        value, default = toml_text(row["value"]), toml_text(row["default"])
+        star, otherwise = ("*", f"  (default {default})") if value != default else (" ", "")
+        lines.append(f"{star} {row['name']} = {value}{otherwise}")
+        text = textwrap.fill(row["meaning"], width - 6, break_on_hyphens=False)
+        lines.append(textwrap.indent(text, 6 * " "))
+    return "\n".join(lines[1:])
+
+
+def parse_assignments(assignments) -> dict:
+    """Turn ``["cnn.epochs=5", "seed=1"]`` into nested values.
+
+    Values are read as TOML, and as plain text where that fails; a single value is taken as a list
+    of one where a list is needed.
+
+    Raises
+    ------
+    UserError
+        An entry is not of the form ``name=value``.
+    """
+    values: dict = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals or not name.strip():
+            raise UserError(f"--set {assignment!r}: expected section.name=value")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except (ValueError, RecursionError):
+            value = text.strip()
+        if isinstance(Settings().flat().get(name.strip()), tuple) and not isinstance(value, list):
+            value = [value]
+        put(values, name.strip(), value, f"--set {assignment!r}")
+    return values
+
+
+@functools.cache
+def _meanings(section):
+    """The comment above each entry of a section, in one line and without its markup."""
+    meanings, words = {}, []
+    for line in map(str.strip, inspect.getsource(section).splitlines()):
+        if line.startswith("#:"):
+            words.append(line[2:].strip())
+        elif words:
+            meanings[line.partition(":")[0]] = " ".join(words).replace("``", "")
+            words = []
+    return meanings

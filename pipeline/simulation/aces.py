@@ -1,0 +1,94 @@
+"""ACES: all taxels share one wire, each event is a pulse signature, and a decoder separates them.
+
+Asynchronously Coded Electronic Skin (W. W. Lee et al., "A neuro-inspired artificial peripheral
+nervous system for scalable electronic skins", Science Robotics 4, 2019; paper, Section 2.1).  A
+taxel sends a few short pulses at delays that identify it, without synchronisation.  Signatures may
+overlap on the wire.  The decoder samples the wire on a 16 ns grid and correlates it with each
+taxel's signature at every tick.
+
+Unpublished properties are inferred from the one available recording: its events come as bursts of 4
+or 5 ticks (ON) or 2 or 3 (OFF), with nearly equal frequencies.  A correlator reports such bursts if
+the pulses of an ON event are about 71 ns wide and those of an OFF event about 39 ns.  The width
+thus encodes the polarity, and the length of a burst depends on the time of the event relative to
+the grid.
+"""
+
+import numpy as np
+
+from pipeline.recordings.events import TICK_NS, Events
+
+
+def bursts(time_ns, taxel, polarity, p) -> Events:
+    """The decoder's reports without losses on the wire, computed directly.
+
+    An event at ``t`` with pulses of width ``w`` is reported at every tick from ``t`` to just before
+    ``t + w``.
+
+    Parameters
+    ----------
+    time_ns : ndarray of float, shape (n,)
+        Times, not rounded to the grid.
+    taxel, polarity : ndarrays of int, shape (n,)
+    p : section ``[aces]`` of ``parameters.toml``
+
+    Returns
+    -------
+    Events
+        In order of time, no two in the same tick.
+    """
+    first, columns = _ticks(time_ns, polarity, p)
+    return in_turn(first, taxel, polarity, columns)
+
+
+class Decoder:
+    """:func:`bursts` for events that arrive in parts.
+
+    Parameters
+    ----------
+    p : section ``[aces]`` of ``parameters.toml``
+    """
+
+    def __init__(self, p):
+        self._p, self._free = p, 0
+        self._waiting = np.empty(0), np.empty(0, int), np.empty(0, int)
+
+    def advance(self, time_ns, taxel, polarity, until_ns) -> Events:
+        """Reports of the events up to a time; later events wait for the next call.
+
+        Parameters
+        ----------
+        time_ns, taxel, polarity
+            As in :func:`bursts`; not before ``until_ns`` of the previous call.
+        until_ns : float
+        """
+        every = [
+            np.concatenate([old, new])
+            for old, new in zip(self._waiting, (time_ns, taxel, polarity), strict=True)
+        ]
+        first, columns = _ticks(every[0], every[2], self._p)
+        due = first < np.ceil(until_ns / TICK_NS)
+        self._waiting = tuple(values[~due] for values in every)
+        events = in_turn(first[due], every[1][due], every[2][due], columns[due], self._free)
+        if len(events):
+            self._free = int(events.time_ns[-1]) // TICK_NS + int(events.columns[-1])
+        return events
+
+
+def _ticks(time_ns, polarity, p):
+    """First tick and number of ticks at which a pulse sent at ``time_ns`` is high."""
+    width = np.where(np.asarray(polarity) > 0, p.on_ns, p.off_ns)
+    first = np.ceil(np.asarray(time_ns) / TICK_NS).astype(np.int64)
+    return first, np.ceil((time_ns + width) / TICK_NS).astype(np.int64) - first
+
+
+def in_turn(tick, taxel, polarity, columns, free=0) -> Events:
+    """Events in order of time; one that would start within another's burst waits for its end.
+
+    In the published arrays no two taxels report in the same tick.  ``free`` is the first tick after
+    all earlier bursts.
+    """
+    order = np.lexsort((taxel, tick))
+    tick, columns = np.asarray(tick)[order], np.asarray(columns)[order]
+    before = np.cumsum(columns) - columns
+    tick = before + np.maximum(np.maximum.accumulate(tick - before), free)
+    return Events(tick * TICK_NS, np.asarray(taxel)[order], np.asarray(polarity)[order], columns)

@@ -1,0 +1,341 @@
+"""Simulate a data set on the skin: writers, contact, receptors, ACES read-out."""
+
+import hashlib
+import itertools
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+from joblib import delayed
+
+from deploy.errors import UserError
+from pipeline.jobs import results_of
+from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
+from pipeline.simulation import aces, handwriting
+from pipeline.simulation import parameters as settings
+from pipeline.simulation.contact import Creep, Receptors, press, scrape
+
+# Part of the hash of the recordings; increase it with any change of the simulation.
+VERSION = 6
+
+# Rows and columns of the paper's array.
+SIZE = (GRID, GRID)
+
+# Time step of motion and contact; events have a finer grid.
+STEP_S = 3.27e-3 / 3
+
+# Seed of the taxels' gains: as in the paper, one array records every data set.
+ARRAY_SEED = 2020
+
+# Recordings whose film and receptors are simulated together. Fixed, so that the bytes do not depend
+# on the processes.
+BATCH = 128
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A sample to be recorded: number ``index`` of a digit, by a writer or from a given trace."""
+
+    digit: int
+    index: int
+    writer: int
+    trace: handwriting.Trace | None = None
+
+    @property
+    def name(self):
+        """The id of the sample, independently of the other samples."""
+        return f"{self.digit}/{self.index:04d}"
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One recording up to the signal of the taxels, and the parameters of the remaining steps.
+
+    Attributes
+    ----------
+    start_s : float
+        Time of the first row.
+    taxels : ndarray of int, shape (n,)
+    felt : ndarray of float32, shape (n_times, n)
+    speed : ndarray of float, shape (n_times,)
+        Speed of the tip, in taxels per second.
+    skin : section ``[skin]`` of ``parameters.toml``
+        Parameters of the skin, with the roughness of this recording.
+    off : float
+        Logarithm of the ratio of the digit's OFF threshold to its ON threshold.
+    rng : numpy.random.Generator
+        Generator in the state after the pen's movement.
+    """
+
+    start_s: float
+    taxels: np.ndarray
+    felt: np.ndarray
+    speed: np.ndarray
+    skin: object
+    off: float
+    rng: np.random.Generator
+
+
+def simulate(
+    seed=0, samples_per_digit=None, jobs=2, advance=None, parameters=None, traces=None, size=SIZE
+) -> Recordings:
+    """Simulate recordings of the paper's rig; they are marked as simulated.
+
+    On a skin of another size the digits are scaled, so that they fill it like the paper's skin.
+    The taxels, and the spread of a force over them, are the same.
+
+    Parameters
+    ----------
+    seed : int
+        The same seed gives the same recordings for any number of processes.
+    samples_per_digit : sequence of 10 int, optional
+        Default: as published, :data:`pipeline.paper.SAMPLES_PER_DIGIT`.
+    jobs : int
+        Processes.
+    advance : callable, optional
+        Called with the number of recordings finished since the last call.
+    parameters : pipeline.simulation.parameters.Parameters, optional
+        Default: the built-in ones.
+    traces : sequence of pipeline.simulation.handwriting.Trace, optional
+        Recorded handwriting to press on the skin instead of simulated writers.
+    size : (int, int)
+        Rows and columns of the skin.
+
+    Returns
+    -------
+    Recordings
+
+    Raises
+    ------
+    ValueError
+        The counts are not ten numbers of 0 or more.
+    UserError
+        A digit is requested that no trace has.
+    """
+    parameters = parameters or settings.load()
+    counts = _counts(samples_per_digit)
+    samples = _samples(seed, counts, parameters.writers.count, traces)
+    batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
+    parts = []
+    work = (delayed(_batch)(seed, batch, parameters, size) for batch in batches)
+    with results_of(work, jobs) as results:
+        for done in results:
+            parts += done
+            if advance:
+                advance(len(done))
+    return collect(
+        parts,
+        labels=[sample.digit for sample in samples],
+        ids=[sample.name for sample in samples],
+        writers=[sample.writer for sample in samples],
+        source=source_of(seed, counts, parameters, traces, size),
+        taxels=TaxelMap.grid(*size),
+        sensor=Sensor(*size),
+    )
+
+
+def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
+    """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
+    parameters = parameters or settings.load()
+    content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
+    if tuple(size) != SIZE:
+        content.append(list(size))
+    digest = hashlib.sha256(json.dumps(content).encode())
+    for trace in traces or ():
+        digest.update(np.array([trace.digit, trace.writer]).tobytes())
+        for stroke in trace.strokes:
+            digest.update(np.ascontiguousarray(stroke).tobytes())
+    name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
+    if not traces and vars(parameters.writers) != vars(settings.load().writers):
+        name += f", {parameters.writers.count} people"
+    name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
+    return Source(name, digest.hexdigest(), True)
+
+
+def _counts(samples_per_digit):
+    counts = SAMPLES_PER_DIGIT if samples_per_digit is None else samples_per_digit
+    counts = [int(n) for n in counts]
+    if len(counts) != 10 or min(counts) < 0:
+        raise ValueError("samples_per_digit: ten numbers, none below 0")
+    return counts
+
+
+def _samples(seed, counts, n_writers, traces):
+    if traces is None:
+        return [
+            Sample(digit, index, index * n_writers // count)
+            for digit, count in enumerate(counts)
+            for index in range(count)
+        ]
+    samples = []
+    for digit, count in enumerate(counts):
+        pool = [trace for trace in traces if trace.digit == digit]
+        if count and not pool:
+            raise UserError(f"the recorded handwriting has no {digit}; ask for none of it")
+        # Each trace is used once, in random order, before any is used again.
+        deal = np.random.default_rng([seed, 3, digit])
+        rounds = [deal.permutation(len(pool)) for _ in range(-(-count // max(len(pool), 1)))]
+        chosen = np.concatenate([np.empty(0, int), *rounds])[:count]
+        samples += [
+            Sample(digit, index, pool[one].writer, pool[one]) for index, one in enumerate(chosen)
+        ]
+    return samples
+
+
+def _batch(seed, samples, p, size):
+    """Events of some recordings; runs in a process of its own."""
+    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers, p.shapes)
+    gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin, size)
+    touches = []
+    for sample in samples:
+        rng = np.random.default_rng([seed, 2, sample.digit, sample.index])
+        who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
+        touches.append(_touch(sample, who, gain, rng, p, size))
+    return _receive(touches, p)
+
+
+def array_gain(rng, p, size=SIZE):
+    """Gain of each taxel of an array, shape (n_taxels,): random for each taxel, and a gradient."""
+    taxels = TaxelMap.grid(*size)
+    # The gradient from edge to edge is that of the paper's array.
+    down, right = (
+        GRID / n * (at - (n - 1) / 2)
+        for at, n in zip((taxels.row, taxels.column), size, strict=True)
+    )
+    lean = p.lean[0] * down + p.lean[1] * right
+    return np.exp(lean + p.gain * rng.standard_normal(len(taxels)))
+
+
+def stretched(moved, size):
+    """A motion over the paper's skin as one over a skin of another size, around its middle.
+
+    The smaller side determines the scale, so that digits keep their proportions.
+    """
+    if tuple(size) == SIZE:
+        return moved
+    scale = min(size) / GRID
+    down, right = (
+        (n - 1) / 2 + scale * (at - (GRID - 1) / 2)
+        for n, at in zip(size, (moved.down, moved.right), strict=True)
+    )
+    return replace(moved, down=down, right=right)
+
+
+def motion(sample, who, rng, p):
+    """The pen's movement over the skin for one recording, force included.
+
+    Parameters
+    ----------
+    sample : Sample
+    who : pipeline.simulation.handwriting.Writer
+    rng : numpy.random.Generator
+    p : Parameters
+
+    Returns
+    -------
+    pipeline.simulation.handwriting.Motion
+    """
+    form, kinematics = p.forms[sample.digit], p.kinematics
+    start = rng.uniform(*kinematics.onset_s)
+    # Limits the deviations to plausible ones.
+    faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
+    tempo = np.exp(form.spread * (who.tempo + p.shapes.trial_tempo * faster))
+    force = form.force + form.spread * (who.force + p.trials.force * harder)
+    if sample.trace is None:
+        strokes, width = handwriting.write(sample.digit, who, rng, p.shapes), form.width
+    else:  # keeps its proportions
+        strokes, width = sample.trace.strokes, form.height
+    place = handwriting.placing(who, rng, p.trials, form, width)
+    strokes = [place(stroke) for stroke in strokes]
+    length = handwriting.length_s(strokes, kinematics)
+    # The writing must end within the recording.
+    tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
+    moved = handwriting.move(strokes, tempo, STEP_S, start, kinematics)
+    return replace(moved, force=np.exp(force) * moved.force * _waver(moved, rng, kinematics))
+
+
+def _waver(motion, rng, p):
+    """Slow changes of the force along the movement, with a geometric mean of 1."""
+    along = (motion.time_s - motion.time_s[0]) / p.waver_s
+    knots = rng.standard_normal(int(along[-1]) + 2)
+    return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
+
+
+def _touch(sample, who, gain, rng, p, size):
+    form = p.forms[sample.digit]
+    moved = stretched(motion(sample, who, rng, p), size)
+    rough = np.exp(who.scrape + p.trials.scrape * rng.standard_normal())
+    skin = replace(p.skin, scrape=p.skin.scrape * rough)
+    gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(len(gain)))
+    taxels, felt, speed = press(moved, gain, p.receptor.threshold / 2, rng, skin, size)
+    return Touch(moved.time_s[0], taxels, felt, speed, skin, form.off, rng)
+
+
+def _receive(touches, p):
+    """Film and receptors of a batch of recordings in parallel, then the read-out of each recording.
+
+    The recordings are sorted by decreasing length, so that the columns of those that have not ended
+    are always the first ones.
+    """
+    order = sorted(range(len(touches)), key=lambda index: -len(touches[index].felt))
+    touches = [touches[index] for index in order]
+    first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
+    widths, columns = np.diff(first), list(itertools.starmap(slice, itertools.pairwise(first)))
+    # One row before the pen touches the skin.
+    ends = [1 + len(touch.felt) for touch in touches]
+    signal = np.empty((ends[0], first[-1]), np.float32)
+    signal[0] = 0
+    for touch, end, own in zip(touches, ends, columns, strict=True):
+        signal[1:end, own] = touch.felt
+    stretches = [signal[part] for part in _stretches(ends, first)]
+    film = Creep(first[-1], STEP_S, p.skin)
+    for stretch in stretches:
+        film.advance(stretch)
+    off, clock = np.empty((2, first[-1]))
+    for touch, end, own in zip(touches, ends, columns, strict=True):
+        rng = touch.rng
+        scrape(signal[1:end, own], touch.speed, rng, touch.skin)
+        off[own] = np.exp(touch.off + p.receptor.off_spread * rng.standard_normal())
+        clock[own] = np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
+    receptors = Receptors(
+        signal[0],
+        on=np.full(first[-1], p.receptor.threshold, np.float32),
+        off=(p.receptor.threshold * off).astype(np.float32),
+        step_s=STEP_S,
+        refractory_s=p.receptor.refractory_s * clock,
+        poll_s=p.receptor.poll_s * clock,
+    )
+    fired = [receptors.advance(stretch) for stretch in stretches]
+    time, channel, polarity = map(np.concatenate, zip(*fired, strict=True))
+    sample = np.repeat(np.arange(len(touches)), widths)[channel]
+    by_sample = np.argsort(sample, kind="stable")
+    parts = np.split(by_sample, np.searchsorted(sample[by_sample], np.arange(1, len(touches))))
+    events = [None] * len(touches)
+    for index, touch, start, part in zip(order, touches, first, parts, strict=False):
+        seconds = time[part] + touch.start_s - STEP_S
+        taxel = touch.taxels[channel[part] - start]
+        events[index] = aces.bursts(1e9 * seconds, taxel, polarity[part], p.aces)
+    return events
+
+
+def _stretches(ends, first):
+    """Rows between the ends of two recordings, and the columns of those that continue.
+
+    Parameters
+    ----------
+    ends : sequence of int
+        Row after the last one of each recording, the longest first.
+    first : sequence of int
+        Column at which each begins, and the one after the last.
+
+    Yields
+    ------
+    (slice, slice)
+        From row 1 on.
+    """
+    row = 1
+    for end, column in zip(ends[::-1], first[:0:-1], strict=True):
+        if end > row:
+            yield slice(row, end), slice(column)
+            row = end

@@ -1,0 +1,168 @@
+"""Defaults that fit recordings of one's own, and everything that does not fit told at once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import SeveralErrors
+from models.architecture import parse
+from pipeline.kinds import fitted, kind_of_network
+from pipeline.kinds.architectures import architecture_for
+from pipeline.recordings.events import Sensor
+from pipeline.recordings.formats.eventfiles import write_recordings
+from pipeline.recordings.library import load_recordings
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import Settings
+from tests.command import missing
+from tests.own_sensor import CLASSES, gestures, write_folder
+
+
+def said_of(settings):
+    lines = []
+    fitted(settings, say=lines.append)
+    return lines
+
+
+SIZES = [
+    (1, 2), (1, 12), (2, 2), (3, 64), (5, 5), (6, 6), (9, 12), (12, 9), (16, 16), (18, 18),
+    (34, 34), (12, 100), (7, 250), (128, 128), (256, 256), (100, 17), (17, 18), (64, 48),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("on_events", [False, True])
+@pytest.mark.parametrize("size", SIZES)
+def test_there_is_an_architecture_for_every_sensor(size, on_events):
+    for n in (2, 300):
+        sensor = Sensor(*size, classes=tuple(map(str, range(n))))
+        architecture = parse(architecture_for(sensor, on_events))
+        assert architecture.input_shape == (*size, 2 if on_events else 1)
+        assert architecture.outputs == n
+        assert len(architecture.layers) >= 2
+        assert max(np.prod(shape) for shape in architecture.shapes[1:]) <= 8192
+
+
+def test_the_paper_s_layers_where_they_fit():
+    assert architecture_for(Sensor(), False) == Settings().cnn.architecture
+    assert architecture_for(Sensor(9, 12, classes=CLASSES), False) == "9x12-6c4-24c3-4o"
+
+
+def settings_of(source, **changes):
+    return Settings().with_values({"data": {"source": str(source)}, **changes})
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("own") / "own", per_class=15)
+
+
+def test_images_of_a_sensor_of_one_s_own(own):
+    chosen, said = fitted(settings_of(own)), said_of(settings_of(own))
+    assert chosen.cnn.architecture == "9x12-6c4-24c3-4o"
+    assert chosen.check == Settings().check  # not chosen: the recordings may grow
+    assert chosen.check.drawn(12) == 12  # a fifth of sixty
+    assert fitted(chosen) == chosen
+    assert any("9x12-6c4-24c3-4o" in line for line in said)
+
+
+@pytest.mark.parametrize(("kind", "section"), [("image", "cnn"), ("events", "events")])
+def test_an_architecture_is_chosen_again_for_other_classes(tmp_path, kind, section):
+    """Also for fewer of them; the one that the user has chosen is kept."""
+    items = gestures(12)
+    path = tmp_path / "own.zip"
+    run, own = RunFolder(tmp_path / "run"), settings_of(path, input={"kind": kind})
+    for classes in (4, 5, 3):
+        some = [(e, CLASSES[label]) for e, label in items if label < classes]
+        more = [(e, "more") for e, label in items if label == 0 and classes == 5]
+        path.unlink(missing_ok=True)
+        write_recordings(path, some + more)
+        chosen = fitted(own)
+        assert getattr(chosen, section).architecture.endswith(f"-{classes}o")
+        run.path.mkdir(exist_ok=True)
+        run.save_settings(chosen, own)
+        own = run.resolve_settings(None, {})
+    mine = getattr(chosen, section).architecture.replace("3o", "4o")
+    with pytest.raises(SeveralErrors, match="3 classes"):
+        fitted(own.with_values({section: {"architecture": mine}}, ""))
+
+
+def test_a_budget_of_the_user_s_is_kept(tmp_path):
+    items = [
+        ([np.tile(part, 30) for part in (3 * x, 3 * y, t, p)], label)
+        for (x, y, t, p), label in gestures(10)
+    ]
+    path = write_recordings(tmp_path / "large.zip", items, CLASSES)
+    for given, kept in (({}, False), ({"events": {"budget": 0.5}}, True)):
+        settings = settings_of(path, input={"kind": "events"}, **given)
+        assert (fitted(settings).events.budget == settings.events.budget) is kept
+
+
+def test_events_of_a_sensor_of_one_s_own(own):
+    chosen = fitted(settings_of(own, input={"kind": "events"}))
+    assert chosen.events.architecture.startswith("9x12x2-")
+    assert chosen.input.step == 10
+    longest = load_recordings(str(own)).sensor.duration_s
+    assert 0.1 * 1000 < chosen.steps * 10 <= 1000 * longest + 10
+
+
+def test_a_number_of_parts_changes_no_other_choice(own):
+    """Each part is its share of the presentation, and the refractory period is chosen as before."""
+    chosen = fitted(settings_of(own, input={"kind": "events"}))
+    parts = fitted(settings_of(own, input={"kind": "events"}, events={"parts": 4}))
+    assert parts.input == chosen.input
+    assert parts.part_starts == tuple(round(k * chosen.steps / 4) for k in range(4))
+    assert replace(parts.events, parts=0, part=0) == replace(chosen.events, parts=0, part=0)
+
+
+def test_long_recordings_get_long_steps(tmp_path):
+    slow = [((x, y, 20 * t, p), label) for (x, y, t, p), label in gestures(4)]
+    source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
+    chosen = fitted(settings_of(source, input={"kind": "events"}))
+    assert chosen.steps <= 400
+    assert chosen.steps * chosen.input.step >= 1000 * 20
+    given = settings_of(source, input={"kind": "events"}, presentation={"steps": 30})
+    assert fitted(given).steps == 30
+
+
+def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
+    wrong = settings_of(own, cnn={"architecture": "10x10-8c3-4o"}, check={"samples": 50})
+    with pytest.raises(SeveralErrors) as caught:
+        fitted(wrong)
+    lines = caught.value.lines
+    assert len(lines) == 2
+    assert any(not missing(line, 50, 12) for line in lines)
+    assert any("9x12-6c4-24c3-4o" in line for line in lines)
+    right = settings_of(own, cnn={"architecture": "9x12-8c3-4o"}, check={"samples": 5})
+    assert fitted(right) == right
+
+
+def test_simulated_recordings_need_nothing():
+    settings = Settings().with_values({"data": {"samples_per_digit": 5}, "check": {"samples": 10}})
+    assert fitted(settings) == settings
+
+
+@pytest.mark.parametrize(
+    ("kind", "architecture", "resource"),
+    [("image", "100x100-40-4o", "input axons"), ("events", "60x60x2-40-4o", "input axons")],
+)
+def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resource):
+    section = "cnn" if kind == "image" else "events"
+    changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
+    problems = kind_of_network(settings_of("own", **changes)).chip_problems()
+    assert all(line.startswith(f"{architecture}: ") for line in problems)
+    assert all("layer dense1" in line for line in problems)
+    assert any(not missing(line, resource, 4096) for line in problems)
+    # The remedies are possible: a dense layer has no kernel, and no averaging may pass events.
+    assert not any("kernel" in line for line in problems)
+    assert not any("averaging" in line for line in problems)
+
+
+@pytest.mark.parametrize("kind", ["image", "events"])
+@pytest.mark.parametrize("size", [(1, 8), (9, 12), (34, 34), (1, 200)])
+def test_the_chosen_architectures_fit_the_chip(size, kind):
+    for n in (2, 300):
+        sensor = Sensor(*size, classes=tuple(map(str, range(n))))
+        section = "cnn" if kind == "image" else "events"
+        architecture = architecture_for(sensor, kind == "events")
+        changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
+        assert kind_of_network(settings_of("own", **changes)).chip_problems() == ()

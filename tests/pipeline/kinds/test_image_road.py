@@ -1,0 +1,124 @@
+"""What the kind of images chooses, and which stages its ladder has."""
+
+import re
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from models.architecture import parse
+from pipeline.kinds import compared_with, kind_of_network
+from pipeline.kinds.kind import Imported
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.run.artifacts import CURRENT, MISSING, State
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import Settings
+
+
+def settings(**sections):
+    return Settings().with_values(sections)
+
+
+def recordings(rows, columns, duration_ms=400):
+    """Ten recordings of two classes, with an event at the start and one at the end."""
+    n, times = 10, np.array([0, duration_ms]) * 10**6
+    events = Events(times, np.zeros(2, int), np.array([1, -1]), np.ones(2, int))
+    source, taxels = Source("made", "0" * 64, False), TaxelMap.grid(rows, columns)
+    sensor = Sensor(rows, columns, classes=("a", "b", "c"))
+    ids, labels = [str(i) for i in range(n)], [i % 3 for i in range(n)]
+    return collect([events] * n, labels, ids, [-1] * n, source, taxels, sensor)
+
+
+def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
+    changes, lines = kind_of_network(settings()).choices(recordings(1, 30))
+    assert changes["cnn"] == {"architecture": "1x30x16-256-3o"}
+    image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
+    assert changes["image"] == {**image, "normalisation": "sqrt-max"}
+    assert changes["snn"] == {"dropout": 0.5}
+    assert changes["deployment"] == {"input_rate": 60.0}
+    assert len(lines) == 4
+    chosen = kind_of_network(settings(**changes))
+    assert chosen.channels == 16
+
+
+def test_what_the_user_sets_is_kept():
+    strip = recordings(1, 30)
+    changes, _ = kind_of_network(settings(image={"normalisation": "sum"})).choices(strip)
+    assert changes == {"cnn": {"architecture": "1x30-256-3o"}}
+    own = {"snn": {"dropout": 0.1}, "deployment": {"input_rate": 90.0}}
+    changes, _ = kind_of_network(settings(**own)).choices(strip)
+    assert not {"snn", "deployment"} & changes.keys()
+    assert kind_of_network(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip) == ({}, [])
+
+
+@pytest.mark.parametrize(
+    "cnn",
+    [
+        {"architecture": "1x30x16-9-3o"},
+        {"model": "m.keras", "model_sha256": "a", "architecture": "1x30x16-9-3o"},
+    ],
+)
+def test_a_network_of_one_s_own_gets_these_channels_if_it_has_as_many(cnn):
+    changes, _ = kind_of_network(settings(cnn=cnn)).choices(recordings(1, 30))
+    assert "cnn" not in changes
+    assert kind_of_network(settings(cnn=cnn, image=changes["image"])).channels == 16
+    assert ("snn" in changes) == ("model" not in cnn)
+
+
+def test_a_default_that_the_user_gives_is_kept(tmp_path):
+    default = Settings()
+    given = settings(
+        snn={"dropout": default.snn.dropout},
+        deployment={"input_rate": default.deployment.input_rate},
+    )
+    changes, _ = kind_of_network(given).choices(recordings(1, 30))
+    assert not {"snn", "deployment"} & changes.keys()
+    assert "image" in changes
+    image = {"slices": default.image.slices}
+    assert "image" not in kind_of_network(settings(image=image)).choices(recordings(1, 30))[0]
+    own = given.with_values({"seed": 3})
+    run = RunFolder(tmp_path)
+    run.save_settings(own.with_values(changes), own)
+    again = run.resolve_settings(None, {})  # by a later command
+    assert again == own
+    assert kind_of_network(again).choices(recordings(1, 30))[0] == changes
+    run.save_settings(settings(snn={"dropout": 0.3}))
+    run.experiment.write_text(
+        run.experiment.read_text().replace("\ndropout = 0.3", f"\ndropout = {default.snn.dropout}")
+    )
+    assert not run.resolve_settings(None, {}).is_open("snn.dropout")
+
+
+def test_a_grid_gets_the_paper_s_image_and_layers():
+    changes, _ = kind_of_network(settings()).choices(recordings(8, 9))
+    assert changes == {"cnn": {"architecture": "8x9-6c4-24c3-3o"}}
+
+
+@pytest.mark.parametrize(
+    ("sections", "against"),
+    [
+        ({}, "cnn-matched"),
+        ({"snn": {"recipe": "paper"}}, "cnn"),
+        ({"cnn": {"model": "m.keras", "model_sha256": "a"}, "snn": {"recipe": "as-is"}}, "cnn"),
+    ],
+)
+def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, against):
+    stages = kind_of_network(settings(**sections)).reference_stages
+    assert compared_with(stages) == against
+    assert ("cnn-matched" in stages) == (against == "cnn-matched")
+
+
+@pytest.mark.parametrize("sections", [{}, {"input": {"kind": "events"}}], ids=["image", "events"])
+@pytest.mark.parametrize("size", [(1, 19), (2, 3), (9, 12)])
+def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
+    kind = kind_of_network(settings(cnn={"architecture": "5x5-6c4-3o"}, **sections))
+    with pytest.raises(UserError) as caught:
+        kind.require_fit(recordings(*size))
+    suggested = parse(re.search(r"such as (\S+), not", str(caught.value))[1])
+    assert (*suggested.input_shape, suggested.outputs) == (*size, kind.channels, 3)
+
+
+def test_the_split_of_an_imported_network_is_said_when_it_is_new():
+    imported = Imported("graph.nir", "a", "nir", "")
+    assert "seed 7" in "".join(imported.split_notes(State("nir", MISSING), 7))
+    assert not list(imported.split_notes(State("nir", CURRENT), 7))

@@ -1,0 +1,109 @@
+"""Recordings as networks see them: loaded, divided and made in one place."""
+
+import numpy as np
+import pytest
+
+from deploy import limits
+from deploy.check.bundle import HEADERS
+from deploy.errors import UserError
+from pipeline.recordings.dataset import Dataset, dataset_origin
+from pipeline.recordings.images import tactile_images
+from pipeline.recordings.library import identity_of, recordings_of
+from pipeline.recordings.splits import random_split
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import SIMULATED, Settings, UndeclaredSetting
+from pipeline.stages import open_run
+from tests.own_sensor import write_folder
+from tests.pipeline.handmade import archive, good_members
+
+SMALL = Settings().with_values(
+    {"seed": 3, "data": {"samples_per_digit": 6}, "split": {"validation_fraction": 0.25}}, "test"
+)
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return Dataset.of(SMALL)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
+    source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
+    settings = SMALL.with_values({"data": {"source": source}}, "test")
+    seen = dataset_origin(settings, *identity_of(settings)).view(settings)
+    assert len(recordings_of(seen)) == (20 if own else 60)
+
+
+def test_other_simulated_people_are_other_recordings():
+    more = SMALL.with_values({"data": {"writers": 31, "samples_per_digit": 31}}, "test")
+    recordings = recordings_of(more)
+    assert set(recordings.writers) == set(range(31))
+    assert recordings.source.sha256 == identity_of(more)[0]
+    assert recordings.source.name == "simulated, seed 0, 31 people"
+    fewer = more.with_values({"data": {"writers": 0}}, "test")
+    assert recordings_of(fewer).source.name == "simulated, seed 0"
+    assert identity_of(fewer)[0] != identity_of(more)[0]
+
+
+def test_inputs_and_labels_are_those_of_the_recordings(dataset):
+    assert len(dataset) == 60
+    np.testing.assert_array_equal(dataset.labels, np.repeat(np.arange(10), 6))
+    np.testing.assert_array_equal(dataset.inputs, tactile_images(dataset.recordings))
+
+
+def test_the_split_is_of_the_settings_seed_and_fractions(dataset):
+    expected = random_split(60, 3, 0.2, 0.25)
+    for name in ("train", "validation", "test"):
+        inputs, labels = dataset.part(name)
+        index = getattr(expected, name)
+        np.testing.assert_array_equal(inputs, dataset.inputs[index])
+        np.testing.assert_array_equal(labels, dataset.labels[index])
+
+
+@pytest.mark.parametrize("source", ["simulated", "imported"])
+def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_path):
+    """A worker of an experiment can read no others."""
+    settings = SMALL
+    if source == "imported":
+        archive(tmp_path / "mine.zip", good_members(per_digit=6))
+        settings = settings.with_values({"data": {"source": str(tmp_path / "mine.zip")}}, "test")
+    opened = Dataset.of(settings)
+    in_a_worker = Dataset.of(opened.origin.view(settings))
+    assert in_a_worker.origin == opened.origin
+    np.testing.assert_array_equal(in_a_worker.labels, opened.labels)
+
+
+def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
+    settings = dataset.settings
+    image = tuple(f"image.{name}" for name in vars(Settings().image)) + ("input.kind",)
+    seen = dataset.seen_by(settings.only(image))
+    assert seen.inputs is dataset.inputs
+    signed = settings.with_values({"image": {"aggregation": "signed"}})
+    assert not np.array_equal(dataset.seen_by(signed.only(image)).inputs, dataset.inputs)
+    with pytest.raises(UndeclaredSetting):
+        _ = dataset.seen_by(settings.only(["input.kind"])).inputs
+
+
+def test_too_few_samples_are_one_line_with_the_source(tmp_path):
+    path = tmp_path / "st.zip"
+    archive(path, good_members())
+    values = {"data": {"source": str(path)}, "split": {"test_fraction": 0.01}}
+    settings = Settings().with_values(values, "test")
+    with pytest.raises(UserError, match=r"st\.zip: 10 .* 0.01 .*split\.test_fraction"):
+        Dataset.of(settings)
+
+
+@pytest.mark.parametrize(("kind", "one"), [("image", 100 * 4), ("events", 50 * 200)])
+def test_a_check_that_is_too_large_for_a_bundle_is_refused_before_the_training(
+    tmp_path, monkeypatch, kind, one
+):
+    settings = SMALL.with_values(
+        {"input": {"kind": kind}, "presentation": {"steps": 50}, "check": {"samples": 5}}
+    )
+    run = RunFolder(tmp_path)
+    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one - 1)
+    with pytest.raises(UserError, match=r"5 samples .* check\.samples"):
+        open_run(run, settings)
+    assert not run.experiment.exists()
+    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one)
+    open_run(run, settings)

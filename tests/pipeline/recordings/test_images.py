@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from pipeline.recordings.events import TaxelMap
+from pipeline.recordings.images import AlteredImages, normalise, tactile_images
+from pipeline.run.settings import Image
+from tests.pipeline.handmade import recordings
+
+# Taxel 37 (row 7, column 3): two ON of 4 and 5 columns, one OFF of 2; taxel 90: one OFF of 3.
+ROWS = [(0, 37, 1, 4), (1_000, 90, -1, 3), (5_000, 37, 1, 5), (9_000, 37, -1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("aggregation", "at_37", "at_90"),
+    [("count", 3, 1), ("columns", 11, 3), ("signed", 1, -1), ("on", 2, 0), ("off", 1, 1)],
+)
+def test_aggregations_by_hand(aggregation, at_37, at_90):
+    image = tactile_images(recordings([], ROWS), Image(aggregation, normalisation="none"))[..., 0]
+    assert image.shape == (2, 10, 10)
+    assert not image[0].any()
+    expected = np.zeros((10, 10))
+    expected[7, 3], expected[0, 9] = at_37, at_90
+    np.testing.assert_array_equal(image[1], expected)
+
+
+def test_the_lookup_table_decides_where_a_taxel_is():
+    transposed = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
+    found = tactile_images(recordings(ROWS, taxels=transposed), Image(normalisation="none"))
+    image = found[0, ..., 0]
+    assert (image[3, 7], image[9, 0]) == (3, 1)
+    assert image.sum() == 4
+
+
+@pytest.mark.parametrize(
+    ("normalisation", "expected"),
+    [
+        ("max", [1, -0.25, 0, 0.5625]),
+        ("sum", [16 / 29, -4 / 29, 0, 9 / 29]),
+        ("sqrt-max", [1, -0.5, 0, 0.75]),
+        ("none", [16, -4, 0, 9]),
+    ],
+)
+def test_normalisations_by_hand(normalisation, expected):
+    image = np.array([16, -4, 0, 9.0]).reshape(1, 2, 2)
+    np.testing.assert_allclose(normalise(image, normalisation).ravel(), expected)
+    assert not normalise(np.zeros((1, 2, 2)), normalisation).any()
+
+
+@given(
+    images=hnp.arrays(float, (3, 4, 4), elements=st.integers(-50, 50).map(float)),
+    normalisation=st.sampled_from(["max", "sum", "sqrt-max"]),
+)
+def test_each_image_is_normalised_by_itself(images, normalisation):
+    result = normalise(images, normalisation)
+    assert np.abs(result).max() <= 1 + 1e-12
+    assert (np.sign(result) == np.sign(images)).all()
+    np.testing.assert_array_equal(result[1:2], normalise(images[1:2], normalisation))
+    np.testing.assert_allclose(result, normalise(4 * images, normalisation), atol=1e-12)
+
+
+def test_what_the_networks_see():
+    images = tactile_images(recordings(ROWS, []))
+    assert images.shape == (2, 10, 10, 1)
+    assert images.dtype == np.float32
+    assert images[0, 7, 3, 0] == 1
+    assert images[0, 0, 9, 0] == pytest.approx(1 / 3)
+
+
+def test_channels_are_slices_of_time_and_polarities():
+    """Two slices of 5 us: an event at 5 us is in the second, as is one after the end."""
+    rows = [(0, 37, 1, 4), (1_000, 90, -1, 3), (5_000, 37, 1, 5), (90_000, 37, -1, 2)]
+    image = Image("polarities", 2, 0.01, "none")
+    (found,) = tactile_images(recordings(rows), image)
+    expected = np.zeros((10, 10, 4))
+    expected[7, 3], expected[0, 9] = [1, 0, 1, 1], [0, 1, 0, 0]
+    np.testing.assert_array_equal(found, expected)
+    both = tactile_images(recordings(rows), Image("count", 2, 0.01, "none"))[0]
+    np.testing.assert_array_equal(both, expected.reshape(10, 10, 2, 2).sum(3))
+
+
+def test_altered_images_have_a_share_of_the_events():
+    rows = [(1_000 * i, 37, 1, 1) for i in range(1000)]
+    image = Image(normalisation="none")
+    altered = AlteredImages(recordings(rows, ROWS), image, "time")
+    rng = np.random.default_rng(0)
+    left = np.array([altered(rng, [0])[0] for _ in range(50)])
+    assert set(np.argwhere(left)[:, 1:].ravel()) == {7, 3, 0}  # nothing moves
+    counts = left[:, 7, 3, 0]
+    assert 790 < counts.min() < 850 < 950 < counts.max() <= 1000  # up to a fifth is dropped
+    assert altered(rng, [1, 0, 0]).shape == (3, 10, 10, 1)
+
+
+def test_altered_images_move_the_events_of_a_taxel_together():
+    rows = [(1_000 * i, 37, 1, 1) for i in range(100)]
+    altered = AlteredImages(recordings(rows), Image(normalisation="none"), "space")
+    rng = np.random.default_rng(0)
+    places = []
+    for _ in range(60):
+        (image,) = altered(rng, [0])
+        assert np.count_nonzero(image) == 1
+        places.append(tuple(np.argwhere(image)[0][:2]))
+    assert (7, 3) in places
+    assert len(set(places)) > 3
+    assert np.abs(np.array(places) - (7, 3)).max() <= 3
+    same = AlteredImages(recordings(rows), Image(normalisation="none"), "space")
+    np.testing.assert_array_equal(
+        same(np.random.default_rng(4), [0]), altered(np.random.default_rng(4), [0])
+    )

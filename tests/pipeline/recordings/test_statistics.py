@@ -1,0 +1,57 @@
+"""The paper's Table 1."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from pipeline.recordings import statistics
+from pipeline.recordings.events import Events, Source, TaxelMap, collect
+from pipeline.recordings.formats.mat import read_recording
+
+SOURCE = Source("by hand", "", False)
+
+
+def by_hand():
+    # Digit 4: taxel 0 is (X 1, Y 1), taxel 12 is (X 3, Y 2), taxel 99 is (X 10, Y 10).
+    one = Events([100, 5000], [0, 12], [1, -1], [4, 2])
+    other = Events([100], [99], [1], [5])
+    empty = Events([], [], [], [])
+    return collect([one, other, empty], [4, 4, 7], ["a", "b", "c"], [0, 0, 0], SOURCE)
+
+
+def test_by_hand():
+    row = statistics.table(by_hand())[4]
+    assert row["samples"] == 2
+    assert row["on"] == pytest.approx((4.5, np.sqrt(0.5)))
+    assert row["off"] == pytest.approx((1.0, np.sqrt(2)))
+    assert row["on_physical"] == pytest.approx((1.0, 0.0))
+    assert row["off_physical"] == pytest.approx((0.5, np.sqrt(0.5)))
+    # Weighted with columns: (4 x 1 + 2 x 3) / 6 and 10.
+    assert row["x_mean"] == pytest.approx(((10 / 6 + 10) / 2, (10 - 10 / 6) / np.sqrt(2)))
+    assert row["y_mean"] == pytest.approx(((8 / 6 + 10) / 2, (10 - 8 / 6) / np.sqrt(2)))
+    assert row["x_range"] == pytest.approx((1.0, np.sqrt(2)))
+    assert row["y_range"] == pytest.approx((0.5, np.sqrt(0.5)))
+
+
+def test_another_lookup_table():
+    turned = TaxelMap(row=TaxelMap().column, column=TaxelMap().row)
+    straight = statistics.table(by_hand())[4]
+    row = statistics.table(replace(by_hand(), taxels=turned))[4]
+    assert row["x_mean"] == straight["y_mean"]
+    assert row["y_range"] == straight["x_range"]
+
+
+def test_the_one_real_recording(real_recording):
+    recording = read_recording(real_recording.read_bytes())
+    recordings = collect([recording.events], [0], ["real"], [-1], SOURCE)
+    measures = {name: values[0] for name, values in statistics.per_sample(recordings).items()}
+    assert (measures["on"], measures["off"]) == (1601, 745)
+    assert (measures["on_physical"], measures["off_physical"]) == (359, 306)
+    # From the array itself, without merging bursts.
+    rows, _ = np.nonzero(loadmat(real_recording)["spiketrain"][:100])
+    assert measures["x_mean"] == pytest.approx((rows % 10 + 1).mean())
+    assert measures["y_mean"] == pytest.approx((rows // 10 + 1).mean())
+    assert measures["x_range"] == np.ptp(rows % 10)
+    assert measures["y_range"] == np.ptp(rows // 10)

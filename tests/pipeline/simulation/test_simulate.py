@@ -1,0 +1,136 @@
+"""Whole simulated recordings."""
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
+from pipeline.recordings.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
+from pipeline.simulation import parameters
+from pipeline.simulation.handwriting import Trace
+from pipeline.simulation.simulate import _samples, simulate, source_of
+
+FEW = [8] * 10
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return simulate(5, FEW, jobs=1)
+
+
+def bytes_of(recordings):
+    digest = hashlib.sha256(recordings.offsets.tobytes())
+    for name in EVENT_DTYPES:
+        digest.update(getattr(recordings.events, name).tobytes())
+    return digest.hexdigest()
+
+
+def test_same_seed_same_bytes_whatever_the_processes():
+    # Two batches, so that two processes have something to share.
+    counts = [0, 100] + [0] * 8
+    assert bytes_of(simulate(1, counts, jobs=1)) == bytes_of(simulate(1, counts, jobs=2))
+
+
+def test_labels_ids_writers_and_source(recordings):
+    np.testing.assert_array_equal(recordings.labels, np.repeat(np.arange(10), 8))
+    assert recordings.ids[:2] == ("0/0000", "0/0001")
+    assert recordings.ids[-1] == "9/0007"
+    assert recordings.writers.min() >= 0
+    assert recordings.writers.max() < 23
+    assert recordings.source.simulated
+    assert "simulated" in recordings.source.name
+    assert recordings.source == source_of(5, FEW)
+
+
+def test_every_writer_writes_every_digit_about_thirty_times():
+    samples = _samples(0, SAMPLES_PER_DIGIT, 23, None)
+    for digit, count in enumerate(SAMPLES_PER_DIGIT):
+        each = np.bincount([sample.writer for sample in samples if sample.digit == digit])
+        assert (len(each), sum(each)) == (23, count)
+        assert set(each) <= {30, 31}
+
+
+def test_the_hash_is_over_all_that_matters(recordings):
+    p = parameters.load()
+    changed = replace(p, skin=replace(p.skin, spread=p.skin.spread + 0.01))
+    another = replace(p, shapes=replace(p.shapes, slant=0.2))
+    hashes = {
+        source_of(5, FEW, another).sha256,
+        source_of(5, FEW).sha256,
+        source_of(6, FEW).sha256,
+        source_of(5, [9, *FEW[1:]]).sha256,
+        source_of(5, FEW, changed).sha256,
+    }
+    assert len(hashes) == 5
+
+
+def test_recordings_are_such_as_the_decoder_makes(recordings):
+    for index in range(len(recordings)):
+        events = recordings[index]
+        times, taxel, polarity = expand_bursts(events)
+        assert (times % TICK_NS == 0).all()
+        assert (np.diff(times) > 0).all()
+        assert times[0] > 0.05e9
+        assert times[-1] < DURATION_S * 1e9
+        again = merge_bursts(times, taxel, polarity)
+        for name in EVENT_DTYPES:
+            np.testing.assert_array_equal(getattr(again, name), getattr(events, name))
+        on = events.polarity > 0
+        assert set(events.columns[on]) <= {4, 5}
+        assert set(events.columns[~on]) <= {2, 3}
+
+
+def test_no_taxel_fires_twice_within_its_blind_time(recordings):
+    p = parameters.load().receptor
+    for index in range(len(recordings)):
+        events = recordings[index]
+        order = np.lexsort((events.time_ns, events.taxel))
+        gaps = np.diff(events.time_ns[order])[np.diff(events.taxel[order]) == 0]
+        # The grid may take a tick, and waiting for another taxel's burst to end five.
+        assert gaps.min() >= p.refractory_s * 1e9 - 6 * TICK_NS
+
+
+def test_gaps_between_events_are_those_of_the_real_recording(recordings):
+    # There, a good quarter of the gaps is the blind time itself, and the rest 88 us steps above.
+    events = recordings.events
+    sample = recordings.sample_of_event
+    order = np.lexsort((events.time_ns, events.taxel, sample))
+    same = (np.diff(sample[order]) == 0) & (np.diff(events.taxel[order].astype(int)) == 0)
+    gaps = np.diff(events.time_ns[order])[same] * 1e-6
+    assert 0.1 < np.mean(gaps < 3.30) < 0.5
+    steps = (gaps[(gaps > 3.30) & (gaps < 3.7)] - 3.27) / 0.088
+    assert np.mean(np.abs(steps - np.round(steps)) < 0.3) > 0.85
+
+
+def test_a_recording_does_not_depend_on_those_beside_it():
+    # The same writer's first 2 and 5, in a batch of their own and among others.
+    among = simulate(1, FEW, jobs=1)
+    alone = simulate(1, [0, 0, 8, 0, 0, 8, 0, 0, 0, 0], jobs=1)
+    for name in ("2/0000", "2/0007", "5/0003"):
+        one, other = (every[every.ids.index(name)] for every in (among, alone))
+        for column in EVENT_DTYPES:
+            np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
+
+
+def bar(digit, writer):
+    line = np.column_stack([np.linspace(-0.5, 0.5, 20), np.zeros(20)])
+    return Trace(digit, writer, (line if digit else line[:, ::-1],))
+
+
+def test_recorded_handwriting_is_pressed_on_the_skin():
+    traces = [bar(1, 4), bar(1, 9), bar(0, 4)]
+    recordings = simulate(2, [1, 4] + [0] * 8, jobs=1, traces=traces)
+    assert sorted(recordings.writers[1:]) == [4, 4, 9, 9]  # both before either comes twice
+    lying, upright = recordings[0], recordings[1]
+    taxels = recordings.taxels
+    assert np.ptp(taxels.column[lying.taxel]) > 4
+    rows = [np.average(taxels.row[upright.taxel[part]]) for part in np.array_split(
+        np.arange(len(upright)), 3)]  # fmt: skip
+    assert rows[0] + 1 < min(rows[1:])  # written downwards; lifting the pen shakes all taxels
+    assert recordings.source.simulated
+    assert recordings.source.sha256 != simulate(2, [1, 4] + [0] * 8, jobs=1).source.sha256
+    with pytest.raises(UserError, match=r"\b3\b"):
+        simulate(2, [0, 0, 0, 1] + [0] * 6, traces=traces)
