@@ -23,6 +23,12 @@ def hidden():
 
 
 @contextlib.contextmanager
+def ignore_progress(label: str, total: int):
+    """Display nothing: the default where a function takes :func:`progress` as an argument."""
+    yield lambda n=1, note=None: None
+
+
+@contextlib.contextmanager
 def progress(label: str, total: int):
     """Display a bar while the block runs.
 

@@ -40,7 +40,7 @@ PLACES = {
     "pipeline.recordings.dataset": ("Dataset",),
     "pipeline.recordings.splits": ("draw_check_samples",),
     "pipeline.progress": ("progress",),
-    "pipeline.recordings.formats.eventfiles": ("write_recordings",),
+    "pipeline.recordings.writing": ("write_recordings",),
     "pipeline.results.report": ("write_report",),
     "pipeline.results.report.samples": ("replay",),
     "pipeline.results.report.figures.recordings": ("draw_recording",),

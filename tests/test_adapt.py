@@ -12,7 +12,7 @@ from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.source import write_zip
+from pipeline.recordings.writing import write_zip
 from pipeline.results.elsewhere import recordings_for
 from pipeline.run.settings import Settings, write_settings
 from pipeline.simulation import handwriting, parameters

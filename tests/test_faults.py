@@ -14,7 +14,7 @@ from deploy.check.results import read_result
 from deploy.files import read_json, write_json
 from pipeline import progress, stages
 from pipeline.jobs import results_of
-from pipeline.recordings.formats.eventfiles import write_recordings
+from pipeline.recordings.writing import write_recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings, read_settings
 from tests.command import call, missing, plain, started, wait_until_said

@@ -141,7 +141,7 @@ def test_a_file_that_is_not_there_does_not_become_a_run(refused, tmp_path, verb)
 
 
 def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.recordings.formats.mat.LARGEST", 10_000)
+    monkeypatch.setattr("pipeline.recordings.formats.mat.MAX_FILE_BYTES", 10_000)
     monkeypatch.setattr("deploy.limits.TEXT_BYTES", 10_000)
     path = tmp_path / "large"
     path.touch()

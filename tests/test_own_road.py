@@ -12,7 +12,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
-from pipeline.recordings.formats.eventfiles import write_recordings
+from pipeline.recordings.writing import write_recordings
 from pipeline.results import elsewhere
 from tests.command import call, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.tutorials import FOLDER, executed
-from pipeline.recordings.formats.eventfiles import write_recordings
+from pipeline.recordings.writing import write_recordings
 from tests.command import printed_by, users_environment
 
 CODE = """

@@ -83,8 +83,8 @@ def simulate_(
     if os.path.lexists(out):
         raise UserError(f"{out}: exists; choose another name, or move it away")
     from pipeline.progress import progress
-    from pipeline.recordings.source import write_zip
     from pipeline.recordings.statistics import facts_with_events
+    from pipeline.recordings.writing import write_zip
 
     recordings = _recordings(
         SIMULATED, reading, jobs, simulation_seed=seed, samples_per_digit=samples_per_digit

@@ -21,13 +21,12 @@ from deploy.errors import UserError
 from deploy.files import locked, open_regular, remove_leftovers, replacing, reporting_os_errors
 from pipeline.recordings.events import Sensor, TaxelMap
 from pipeline.recordings.formats.mat import (
-    BadRecording,
     MatRecording,
     lookup_table_bytes,
-    read_limited,
     read_lookup_table,
     recording_bytes,
 )
+from pipeline.recordings.formats.recording import BadRecording, read_limited
 
 # Writers are numbered from 1 to one less than this.
 WRITERS = 1000

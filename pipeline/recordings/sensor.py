@@ -16,8 +16,13 @@ import numpy as np
 
 from deploy.errors import UserError
 from pipeline.recordings.events import DIGITS, GRID, N_TAXELS, UNIT_NAMES, Sensor, TaxelMap
-from pipeline.recordings.formats.eventfiles import UNITS, EventRecording
-from pipeline.recordings.formats.mat import LATEST_S, MAX_SIDE, BadRecording
+from pipeline.recordings.formats.recording import (
+    MAX_DURATION_S,
+    MAX_SIDE,
+    UNITS,
+    BadRecording,
+    EventRecording,
+)
 
 # Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
 # recordings would be shorter is excluded.
@@ -42,7 +47,7 @@ class Reading:
     rows, columns : int
         Size of the sensor, after :attr:`downsample`; 0 for as found.
     time_unit : str
-        Unit in files of events, one of :data:`pipeline.recordings.formats.eventfiles.UNITS`;
+        Unit in files of events, one of :data:`pipeline.recordings.formats.recording.UNITS`;
         empty: inferred.
     downsample : int
         Side of the square of pixels of a file of events that becomes one taxel.
@@ -204,11 +209,11 @@ def _of_files_of_events(path, recordings, parts, lookup, is_strip, reading):
             "another unit, convert them to that of the others",
         )
     for index, recording in enumerate(recordings):
-        if (seconds := _span(recording.time) * UNITS[unit]) > LATEST_S:
+        if (seconds := _span(recording.time) * UNITS[unit]) > MAX_DURATION_S:
             refused.setdefault(
                 index,
                 f"lasts {seconds:.4g} s with its times as {UNIT_NAMES[unit]}, more than "
-                f"{LATEST_S:g} s; if they are in another unit, give it ({GIVE_UNIT})",
+                f"{MAX_DURATION_S:g} s; if they are in another unit, give it ({GIVE_UNIT})",
             )
     kept = [index for index in range(len(recordings)) if index not in refused]
     fitting = [recordings[index] for index in kept]
@@ -240,11 +245,11 @@ def _unit_of(path, recordings, parts, reading):
     unit = next(iter(stated), "")
     if not unit and (usual := reading.usual_unit):
         usual_s = np.median(np.concatenate(list(spans.values()))) * UNITS[usual]
-        unit = usual if SHORTEST_S <= usual_s <= LATEST_S else ""
+        unit = usual if SHORTEST_S <= usual_s <= MAX_DURATION_S else ""
     unit = unit or recognised([recording.time for recording in recordings])
     if not unit:
         raise UserError(
-            f"{path}: no unit of time fits recordings of up to {LATEST_S:g} s; give the unit "
+            f"{path}: no unit of time fits recordings of up to {MAX_DURATION_S:g} s; give the unit "
             f"({GIVE_UNIT})"
         )
     return unit
@@ -353,20 +358,20 @@ def recognised(times) -> str:
     Returns
     -------
     str
-        One of :data:`pipeline.recordings.formats.eventfiles.UNITS`, or empty if none fits.
+        One of :data:`pipeline.recordings.formats.recording.UNITS`, or empty if none fits.
     """
     spans = np.array([_span(time) for time in times])
     spans = spans[spans > 0]
     if not len(spans):
-        return "s" if all(time[-1] <= LATEST_S for time in times) else ""
+        return "s" if all(time[-1] <= MAX_DURATION_S for time in times) else ""
     typical = float(np.median(spans))
     whole = all(time.dtype.kind == "i" for time in times)
     for unit, seconds in UNITS.items():
         if unit == "s" and whole:
             continue  # no sensor has times in whole seconds
-        if SHORTEST_S <= typical * seconds <= LATEST_S:
+        if SHORTEST_S <= typical * seconds <= MAX_DURATION_S:
             return unit
-    return "s" if not whole and typical <= LATEST_S else ""
+    return "s" if not whole and typical <= MAX_DURATION_S else ""
 
 
 def _of_other_units(times) -> list:
@@ -391,7 +396,7 @@ def _is_a_clock(times, unit: str) -> bool:
     """
     first, last = (max((float(time[i]) for time in times), default=0) for i in (0, -1))
     longest = max(map(_span, times), default=0)
-    return last * UNITS[unit] > LATEST_S or first > longest > 0
+    return last * UNITS[unit] > MAX_DURATION_S or first > longest > 0
 
 
 def to_ns(time: np.ndarray, unit: str, from_first: bool = False) -> np.ndarray:

@@ -11,7 +11,6 @@ Hidden files, ``README*``, ``LICENSE*``, ``*.txt`` and ``*.md`` are ignored; any
 refused by name.  A zip is read without being unpacked to disk.
 """
 
-import contextlib
 import functools
 import hashlib
 import json
@@ -28,25 +27,16 @@ from pathlib import Path, PurePosixPath
 from joblib import delayed
 
 from deploy.errors import SeveralErrors, UserError
-from deploy.files import open_regular, replacing, sha256_of, zip_member
+from deploy.files import open_regular, sha256_of
 from deploy.terminal import WARNING, printable
 from pipeline.jobs import results_of
+from pipeline.progress import ignore_progress
 from pipeline.recordings import sensor
 from pipeline.recordings.events import Recordings, Source, collect
-from pipeline.recordings.formats.eventfiles import SUFFIXES as EVENT_SUFFIXES
-from pipeline.recordings.formats.eventfiles import read_events
-from pipeline.recordings.formats.mat import (
-    LARGEST,
-    BadRecording,
-    MatRecording,
-    lookup_table_bytes,
-    read_limited,
-    read_lookup_table,
-    read_recording,
-    recording_bytes,
-)
+from pipeline.recordings.formats import READERS, read_file
+from pipeline.recordings.formats.mat import read_lookup_table
+from pipeline.recordings.formats.recording import MAX_FILE_BYTES, BadRecording, read_limited
 
-SUFFIXES = (".mat", *EVENT_SUFFIXES)
 LOOKUP_TABLE, POSITIONS = "lut.mat", "taxels.csv"
 IGNORED = ("readme*", "license*", "*.txt", "*.md")
 # Part of a published split, by the name of a folder in lower case.
@@ -152,7 +142,7 @@ def list_source(path) -> Listing:
             listed = " and ".join(_short(member) for member in several[:2])
             raise UserError(f"{path}: has several files {name}: {listed}; keep one")
     kinds = {member.suffix.lower(): member for member in reversed(members)}
-    kinds = {suffix: kinds[suffix] for suffix in SUFFIXES if suffix in kinds}
+    kinds = {suffix: kinds[suffix] for suffix in READERS if suffix in kinds}
     if not kinds:
         raise UserError(
             f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
@@ -221,7 +211,7 @@ def _members(path):
         return sorted(files), folders, refused
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in READERS:
         raise UserError(f"{path}: is one recording; give the zip or folder of all of them")
     try:
         with open_regular(path) as file, _archive(file) as archive:
@@ -299,7 +289,7 @@ def _empty_classes(entries, folders):
 
 
 def read_source(
-    path, jobs: int = 2, skip_bad: bool = False, progress=None, reading=sensor.AS_FOUND
+    path, jobs: int = 2, skip_bad: bool = False, progress=ignore_progress, reading=sensor.AS_FOUND
 ) -> Recordings:
     """Read every recording of a zip or folder, in parallel.
 
@@ -331,7 +321,7 @@ def read_source(
     chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
     names = [[entry.member for entry in chunk] for chunk in chunks]
     calls = (delayed(_read_members)(listing.path, some) for some in names)
-    n_events, bar = 0, _shown(progress, "import", len(listing.entries))
+    n_events, bar = 0, progress("import", len(listing.entries))
     with results_of(calls, jobs) as work, bar as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for entry, recording in zip(chunk, results, strict=True):
@@ -441,24 +431,12 @@ def _short(name, longest=120):
 # Reading.
 
 
-def read_file(name: str, content: bytes):
-    """A recording of any sensor: MatRecording, or EventRecording of a file of events.
-
-    Raises
-    ------
-    BadRecording
-    """
-    if PurePosixPath(name).suffix.lower() in EVENT_SUFFIXES:
-        return read_events(content, name)
-    return read_recording(content, n_taxels=None)
-
-
 def _read_members(path, names):
     """Read some members: each recording, or the reason to refuse it."""
     reader, results, n_events = _reader(path), [], 0
     for name in names:
         try:
-            results.append(read_file(name, reader.read(name)))
+            results.append(read_file(reader.read(name), name))
         except BadRecording as error:
             results.append(str(error))
         n_events += _size_of(results[-1])
@@ -503,8 +481,8 @@ class _Reader:
             raise BadRecording(f"has an unsupported compression ({error})") from error
         except READ_ERRORS as error:
             raise BadRecording(f"cannot be read from the source ({error})") from error
-        if len(content) > LARGEST:
-            raise BadRecording(f"is larger than {LARGEST:,} bytes")
+        if len(content) > MAX_FILE_BYTES:
+            raise BadRecording(f"is larger than {MAX_FILE_BYTES:,} bytes")
         return content
 
 
@@ -536,43 +514,3 @@ def fingerprint(listing: Listing) -> str:
     files = [path / name for name in listing.files] if path.is_dir() else [path]
     stats = [(str(f.resolve()), f.stat().st_size, f.stat().st_mtime_ns) for f in files]
     return hashlib.sha256(json.dumps(stats).encode()).hexdigest()
-
-
-# Writing.
-
-
-def write_zip(path, recordings: Recordings, progress=None):
-    """Write recordings as a zip in the published layout; equal recordings give equal bytes.
-
-    Parameters
-    ----------
-    path : path-like
-    recordings : Recordings
-        Their ids become the names: ``"3/0042"`` is ``data_submission/3/0042.mat``.
-    progress : callable, optional
-        As in :func:`read_source`.
-    """
-    with (
-        replacing(path) as file,
-        zipfile.ZipFile(file, "w") as archive,
-        _shown(progress, "write", len(recordings)) as advance,
-    ):
-
-        def add(name, content):  # stored: recordings are compressed already
-            member = PurePosixPath("data_submission", name)
-            archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
-
-        add("LUT.mat", lookup_table_bytes(recordings.taxels))
-        for index, name in enumerate(recordings.ids):
-            recording = MatRecording(
-                recordings[index],
-                recordings.source.simulated,
-                int(recordings.writers[index]),
-                n_taxels=len(recordings.taxels),
-            )
-            add(f"{name}.mat", recording_bytes(recording))
-            advance(1)
-
-
-def _shown(progress, label, total):
-    return progress(label, total) if progress else contextlib.nullcontext(lambda n: None)

@@ -18,10 +18,15 @@ from pipeline.recordings.events import (
     is_written,
     reading_text,
 )
-from pipeline.recordings.formats.eventfiles import UNITS, EventRecording
-from pipeline.recordings.formats.mat import LATEST_S, BadRecording, read_limited
+from pipeline.recordings.formats import read_file
+from pipeline.recordings.formats.recording import (
+    MAX_DURATION_S,
+    UNITS,
+    BadRecording,
+    EventRecording,
+    read_limited,
+)
 from pipeline.recordings.sensor import recognised, to_ns
-from pipeline.recordings.source import read_file
 
 
 def facts_with_events(recordings: Recordings) -> dict:
@@ -72,7 +77,7 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
     """
     try:
         with reporting_os_errors(path, "cannot read", "check the path"), open_regular(path) as file:
-            recording = read_file(path.name, read_limited(file))
+            recording = read_file(read_limited(file), path.name)
     except BadRecording as error:
         raise UserError(
             f"{path}: {error}; expected a recording as ST-MNIST has them, or a file of events "
@@ -83,7 +88,7 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
         unit = time_unit or recording.unit or recognised([recording.time])
         if not unit:
             raise UserError(f"{path}: no unit fits its times; give --set data.time_unit=...")
-        time_ns = to_ns(recording.time, unit, recording.time[-1] * UNITS[unit] > LATEST_S)
+        time_ns = to_ns(recording.time, unit, recording.time[-1] * UNITS[unit] > MAX_DURATION_S)
         first, last = time_ns[[0, -1]]
         taxels, polarity = recording.x << 16 | recording.y, recording.polarity
         rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)

@@ -21,7 +21,7 @@ from pipeline.recordings.dataset import (
     training_hashes,
 )
 from pipeline.recordings.events import UNIT_NAMES, Recordings
-from pipeline.recordings.formats.eventfiles import UNITS
+from pipeline.recordings.formats.recording import UNITS
 from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import Reading
 from pipeline.recordings.splits import draw_check_samples

@@ -1,1 +1,42 @@
-"""Formats of recordings, one module each."""
+"""Formats of recordings, one module each; :data:`READERS` has the function for each file ending.
+
+To add a format, write a function ``read(content, name)`` that gives an
+:class:`~pipeline.recordings.formats.recording.EventRecording` or raises
+:class:`~pipeline.recordings.formats.recording.BadRecording`, and enter it in :data:`READERS`.
+"""
+
+from pathlib import PurePosixPath
+
+from pipeline.recordings.formats import camera, csv
+from pipeline.recordings.formats.mat import read_mat
+from pipeline.recordings.formats.npz import read_npy, read_npz
+from pipeline.recordings.formats.recording import BadRecording
+
+# Reader of the files with each ending, in lower case.
+READERS = {
+    ".mat": read_mat,
+    ".npz": read_npz,
+    ".npy": read_npy,
+    **dict.fromkeys(csv.SUFFIXES, csv.read_csv),
+    **dict.fromkeys(camera.SUFFIXES, camera.read_camera),
+}
+
+
+def read_file(content: bytes, name: str):
+    """Read one recording.
+
+    Parameters
+    ----------
+    content : bytes
+    name : str
+        The file's name, whose ending determines the format, one of :data:`READERS`.
+
+    Raises
+    ------
+    BadRecording
+        The file has another format, or its content is not a recording.
+    """
+    if not content:
+        raise BadRecording("is an empty file")
+    reader = READERS.get(PurePosixPath(name).suffix.lower(), read_mat)
+    return reader(content, name)

@@ -15,16 +15,16 @@ import scipy
 
 from pipeline.paper import DURATION_S
 from pipeline.recordings.events import N_TAXELS, Events, TaxelMap, expand_bursts, merge_bursts
+from pipeline.recordings.formats.recording import (
+    MAX_DURATION_S,
+    MAX_FILE_BYTES,
+    MAX_SIDE,
+    MAX_TAXELS,
+    BadRecording,
+    parse_writer,
+)
 
 VARIABLE = "spiketrain"
-# A recording lasts 2 s, of other sensors perhaps longer; a time past this is taken for
-# milliseconds.
-LATEST_S = 60.0
-
-# Bytes of one variable, and of a file: 101 rows of 200,000 columns in double precision, which is a
-# hundred taxels that each report an event every 5 ms for 2 s, in five columns each.
-LARGEST = 170_000_000
-
 HEADER = b"MATLAB 5.0 MAT-file"
 
 # Bytes of an element of each MATLAB class that a recording may have.
@@ -32,16 +32,6 @@ ITEM_SIZES = {
     **{f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)},
     **{"double": 8, "single": 4, "logical": 1},
 }
-
-# Largest number of taxels of any array, since events cannot address more.
-MAX_TAXELS = 65536
-
-# Rows and columns of any array.
-MAX_SIDE = 256
-
-
-class BadRecording(ValueError):
-    """Raised for a file that is not a recording; the message has the reason."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +90,15 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     return MatRecording(
         events=events,
         simulated=bool(simulated),
-        writer=writer_of(writer),
+        writer=parse_writer(writer),
         written=bool(written),
         n_taxels=len(spiketrain) - 1,
     )
+
+
+def read_mat(content: bytes, name: str = "") -> MatRecording:
+    """:func:`read_recording` for any number of taxels."""
+    return read_recording(content, n_taxels=None)
 
 
 def _number(variable):
@@ -111,12 +106,6 @@ def _number(variable):
     values = np.ravel([] if variable is None else variable)
     is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
     return values[0] if is_number else None
-
-
-def writer_of(number) -> int:
-    """The number of a writer, or -1 for None and for anything but a whole number from 0."""
-    is_one = number is not None and 0 <= number < 2**31 and number == int(number)
-    return int(number) if is_one else -1
 
 
 def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
@@ -155,7 +144,7 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
         raise BadRecording("has a time that is NaN or infinite")
     if times.min() < 0:
         raise BadRecording("has a negative time")
-    if times.max() > LATEST_S:
+    if times.max() > MAX_DURATION_S:
         raise BadRecording(f"has times up to {times.max():g}, not seconds (milliseconds?)")
     time_ns = np.rint(times * 1e9).astype(np.int64)
     if (np.diff(time_ns) <= 0).any():
@@ -189,7 +178,7 @@ def read_variables(content: bytes, fits) -> dict:
     """
     if not content:
         raise BadRecording("is an empty file")
-    if len(content) > LARGEST:
+    if len(content) > MAX_FILE_BYTES:
         raise BadRecording(f"is larger than a recording of {DURATION_S:g} s can be")
     try:
         if content[512:520] == b"\x89HDF\r\n\x1a\n":
@@ -215,16 +204,11 @@ def _read_mat5(content, fits):
 
 
 def _refuse_too_large(name, shape, item_size):
-    if math.prod(map(int, shape)) * item_size > LARGEST:
+    if math.prod(map(int, shape)) * item_size > MAX_FILE_BYTES:
         raise BadRecording(
             f"declares {' x '.join(map(str, shape))} values of {name!r}, more than a recording of "
             f"{DURATION_S:g} s can have"
         )
-
-
-def read_limited(file) -> bytes:
-    """The content of an open file, read at most up to the point at which it is too large."""
-    return file.read(LARGEST + 1)
 
 
 def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:

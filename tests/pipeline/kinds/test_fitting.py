@@ -10,8 +10,8 @@ from models.architecture import parse
 from pipeline.kinds import fitted, kind_of_network
 from pipeline.kinds.architectures import architecture_for
 from pipeline.recordings.events import Sensor
-from pipeline.recordings.formats.eventfiles import write_recordings
 from pipeline.recordings.library import load_recordings
+from pipeline.recordings.writing import write_recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
 from tests.command import missing

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from deploy.errors import SeveralErrors, UserError
 from pipeline.recordings.events import TaxelMap
-from pipeline.recordings.formats.eventfiles import read_events, recording_of, write_recordings
-from pipeline.recordings.formats.mat import BadRecording
+from pipeline.recordings.formats import read_file
+from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.images import tactile_images
 from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import to_ns
+from pipeline.recordings.writing import write_recordings
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import npz
 
@@ -63,7 +64,7 @@ FILES = {
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_format_is_read(name):
-    read = read_events(FILES[name], name)
+    read = read_file(FILES[name], name)
     np.testing.assert_array_equal(read.x, X)
     np.testing.assert_array_equal(read.y, Y)
     np.testing.assert_array_equal(read.polarity, 2 * P - 1)
@@ -79,7 +80,7 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
     events["t"], events["x"], events["y"], events["on"] = 1000 * T, X, Y, P
     path = tmp_path / f"a{suffix}"
     faery.events_stream_from_array(events, (COLUMNS, ROWS)).to_file(path, version=version)
-    read = read_events(path.read_bytes(), path.name)
+    read = read_file(path.read_bytes(), path.name)
     np.testing.assert_array_equal(read.x, X)
     np.testing.assert_array_equal(read.y, Y)
     np.testing.assert_array_equal(np.diff(read.time), np.diff(1000 * T))
@@ -87,7 +88,7 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
     assert (read.unit, read.size) == ("us", (ROWS, COLUMNS))
     for damaged in (path.read_bytes()[:40], b"no camera's", b""):
         with pytest.raises(BadRecording):
-            read_events(damaged, path.name)
+            read_file(damaged, path.name)
 
 
 @pytest.mark.parametrize(("name", "content", "fact"), [
@@ -103,7 +104,7 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
 ])  # fmt: skip
 def test_a_damaged_file_is_refused(name, content, fact):
     with pytest.raises(BadRecording, match=fact):
-        read_events(content, name)
+        read_file(content, name)
 
 
 @pytest.mark.parametrize(("named", "unit", "time"), [
@@ -113,7 +114,7 @@ def test_a_damaged_file_is_refused(name, content, fact):
     ({"T_US": 1000 * T}, "us", 1000 * T),
 ])  # fmt: skip
 def test_the_unit_is_that_of_the_name_of_the_times(named, unit, time):
-    read = recording_of({"x": X, "y": Y, "p": P, **named})
+    read = make_recording({"x": X, "y": Y, "p": P, **named})
     assert read.unit == unit
     np.testing.assert_array_equal(read.time, time)
 
@@ -124,8 +125,8 @@ def test_an_event_file_is_read_as_it_was_written(rows, columns, seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 50))
     x, y = rng.integers(0, columns, n), rng.integers(0, rows, n)
-    t, p = rng.permutation(n) * 1e-6, rng.choice([-1, 1], n)
-    read = read_events(npz(x=x.astype(np.uint8), y=y.astype(float), t=t, p=p.astype(np.int8)))
+    t, p = rng.permutation(n) * 1e-6, rng.choice([-1, 1], n).astype(np.int8)
+    read = read_file(npz(x=x.astype(np.uint8), y=y.astype(float), t=t, p=p), "a.npz")
     order = np.argsort(t)
     np.testing.assert_array_equal(read.x, x[order])
     np.testing.assert_array_equal(read.y, y[order])
@@ -160,7 +161,7 @@ GOOD = {"x": [0, 1], "y": [0, 2], "t": [0.1, 0.2], "p": [1, -1]}
 )
 def test_a_bad_event_file(change, fact):
     with pytest.raises(BadRecording, match=fact):
-        read_events(npz(**{**GOOD, **change}))
+        read_file(npz(**{**GOOD, **change}), "a.npz")
 
 
 @settings(max_examples=200)
@@ -170,7 +171,7 @@ def test_damaged_event_files_are_refused_or_read(data):
     for _ in range(data.draw(st.integers(1, 5))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     try:
-        read = read_events(bytes(content))
+        read = read_file(bytes(content), "a.npz")
     except BadRecording:
         return
     assert len(read.x) == len(read.y) == len(read.time) == len(read.polarity) > 0
@@ -185,11 +186,11 @@ def test_arrays_of_many_forms():
         structured(),
         np.stack([X, Y, T, P], 1),
     ):
-        read = recording_of(events)
+        read = make_recording(events)
         np.testing.assert_array_equal(read.x, X)
         np.testing.assert_array_equal(read.time, T)
     with pytest.raises(BadRecording, match="shape"):
-        recording_of(np.zeros((3, 3)))
+        make_recording(np.zeros((3, 3)))
 
 
 class LikeTonic:
@@ -278,5 +279,5 @@ def test_writers_parts_and_classes_that_do_not_fit(tmp_path, changes, fact):
 def test_four_events_in_lists_are_rows_or_columns():
     rows = [[1, 2, 0, 1], [2, 2, 1, 0], [3, 3, 5, 1], [0, 1, 9, 0]]
     with pytest.raises(BadRecording, match="rows or columns"):
-        recording_of(rows)
-    np.testing.assert_array_equal(recording_of(np.array(rows)).x, [1, 2, 3, 0])
+        make_recording(rows)
+    np.testing.assert_array_equal(make_recording(np.array(rows)).x, [1, 2, 3, 0])

@@ -7,7 +7,6 @@ import scipy.io
 from pipeline.recordings.events import Events, TaxelMap, expand_bursts
 from pipeline.recordings.formats.mat import (
     HEADER,
-    BadRecording,
     MatRecording,
     events_of,
     lookup_table_bytes,
@@ -16,6 +15,7 @@ from pipeline.recordings.formats.mat import (
     recording_bytes,
     spiketrain_of,
 )
+from pipeline.recordings.formats.recording import BadRecording
 from tests.pipeline.handmade import events, mat5, spiketrain
 
 

@@ -13,7 +13,8 @@ from pipeline.recordings import source
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.formats.mat import lookup_table_bytes
 from pipeline.recordings.library import load_recordings
-from pipeline.recordings.source import list_source, read_source, write_zip
+from pipeline.recordings.source import list_source, read_source
+from pipeline.recordings.writing import write_zip
 from tests.pipeline.handmade import (
     archive,
     assert_same,

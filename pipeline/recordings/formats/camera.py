@@ -1,0 +1,58 @@
+"""Files of event cameras: iniVation's ``.aedat4``, Prophesee's ``.raw`` and ``.dat``.
+
+They are read with faery (https://github.com/aestream/faery, LGPL 3), which is optional.
+"""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from pipeline.recordings.formats.recording import (
+    MAX_EVENTS,
+    BadRecording,
+    EventRecording,
+    make_recording,
+)
+
+SUFFIXES = (".aedat4", ".raw", ".dat")
+
+
+def read_camera(content: bytes, name: str) -> EventRecording:
+    """Read a camera's file.
+
+    Raises
+    ------
+    BadRecording
+        faery is not installed; or the file is damaged, has too many events or none.
+    """
+    suffix = PurePosixPath(name).suffix.lower()
+    try:
+        import faery
+    except ImportError as error:
+        raise BadRecording(
+            "needs the package faery; install it: pip install 'stmnist-loihi[cameras]'"
+        ) from error
+    with tempfile.TemporaryDirectory() as folder:  # faery opens files by their names only
+        path = Path(folder) / f"recording{suffix}"
+        path.write_bytes(content)
+        parts, number = [], 0
+        try:
+            stream = faery.events_stream_from_file(path)
+            columns, rows = stream.dimensions()
+            for part in stream:
+                parts.append(part.copy())
+                number += len(part)
+                if number > MAX_EVENTS:
+                    raise BadRecording(f"has more than {MAX_EVENTS} events")
+        except BadRecording:
+            raise
+        except BaseException as error:
+            # A damaged file may end in a panic of faery's Rust, which is no Exception.
+            if isinstance(error, (KeyboardInterrupt, SystemExit, MemoryError)):
+                raise
+            raise BadRecording(f"is damaged, or not a {suffix} file") from error
+    events = np.concatenate(parts) if parts else np.empty(0, faery.EVENTS_DTYPE)
+    recording = make_recording({"t_us": events["t"], **{name: events[name] for name in "xyp"}})
+    return replace(recording, size=(int(rows), int(columns)))

@@ -1,0 +1,90 @@
+"""NumPy's files: ``.npz`` with arrays x, y, t, p or one array, ``.npy`` with one array.
+
+Nothing in a file is executed: only plain arrays of numbers are read, and no more than a recording
+can have.
+"""
+
+import io
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.recordings.formats.recording import (
+    MAX_EVENTS,
+    BadRecording,
+    EventRecording,
+    find_columns,
+    make_recording,
+    parse_writer,
+)
+
+# Bytes of an event in an array: eight fields of eight bytes.
+MAX_EVENT_BYTES = 64
+
+
+def read_npz(content: bytes, name: str = "") -> EventRecording:
+    """Read four arrays by name, or a single array; and further entries of the file.
+
+    Raises
+    ------
+    BadRecording
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            sizes = {
+                info.filename.removesuffix(".npy"): info.file_size
+                for info in archive.infolist()
+                if info.filename.endswith(".npy")
+            }
+            about = [name for name in ("simulated", "writer") if name in sizes]
+            events = [name for name in sizes if name not in about]
+            wanted = events if len(events) == 1 else list(find_columns(events).values())
+            if sum(sizes[name] for name in wanted + about) > MAX_EVENT_BYTES * MAX_EVENTS + 4096:
+                raise BadRecording(f"has arrays of more than {MAX_EVENTS} events")
+            arrays = {
+                name: read_array(archive.read(f"{name}.npy"), name) for name in wanted + about
+            }
+    except BadRecording:
+        raise
+    except MemoryError:
+        raise
+    except Exception as error:  # damaged lists and unsupported compressions fail in many ways
+        raise BadRecording("is not a .npz file, or damaged") from error
+    about = {name: arrays.pop(name) for name in about}
+    writer = about.get("writer", np.empty(0))
+    return replace(
+        make_recording(arrays if len(arrays) > 1 else next(iter(arrays.values()))),
+        simulated=bool(np.any(about.get("simulated", False))),
+        writer=parse_writer(writer.item() if writer.size == 1 else None),
+    )
+
+
+def read_npy(content: bytes, name: str = "") -> EventRecording:
+    """Read one array of events, structured or with rows of four numbers.
+
+    Raises
+    ------
+    BadRecording
+    """
+    return make_recording(read_array(content, "the array"))
+
+
+def read_array(content: bytes, name: str) -> np.ndarray:
+    """An array of numbers, after comparing its declared size with the number of bytes."""
+    data = io.BytesIO(content)
+    try:
+        version = np.lib.format.read_magic(data)
+        read_header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }[version]
+        shape, columns_first, dtype = read_header(data)
+        kinds = {dtype[field].kind for field in dtype.names} if dtype.names else {dtype.kind}
+        if not kinds <= set("fiub") or dtype.itemsize > MAX_EVENT_BYTES or len(shape) > 2:
+            raise BadRecording(f"{name!r} is not a row of numbers")
+        return np.frombuffer(data.read(), dtype).reshape(shape, order="FC"[not columns_first])
+    except BadRecording:
+        raise
+    except Exception as error:  # damaged headers fail in many ways
+        raise BadRecording(f"{name!r} is damaged") from error

@@ -1,0 +1,207 @@
+"""A recording as events x, y, t, p, the conventions of event cameras: what each format gives.
+
+``x`` is the column from the left and ``y`` the row from the top, whole numbers from 0; ``p`` is the
+polarity, as truth values, 0 and 1, or -1 and 1; ``t`` is the time in seconds, milliseconds,
+microseconds or nanoseconds.  :func:`make_recording` accepts them in every form of arrays.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.recordings.events import Events
+
+# Duration of each unit of time in seconds.
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+ARRAYS = ("x", "y", "t", "p")
+
+# Names of fields and columns, in upper or lower case, the preferred one first; some include the
+# unit.
+COLUMN_NAMES = {
+    "x": ("x", "column", "col"),
+    "y": ("y", "row"),
+    "t": (*(f"t_{unit}" for unit in UNITS), "t", "time", "timestamp", "ts"),
+    "p": ("p", "polarity", "pol", "on"),
+}
+
+# Events of one recording.
+MAX_EVENTS = 5_000_000
+
+# Highest coordinate of any sensor; the input of a network is smaller.
+MAX_PLACE = 16_383
+
+# Rows and columns of any sensor, after pixels were combined.
+MAX_SIDE = 256
+
+# Taxels of any sensor, since events cannot address more.
+MAX_TAXELS = 65_536
+
+# Longest duration of a recording; a time past this is taken for another unit.
+MAX_DURATION_S = 60.0
+
+# Bytes of a file.  The largest published layout is 101 rows of 200,000 columns in double precision:
+# a hundred taxels that each report an event every 5 ms for 2 s, in five columns each.
+MAX_FILE_BYTES = 170_000_000
+
+
+class BadRecording(ValueError):
+    """Raised for a file that is not a recording; the message has the reason."""
+
+
+def read_limited(file) -> bytes:
+    """The content of an open file, read at most up to the point at which it is too large."""
+    return file.read(MAX_FILE_BYTES + 1)
+
+
+def parse_writer(number) -> int:
+    """The number of a writer, or -1 for None and for anything but a whole number from 0."""
+    is_one = number is not None and 0 <= number < 2**31 and number == int(number)
+    return int(number) if is_one else -1
+
+
+@dataclass(frozen=True)
+class EventRecording:
+    """The events of one file or array, in order of time.
+
+    Attributes
+    ----------
+    x, y : ndarray of int64, shape (n,)
+        Column and row, from 0.
+    time : ndarray of int64 or float64, shape (n,)
+        Not negative, in ``unit``.
+    polarity : ndarray of int8, shape (n,)
+    unit : str
+        One of :data:`UNITS`; empty if it is not known.
+    size : (int, int) or None
+        Rows and columns of the sensor, if the file has them.
+    simulated : bool
+        True if the file states that it is simulated.
+    writer : int
+        Number of the person who made the recording, from 0; -1 if the file does not have it.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    time: np.ndarray
+    polarity: np.ndarray
+    unit: str = ""
+    size: tuple | None = None
+    simulated: bool = False
+    writer: int = -1
+
+    def __len__(self):
+        return len(self.polarity)
+
+    def events(self, rows: int, time_ns: np.ndarray) -> Events:
+        """The events with taxels numbered as by :meth:`pipeline.recordings.events.TaxelMap.grid`.
+
+        Parameters
+        ----------
+        rows : int
+            Number of rows of the sensor.
+        time_ns : ndarray of int64, shape (n,)
+        """
+        taxel = self.y + rows * self.x
+        return Events(time_ns, taxel, self.polarity, np.ones(len(taxel)))
+
+
+def make_recording(events) -> EventRecording:
+    """Check events and bring them into order of time.
+
+    Parameters
+    ----------
+    events : structured array, array_like of shape (n, 4), dict, or sequence of four arrays
+        A dict has the arrays by name; a sequence and rows of four numbers have the order x, y,
+        t, p.
+
+    Raises
+    ------
+    BadRecording
+        The events have another form; arrays are missing, empty, not numbers or of different
+        lengths; coordinates are not whole numbers from 0; times are NaN or negative; polarities
+        have three values.
+    """
+    named, unit = _split_columns(events)
+    arrays = {name: np.asarray(array) for name, array in named.items()}
+    for name, array in arrays.items():
+        if array.ndim != 1 or array.dtype.kind not in "fiub" or array.dtype.itemsize > 8:
+            raise BadRecording(f"{name!r} is not a row of numbers")
+    lengths = {len(array) for array in arrays.values()}
+    if len(lengths) != 1:
+        listed = ", ".join(f"{name} {len(array)}" for name, array in arrays.items())
+        raise BadRecording(f"has arrays of different lengths: {listed}")
+    if lengths == {0}:
+        raise BadRecording("is empty: no events")
+    if max(lengths) > MAX_EVENTS:
+        raise BadRecording(f"has {max(lengths)} events, more than {MAX_EVENTS}")
+    x, y, t, p = (arrays[name] for name in ARRAYS)
+    t = _check_times(t)
+    for name, places in (("x", x), ("y", y)):
+        outside = ~((places >= 0) & (places <= MAX_PLACE) & (places == np.floor(places)))
+        if outside.any():
+            raise BadRecording(
+                f"{name} has {places[outside][0]:g}, not whole numbers from 0 to {MAX_PLACE}"
+            )
+    order = np.argsort(t, kind="stable")
+    places = (np.asarray(array, np.int64)[order] for array in (x, y))
+    return EventRecording(*places, time=t[order], polarity=_check_polarities(p)[order], unit=unit)
+
+
+def _check_times(t):
+    """Convert values to integers if all are whole numbers, else to floating point."""
+    if not np.isfinite(t).all():
+        raise BadRecording("has a time that is NaN or infinite")
+    if t.max() >= 2.0**62:
+        raise BadRecording("has a time that no clock can have")
+    if t.min() < 0:
+        raise BadRecording("has a negative time")
+    is_whole = t.dtype.kind in "iub" or ((t == np.rint(t)).all() and t.max() > 0)
+    return t.astype(np.int64 if is_whole else float)
+
+
+def _check_polarities(p):
+    values = set(np.unique(p).tolist())
+    if p.dtype.kind == "b" or values <= {0, 1}:
+        return np.where(p > 0, 1, -1).astype(np.int8)
+    if values <= {-1, 1}:
+        return p.astype(np.int8)
+    wrong = values - {-1, 0, 1}
+    which = f"{min(wrong):g}" if wrong else "-1, 0 and 1 together"
+    raise BadRecording(f"p has {which}, not 1 (ON) and -1 (OFF), 1 and 0, or true and false")
+
+
+def _split_columns(events):
+    """The four arrays by name, from any form of events; and the unit of time if a name has it."""
+    if isinstance(events, np.ndarray) and events.dtype.names:
+        if events.ndim != 1:
+            raise BadRecording(f"is a structured array of {events.ndim} dimensions, not one")
+        events = {name: events[name] for name in events.dtype.names}
+    if isinstance(events, dict):
+        chosen = find_columns(events)
+        unit = str(chosen["t"]).strip().lower().partition("t_")[2]
+        return {name: events[key] for name, key in chosen.items()}, unit
+    is_four = isinstance(events, (tuple, list)) and len(events) == 4
+    if is_four and all(isinstance(row, (list, tuple)) and len(row) == 4 for row in events):
+        raise BadRecording("is four lists of four: rows or columns? give a dict of x, y, t and p")
+    if is_four and all(np.ndim(array) == 1 for array in events):
+        return dict(zip(ARRAYS, events, strict=True)), ""
+    rows = np.asarray(events)
+    if rows.ndim == 2 and rows.shape[1] == 4:
+        return dict(zip(ARRAYS, rows.T, strict=True)), ""
+    raise BadRecording(
+        f"is an array of shape {rows.shape}, not four arrays x, y, t, p, a structured array or "
+        "rows of four numbers"
+    )
+
+
+def find_columns(names) -> dict:
+    """The names of the columns x, y, t and p among others, by :data:`COLUMN_NAMES`."""
+    lower = {str(name).strip().lower(): name for name in names}
+    chosen = {}
+    for name, others in COLUMN_NAMES.items():
+        key = next((other for other in others if other in lower), None)
+        if key is None:
+            raise BadRecording(f"has no array {name!r}; expected x, y, t and p")
+        chosen[name] = lower[key]
+    return chosen

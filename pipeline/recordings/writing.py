@@ -1,0 +1,177 @@
+"""Recordings as files: arrays of one's own, and a set of recordings in the published layout."""
+
+import io
+import zipfile
+from collections.abc import Iterable, Sequence, Set
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from deploy.errors import SeveralErrors, UserError
+from deploy.files import replacing, require_ending, zip_member
+from pipeline.progress import ignore_progress
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.formats.mat import MatRecording, lookup_table_bytes, recording_bytes
+from pipeline.recordings.formats.recording import UNITS, BadRecording, make_recording
+
+# Number of reasons that are listed individually.
+MAX_LISTED = 10
+
+
+def write_recordings(
+    path,
+    recordings: Iterable,
+    classes: Sequence[str] | None = None,
+    time_unit: str = "",
+    writers: Sequence[int] | None = None,
+    simulated: bool = False,
+    parts: Sequence[str] | None = None,
+) -> Path:
+    """Write events and labels as a zip that every command accepts as recordings.
+
+    A training needs at least two recordings of each class; `stmnist adapt` does not.
+
+    Give its path as ``data.source`` in the settings, or as ``--data`` to a command.
+
+    Parameters
+    ----------
+    path : path-like
+        The zip; its name must end in ``.zip``.  An existing file is replaced.
+    recordings : iterable of (events, label)
+        For example a data set of Tonic, or ``zip(events, labels)``.  Events have any of the forms
+        of :func:`pipeline.recordings.formats.recording.make_recording`: x is the column from the
+        left, y the row from the top.  A label is a number from 0, or the name of a class.
+    classes : sequence of str, optional
+        Names of the labels 0, 1, ...; default: the ``classes`` of ``recordings`` if it has this
+        attribute, else the labels themselves.
+    time_unit : str
+        Unit of the times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; empty: inferred from the
+        duration of the recordings when the file is read.
+    writers : sequence of int, optional
+        Number of the person who made each recording, from 0.
+    simulated : bool
+        True if the recordings are simulated; every result repeats this.
+    parts : sequence of str, optional
+        ``"train"`` or ``"test"`` for each recording, of a data set with a published split.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    UserError
+        Events or labels are not valid, with a line for each reason; or there are none.
+    """
+    path = Path(path)
+    require_ending(path, ".zip")
+    if time_unit and time_unit not in UNITS:
+        raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
+    if parts is not None and not set(parts) <= {"train", "test"}:
+        raise UserError(f"{path}: a part is 'train' or 'test', for each recording")
+    if writers is not None and not all(
+        isinstance(writer, (int, np.integer)) and writer >= 0 for writer in writers
+    ):
+        raise UserError(f"{path}: a writer is a whole number from 0, for each recording")
+    if classes is None:
+        classes = getattr(recordings, "classes", None)
+    if isinstance(classes, Set):
+        raise ValueError("classes: a set has no order; give a list of names")
+    names, written, problems = list(map(str, () if classes is None else classes)), 0, {}
+    if len(set(names)) < len(names):
+        raise UserError(f"{path}: two of the classes have the same name")
+    index, sizes = -1, {len(values) for values in (writers, parts) if values is not None}
+    with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for index, (events, label) in enumerate(recordings):
+            if index in sizes:  # more recordings than writers or parts
+                break
+            try:
+                name = _class_of(label, names, classes is not None)
+                writer = -1 if writers is None else int(writers[index])
+                content = _npz_bytes(make_recording(events), time_unit, writer, simulated)
+            except BadRecording as error:
+                problems.setdefault(str(error), []).append(index)
+                continue
+            member = PurePosixPath("" if parts is None else parts[index], name, f"{index:06d}.npz")
+            archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
+            written += 1
+        if sizes - {index + 1}:
+            raise UserError(f"{path}: give a writer or a part for each of the recordings")
+        lines = [
+            f"{path}: {len(where)} of {index + 1}: recording {where[0]} {reason}"
+            for reason, where in list(problems.items())[:MAX_LISTED]
+        ]
+        if not lines and not written:
+            lines.append(f"{path}: no recordings")
+        if lines:
+            raise SeveralErrors(lines)
+    return path
+
+
+def _class_of(label, names, is_fixed):
+    """The name of a label's class, which must be one of the names if these are fixed."""
+    is_number = isinstance(label, (int, np.integer)) and not isinstance(label, bool)
+    if is_fixed and is_number:
+        if not 0 <= label < len(names):
+            raise BadRecording(f"has the label {label}, not from 0 to {len(names) - 1}")
+        name = names[label]
+    elif isinstance(label, (str, int, np.integer)):
+        name = str(label)
+    else:
+        raise BadRecording(
+            f"has a label of the type {type(label).__name__}; give pairs (events, label) with a "
+            "number or a name as label"
+        )
+    parts = PurePosixPath(name).parts
+    if len(parts) != 1 or parts[0] in ("..", "/") or name.startswith(".") or not name.isprintable():
+        raise BadRecording(f"has the class {name!r}, which is not a valid name of a folder")
+    if is_fixed and name not in names:
+        raise BadRecording(f"has the class {name!r}, which is not one of those given")
+    return name
+
+
+def _npz_bytes(recording, time_unit, writer, simulated) -> bytes:
+    arrays = {"x": recording.x.astype(np.uint16), "y": recording.y.astype(np.uint16)}
+    unit = recording.unit or time_unit
+    arrays[f"t_{unit}" if unit else "t"] = recording.time
+    arrays["p"] = recording.polarity
+    if writer >= 0:
+        arrays["writer"] = np.array(writer)
+    if simulated:
+        arrays["simulated"] = np.array(True)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def write_zip(path, recordings: Recordings, progress=ignore_progress):
+    """Write recordings as a zip in the published layout; equal recordings give equal bytes.
+
+    Parameters
+    ----------
+    path : path-like
+    recordings : Recordings
+        Their ids become the names: ``"3/0042"`` is ``data_submission/3/0042.mat``.
+    progress : callable, optional
+        As in :func:`pipeline.recordings.source.read_source`.
+    """
+    with (
+        replacing(path) as file,
+        zipfile.ZipFile(file, "w") as archive,
+        progress("write", len(recordings)) as advance,
+    ):
+
+        def add(name, content):  # stored: recordings are compressed already
+            member = PurePosixPath("data_submission", name)
+            archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
+
+        add("LUT.mat", lookup_table_bytes(recordings.taxels))
+        for index, name in enumerate(recordings.ids):
+            recording = MatRecording(
+                recordings[index],
+                recordings.source.simulated,
+                int(recordings.writers[index]),
+                n_taxels=len(recordings.taxels),
+            )
+            add(f"{name}.mat", recording_bytes(recording))
+            advance(1)
