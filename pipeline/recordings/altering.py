@@ -1,10 +1,18 @@
-"""Data augmentation: samples altered in time and space, and with events left out."""
+"""Data augmentation: samples altered in time and space, with events left out and faulty taxels.
+
+:func:`alter` makes altered samples of events, for a network on events.  A network on images uses
+the functions that it consists of: :func:`move_places` for the places of taxels, and
+:func:`pipeline.recordings.faults.draw_faults` for hot and dead ones, see
+:class:`pipeline.recordings.images.AlteredImages`.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Events, Recordings, is_handwriting
+from pipeline.recordings.faults import draw_faults
 
 
 @dataclass(frozen=True)
@@ -16,7 +24,9 @@ class Alteration:
     Positions relative to the middle of the skin are sheared by ``shear`` z, rotated by ``turn`` z
     radians, scaled by exp(``scale`` z) along rows and along columns, and shifted by ``shift`` z
     taxels in both directions.  Each z is standard normal and drawn for each sample.  An event is
-    assigned to the nearest taxel; events beyond the edge are lost.
+    assigned to the nearest taxel; events beyond the edge are lost.  A sample has hot taxels with
+    the probability ``hot`` and dead ones with the probability ``dead``, see
+    :mod:`pipeline.recordings.faults`.
     """
 
     stretch: float = 0.1
@@ -25,53 +35,66 @@ class Alteration:
     shift: float = 0.4
     scale: float = 0.08
     shear: float = 0.08
+    hot: float = 0.25
+    dead: float = 0.25
+
+    @property
+    def is_spatial(self) -> bool:
+        """True if events move to other taxels."""
+        return any((self.turn, self.shift, self.scale, self.shear))
 
 
-# Alterations in time and dropped events, for sensors on which a position may have a meaning of its
-# own or neighbours in the grid are not neighbours on the sensor.
+# Alterations in time, dropped events and faulty taxels, for sensors on which a position may have a
+# meaning of its own or neighbours in the grid are not neighbours on the sensor.
 TIME_ONLY = Alteration(turn=0.0, shift=0.0, scale=0.0, shear=0.0)
 
 # The alterations of each value of ``events.augment`` but ``auto``.
 AUGMENTATIONS = {
-    "none": Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    "none": Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     "time": TIME_ONLY,
     "space": Alteration(),
 }
 
 
-def augmentation_for(recordings: Recordings) -> str:
+def choose_augmentation(recordings: Recordings) -> str:
     """The augmentation that suits recordings: ``space`` for handwriting, otherwise ``time``."""
     return "space" if is_handwriting(recordings) else "time"
 
 
-def alter(how: Alteration, rng, samples: int, sample, step, row, column, polarity, size=(10, 10)):
+def alter(
+    how: Alteration, rng, events: EventColumns, samples: int, step_ms: float, size=(10, 10)
+) -> EventColumns:
     """Alter samples.
 
     Parameters
     ----------
     how : Alteration
     rng : numpy.random.Generator
+    events : EventColumns
     samples : int
-    sample, row, column, polarity : ndarray
-        See :meth:`pipeline.recordings.steps.EventTable.pick`.
-    step : ndarray of float
-        Time of each event in steps from its sample's first event on.
+        Number of samples.
+    step_ms : float
+        The step, in milliseconds, within which a sample begins at a random time.
     size : (int, int)
         Rows and columns of taxels.
 
     Returns
     -------
-    sample, step, row, column, polarity : ndarray
-        Properties of the remaining events; steps are fractions.
+    EventColumns
+        The remaining events, and those of hot taxels.
     """
-    kept, step, place = _altered(how, rng, samples, sample, step, row, column, size)
-    return sample[kept], step[kept], place[kept, 0], place[kept, 1], polarity[kept]
+    altered, kept = _alter_each(how, rng, events, samples, step_ms, size)
+    altered = altered.select(kept)
+    if not how.hot and not how.dead:
+        return altered
+    faults = draw_faults(how.hot, how.dead, rng, altered.durations_ms(samples), size)
+    return faults.apply(altered)
 
 
-def altered_recordings(
+def alter_recordings(
     recordings: Recordings, indices, how: Alteration, step_ms: float, seed
 ) -> Recordings:
-    """Altered copies of some recordings.
+    """Altered copies of some recordings, without faulty taxels.
 
     Parameters
     ----------
@@ -88,24 +111,25 @@ def altered_recordings(
     Recordings
         In the order of the indices.
     """
-    chosen, rng = recordings.part(indices), np.random.default_rng(seed)
-    taxels, sensor, old, sample = (
-        chosen.taxels, chosen.sensor, chosen.events, chosen.sample_of_event
-    )  # fmt: skip
+    chosen = recordings.part(indices)
+    rng = np.random.default_rng(seed)
+    taxels, sensor, old = chosen.taxels, chosen.sensor, chosen.events
+    sample = chosen.sample_of_event
     some = np.diff(chosen.offsets) > 0
     begins = np.zeros(len(chosen), np.int64)
     begins[some] = old.time_ns[chosen.offsets[:-1][some]]
-    step = (old.time_ns - begins[sample]) / (1e6 * step_ms)
+    time_ms = (old.time_ns - begins[sample]) / 1e6
     size = (sensor.rows, sensor.columns)
-    kept, step, place = _altered(
-        how, rng, len(chosen), sample, step, taxels.row[old.taxel], taxels.column[old.taxel], size
+    events = EventColumns(
+        sample, time_ms, taxels.row[old.taxel], taxels.column[old.taxel], old.polarity
     )
-    at = np.full(size, -1)  # which taxel is where; there may be places without one
-    at[taxels.row, taxels.column] = np.arange(len(taxels))
+    altered, kept = _alter_each(how, rng, events, len(chosen), step_ms, size)
+    taxel_at = np.full(size, -1)  # there may be places without a taxel
+    taxel_at[taxels.row, taxels.column] = np.arange(len(taxels))
     taxel = np.full(len(kept), -1)
-    taxel[kept] = at[tuple(place[kept].T)]
+    taxel[kept] = taxel_at[altered.row[kept], altered.column[kept]]
     kept &= taxel >= 0
-    time_ns = begins[sample] + np.rint(1e6 * step_ms * step).astype(np.int64)
+    time_ns = begins[sample] + np.rint(1e6 * altered.time_ms).astype(np.int64)
     order = np.flatnonzero(kept)
     order = order[np.lexsort((time_ns[order], sample[order]))]
     counts = np.bincount(sample[order], minlength=len(chosen))
@@ -117,16 +141,20 @@ def altered_recordings(
     )
 
 
-def _altered(how, rng, samples, sample, step, row, column, size):
-    """The remaining events, with the step and the (row, column), in whole taxels, of each."""
+def _alter_each(how, rng, events, samples, step_ms, size):
+    """Every event at its new time and place, and which of them remain."""
     pace = np.exp(rng.normal(0, how.stretch, samples))
-    step = step * pace[sample] + rng.uniform(0, 1, samples)[sample]
-    kept = rng.random(len(sample)) >= rng.uniform(0, how.drop, samples)[sample]
-    place = moved(how, rng, samples, sample, np.stack([row, column], -1), size)
-    return kept & ((place >= 0) & (place < size)).all(1), step, place
+    begin_ms = step_ms * rng.uniform(0, 1, samples)
+    time_ms = events.time_ms * pace[events.sample] + begin_ms[events.sample]
+    kept = rng.random(len(time_ms)) >= rng.uniform(0, how.drop, samples)[events.sample]
+    place = np.stack([events.row, events.column], -1)
+    place = move_places(how, rng, samples, events.sample, place, size)
+    kept &= ((place >= 0) & (place < size)).all(1)
+    altered = events._replace(time_ms=time_ms, row=place[:, 0], column=place[:, 1])
+    return altered, kept
 
 
-def moved(how: Alteration, rng, samples: int, sample, place, size) -> np.ndarray:
+def move_places(how: Alteration, rng, samples: int, sample, place, size) -> np.ndarray:
     """The places of events after the change of their sample in space.
 
     Parameters

@@ -22,8 +22,9 @@ normalisation
 
 import numpy as np
 
-from pipeline.recordings.altering import AUGMENTATIONS, moved
+from pipeline.recordings.altering import AUGMENTATIONS, move_places
 from pipeline.recordings.events import Recordings
+from pipeline.recordings.faults import draw_faults
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Image
 
@@ -90,9 +91,9 @@ class AlteredImages:
     """Images of training samples whose events are altered anew for each epoch.
 
     The alterations are those of :mod:`pipeline.recordings.altering`: the events of a taxel all
-    move to
-    the same place, so that their counts are moved, and of the counts a random share is dropped.
-    Times are not stretched.
+    move to the same place, so that their counts are moved, and of the counts a random share is
+    dropped.  Times are not stretched.  The counts of a taxel that is dead from some time on are
+    reduced to the share of the recording before it, and the spikes of hot taxels are counted.
 
     Parameters
     ----------
@@ -105,7 +106,8 @@ class AlteredImages:
 
     def __init__(self, recordings: Recordings, image: Image, how: str):
         self._counts, self._image = _counts(recordings, image), image
-        self._how, self._moves = AUGMENTATIONS[how], how == "space"
+        self._durations_ms = EventTable.of(recordings).duration_ms
+        self._how = AUGMENTATIONS[how]
 
     def __call__(self, rng, indices) -> np.ndarray:
         """Altered images of some samples, shape (n, rows, columns, channels), float32."""
@@ -115,15 +117,27 @@ class AlteredImages:
         )
         some = counts > 0
         counts[some] = rng.binomial(counts[some].astype(np.int64), kept[some])
-        if self._moves:
+        if self._how.is_spatial:
             counts = self._moved(rng, counts)
+        if self._how.hot or self._how.dead:
+            self._add_faults(rng, counts, self._durations_ms[indices])
         return _as_images(counts, self._image)
+
+    def _add_faults(self, rng, counts, durations_ms):
+        slices, rows, columns = counts.shape[1:4]
+        faults = draw_faults(self._how.hot, self._how.dead, rng, durations_ms, (rows, columns))
+        share = faults.silent_from_ms / np.maximum(durations_ms, 1)[:, None, None]
+        counts *= np.minimum(share, 1)[:, None, :, :, None]
+        hot = faults.hot_events()
+        part = (hot.time_ms * slices / self._image.duration_ms).astype(np.int64)
+        where = hot.sample, np.minimum(part, slices - 1), hot.row, hot.column, hot.polarity
+        np.add.at(counts, where, 1)
 
     def _moved(self, rng, counts):
         n, slices, rows, columns, _ = counts.shape
         places = np.indices((rows, columns)).reshape(2, -1).T
         sample = np.repeat(np.arange(n), len(places))
-        to = moved(self._how, rng, n, sample, np.tile(places, (n, 1)), (rows, columns))
+        to = move_places(self._how, rng, n, sample, np.tile(places, (n, 1)), (rows, columns))
         inside = ((to >= 0) & (to < (rows, columns))).all(1)
         cell = ((sample * rows + to[:, 0]) * columns + to[:, 1])[inside]
         values = np.moveaxis(counts, 1, 3).reshape(len(sample), -1)[inside]

@@ -31,7 +31,7 @@ from deploy.network.spec import NetworkSpec, Rehearsal
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.tables import listed
 from deploy.targets.fast import Emulation
-from pipeline.recordings.altering import AUGMENTATIONS, altered_recordings, augmentation_for
+from pipeline.recordings.altering import AUGMENTATIONS, alter_recordings, choose_augmentation
 from pipeline.recordings.dataset import (
     TRAINED_ON,
     classes_of,
@@ -348,8 +348,8 @@ class Responder:
         n = len(recordings)
         step_ms = 1e3 * self.spec.stimulus.step_seconds
         often = np.repeat(np.arange(n), COPIES)
-        how = AUGMENTATIONS[augmentation_for(recordings)]
-        altered = altered_recordings(recordings, often, how, step_ms, seed)
+        how = AUGMENTATIONS[choose_augmentation(recordings)]
+        altered = alter_recordings(recordings, often, how, step_ms, seed)
         return self.responses_to(altered).reshape(n, COPIES, -1)
 
     def person(self, recordings: Recordings, seed) -> Person:

@@ -36,6 +36,7 @@ from models.keras.keras2 import tf
 from models.spiking import Neuron, SpikingNetwork, operations
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
+from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.steps import EventTable, spike_frames
 from pipeline.run.settings import EventTraining, Input, Settings
 from pipeline.training.networks import make_deterministic
@@ -116,11 +117,16 @@ class EventRecipe:
     budget: float = EventTraining.budget
     alteration: Alteration = AUGMENTATIONS["space"]
 
-    def altered(self, rng, table: EventTable, indices) -> tuple:
-        """Some samples altered: sample, step (a fraction), row, column, polarity of each event."""
-        sample, time_ms, *place = table.pick(indices)
-        how, n = self.alteration, len(indices)
-        return alter(how, rng, n, sample, time_ms / self.step_ms, *place, size=table.size)
+    def alter_samples(self, rng, table: EventTable, indices) -> EventColumns:
+        """Some samples altered."""
+        events = EventColumns(*table.pick(indices))
+        return alter(self.alteration, rng, events, len(indices), self.step_ms, table.size)
+
+    def frames_of(self, events: EventColumns, samples: int, steps: int, size: tuple) -> np.ndarray:
+        """Frames of events; see :func:`pipeline.recordings.steps.spike_frames`."""
+        sample, time_ms, *place = events
+        step = time_ms / self.step_ms
+        return spike_frames(sample, step, *place, samples, steps, size, self.refractory)
 
     @classmethod
     def of(cls, settings: Settings) -> EventRecipe:
@@ -200,10 +206,9 @@ class TrainedOnEvents:
             Largest loss of accuracy by early decisions.
         """
         often, rng = np.tile(held_out, ALTERED), np.random.default_rng([seed, 0x7E57])
-        sample, step, *place = self.recipe.altered(rng, table, often)
-        refractory = self.recipe.refractory
-        altered = spike_frames(sample, step, *place, len(often), steps, table.size, refractory)
-        as_they_are = table.frames(held_out, self.recipe.step_ms, steps, refractory)
+        events = self.recipe.alter_samples(rng, table, often)
+        altered = self.recipe.frames_of(events, len(often), steps, table.size)
+        as_they_are = table.frames(held_out, self.recipe.step_ms, steps, self.recipe.refractory)
         shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
         return choose_threshold(
             arriving(shown.outputs, self.recipe),
@@ -498,11 +503,9 @@ class _Trainer:
     def _altered(self, batch, rng):
         """Frames, labels and last steps of augmented samples."""
         n = len(batch)
-        sample, step, *place = self.recipe.altered(rng, self.table, batch)
-        last = np.zeros(n, np.int64)
-        np.maximum.at(last, sample, step.astype(np.int64))
-        steps, refractory = _padded(last.max()), self.recipe.refractory
-        frames = spike_frames(sample, step, *place, n, steps, self.table.size, refractory)
+        events = self.recipe.alter_samples(rng, self.table, batch)
+        last = (events.durations_ms(n) / self.recipe.step_ms).astype(np.int64)
+        frames = self.recipe.frames_of(events, n, _padded(last.max()), self.table.size)
         writing = (np.arange(len(frames))[:, None] <= last).astype(np.float32)
         return frames, self.labels[batch], writing
 

@@ -26,7 +26,7 @@ from pipeline.kinds.kind import (
     write_network,
 )
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.altering import augmentation_for
+from pipeline.recordings.altering import choose_augmentation
 from pipeline.recordings.dataset import Dataset, event_warnings
 from pipeline.recordings.events import Sensor, is_handwriting
 from pipeline.recordings.splits import split_of
@@ -196,7 +196,7 @@ class EventsKind(NetworkKind):
                 if budget > now.budget:
                     chosen["budget"] = float(min(round(budget, 1), 1000.0))
         if now.augment == default.augment:
-            chosen["augment"] = how = augmentation_for(recordings)
+            chosen["augment"] = how = choose_augmentation(recordings)
             lines.append(f"augmentation in {how} (another: --set events.augment=time, space, none)")
         if train is not None:
             dropout = dropout_for(len(train), default.dropout)

@@ -5,17 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.recordings.altering import Alteration, alter, altered_recordings, augmentation_for
+from pipeline.recordings.altering import (
+    Alteration,
+    alter,
+    alter_recordings,
+    choose_augmentation,
+)
+from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Events, Sensor, Source, collect
 
-STILL = Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+STILL = Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def altered(how, n=400, seed=0):
     """One event in the middle of the left edge in step 10, in each of n samples."""
     ones = np.ones(n, int)
     rng = np.random.default_rng(seed)
-    return alter(how, rng, n, np.arange(n), 10.0 * ones, 4 * ones, 0 * ones, ones)
+    events = EventColumns(np.arange(n), 10.0 * ones, 4 * ones, 0 * ones, ones)
+    return alter(how, rng, events, n, 1.0)
 
 
 def test_nothing_altered_but_where_in_its_step_a_sample_begins():
@@ -52,7 +59,7 @@ def recordings(*columns):
 def test_recordings_that_are_altered_by_nothing():
     one = ([10_000_000, 30_000_000], [44, 55], [1, -1], [4, 2])
     other = ([5_000_000], [7], [1], [5])
-    changed = altered_recordings(recordings(one, other), [1, 0, 0], STILL, 10.0, 0)
+    changed = alter_recordings(recordings(one, other), [1, 0, 0], STILL, 10.0, 0)
     assert changed.labels.tolist() == [5, 3, 3]
     assert len(set(changed.ids)) == 3
     assert changed.offsets.tolist() == [0, 1, 3, 5]
@@ -67,28 +74,27 @@ def test_recordings_that_are_altered_by_nothing():
 
 def test_recordings_without_events_and_events_that_fall_off_the_edge():
     empty = ([], [], [], [])
-    changed = altered_recordings(recordings(empty), [0, 0], STILL, 10.0, 0)
+    changed = alter_recordings(recordings(empty), [0, 0], STILL, 10.0, 0)
     assert changed.offsets.tolist() == [0, 0, 0]
     corner = ([0, 1, 2], [0, 0, 99], [1, 1, 1], [4, 4, 4])
     far = replace(STILL, shift=50.0)
-    assert len(altered_recordings(recordings(corner), [0] * 5, far, 10.0, 0).events) < 15
+    assert len(alter_recordings(recordings(corner), [0] * 5, far, 10.0, 0).events) < 15
 
 
 def test_events_of_altered_recordings_are_those_of_alter():
     rng = np.random.default_rng(0)
     times = np.sort(rng.integers(0, 10**9, 200))
     many = (times, rng.integers(0, 100, 200), rng.choice([-1, 1], 200), np.full(200, 4))
-    how = Alteration()
-    changed = altered_recordings(recordings(many), [0], how, 10.0, 7)
+    how = Alteration(hot=0.0, dead=0.0)
+    changed = alter_recordings(recordings(many), [0], how, 10.0, 7)
     taxel = np.asarray(many[1])
-    step = (times - times[0]) / 1e7
-    _, steps, row, column, _ = alter(
-        how, np.random.default_rng(7), 1, np.zeros(200, int), step, taxel % 10, taxel // 10, many[2]
-    )
+    time_ms = (times - times[0]) / 1e6
+    events = EventColumns(np.zeros(200, int), time_ms, taxel % 10, taxel // 10, many[2])
+    _, altered_ms, row, column, _ = alter(how, np.random.default_rng(7), events, 1, 10.0)
     assert sorted((10 * column + row).tolist()) == sorted(changed[0].taxel.tolist())
     assert (np.diff(changed[0].time_ns) >= 0).all()
     np.testing.assert_allclose(
-        np.sort(steps), (changed[0].time_ns - times[0]) / 1e7, rtol=0, atol=1e-6
+        np.sort(altered_ms), (changed[0].time_ns - times[0]) / 1e6, rtol=0, atol=1e-5
     )
 
 
@@ -106,4 +112,14 @@ def test_events_of_altered_recordings_are_those_of_alter():
 )
 def test_only_handwriting_is_altered_in_space(source, sensor, how):
     recordings = collect([Events([0], [0], [1], [1])], [0], ["0"], [-1], source, sensor=sensor)
-    assert augmentation_for(recordings) == how
+    assert choose_augmentation(recordings) == how
+
+
+def test_samples_get_hot_and_dead_taxels():
+    n, ones = 500, np.ones(500, int)
+    events = EventColumns(np.arange(n), 1000.0 * ones, 4 * ones, 5 * ones, ones)
+    hot = alter(replace(STILL, hot=1.0), np.random.default_rng(0), events, n, 10.0)
+    assert set(hot.sample.tolist()) == set(range(n))
+    assert len(hot.sample) > 10 * n
+    dead = alter(replace(STILL, dead=1.0), np.random.default_rng(0), events, n, 10.0)
+    assert 0.9 * n < len(dead.sample) < n
