@@ -12,7 +12,6 @@ RUN ?= runs/default
 JOBS ?= 2
 TARGET ?= emulator
 PYTHON38 ?= $(shell sh setup.sh --find 3.8)
-PYTHON310 ?= $(shell sh setup.sh --find 3.10)
 
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
@@ -24,7 +23,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-lava test-lava check-lava setup-peers test-peers audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Install the versions pinned in constraints.txt into .venv (3 GB)
@@ -115,24 +114,6 @@ check-nir: convert setup-nir  ## Run the check's samples in Norse, and compare w
 	@.venv-nir/bin/python tests/nir_reader/run_norse.py "$(RUN)/norse/network.nir" "$(RUN)/norse/input.npz" "$(RUN)/norse/output.npz"
 	@$(BIN)/python -m tests.nir_reader.result "$(RUN)/bundle" "$(RUN)/norse/input.npz" "$(RUN)/norse/output.npz" "$(RUN)/checks/norse.json"
 	@$(STMNIST) check compare "$(RUN)/checks/emulator.json" "$(RUN)/checks/norse.json"
-
-setup-lava: .venv-lava/installed  ## Make .venv-lava with Lava's integer models of Loihi on Python 3.10
-
-.venv-lava/installed: tests/lava_reader/requirements.txt
-	@test -n "$(PYTHON310)" && "$(PYTHON310)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 10))' 2>/dev/null || \
-	  { echo "setup-lava: Python 3.10 is needed; install one, or name it with PYTHON310=/path/to/python3.10" >&2; exit 2; }
-	@$(PYTHON310) -m venv --clear .venv-lava
-	@.venv-lava/bin/pip install -qq -r tests/lava_reader/requirements.txt
-	@touch $@
-
-test-lava: setup setup-lava  ## Test that Lava's integer models give the same spikes as fast
-	@$(BIN)/python -m pytest tests/deploy/targets/test_lava.py
-
-check-lava: convert setup-lava  ## Run the check's samples in Lava, and compare every spike with fast
-	@$(STMNIST) deploy export "$(RUN)/bundle" --format lava --out "$(RUN)/lava/network.npz"
-	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/output.npz"
-	@.venv-lava/bin/python tests/lava_reader/run_lava.py "$(RUN)/lava/network.npz" "$(RUN)/lava/stock.npz" --stock
-	@$(BIN)/python -m tests.lava_reader.result "$(RUN)/bundle" "$(RUN)/lava/output.npz" "$(RUN)/checks/lava.json" "$(RUN)/lava/stock.npz"
 
 setup-peers: .venv-peers/installed  ## Install the pytest plugins that NengoLoihi's tests need
 

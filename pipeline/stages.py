@@ -205,7 +205,8 @@ def opened_run(path, settings: Settings | dict | None = None, **more):
     path : path-like
         Folder of the run.
     settings : Settings or dict, optional
-        A dict, nested as in :meth:`pipeline.run.settings.Settings.with_values`, changes what was
+        A dict, nested as in :meth:`pipeline.run.settings.schema.Settings.with_values`, changes
+        what was
         set
         for the run; settings replace it.
     **more

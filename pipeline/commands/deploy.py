@@ -17,7 +17,6 @@ class Format(StrEnum):
     """Formats to which a bundle can be exported."""
 
     nir = "nir"
-    lava = "lava"
 
 
 def plan(
@@ -36,34 +35,21 @@ def plan(
 
 def export(
     bundle: options.Bundle,
-    format: Annotated[
-        Format,
-        typer.Option(
-            help="Format: the network as NIR, or the chip's integers and its input spikes for "
-            "Lava, as .npz."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="The file to write: .nir, or .npz for Lava.")],
+    out: Annotated[Path, typer.Option(help="The file to write, .nir.")],
+    format: Annotated[Format, typer.Option(help="Format of the exported network.")] = Format.nir,
     inputs: Annotated[
         Path | None,
-        typer.Option(help="NIR: also write the input spikes of the check's samples, as .npz."),
+        typer.Option(help="Also write the input spikes of the check's samples, as .npz."),
     ] = None,
 ):
     """Export the network for other neuromorphic platforms."""
     from deploy.files import write_arrays
     from deploy.network.nir import input_spikes, write_nir
-    from deploy.targets.lava import write_lava
 
-    require_ending(out, ".npz" if format is Format.lava else ".nir")
+    require_ending(out, ".nir")
     if inputs is not None:
         require_ending(inputs, ".npz")
     opened = _opened(bundle)
-    if format is Format.lava:
-        if inputs is not None:
-            raise UserError("--inputs is for NIR: a file for Lava holds the input spikes itself")
-        write_lava(out, opened.spec, opened.checks.inputs)
-        show(f"written to {out}, with the input spikes of {len(opened.checks)} samples")
-        return
     write_nir(out, opened.spec)
     show(f"written to {out}")
     if not (shown := opened.spec.stimulus).static:

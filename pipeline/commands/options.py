@@ -153,7 +153,7 @@ class Requested:
 
     def changes(self) -> dict:
         """The settings that the options change, nested as in
-        :class:`pipeline.run.settings.Settings`.
+        :class:`pipeline.run.settings.schema.Settings`.
 
         Raises
         ------

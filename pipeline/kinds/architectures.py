@@ -93,7 +93,7 @@ def chip_problems(architecture: str, on_events: bool, deployment: Deployment) ->
     architecture : str
     on_events : bool
         Whether its input is events, not images.
-    deployment : pipeline.run.settings.Deployment
+    deployment : pipeline.run.settings.schema.Deployment
 
     Returns
     -------
@@ -115,7 +115,7 @@ def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec
         Its architecture.
     on_events : bool
         Whether its input is events, not images.
-    deployment : pipeline.run.settings.Deployment
+    deployment : pipeline.run.settings.schema.Deployment
     """
     rng, links = np.random.default_rng(0), links_of(parse(text))
     on_host = on_events or deployment.readout == "host"

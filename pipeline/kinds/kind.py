@@ -57,7 +57,7 @@ class Part(NamedTuple):
     ----------
     name : str
     folder : str
-        Name of its folder; see :meth:`pipeline.run.RunFolder.folder`.
+        Name of its folder; see :meth:`pipeline.run.folder.RunFolder.folder`.
     files : tuple of str
         The record first, which is written last.
     reads : tuple of str
@@ -290,7 +290,7 @@ class NetworkKind:
         Returns
         -------
         changes : dict
-            As :meth:`pipeline.run.settings.Settings.with_values` takes them.
+            As :meth:`pipeline.run.settings.schema.Settings.with_values` takes them.
         lines : list of str
             A line about each choice.
 
@@ -366,7 +366,7 @@ def responses_of(logits: np.ndarray, presentation) -> Responses:
     ----------
     logits : ndarray, shape (n_samples, steps, classes)
         Logits at each step; one step for a network without time.
-    presentation : pipeline.run.settings.PresentationSettings
+    presentation : pipeline.run.settings.schema.PresentationSettings
         In networks with time, the score at a step is the mean from ``readout_start`` to it.
     """
     start = presentation.readout_start if logits.shape[1] > 1 else 0

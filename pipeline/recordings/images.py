@@ -59,7 +59,7 @@ def tactile_images(recordings: Recordings, image: Image | None = None) -> np.nda
     Parameters
     ----------
     recordings : Recordings
-    image : pipeline.run.settings.Image, optional
+    image : pipeline.run.settings.schema.Image, optional
         Default: the default settings.
     """
     image = image or Image()
@@ -99,7 +99,7 @@ class AlteredImages:
     ----------
     recordings : Recordings
         The training samples.
-    image : pipeline.run.settings.Image
+    image : pipeline.run.settings.schema.Image
     how : str
         A key of :data:`pipeline.recordings.altering.AUGMENTATIONS`.
     """

@@ -16,7 +16,8 @@ of a sweep.  (Only an interrupted check has another mechanism for its streams,
 
 A dependency cannot be forgotten.  An origin declares its settings, and the code that makes the
 artifact receives ``origin.view(settings)``, which has only these.  Reading another one raises
-:class:`pipeline.run.settings.UndeclaredSetting`, in this process, in a worker or on a cluster.
+:class:`pipeline.run.settings.schema.UndeclaredSetting`, in this process, in a worker or on a
+cluster.
 Dependencies are declared rather than recorded while the artifact is made, because a declared origin
 is known beforehand: it can be compared before any work is done, and its key is the name of an
 artifact of which several variants are stored (:class:`Library`).

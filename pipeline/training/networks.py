@@ -74,7 +74,7 @@ class Recipe:
 
         Parameters
         ----------
-        section : pipeline.run.settings.CNN or pipeline.run.settings.SNN
+        section : pipeline.run.settings.schema.CNN or pipeline.run.settings.schema.SNN
         n_samples : int
             Number of training samples.
         """

@@ -77,14 +77,3 @@ def test_check_run_takes_board_options_for_a_board_only(bundle, capsys):
     )
     assert status == 2
     assert missing(err, "--partition", "loihi", "emulator") == []
-
-
-def test_export_to_lava(bundle, capsys, tmp_path):
-    wanted = tmp_path / "lava" / "network.npz"
-    status, out, _ = run(
-        capsys, "deploy", "export", bundle.path, "--format", "lava", "--out", wanted
-    )
-    assert status == 0
-    assert "7 samples" in out
-    with np.load(wanted, allow_pickle=False) as archive:
-        assert archive["spikes.input"].shape == (7, 35, 5)  # 36 pixels in 5 bytes

@@ -45,7 +45,7 @@ def test_an_option_and_another_value_of_its_setting_are_refused(option, given, a
         ("ladder runs/x more", ["more"]),
         ("lader runs/x", ["ladder"]),
         ("check run runs/x --target chip", ["chip", "emulator"]),
-        ("deploy export runs/x --format onnx --out x", ["--format", "nir", "lava"]),
+        ("deploy export runs/x --format onnx --out x", ["--format", "nir"]),
         ("data import x --set data.downsample=0", ["downsample", "1"]),
         ("data simulate --out x.zip --samples-per-digit many", ["--samples-per-digit"]),
     ],
