@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 from deploy import __version__
@@ -44,6 +44,7 @@ from pipeline.recordings.splits import PUBLISHED, copies
 from pipeline.run.artifacts import DELETE_IT, Artifact, Library, Origin
 from pipeline.run.folder import RunFolder, working_in
 from pipeline.run.settings import SIMULATED, Settings, read_settings
+from pipeline.run.steps import StepInputs
 from pipeline.training.adaptation import with_rehearsal
 
 __all__ = [
@@ -84,51 +85,58 @@ class Opened:
     say: Callable = print
 
     def artifact(self, name: str) -> Artifact:
-        """One of the :attr:`pipeline.kinds.kind.NetworkKind.parts`."""
+        """The artifact of one of the :attr:`pipeline.kinds.kind.NetworkKind.steps`."""
         return self.kind.artifact(name, self.place, self.dataset.origin)
 
-    def restricted(self, names) -> Opened:
-        """The same with the named settings only; reading others is an error."""
+    def step_inputs(self, names) -> StepInputs:
+        """What is made from the named settings only; reading others is an error."""
         view = self.settings.only(names)
-        return replace(
-            self, settings=view, dataset=self.dataset.seen_by(view), kind=type(self.kind)(view)
-        )
+        dataset = self.dataset.seen_by(view)
+        return StepInputs(view, dataset, self.artifact, self.weights, self.say)
 
     def make(self, name: str) -> dict:
-        """Make a part, unless it is current; return its record.
+        """Make a step, unless it is current; return its record.
 
         A trained network's record has its ``accuracy`` on each set of the split, the number of
         ``epochs`` and the ``seconds`` of the training.
         """
-        part, artifact, imported = self.kind.part(name), self.artifact(name), self.kind.imported
+        step = self.kind.step(name)
+        artifact = self.artifact(name)
+        imported = self.kind.imported
         state = artifact.state()
         if state.is_current:
             self.say(f"{name}: up to date ({artifact.folder})")
             return state.record
-        state.announce(part.action, self.say)
-        if imported is not None and imported.part == name:
+        state.announce(step.action, self.say)
+        if imported is not None and imported.step == name:
             for line in imported.split_notes(state, self.settings.seed):
                 self.say(line)
-        opened = self.restricted(artifact.origin.settings)
-        record = artifact.write(part.make(opened, artifact))
-        for file in part.temporary:
+        inputs = self.step_inputs(artifact.origin.settings)
+        record = artifact.write(step.make(inputs, artifact))
+        for file in step.temporary:
             (artifact.folder / file).unlink(missing_ok=True)
         return record
 
-    def make_all(self) -> dict:
-        """Make all that the bundle is made from; return the record of the deployed network."""
-        for part in self.kind.parts:
-            if self.kind.is_deployed(part.name):
-                self.make(part.name)
-        return self.artifact(self.kind.deployed).state().record
+    def make_all(self, name: str | None = None) -> dict:
+        """Make a step and all that it is made from; return its record.
+
+        Parameters
+        ----------
+        name : str, optional
+            Default: the step from which the bundle is made.
+        """
+        for step in self.kind.steps_of(name or self.kind.deployed):
+            record = self.make(step.name)
+        return record
 
     def weights(self, name: str) -> dict:
-        """The trained arrays of a part; see :func:`pipeline.kinds.kind.read_weights`."""
+        """The trained arrays of a step; see :func:`pipeline.kinds.kind.read_weights`."""
         return read_weights(self.artifact(name).folder, self.kind.shapes(name))
 
     def spec(self, provenance: dict | None = None) -> NetworkSpec:
         """The deployed network, made from the trained one."""
-        return self.kind.spec(self, provenance or {})
+        origin = self.kind.bundle_origin(self.dataset.origin)
+        return self.kind.spec(self.step_inputs(origin.settings), provenance or {})
 
 
 def opened_in(place, settings: Settings, dataset: Dataset, say=print) -> Opened:
@@ -184,7 +192,7 @@ def open_run(
         samples = chosen.check.drawn(len(dataset.split.test))
         require_room(samples, stimulus.sample_shape(shape, chosen.steps), stimulus)
         opened.kind.require_presentable(dataset)
-    opened.kind.require_usable(opened)
+    opened.kind.require_usable(opened.step_inputs(chosen.flat()))
     for line in _notes(opened, lines):
         say(line)
     run.save_settings(chosen, settings)
@@ -299,27 +307,27 @@ def convert(opened: Opened) -> Bundle:
         say(f"bundle: up to date ({run.bundle})")
         return read_bundle(run.bundle)
     state.announce("writing", say)
-    seen = opened.restricted(origin.settings)
-    view, dataset, recordings = seen.settings, seen.dataset, seen.dataset.recordings
+    inputs = opened.step_inputs(origin.settings)
+    view, dataset, recordings = inputs.settings, inputs.dataset, inputs.dataset.recordings
     source, test = recordings.source, dataset.split.test
     chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
     lost = left_out_lines(source.name, recordings) if source.left_out else []
-    notes = (*lost, *_notes_on_recordings(seen))
+    notes = (*lost, *_notes_on_recordings(opened))
     provenance = {
         "made_from": origin.to_json(),
         **dataset.provenance,
         "seed": view.seed,
-        "recipe": seen.kind.recipe,
+        "recipe": opened.kind.recipe,
         "package": __version__,
         "warnings": [n.removeprefix(WARNING) for n in notes if n.startswith(WARNING)],
     }
-    spec = seen.spec(provenance)
+    spec = opened.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
     some = recordings.part(chosen)
     checks = CheckSet(dataset.inputs[chosen], some.labels, some.ids, view.seed)
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
-    for name in scaled_by_block(spec.layers) if seen.kind.is_trained_in_integers else ():
+    for name in scaled_by_block(spec.layers) if opened.kind.is_trained_in_integers else ():
         say(
             f"{WARNING}{name}: is divided among cores, whose weights NengoLoihi scales apart, so "
             "that integers differ a bit from training: see 'stmnist ladder', or use fewer neurons"
@@ -372,17 +380,18 @@ def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
         with progress(f"check {stage}", len(bundle.checks)) as advance:
             return run_check(bundle, stage, path, opened.settings.seed, advance)
     reference = opened.kind.references[stage]
-    part = reference.part
-    if not opened.kind.is_deployed(part):
-        opened.make(part)
-    origin, made_from = opened.artifact(part).origin, bundle.spec.provenance["made_from"]
-    seen = opened.restricted(made_from["settings"].keys() | origin.settings.keys())
+    step = reference.step
+    if not opened.kind.is_deployed(step):
+        opened.make(step)
+    origin = opened.artifact(step).origin
+    made_from = bundle.spec.provenance["made_from"]
+    inputs = opened.step_inputs(made_from["settings"].keys() | origin.settings.keys())
     begun = time.perf_counter()
     with progress(f"check {stage}", len(bundle.checks)) as advance:
-        responses = reference.respond(stage, seen, bundle, advance)
+        responses = reference.respond_to(stage, inputs, bundle, advance)
     seconds = time.perf_counter() - begun
     extra = {"versions": reference.versions()}
-    if not opened.kind.is_deployed(part):
+    if not opened.kind.is_deployed(step):
         extra["network"] = origin.key
     samples = records_of(bundle.checks, responses)
     result = result_of(bundle, stage, opened.settings.seed, samples, seconds, extra)
@@ -489,8 +498,8 @@ def check_artifact(
     from which the bundle is not made depends on that network too.
     """
     contents = {"bundle": bundle_id, "target": stage, "samples": OWN}
-    if stage in kind.references and not kind.is_deployed(part := kind.references[stage].part):
-        contents["network"] = kind.origin(part, dataset).key
+    if stage in kind.references and stage not in kind.deployed_stages:
+        contents["network"] = kind.origin(kind.references[stage].step, dataset).key
     origin = Origin({"seed": kind.settings.seed}, contents)
     return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_recorded_in_check)
 

@@ -74,10 +74,9 @@ def convert(
         changes = stages.settings_of_nir(nir, step, requested.input, before)
         examine = functools.partial(stages.refuse_early, strict=strict)
     with options.opened(run, requested, jobs, changes, examine=examine) as opened:
-        bundle, kind = stages.convert(opened), opened.kind
-        for stage, reference in kind.references.items():
-            if kind.is_deployed(reference.part):
-                stages.answer(opened, bundle, stage)
+        bundle = stages.convert(opened)
+        for stage in opened.kind.deployed_stages:
+            stages.answer(opened, bundle, stage)
     options.suggest("ladder", run)
 
 

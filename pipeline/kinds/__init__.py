@@ -24,6 +24,9 @@ KINDS = (ImageKind, EventsKind, NirKind)
 REFERENCES = {stage: texts for kind in KINDS for stage, texts in kind.references.items()}
 
 
+# The reference stages whose networks become bundles; later losses are caused by the conversion.
+TRAINED_STAGES = tuple(kind.deployed_stage for kind in KINDS)
+
 # The stages that a deployed network is compared with: the first of them that there is.
 COMPARED_WITH = ("cnn-matched", "trained", "nir", "cnn", "rate-lif")
 

@@ -15,9 +15,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deploy.files import read_arrays, write_arrays
-from pipeline.kinds.kind import Part, Reference, accuracies, accuracy_text, responses_of
+from pipeline.kinds.kind import Reference, accuracies, accuracy_text
 from pipeline.recordings.steps import EventTable
 from pipeline.run.folder import DELETE_ITS_FOLDER
+from pipeline.run.steps import Step
 
 # Event counts of a sample, at most; a sensor with more has them in one slice of time.
 MOST_FEATURES = 20_000
@@ -129,9 +130,9 @@ def _versions():
     return {"scikit_learn": importlib.metadata.version("scikit-learn")}
 
 
-def _fit(opened, artifact):
+def _fit(inputs, artifact):
     """Fit the classifier; keep its scores of the test samples."""
-    dataset, seed = opened.dataset, opened.settings.seed
+    dataset, seed = inputs.dataset, inputs.settings.seed
     recordings, split = dataset.recordings, dataset.split
     begun = time.perf_counter()
     duration = EventTable.of(recordings.part(split.train)).typical_duration_ms
@@ -151,24 +152,24 @@ def _fit(opened, artifact):
         "seconds": seconds,
         "versions": _versions(),
     }
-    opened.say(f"{accuracy_text('counts', metrics)}, slices of time: {baseline.slices}")
+    inputs.say(f"{accuracy_text('counts', metrics)}, slices of time: {baseline.slices}")
     return metrics
 
 
-def _respond(stage, opened, bundle, advance):
-    stored = read_arrays(opened.artifact("counts").folder / SCORES, DELETE_ITS_FOLDER)
+def _read_logits(stage, inputs, samples, advance):
+    """The stored scores of the samples."""
+    stored = read_arrays(inputs.artifact("counts").folder / SCORES, DELETE_ITS_FOLDER)
     scores = dict(zip(stored["ids"].tolist(), stored["scores"], strict=True))
-    logits = np.stack([scores[name] for name in bundle.checks.ids])[:, None]
-    return responses_of(logits, bundle.spec.presentation)
+    return np.stack([scores[name] for name in samples.ids])[:, None]
 
 
 # The classifier has no settings of its own.
-PART = Part("counts", "counts", ("metrics.json", SCORES), (), _fit, action="fitting")
+STEP = Step("counts", "counts", ("metrics.json", SCORES), (), _fit, action="fitting")
 
 REFERENCE = Reference(
     "Logistic regression on event counts",
     "logistic regression on the numbers of events in up to eight slices of time",
     "counts",
-    _respond,
+    _read_logits,
     _versions,
 )

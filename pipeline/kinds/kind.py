@@ -39,6 +39,7 @@ from pipeline.recordings.events import Recordings
 from pipeline.run.artifacts import MISSING, Artifact, Origin, State
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings
+from pipeline.run.steps import Step, StepInputs
 
 # Maximum number of test samples for the learning curve.
 MOST_WATCHED = 500
@@ -50,39 +51,6 @@ FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
 SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
 
 
-class Part(NamedTuple):
-    """An artifact from which a bundle or a reference stage is made, such as a trained network.
-
-    Attributes
-    ----------
-    name : str
-    folder : str
-        Name of its folder; see :meth:`pipeline.run.folder.RunFolder.folder`.
-    files : tuple of str
-        The record first, which is written last.
-    reads : tuple of str
-        Settings and sections that are read to make it, besides those of the parts that it uses.
-    make : callable
-        ``make(opened, artifact)`` makes the files and returns the content of the record;
-        ``opened`` is a :class:`pipeline.stages.Opened` in which only these settings can be read.
-    uses : tuple of str
-        Names of the parts from which it is made; without one it is made from the recordings.
-    action : str
-        What the user is told: ``"training"``, ``"choosing"`` or ``"reading"``.
-    temporary : tuple of str
-        Files that are deleted when the part is complete.
-    """
-
-    name: str
-    folder: str
-    files: tuple
-    reads: tuple
-    make: Callable
-    uses: tuple = ()
-    action: str = "training"
-    temporary: tuple = ()
-
-
 class Reference(NamedTuple):
     """A stage of the ladder before the bundle, with which those of the targets are compared.
 
@@ -91,40 +59,53 @@ class Reference(NamedTuple):
     title : str
     note : str
         What it is, in a few words.
-    part : str
-        Name of the part that answers.
-    respond : callable
-        ``respond(stage, opened, bundle, advance)``: the responses to the samples of a bundle, as
-        :class:`deploy.network.responses.Responses`; ``advance`` is called with the number of
-        samples done since the last call.
+    step : str
+        Name of the step whose artifact predicts.
+    logits : callable
+        ``logits(stage, inputs, samples, advance)``: ndarray, shape (n_samples, steps, classes),
+        with one step for a network without time.  ``inputs`` is a
+        :class:`pipeline.run.steps.StepInputs`, ``samples`` a :class:`deploy.check.bundle.CheckSet`,
+        and ``advance``, if it is not None, is called with the number of samples done since the last
+        call.
     versions : callable
         Versions of the packages that compute it.
+    respond : callable, optional
+        ``respond(inputs, bundle, advance)``: the responses to the samples of a bundle, as
+        :class:`deploy.network.responses.Responses`.  Default: computed from the logits.
     """
 
     title: str
     note: str
-    part: str
-    respond: Callable
+    step: str
+    logits: Callable
     versions: Callable
+    respond: Callable | None = None
+
+    def respond_to(self, stage: str, inputs: StepInputs, bundle: Bundle, advance=None) -> Responses:
+        """The responses of a stage to the samples of a bundle."""
+        if self.respond is not None:
+            return self.respond(inputs, bundle, advance)
+        logits = self.logits(stage, inputs, bundle.checks, advance)
+        return responses_of(logits, bundle.spec.presentation)
 
 
 class Imported(NamedTuple):
-    """A user's file from which a part of a kind is read.
+    """A file of the user from which a step of a run is made.
 
     Attributes
     ----------
     file : str
     sha256 : str
         Of its content when it was imported.
-    part : str
-        Name of the part that is read from it.
+    step : str
+        Name of the step that reads it.
     remedy : str
         How a changed file is imported again.
     """
 
     file: str
     sha256: str
-    part: str
+    step: str
     remedy: str
 
     def changed_notes(self) -> Iterator[str]:
@@ -141,14 +122,14 @@ class Imported(NamedTuple):
         Parameters
         ----------
         state : State
-            Of the part that is read from the file.
+            Of the step that reads the file.
         seed : int
             Of the split.
         """
         changed = [change.what for change in state.because]
         if state.state == MISSING:
             yield (
-                f"{self.part}: must have been trained on the training samples of this split only "
+                f"{self.step}: must have been trained on the training samples of this split only "
                 f"(seed {seed}), otherwise the accuracies are too high"
             )
         again = [what for what in changed if what.startswith(SPLIT_AGAIN)]
@@ -171,8 +152,10 @@ class NetworkKind:
     name: ClassVar[str]
     # The :class:`Reference` stages of the ladder by their names, in order.
     references: ClassVar[dict] = {}
-    # Name of the part from which the bundle is made.
+    # Name of the step from which the bundle is made.
     deployed: ClassVar[str]
+    # The reference stage whose network becomes the bundle; later losses are caused by conversion.
+    deployed_stage: ClassVar[str]
     # Settings of the deployed network that the bundle depends on, besides the presentation.
     placement: ClassVar[tuple] = ()
     # Section of the settings that has its architecture; empty if the network has its own.
@@ -196,13 +179,20 @@ class NetworkKind:
         return tuple(self.references)
 
     @property
-    def parts(self) -> tuple:
-        """The :class:`Part` of each artifact before the bundle, in the order of their making."""
+    def deployed_stages(self) -> tuple:
+        """Names of the reference stages whose networks the bundle is made from."""
+        return tuple(
+            name for name, stage in self.references.items() if self.is_deployed(stage.step)
+        )
+
+    @property
+    def steps(self) -> tuple:
+        """The :class:`pipeline.run.steps.Step` of each artifact before the bundle, in order."""
         raise NotImplementedError
 
     @property
     def trained(self) -> tuple:
-        """Names of the parts that ``stmnist train`` makes.
+        """Names of the steps that ``stmnist train`` makes.
 
         Raises
         ------
@@ -226,31 +216,35 @@ class NetworkKind:
         """The user's file that the network is read from, if there is one."""
         return None
 
-    def part(self, name: str) -> Part:
-        """The part with a name."""
-        parts = {part.name: part for part in self.parts}
-        if name not in parts:
-            raise ValueError(f"no part {name!r}; the parts are {', '.join(parts)}")
-        return parts[name]
+    def step(self, name: str) -> Step:
+        """The step with a name."""
+        steps = {step.name: step for step in self.steps}
+        if name not in steps:
+            raise ValueError(f"no step {name!r}; the steps are {', '.join(steps)}")
+        return steps[name]
 
     def origin(self, name: str, dataset: Origin) -> Origin:
-        """The origin of a part, from that of the dataset."""
-        part = self.part(name)
-        uses = [self.origin(used, dataset) for used in part.uses] or [dataset]
-        return Origin.of(self.settings, part.reads, uses)
+        """The origin of a step, from that of the dataset."""
+        step = self.step(name)
+        uses = [self.origin(used, dataset) for used in step.uses] or [dataset]
+        return Origin.of(self.settings, step.reads, uses)
+
+    def steps_of(self, name: str) -> tuple:
+        """A step and those that it is made from, directly or through others, in order."""
+        names = [name]
+        for each in names:
+            names += self.step(each).uses
+        return tuple(step for step in self.steps if step.name in names)
 
     def is_deployed(self, name: str) -> bool:
-        """True if the bundle is made from a part, directly or through others."""
-        uses = [self.deployed]
-        for part in uses:
-            uses += self.part(part).uses
-        return name in uses
+        """True if the bundle is made from a step, directly or through others."""
+        return any(step.name == name for step in self.steps_of(self.deployed))
 
     def artifact(self, name: str, place, dataset: Origin) -> Artifact:
-        """A part in a run's folder or in a library."""
-        part, origin = self.part(name), self.origin(name, dataset)
-        folder = place.folder(part.folder, origin)
-        record, *files = (folder / file for file in part.files)
+        """The artifact of a step, in a run's folder or in a library."""
+        step, origin = self.step(name), self.origin(name, dataset)
+        folder = place.folder(step.folder, origin)
+        record, *files = (folder / file for file in step.files)
         return Artifact(name, record, origin, tuple(files))
 
     def bundle_origin(self, dataset: Origin) -> Origin:
@@ -259,22 +253,22 @@ class NetworkKind:
         return Origin.of(self.settings, reads, [self.origin(self.deployed, dataset)])
 
     def shapes(self, name: str) -> dict:
-        """The shapes of the arrays that a part has, by their names."""
+        """The shapes of the arrays that a step has, by their names."""
         raise NotImplementedError
 
-    def spec(self, opened, provenance: dict) -> NetworkSpec:
+    def spec(self, inputs: StepInputs, provenance: dict) -> NetworkSpec:
         """The deployed network.
 
         Parameters
         ----------
-        opened : pipeline.stages.Opened
-            With the parts.
+        inputs : StepInputs
+            With the settings that the bundle depends on, and the artifacts of the steps.
         provenance : dict
             Stored in the bundle.
         """
         raise NotImplementedError
 
-    def fidelity(self, opened, bundle: Bundle, advance=None) -> list | None:
+    def fidelity(self, inputs: StepInputs, bundle: Bundle, advance=None) -> list | None:
         """Compare the firing rates on the chip with those of the trained network.
 
         Returns
@@ -346,8 +340,8 @@ class NetworkKind:
         UserError
         """
 
-    def require_usable(self, opened):
-        """Refuse a user's network that cannot be used, before anything is written.
+    def require_usable(self, inputs: StepInputs):
+        """Refuse a network of the user that cannot be used, before anything is written.
 
         Raises
         ------

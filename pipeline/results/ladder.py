@@ -11,7 +11,7 @@ from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, aligned, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
-from pipeline.kinds import NetworkKind, compared_with
+from pipeline.kinds import TRAINED_STAGES, NetworkKind, compared_with
 from pipeline.kinds.diagnosis import layers_text, least_faithful
 from pipeline.progress import progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
@@ -21,11 +21,8 @@ from pipeline.stages import Opened, answer_all, convert
 # Targets whose existing results are included, but which the ladder does not run.
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
 
-# The network from which the bundle is made; later losses are caused by the conversion.
-TRAINED = ("rate-lif", "trained")
-
 # Loss in points above which the layers are listed.
-MOST_LOST = 3.0
+MAX_LOSS_POINTS = 3.0
 
 
 def ladder_stages(kind: NetworkKind) -> list:
@@ -65,9 +62,9 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
             if state.record["layers"]:
                 layers_text(state.record["layers"])
         return state.record
-    seen = opened.restricted(bundle.spec.provenance["made_from"]["settings"])
+    inputs = opened.step_inputs(bundle.spec.provenance["made_from"]["settings"])
     with progress("compare layers", len(bundle.checks)) as advance:
-        layers = seen.kind.fidelity(seen, bundle, advance)
+        layers = opened.kind.fidelity(inputs, bundle, advance)
     classes = opened.dataset.recordings.sensor.classes
     return artifact.write(ladder_json(results, layers, classes))
 
@@ -156,7 +153,7 @@ def ladder_json(results, layers=None, classes=None) -> dict:
     if classes is None:
         classes = map(str, range(len(first["samples"][0]["scores"])))
     by_stage = {result["target"]: result for result in results}
-    trained = next((result for result in results if result["target"] in TRAINED), None)
+    trained = next((result for result in results if result["target"] in TRAINED_STAGES), None)
     reference = by_stage[compared_with(by_stage)]
     return {
         "schema": "stmnist-ladder/1",
@@ -204,14 +201,14 @@ def early_text(value: dict, row: dict) -> str:
 
 
 def losing_stages(ladder: dict) -> list:
-    """Find the stages that lose more than :data:`MOST_LOST` points, as (from, to, points).
+    """Find the stages that lose more than :data:`MAX_LOSS_POINTS` points, as (from, to, points).
 
     Stages from the trained network on (the rate-based network, or the one trained on events) are
     compared with the stage above, and the last one also with the trained network.  Losses that are
     not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) do not count.
     """
     stages = [row["stage"] for row in ladder["rows"]]
-    trained = next((index for index, name in enumerate(stages) if name in TRAINED), None)
+    trained = next((index for index, name in enumerate(stages) if name in TRAINED_STAGES), None)
     if trained is None:
         return []
     rows = ladder["rows"][trained:]
@@ -223,7 +220,7 @@ def losing_stages(ladder: dict) -> list:
         for a, b, p_value in pairs
         if p_value < SIGNIFICANCE
     ]
-    return [(a, b, points) for a, b, points in drops if points > MOST_LOST + 1e-9]
+    return [(a, b, points) for a, b, points in drops if points > MAX_LOSS_POINTS + 1e-9]
 
 
 def ladder_text(ladder: dict) -> str:

@@ -75,7 +75,7 @@ def status_of(run: RunFolder, adapted: bool = False) -> list:
     dataset = _dataset_origin(run, settings)
     kind = kind_of_network(settings)
     states = [Status(dataset_artifact(run, dataset).state())]
-    states += _parts(run, kind, dataset)
+    states += _steps(run, kind, dataset)
     bundle = bundle_artifact(run, kind, dataset).state()
     states.append(Status(bundle))
     states += _answers(run, kind, dataset, bundle)
@@ -192,21 +192,21 @@ def unread_note(settings: Settings) -> str | None:
     return None
 
 
-def _parts(run, kind, dataset):
-    """The states of a kind's parts, with accuracies and durations from their records."""
+def _steps(run, kind, dataset):
+    """The states of a kind's steps, with accuracies and durations from their records."""
     statuses = {}
-    answering = {kind.references[stage].part for stage in kind.reference_stages}
-    for part in kind.parts:
-        if part.name not in answering and not kind.is_deployed(part.name):
+    predicting = {kind.references[stage].step for stage in kind.reference_stages}
+    for step in kind.steps:
+        if step.name not in predicting and not kind.is_deployed(step.name):
             continue
-        artifact = kind.artifact(part.name, run, dataset)
+        artifact = kind.artifact(step.name, run, dataset)
         state = artifact.state()
         with reporting_damage(artifact.record, DELETE_IT):
             accuracy = _number(state.record.get("accuracy", {}).get("test"))
             seconds = _number(state.record.get("seconds"))
-        for used in part.uses:
+        for used in step.uses:
             state = _follows(state, statuses[used].state)
-        statuses[part.name] = Status(state, accuracy, seconds)
+        statuses[step.name] = Status(state, accuracy, seconds)
     return list(statuses.values())
 
 

@@ -18,20 +18,22 @@ from pathlib import Path
 import numpy as np
 
 from deploy import __version__
+from deploy.check.bundle import CheckSet
 from deploy.errors import CheckFailed, UserError
-from deploy.files import read_arrays, read_json, write_json
+from deploy.files import read_json, write_json
 from deploy.network.decision import share_of_time
 from deploy.network.stimulus import last_steps
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
 from deploy.targets.registry import answer as answer_on_target
 from pipeline.jobs import Failure, attempt, run_jobs
+from pipeline.kinds.kind import responses_of
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hidden, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.run.artifacts import DELETE_IT, Library
 from pipeline.run.settings import Settings
-from pipeline.stages import opened_in
+from pipeline.stages import Opened, opened_in
 
 SCHEMA = "stmnist-row/1"
 
@@ -222,7 +224,7 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     with hidden():
         opened = opened_in(networks, case.resolved, dataset, _silent)
         if case.stage not in TARGETS:
-            return row_of(case, dataset, index, reference(case, opened, inputs))
+            return row_of(case, dataset, index, predictions_before_chip(case, opened))
         opened.make_all()
         spec = opened.spec()
     responses = answer_on_target(spec, inputs, case.stage, case.seed)
@@ -235,35 +237,17 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     return row_of(case, dataset, index, responses.predictions, costs=costs)
 
 
-def reference(case: Case, opened, inputs) -> np.ndarray:
-    """Predictions of a stage before the chip, shape (n_samples,)."""
-    settings = case.resolved
-    part = opened.kind.references[case.stage].part
-    for used in opened.kind.part(part).uses:
-        opened.make(used)
-    opened.make(part)
-    if case.stage == "counts":
-        scores = read_arrays(opened.artifact(part).folder / "scores.npz", DELETE_IT)
-        by_id = dict(zip(scores["ids"].tolist(), scores["scores"], strict=True))
-        dataset = opened.dataset
-        ids = [dataset.recordings.ids[i] for i in getattr(dataset.split, case.part)]
-        return np.argmax([by_id[name] for name in ids], axis=1)
-    weights = opened.weights(part)
-    if case.stage.startswith("cnn"):
-        from pipeline.training.networks import TrainedCNN  # TensorFlow, where it is needed
-
-        return TrainedCNN(settings, weights).logits(inputs).argmax(1)
-    if case.stage == "trained":
-        from pipeline.training.events import TrainedOnEvents
-
-        return TrainedOnEvents.of(settings, weights).logits(inputs).argmax(1)
-    if case.stage == "rate-lif":
-        from pipeline.training.networks import TrainedRates
-
-        return TrainedRates(settings, weights).logits(inputs).argmax(1)
-    from pipeline.training import nengodl
-
-    return nengodl.predict(settings, weights, inputs, settings.steps)
+def predictions_before_chip(case: Case, opened: Opened) -> np.ndarray:
+    """Predictions of a reference stage, which is made if it is missing, shape (n_samples,)."""
+    reference = opened.kind.references[case.stage]
+    opened.make_all(reference.step)
+    inputs = opened.step_inputs(case.resolved.flat())
+    dataset = opened.dataset
+    index = getattr(dataset.split, case.part)
+    ids = tuple(dataset.recordings.ids[i] for i in index)
+    samples = CheckSet(dataset.inputs[index], dataset.labels[index], ids, case.seed)
+    logits = reference.logits(case.stage, inputs, samples, None)
+    return responses_of(logits, case.resolved.presentation).predictions
 
 
 def dataset_of(case: Case) -> Dataset:

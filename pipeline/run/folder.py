@@ -79,12 +79,12 @@ class RunFolder:
         return self.path / "checks" / f"{stage}.json"
 
     def folder(self, name: str, origin: Origin | None = None) -> Path:
-        """The folder of a part, such as ``"cnn"``, ``"snn"`` or its ``"threshold"``.
+        """The folder of an artifact, such as ``"cnn"`` or ``"snn"``.
 
         A run has only one of each, independently of the origin, unlike a
         :class:`pipeline.run.artifacts.Library`.
         """
-        return self.path / {"threshold": "snn"}.get(name, name)
+        return self.path / name
 
     def resolve_settings(self, base: Path | None, changes: dict) -> Settings:
         """What the user has set, in this run's folder or in a file, with changes.

@@ -169,7 +169,7 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
             dataset = dataset_origin(settings, "ab")
             network = kind_of_network(settings)
             made = {"dataset": dataset, "bundle": network.bundle_origin(dataset)}
-            made |= {part.name: network.origin(part.name, dataset) for part in network.parts}
+            made |= {step.name: network.origin(step.name, dataset) for step in network.steps}
             del made["counts"]  # which depends on the dataset alone
             found.append(made)
         one, two = found

@@ -17,7 +17,6 @@ from pipeline.kinds import counts
 from pipeline.kinds.architectures import architecture_for, chosen_text, is_for, operations_of_input
 from pipeline.kinds.kind import (
     NetworkKind,
-    Part,
     Reference,
     accuracy_text,
     metrics_of,
@@ -34,6 +33,7 @@ from pipeline.recordings.steps import EventTable
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings
+from pipeline.run.steps import Step
 from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
@@ -76,11 +76,19 @@ class EventSamples(NamedTuple):
     held_out: np.ndarray
 
 
-def _respond(stage, opened, bundle, advance):
-    """Each sample from rest, delayed as on the chip."""
+def _compute_logits(stage, inputs, samples, advance):
+    """Logits at the end of each sample, which begins at rest."""
+    from pipeline.training.events import TrainedOnEvents
+
+    network = TrainedOnEvents.of(inputs.settings, inputs.weights("events"))
+    return network.logits(samples.inputs.astype(np.uint8))[:, None]
+
+
+def _respond(inputs, bundle, advance):
+    """Respond to each sample from rest, delayed as on the chip."""
     from pipeline.training.events import TrainedOnEvents, arriving
 
-    network = TrainedOnEvents.of(opened.settings, opened.weights("events"))
+    network = TrainedOnEvents.of(inputs.settings, inputs.weights("events"))
     frames = bundle.checks.inputs.astype(np.uint8)
     answers = network.answers(frames, advance)
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
@@ -98,24 +106,26 @@ class EventsKind(NetworkKind):
             "Trained network",
             "the spiking network as trained, with each sample from rest",
             "events",
-            _respond,
+            _compute_logits,
             training_versions,
+            _respond,
         ),
     }
     deployed = "threshold"
+    deployed_stage = "trained"
     section = "events"
     channels = 2
     grid = ("events.budget=0.6,0.9", "events.early=0.3,1")
 
     @property
-    def parts(self):
+    def steps(self):
         training = ("training.json", "weights.npz")
         reads = ("input", "events")
         return (
-            counts.PART,
-            Part("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
+            counts.STEP,
+            Step("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
             # The confidence depends on the length of the presentation, unlike the training.
-            Part("threshold", "threshold", ("metrics.json",), DECIDES, self._choose,
+            Step("threshold", "snn", ("metrics.json",), DECIDES, self._choose,
                  uses=("events",), action="choosing"),
         )  # fmt: skip
 
@@ -129,15 +139,15 @@ class EventsKind(NetworkKind):
         return parsed.event_weight_shapes(parts) | Estimator.shapes(parsed.outputs)
 
     @staticmethod
-    def _train(opened, artifact):
+    def _train(inputs, artifact):
         """Train the network; an interrupted training continues after its last epoch."""
         from pipeline.training import events  # TensorFlow takes seconds to import
 
-        settings, dataset = opened.settings, opened.dataset
+        settings, dataset = inputs.settings, inputs.dataset
         table, labels, indices, held_out = event_samples(dataset, settings.seed)
         recipe = events.EventRecipe.of(settings).for_samples(len(indices))
         updates = recipe.epochs * -(-len(indices) // recipe.batch_size)
-        opened.say(
+        inputs.say(
             f"events: {recipe.epochs} epochs, {updates:,} updates, on {len(indices):,} samples"
         )
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
@@ -152,32 +162,32 @@ class EventsKind(NetworkKind):
         return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
 
     @staticmethod
-    def _choose(opened, artifact):
+    def _choose(inputs, artifact):
         """Choose the confidence for early decisions of the network; measure its accuracy."""
         from pipeline.training.events import TrainedOnEvents
 
-        settings, dataset = opened.settings, opened.dataset
-        trained = TrainedOnEvents.of(settings, opened.weights("events"))
+        settings, dataset = inputs.settings, inputs.dataset
+        trained = TrainedOnEvents.of(settings, inputs.weights("events"))
         samples = event_samples(dataset, settings.seed)
         held_out = samples.held_out
         chosen = choose(settings, samples, trained, settings.seed)
-        training = opened.artifact("events")
+        training = inputs.artifact("events")
         with reporting_damage(training.record, DELETE_ITS_FOLDER):
             record = training.state().record
             seconds, epochs = float(record["seconds"]), int(record["epochs"])
         metrics = metrics_of(trained, dataset, seconds, training_versions())
         metrics["epochs"] = epochs
         metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
-        opened.say(accuracy_text("events", metrics))
-        opened.say(f"threshold: {_decision_text(chosen, len(held_out))}")
+        inputs.say(accuracy_text("events", metrics))
+        inputs.say(f"threshold: {_decision_text(chosen, len(held_out))}")
         return metrics
 
-    def spec(self, opened, provenance):
+    def spec(self, inputs, provenance):
         from pipeline.training.events import EventRecipe
 
-        shown = self.settings.presented(confidence_of(opened.artifact("threshold")))
-        recipe = EventRecipe.of(self.settings)
-        return spec_of_events(recipe, opened.weights("events"), shown, provenance)
+        shown = inputs.settings.presented(confidence_of(inputs.artifact("threshold")))
+        recipe = EventRecipe.of(inputs.settings)
+        return spec_of_events(recipe, inputs.weights("events"), shown, provenance)
 
     def choices(self, recordings):
         settings, default = self.settings, Settings().events

@@ -20,12 +20,10 @@ from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, traini
 from pipeline.kinds.kind import (
     Imported,
     NetworkKind,
-    Part,
     Reference,
     accuracy_text,
     imported_file,
     metrics_of,
-    responses_of,
     timed,
     training_versions,
     watched,
@@ -35,6 +33,7 @@ from pipeline.recordings.dataset import Dataset, require_images_fit
 from pipeline.recordings.events import is_handwriting
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Image, Settings, names_in
+from pipeline.run.steps import Step
 
 # Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
 # chosen by cross-validation within the training sets of two published data sets of real touch,
@@ -44,21 +43,22 @@ SLICES, WIDTH, DROPOUT = 8, 256, 0.5
 INPUT_RATE = 60.0
 
 
-def _respond(stage, opened, bundle, advance):
-    settings, images = opened.settings, bundle.checks.inputs
-    weights = opened.weights(ImageKind.references[stage].part)
+def _compute_logits(stage, inputs, samples, advance):
+    """Logits of a stage on images; with spikes those of each step."""
+    settings = inputs.settings
+    weights = inputs.weights(ImageKind.references[stage].step)
     # Both import TensorFlow, which takes ten seconds and is not needed for a finished stage.
     if stage == "spiking-lif":
         from pipeline.training import nengodl
 
-        logits = nengodl.run(settings, weights, images, settings.steps, advance=advance)
-        return responses_of(logits, settings.presentation)
+        return nengodl.run(settings, weights, samples.inputs, settings.steps, advance=advance)
     from pipeline.training.networks import TrainedCNN, TrainedRates
 
     network = TrainedCNN if stage.startswith("cnn") else TrainedRates
-    logits = network(settings, weights).logits(images)[:, None]
-    advance(len(images))
-    return responses_of(logits, settings.presentation)
+    logits = network(settings, weights).logits(samples.inputs)[:, None]
+    if advance is not None:
+        advance(len(logits))
+    return logits
 
 
 # Settings of the neurons, and those that have an effect in each recipe of the spiking network.
@@ -80,32 +80,33 @@ class ImageKind(NetworkKind):
             "CNN of the paper",
             "the network without spikes, in the paper's training",
             "cnn",
-            _respond,
+            _compute_logits,
             training_versions,
         ),
         "cnn-matched": Reference(
             "CNN, longer training",
             "the same CNN, trained further as the spiking network is, but with ReLU neurons",
             "cnn-matched",
-            _respond,
+            _compute_logits,
             training_versions,
         ),
         "rate-lif": Reference(
             "Rate-LIF",
             "LIF neurons with firing rates instead of spikes",
             "rate-lif",
-            _respond,
+            _compute_logits,
             training_versions,
         ),
         "spiking-lif": Reference(
             "Spiking LIF, NengoDL",
             "the same weights with spiking neurons",
             "rate-lif",
-            _respond,
+            _compute_logits,
             training_versions,
         ),
     }
     deployed = "rate-lif"
+    deployed_stage = "rate-lif"
     placement = ("deployment",)
     section = "cnn"
     grid = (
@@ -128,17 +129,17 @@ class ImageKind(NetworkKind):
         return self.settings.image.channels
 
     @property
-    def parts(self):
+    def steps(self):
         cnn = ["cnn.model_sha256"]
         if not self.settings.cnn.model:
             cnn = ["cnn.epochs", "cnn.batch_size", "cnn.learning_rate", "cnn.augment"]
         files, further = ("metrics.json", "weights.npz"), SNN_SETTINGS[self.settings.snn.recipe]
         reads = ("input.kind", "image", "cnn.architecture", *cnn)
         return (
-            counts.PART,
-            Part("cnn", "cnn", files, reads, self._cnn),
-            Part("cnn-matched", "cnn-matched", files, further, self._matched, uses=("cnn",)),
-            Part("rate-lif", "snn", files, further, self._rates, uses=("cnn",)),
+            counts.STEP,
+            Step("cnn", "cnn", files, reads, self._cnn),
+            Step("cnn-matched", "cnn-matched", files, further, self._matched, uses=("cnn",)),
+            Step("rate-lif", "snn", files, further, self._rates, uses=("cnn",)),
         )
 
     @property
@@ -164,13 +165,13 @@ class ImageKind(NetworkKind):
         return parse(self.settings.cnn.architecture).weight_shapes
 
     @staticmethod
-    def _cnn(opened, artifact):
+    def _cnn(inputs, artifact):
         """Train the CNN, or read the user's own."""
-        settings, dataset = opened.settings, opened.dataset
+        settings, dataset = inputs.settings, inputs.dataset
         if settings.cnn.model:
             path, trained, notes = take_over(artifact.folder, settings, dataset)
             for note in notes:
-                opened.say(f"cnn: {note}")
+                inputs.say(f"cnn: {note}")
             copy = copy_of_model(artifact.folder, settings)
             if path != copy:
                 copy_file(path, copy)
@@ -185,43 +186,45 @@ class ImageKind(NetworkKind):
             trained, seconds = timed("cnn", epochs, train_cnn, *arguments, altered=altered)
         write_network(artifact.folder, trained, not len(dataset.split.validation))
         metrics = metrics_of(trained, dataset, seconds, training_versions())
-        opened.say(accuracy_text("cnn", metrics))
+        inputs.say(accuracy_text("cnn", metrics))
         return metrics
 
     @staticmethod
-    def _matched(opened, artifact):
+    def _matched(inputs, artifact):
         """Train the CNN further, as the rate-based network is trained."""
         from pipeline.training.networks import train_matched
 
-        _, metrics = _trained_further("cnn-matched", train_matched, opened, artifact)
-        opened.say(accuracy_text("cnn-matched", metrics))
+        _, metrics = _trained_further("cnn-matched", train_matched, inputs, artifact)
+        inputs.say(accuracy_text("cnn-matched", metrics))
         return metrics
 
     @staticmethod
-    def _rates(opened, artifact):
+    def _rates(inputs, artifact):
         """Train the rate-LIF network, starting from the CNN."""
         from pipeline.training.networks import train_rate_network
 
-        trained, metrics = _trained_further("rate-lif", train_rate_network, opened, artifact)
-        images, _ = opened.dataset.part("train")
-        metrics["neurons"] = _neurons(opened.settings, trained, images)
-        opened.say(accuracy_text("rate-lif", metrics))
+        trained, metrics = _trained_further("rate-lif", train_rate_network, inputs, artifact)
+        images, _ = inputs.dataset.part("train")
+        metrics["neurons"] = _neurons(inputs.settings, trained, images)
+        inputs.say(accuracy_text("rate-lif", metrics))
         for line in training_lines(metrics["neurons"]):
-            opened.say(f"rate-lif: {line}")
+            inputs.say(f"rate-lif: {line}")
         return metrics
 
-    def spec(self, opened, provenance):
-        opened.weights("cnn")  # a damaged CNN is found now, not when its answers are compared
-        weights = opened.weights("rate-lif")
-        return deployed(self.settings, weights, provenance, opened.dataset.part("train"))
+    def spec(self, inputs, provenance):
+        inputs.weights("cnn")  # a damaged CNN is found now, not when its predictions are compared
+        weights = inputs.weights("rate-lif")
+        return deployed(inputs.settings, weights, provenance, inputs.dataset.part("train"))
 
-    def fidelity(self, opened, bundle, advance=None):
+    def fidelity(self, inputs, bundle, advance=None):
         from pipeline.training.networks import TrainedRates
 
-        spec, inputs = bundle.spec, bundle.checks.inputs
+        settings = inputs.settings
+        spec, images = bundle.spec, bundle.checks.inputs
         start = spec.presentation.readout_start
-        rates = firing_rates(spec, inputs, self.settings.seed, start, advance)
-        activations = TrainedRates(self.settings, opened.weights("rate-lif")).activations(inputs)
+        rates = firing_rates(spec, images, settings.seed, start, advance)
+        network = TrainedRates(settings, inputs.weights("rate-lif"))
+        activations = network.activations(images)
         return layers_json(spec, rates, activations)
 
     def choices(self, recordings):
@@ -268,9 +271,10 @@ class ImageKind(NetworkKind):
     def require_presentable(self, dataset):
         require_images_fit(dataset.inputs, self.settings)
 
-    def require_usable(self, opened):
-        if self.settings.cnn.model and not opened.artifact("cnn").state().is_current:
-            take_over(opened.artifact("cnn").folder, self.settings, opened.dataset)
+    def require_usable(self, inputs):
+        artifact = inputs.artifact("cnn")
+        if self.settings.cnn.model and not artifact.state().is_current:
+            take_over(artifact.folder, self.settings, inputs.dataset)
 
 
 def deployed(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
@@ -309,11 +313,11 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     return chain.deployed(links, settings.stimulus, settings.presented(), provenance)
 
 
-def _trained_further(name, function, opened, artifact):
+def _trained_further(name, function, inputs, artifact):
     """Train a network that starts from the CNN; write it, and return it and its metrics."""
     from pipeline.training.networks import snn_recipe
 
-    settings, dataset = opened.settings, opened.dataset
+    settings, dataset = inputs.settings, inputs.dataset
     data, how = dataset.part("train"), "none"
     if settings.snn.recipe == "loihi":
         how = settings.cnn.augment
@@ -323,7 +327,7 @@ def _trained_further(name, function, opened, artifact):
             how = "none" if is_handwriting(dataset.recordings) else "time"
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
     altered = dataset.altered(how)
-    arguments = settings, data, settings.seed, opened.weights("cnn"), altered, watched(dataset)
+    arguments = settings, data, settings.seed, inputs.weights("cnn"), altered, watched(dataset)
     trained, seconds = timed(name, epochs, function, *arguments)
     write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = metrics_of(trained, dataset, seconds, training_versions())

@@ -28,12 +28,13 @@ from models.nir.graph import NirNetwork, read_nir
 from models.nir.simulator import AT_ONCE, simulate
 from pipeline.kinds import counts
 from pipeline.kinds.events.kind import DECIDES, confidence_of, presentation_choices, trusted
-from pipeline.kinds.kind import Imported, NetworkKind, Part, Reference, imported_file, is_file
+from pipeline.kinds.kind import Imported, NetworkKind, Reference, imported_file, is_file
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset, event_warnings, require_images_fit
 from pipeline.recordings.splits import Split
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings, merged, put
+from pipeline.run.steps import Step
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}
@@ -223,8 +224,18 @@ RUNAWAY = 0.9
 FROM_REST = {"input.refractory": 0.0, "presentation.gap": 0, "presentation.stream_length": 1}
 
 
-def _respond(stage, opened, bundle, advance):
-    return graph_responses(opened.artifact("nir").folder, opened.settings, bundle, advance)
+def _compute_logits(stage, inputs, samples, advance):
+    """Outputs of the graph at each step."""
+    settings = inputs.settings
+    network = graph_in(inputs.artifact("nir").folder, settings)
+    stepped = Stepped.of(settings, network)
+    reset = settings.nir.reset
+    return outputs_of(network, stepped, samples.inputs, settings, advance, reset)[0]
+
+
+def _respond(inputs, bundle, advance):
+    folder = inputs.artifact("nir").folder
+    return graph_responses(folder, inputs.settings, bundle, advance)
 
 
 class NirKind(NetworkKind):
@@ -237,11 +248,13 @@ class NirKind(NetworkKind):
             "NIR",
             "the graph as written, in floating point, each sample from rest",
             "nir",
-            _respond,
+            _compute_logits,
             lambda: NUMPY,
+            _respond,
         ),
     }
     deployed = "nir"
+    deployed_stage = "nir"
 
     @property
     def channels(self):
@@ -252,11 +265,11 @@ class NirKind(NetworkKind):
         return () if self.settings.on_events else ("deployment",)
 
     @property
-    def parts(self):
+    def steps(self):
         shown = DECIDES if self.settings.on_events else ("presentation", "image")
         reads = ("input", "nir.sha256", "nir.step", "nir.method", "nir.reset", *shown)
         files = ("metrics.json", GRAPH)
-        return counts.PART, Part("nir", "snn", files, reads, self._read, action="reading")
+        return counts.STEP, Step("nir", "snn", files, reads, self._read, action="reading")
 
     @property
     def trained(self):
@@ -271,12 +284,12 @@ class NirKind(NetworkKind):
         return Imported(nir.file, nir.sha256, "nir", GIVE_AGAIN)
 
     @staticmethod
-    def _read(opened, artifact):
+    def _read(inputs, artifact):
         """Make the user's graph the run's network."""
-        return take_over(artifact.folder, opened.settings, opened.dataset, opened.say)
+        return take_over(artifact.folder, inputs.settings, inputs.dataset, inputs.say)
 
-    def spec(self, opened, provenance):
-        settings, dataset, graph = self.settings, opened.dataset, opened.artifact("nir")
+    def spec(self, inputs, provenance):
+        settings, dataset, graph = inputs.settings, inputs.dataset, inputs.artifact("nir")
         network, shown = graph_in(graph.folder, settings), settings.presented(confidence_of(graph))
         rng = np.random.default_rng([settings.seed, 0x41B])
         samples = dataset.inputs[np.sort(rng.permutation(dataset.split.train)[:CALIBRATED_ON])]
@@ -306,10 +319,10 @@ class NirKind(NetworkKind):
         if not self.settings.on_events:
             require_images_fit(dataset.inputs, self.settings)
 
-    def require_usable(self, opened):
-        artifact = opened.artifact("nir")
+    def require_usable(self, inputs):
+        artifact = inputs.artifact("nir")
         if not artifact.state().is_current:
-            graph_for(artifact.folder, self.settings, opened.dataset)
+            graph_for(artifact.folder, self.settings, inputs.dataset)
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings) if self.settings.on_events else []

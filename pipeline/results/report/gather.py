@@ -57,7 +57,7 @@ def gather(folder: RunFolder) -> Inputs:
         replays = replay(bundle, chosen, settings.seed, advance)
     titles, metrics, histories = {}, {}, {}
     for reference in kind.references.values():
-        titles.setdefault(folder.folder(kind.part(reference.part).folder), reference.title)
+        titles.setdefault(folder.folder(kind.step(reference.step).folder), reference.title)
     for path, title in titles.items():
         if (path / "metrics.json").exists():
             metrics[title] = _test_accuracy(path / "metrics.json")

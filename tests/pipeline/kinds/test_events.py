@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.network.decision import Threshold
-from pipeline.kinds import events
+from pipeline.kinds.events import kind as events
 from pipeline.kinds.events.kind import choose, event_samples
 from pipeline.recordings.dataset import Dataset
 from pipeline.run.settings import Settings

@@ -5,6 +5,7 @@ import pytest
 
 from deploy.check.results import read_result
 from deploy.errors import UserError
+from deploy.network.spec import Presentation
 from pipeline.kinds.kind import responses_of
 from pipeline.results.ladder import (
     ladder_json,
@@ -13,7 +14,6 @@ from pipeline.results.ladder import (
     losing_stages,
     points_text,
 )
-from pipeline.run.settings import Presentation
 from tests.command import call, missing
 
 LABELS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]

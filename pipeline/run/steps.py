@@ -1,0 +1,75 @@
+"""The steps of a run: artifacts, such as a trained network, and how each of them is made.
+
+A kind of network lists its steps (:meth:`pipeline.kinds.kind.NetworkKind.steps`), and one loop
+makes those that are missing or outdated (:meth:`pipeline.stages.Opened.make`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pipeline.run.artifacts import Artifact
+from pipeline.run.settings import Settings
+
+if TYPE_CHECKING:
+    from pipeline.recordings.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Step:
+    """An artifact from which a bundle or a reference stage is made, and the function that makes it.
+
+    Attributes
+    ----------
+    name : str
+    folder : str
+        Name of its folder in a run.
+    files : tuple of str
+        The record first, which is written last.
+    reads : tuple of str
+        Settings and sections that are read to make it, besides those of the steps that it uses.
+    make : callable
+        ``make(inputs, artifact)`` writes the files into ``artifact.folder`` and returns the content
+        of the record; ``inputs`` is a :class:`StepInputs`.
+    uses : tuple of str
+        Names of the steps from which it is made; without one it is made from the recordings.
+    action : str
+        What the user is told: ``"training"``, ``"choosing"`` or ``"reading"``.
+    temporary : tuple of str
+        Files that are deleted when the step is complete.
+    """
+
+    name: str
+    folder: str
+    files: tuple
+    reads: tuple
+    make: Callable
+    uses: tuple = ()
+    action: str = "training"
+    temporary: tuple = ()
+
+
+@dataclass(frozen=True)
+class StepInputs:
+    """What a step may read.
+
+    Attributes
+    ----------
+    settings : Settings
+        Only the settings that the step declares; reading another one is an error.
+    dataset : Dataset
+    artifact : callable
+        ``artifact(name)``: the :class:`pipeline.run.artifacts.Artifact` of a step that is used.
+    weights : callable
+        ``weights(name)``: the trained arrays of a step that is used, by their names.
+    say : callable
+        Called with a line for the user.
+    """
+
+    settings: Settings
+    dataset: Dataset
+    artifact: Callable[[str], Artifact]
+    weights: Callable[[str], dict]
+    say: Callable[[str], None] = print
