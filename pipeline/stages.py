@@ -35,6 +35,7 @@ from pipeline.kinds import NetworkKind, fitted, kind_of_network, new_run_text, s
 from pipeline.kinds.image.kind import settings_of_model
 from pipeline.kinds.kind import read_weights
 from pipeline.kinds.nir.kind import refuse_early, settings_of_nir
+from pipeline.kinds.steps import StepInputs
 from pipeline.progress import hidden, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import facts_of
@@ -44,7 +45,6 @@ from pipeline.recordings.splits import PUBLISHED, copies
 from pipeline.run.artifacts import DELETE_IT, Artifact, Library, Origin
 from pipeline.run.folder import RunFolder, working_in
 from pipeline.run.settings import SIMULATED, Settings, read_settings
-from pipeline.run.steps import StepInputs
 from pipeline.training.adaptation import with_rehearsal
 
 __all__ = [

@@ -16,9 +16,9 @@ from threadpoolctl import threadpool_limits
 
 from deploy.files import read_arrays, write_arrays
 from pipeline.kinds.kind import Reference, accuracies, accuracy_text
+from pipeline.kinds.steps import Step
 from pipeline.recordings.steps import EventTable
 from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.steps import Step
 
 # Event counts of a sample, at most; a sensor with more has them in one slice of time.
 MOST_FEATURES = 20_000

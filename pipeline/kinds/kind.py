@@ -33,13 +33,13 @@ from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from models.architecture import parse
 from pipeline.kinds.architectures import architecture_for, chip_problems, is_for
+from pipeline.kinds.steps import Step, StepInputs
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
 from pipeline.run.artifacts import MISSING, Artifact, Origin, State
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings
-from pipeline.run.steps import Step, StepInputs
 
 # Maximum number of test samples for the learning curve.
 MOST_WATCHED = 500
@@ -64,7 +64,7 @@ class Reference(NamedTuple):
     logits : callable
         ``logits(stage, inputs, samples, advance)``: ndarray, shape (n_samples, steps, classes),
         with one step for a network without time.  ``inputs`` is a
-        :class:`pipeline.run.steps.StepInputs`, ``samples`` a :class:`deploy.check.bundle.CheckSet`,
+        :class:`pipeline.kinds.steps.StepInputs`, ``samples`` a :class:`deploy.check.bundle.CheckSet`,
         and ``advance``, if it is not None, is called with the number of samples done since the last
         call.
     versions : callable
@@ -187,7 +187,7 @@ class NetworkKind:
 
     @property
     def steps(self) -> tuple:
-        """The :class:`pipeline.run.steps.Step` of each artifact before the bundle, in order."""
+        """The :class:`pipeline.kinds.steps.Step` of each artifact before the bundle, in order."""
         raise NotImplementedError
 
     @property

@@ -24,6 +24,7 @@ from pipeline.kinds.kind import (
     training_versions,
     write_network,
 )
+from pipeline.kinds.steps import Step
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import choose_augmentation
 from pipeline.recordings.dataset import Dataset, event_warnings
@@ -33,7 +34,6 @@ from pipeline.recordings.steps import EventTable
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings
-from pipeline.run.steps import Step
 from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a

@@ -29,11 +29,11 @@ from pipeline.kinds.kind import (
     watched,
     write_network,
 )
+from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
 from pipeline.recordings.events import is_handwriting
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Image, Settings, names_in
-from pipeline.run.steps import Step
 
 # Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
 # chosen by cross-validation within the training sets of two published data sets of real touch,

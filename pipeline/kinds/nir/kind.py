@@ -29,12 +29,12 @@ from models.nir.simulator import AT_ONCE, simulate
 from pipeline.kinds import counts
 from pipeline.kinds.events.kind import DECIDES, confidence_of, presentation_choices, trusted
 from pipeline.kinds.kind import Imported, NetworkKind, Reference, imported_file, is_file
+from pipeline.kinds.steps import Step
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset, event_warnings, require_images_fit
 from pipeline.recordings.splits import Split
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings, merged, put
-from pipeline.run.steps import Step
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from pipeline.recordings.dataset import Dataset
 from pipeline.run.artifacts import Artifact
 from pipeline.run.settings import Settings
-
-if TYPE_CHECKING:
-    from pipeline.recordings.dataset import Dataset
 
 
 @dataclass(frozen=True)
