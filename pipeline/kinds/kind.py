@@ -64,9 +64,9 @@ class Reference(NamedTuple):
     logits : callable
         ``logits(stage, inputs, samples, advance)``: ndarray, shape (n_samples, steps, classes),
         with one step for a network without time.  ``inputs`` is a
-        :class:`pipeline.kinds.steps.StepInputs`, ``samples`` a :class:`deploy.check.bundle.CheckSet`,
-        and ``advance``, if it is not None, is called with the number of samples done since the last
-        call.
+        :class:`pipeline.kinds.steps.StepInputs`, ``samples`` a
+        :class:`deploy.check.bundle.CheckSet`, and ``advance``, if it is not None, is called with
+        the number of samples done since the last call.
     versions : callable
         Versions of the packages that compute it.
     respond : callable, optional
