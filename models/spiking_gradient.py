@@ -1,0 +1,406 @@
+"""Outputs, loss and gradients of a network on events, without TensorFlow.
+
+These are the equations of :mod:`models.spiking`, and the loss of
+:mod:`pipeline.training.events`, computed from spike to spike by :mod:`models.spiking_kernels`: a
+third of the time of dense sums, since one input in fifty spikes in a step.  Samples are computed a
+few at a time, so that their states stay in the cache of a core, and these groups by several
+threads; the sums over the groups have a fixed order, so that the number of threads does not change
+the result.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from models import spiking_kernels as kernels
+from models.architecture import Architecture
+from models.integers import (
+    BIAS_MANTISSA,
+    DECAY_UNIT,
+    MAX_THRESHOLD,
+    THRESHOLD_UNIT,
+    WEIGHT_LEVELS,
+    WEIGHT_UNIT,
+)
+from models.spiking import BIAS_CAP, BIAS_EXPONENTS, OUTPUT_SCALE, Neuron
+
+# Samples that are computed together.
+SAMPLES_IN_GROUP = 4
+
+
+class Synapses(NamedTuple):
+    """The synapses of a layer by its inputs; see :mod:`models.spiking_kernels`.
+
+    Attributes
+    ----------
+    first : ndarray of int64, shape (inputs + 1,)
+    place, row : ndarray of int64, shape (synapses,)
+    """
+
+    first: np.ndarray
+    place: np.ndarray
+    row: np.ndarray
+
+    @classmethod
+    def of(cls, layer, input_shape) -> Synapses:
+        """The synapses of a convolution or a dense layer."""
+        inputs = int(np.prod(input_shape))
+        if layer.kind != "conv":
+            return cls(np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs))
+        rows, columns, channels = input_shape
+        (top, _), (left, _) = layer.pads(input_shape)
+        out_rows, out_columns, _ = layer.shape(input_shape)
+        out_row, out_column, kernel_row, kernel_column, channel = np.indices(
+            (out_rows, out_columns, layer.kernel, layer.kernel, channels)
+        ).reshape(5, -1)
+        row = out_row * layer.stride + kernel_row - top
+        column = out_column * layer.stride + kernel_column - left
+        source = (row * columns + column) * channels + channel
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        order = np.flatnonzero(inside)
+        order = order[np.argsort(source[order], kind="stable")]
+        counts = np.bincount(source[order], minlength=inputs)
+        return cls(
+            np.concatenate([[0], np.cumsum(counts)]),
+            (out_row * out_columns + out_column)[order],
+            ((kernel_row * layer.kernel + kernel_column) * channels + channel)[order],
+        )
+
+
+class ChipLayer(NamedTuple):
+    """A layer in the chip's integers, as float32.
+
+    Attributes
+    ----------
+    kernel : ndarray, shape (rows, filters)
+        Weights, multiplied by ``WEIGHT_UNIT``.
+    bias, rest : ndarray, shape (neurons,)
+    keep_u, keep_v : float
+        Remaining share of current and voltage after a step.
+    threshold, floor : float
+    gain : float
+        Derivative of ``kernel`` by the trained weights.
+    """
+
+    kernel: np.ndarray
+    bias: np.ndarray
+    rest: np.ndarray
+    keep_u: np.float32
+    keep_v: np.float32
+    threshold: np.float32
+    floor: np.float32
+    gain: np.float32
+
+    @classmethod
+    def of(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
+        """The integers of trained variables, as :meth:`models.spiking.SpikingNetwork.integers`."""
+        scale = max(float(np.abs(kernel).max()), 1e-12) / WEIGHT_LEVELS
+        threshold = THRESHOLD_UNIT * np.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
+        threshold = float(np.clip(threshold, THRESHOLD_UNIT, MAX_THRESHOLD))
+        keep_u, keep_v = (
+            float(np.clip(np.round(DECAY_UNIT * _sigmoid(tau)), 2, DECAY_UNIT - 1))
+            for tau in (tau_u, tau_v)
+        )
+        cap = BIAS_CAP * (1 - keep_v / DECAY_UNIT)
+        bias = _round_to_twelve_bits(np.minimum(bias, cap) * threshold)
+        lowest = 1 - 2.0 ** np.round(np.log2(1 - floor * threshold))
+        below = np.floor((np.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
+        rest = np.maximum(np.sign(bias) * (below + 1), lowest)
+        repeats = neurons // len(bias)
+        weights = np.round(kernel / scale).reshape(-1, kernel.shape[-1])
+        return cls(
+            kernel=(WEIGHT_UNIT * weights).astype(np.float32),
+            bias=np.tile(bias, repeats).astype(np.float32),
+            rest=np.tile(rest, repeats).astype(np.float32),
+            keep_u=np.float32(keep_u / DECAY_UNIT),
+            keep_v=np.float32(keep_v / DECAY_UNIT),
+            threshold=np.float32(threshold),
+            floor=np.float32(lowest),
+            gain=np.float32(WEIGHT_UNIT / scale),
+        )
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples of a training step.
+
+    Attributes
+    ----------
+    frames : ndarray of uint8, shape (samples, steps, ...)
+        1 where there is an event, 0 elsewhere.
+    labels : ndarray of int, shape (samples,)
+    last_step : ndarray of int, shape (samples,)
+        Step of each sample's last event.
+    gains : list of ndarray of float32, each of shape (samples, neurons)
+        Dropout: for each layer the factors that multiply its spikes before the next layer.
+    """
+
+    frames: np.ndarray
+    labels: np.ndarray
+    last_step: np.ndarray
+    gains: list
+
+
+class Result(NamedTuple):
+    """Loss and gradients of a batch, sums over its samples.
+
+    Attributes
+    ----------
+    loss : float
+    right : int
+        Number of samples whose largest output at the end is that of their label.
+    operations : float
+        Synaptic operations.
+    gradients : dict of str to ndarray
+        By the names of the variables of a :class:`models.spiking.SpikingNetwork`.
+    """
+
+    loss: float
+    right: int
+    operations: float
+    gradients: dict
+
+
+class SpikingGradient:
+    """Outputs, loss and gradients for any values of a network's variables.
+
+    Parameters
+    ----------
+    architecture : Architecture
+    neuron : Neuron
+    starts : tuple of int
+        See :class:`models.spiking.SpikingNetwork`.
+    """
+
+    def __init__(self, architecture: Architecture, neuron: Neuron, starts: tuple = (0,)):
+        self.architecture = architecture
+        self.neuron = neuron
+        self.starts = starts
+        self.names = architecture.names[:-1]
+        self.neurons = [architecture.neurons[name] for name in self.names]
+        hidden = zip(architecture.layers[:-1], architecture.shapes, strict=False)
+        self.synapses = [Synapses.of(layer, before) for layer, before in hidden]
+        self.fan_out = [fan_out.ravel() for fan_out in architecture.fan_out.values()]
+
+    def on_chip(self, values: dict) -> list:
+        """The :class:`ChipLayer` of each layer for values of the variables, by their names."""
+        layers = []
+        for name, neurons in zip(self.names, self.neurons, strict=True):
+            trained = (values[f"{name}.{each}"] for each in ("kernel", "bias", "tau_u", "tau_v"))
+            layers.append(ChipLayer.of(*trained, self.neuron.floor, neurons))
+        return layers
+
+    def outputs(self, values: dict, frames) -> tuple:
+        """Run the network from its resting state.
+
+        Parameters
+        ----------
+        values : dict of str to ndarray
+            Values of the variables.
+        frames : ndarray of uint8, shape (samples, steps, ...)
+
+        Returns
+        -------
+        outputs : ndarray of float32, shape (samples, steps, classes)
+            After every step.
+        operations : ndarray of float, shape (samples,)
+            Synaptic operations.
+        rates : list of ndarray, each of shape (samples, neurons)
+            Number of spikes of each neuron of each layer.
+        """
+        layers, kernel = self.on_chip(values), self._output_kernel(values)
+
+        def run(group):
+            gains = self._ones(len(group))
+            passed = self._forward(layers, kernel, group, gains)
+            counts = [spikes.sum(1, dtype=np.int64) for spikes in passed.spikes]
+            return passed.outputs, self._operations(counts), counts[1:]
+
+        outputs, operations, counts = zip(*_in_groups(run, np.asarray(frames)), strict=True)
+        rates = [np.concatenate(layer) for layer in zip(*counts, strict=True)]
+        return np.concatenate(outputs), np.concatenate(operations), rates
+
+    def gradients(self, values: dict, batch: Batch, early: float, price: float) -> Result:
+        """Loss and gradients of a batch.
+
+        Parameters
+        ----------
+        values : dict of str to ndarray
+            Values of the variables.
+        batch : Batch
+        early : float
+            Weight of the mean loss up to a sample's last event.
+        price : float
+            Added to the gradients for each synaptic operation of the batch; not in the loss.
+        """
+        layers, kernel = self.on_chip(values), self._output_kernel(values)
+
+        def run(chosen):
+            return self._gradients_of(layers, kernel, batch, chosen, early, price)
+
+        results = _in_groups(run, np.arange(len(batch.labels)))
+        sums = {name: 0.0 for name in results[0].gradients}
+        for result in results:
+            for name, value in result.gradients.items():
+                sums[name] = sums[name] + value
+        for name, layer in zip(self.names, layers, strict=True):
+            kernel_shape = np.shape(values[f"{name}.kernel"])
+            sums[f"{name}.kernel"] = (sums[f"{name}.kernel"] * layer.gain).reshape(kernel_shape)
+            to_bias = sums[f"{name}.bias"].reshape(-1, kernel_shape[-1]).sum(0)
+            sums[f"{name}.bias"] = to_bias * layer.threshold
+            for tau in ("tau_u", "tau_v"):
+                share = _sigmoid(values[f"{name}.{tau}"])
+                sums[f"{name}.{tau}"] = sums[f"{name}.{tau}"] * share * (1 - share)
+        to_output = sums["output.kernel"] * OUTPUT_SCALE
+        sums["output.kernel"] = to_output.reshape(np.shape(values["output.kernel"]))
+        return Result(
+            sum(result.loss for result in results),
+            sum(result.right for result in results),
+            sum(result.operations for result in results),
+            sums,
+        )
+
+    def _gradients_of(self, layers, kernel, batch, chosen, early, price):
+        """The result for some samples, with gradients by the chip's values."""
+        gains = [gain[chosen] for gain in batch.gains]
+        passed = self._forward(layers, kernel, batch.frames[chosen], gains)
+        labels, last_step = batch.labels[chosen], batch.last_step[chosen]
+        loss, to_outputs = _loss_gradient(passed.outputs, labels, last_step, early)
+        error = np.empty(passed.spikes[-1].shape, np.float32)
+        to_kernel = np.zeros_like(kernel)
+        section = self._section(error.shape[1])
+        kernels.read_out_back(
+            passed.spikes[-1], gains[-1], kernel, section, to_outputs, to_kernel, error
+        )
+        gradients = {"output.kernel": to_kernel}
+        for index in reversed(range(len(layers))):
+            layer, name = layers[index], self.names[index]
+            if price:
+                error += np.float32(price) * self.fan_out[index + 1].astype(np.float32)
+            to_bias, to_keep_u, to_keep_v = kernels.integrate_back(
+                error, passed.spikes[index + 1], passed.currents[index], passed.voltages[index],
+                layer.keep_u, layer.keep_v, layer.threshold, layer.floor,
+                np.float32(self.neuron.beta),
+            )  # fmt: skip
+            gain = gains[index - 1] if index else self._ones_of(error, passed.spikes[0])
+            to_kernel = np.zeros_like(layer.kernel)
+            kernels.add_kernel_gradient(
+                passed.spikes[index], gain, *self.synapses[index], error, to_kernel
+            )
+            gradients |= {
+                f"{name}.kernel": to_kernel,
+                f"{name}.bias": to_bias,
+                f"{name}.tau_u": to_keep_u,
+                f"{name}.tau_v": to_keep_v,
+            }
+            if index:
+                error = self._to_inputs(index, layer, error) * gain[:, None, :]
+        counts = [spikes.sum(1, dtype=np.int64) for spikes in passed.spikes]
+        right = int(np.sum(passed.outputs[:, -1].argmax(1) == labels))
+        return Result(loss, right, float(self._operations(counts).sum()), gradients)
+
+    def _forward(self, layers, kernel, frames, gains):
+        spikes = [np.ascontiguousarray(frames.reshape(*frames.shape[:2], -1))]
+        currents, voltages = [], []
+        gain = np.ones((len(frames), spikes[0].shape[2]), np.float32)
+        for index, layer in enumerate(layers):
+            shape = (*frames.shape[:2], self.neurons[index])
+            current = np.empty(shape, np.float32)
+            voltage = np.empty(shape, np.float32)
+            fired = np.empty(shape, np.uint8)
+            kernels.sum_inputs(spikes[-1], gain, *self.synapses[index], layer.kernel, current)
+            kernels.integrate(
+                current, layer.bias, layer.rest, layer.keep_u, layer.keep_v, layer.threshold,
+                layer.floor, voltage, fired,
+            )  # fmt: skip
+            currents.append(current)
+            voltages.append(voltage)
+            spikes.append(fired)
+            gain = gains[index]
+        outputs = np.empty((*frames.shape[:2], kernel.shape[2]), np.float32)
+        kernels.read_out(spikes[-1], gain, kernel, self._section(frames.shape[1]), outputs)
+        return _Passed(spikes, currents, voltages, outputs)
+
+    def _to_inputs(self, index, layer, error):
+        """Gradients of a layer's sums to the spikes of its inputs."""
+        samples, steps, _ = error.shape
+        filters = layer.kernel.shape[1]
+        by_row = error.reshape(-1, filters) @ layer.kernel.T
+        inputs = self.neurons[index - 1]
+        if self.architecture.layers[index].kind == "dense":
+            return by_row.reshape(samples, steps, inputs)
+        to_inputs = np.empty((samples * steps, inputs), np.float32)
+        by_row = by_row.reshape(samples * steps, -1, layer.kernel.shape[0])
+        kernels.gather(by_row, *self.synapses[index], to_inputs)
+        return to_inputs.reshape(samples, steps, inputs)
+
+    def _operations(self, counts):
+        """Synaptic operations of each sample, from the numbers of spikes of input and layers."""
+        pairs = zip(counts, self.fan_out, strict=True)
+        return sum(count @ fan_out for count, fan_out in pairs).astype(float)
+
+    def _output_kernel(self, values):
+        kernel = np.asarray(values["output.kernel"], np.float32) * np.float32(OUTPUT_SCALE)
+        return np.ascontiguousarray(kernel.reshape(len(self.starts), self.neurons[-1], -1))
+
+    def _section(self, steps):
+        """The section of the readout that each step belongs to."""
+        return np.searchsorted(self.starts, np.arange(steps), side="right") - 1
+
+    def _ones(self, samples):
+        return [np.ones((samples, neurons), np.float32) for neurons in self.neurons]
+
+    @staticmethod
+    def _ones_of(error, spikes):
+        return np.ones((len(error), spikes.shape[2]), np.float32)
+
+
+class _Passed(NamedTuple):
+    """What a forward pass leaves: the input's spikes and each layer's, currents and voltages."""
+
+    spikes: list
+    currents: list
+    voltages: list
+    outputs: np.ndarray
+
+
+def _in_groups(run, values):
+    """``run`` for groups of values, in several threads; the results in order."""
+    groups = [values[k : k + SAMPLES_IN_GROUP] for k in range(0, len(values), SAMPLES_IN_GROUP)]
+    threads = min(numba.config.NUMBA_NUM_THREADS, len(groups))
+    if threads <= 1:
+        return [run(group) for group in groups]
+    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(run, groups))
+
+
+def _loss_gradient(outputs, labels, last_step, early):
+    """The sum of the losses, and its gradient to the outputs; see the module of the training."""
+    samples, steps, _ = outputs.shape
+    weights = (np.arange(steps) <= last_step[:, None]) * np.float32(early)
+    weights = weights / (np.minimum(last_step, steps - 1) + 1)[:, None]
+    weights[:, -1] += 1
+    logits = outputs - outputs.max(2, keepdims=True)
+    exponentials = np.exp(logits)
+    sums = exponentials.sum(2, keepdims=True)
+    each = np.arange(samples)
+    loss = np.sum(weights * (np.log(sums[:, :, 0]) - logits[each, :, labels]))
+    gradient = exponentials / sums
+    gradient[each, :, labels] -= 1
+    return float(loss), (gradient * weights[:, :, None]).astype(np.float32)
+
+
+def _sigmoid(values):
+    return 1 / (1 + np.exp(-np.asarray(values, np.float64)))
+
+
+def _round_to_twelve_bits(bias):
+    """Round to 12 bits times the smallest sufficient power of two, at most 2^7."""
+    size = np.abs(bias)[:, None] / BIAS_MANTISSA
+    unit = 2.0 ** np.sum(size > 2.0 ** np.arange(BIAS_EXPONENTS), 1)
+    return np.round(np.clip(bias / unit, -BIAS_MANTISSA, BIAS_MANTISSA)) * unit
