@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from models.architecture import parse
 from models.keras.keras2 import tf
-from models.spiking import operations
+from models.spiking import SpikingNetwork, operations
 from models.spiking_gradient import Batch, SpikingGradient
 from tests.models.test_spiking import ARCHITECTURES, frames_for, network_of
 
@@ -47,7 +48,6 @@ def in_tensorflow(network, batch):
 @pytest.mark.parametrize("text", ARCHITECTURES)
 def test_gradients_are_those_of_tensorflow(text):
     network = network_of(text)
-    network.neuron = network.neuron
     batch = batch_for(network)
     compiled = SpikingGradient(network.architecture, network.neuron)
     result = compiled.gradients(values_of(network), batch, EARLY, PRICE)
@@ -78,9 +78,6 @@ def test_outputs_are_those_of_tensorflow(text):
 
 
 def test_sections_of_the_readout():
-    from models.architecture import parse
-    from models.spiking import SpikingNetwork
-
     network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, starts=(0, 10, 23))
     for name in network.names:
         kernel = network.variables_by_name[f"{name}.kernel"]

@@ -1,7 +1,7 @@
 import numpy as np
 
 from deploy.network.decision import confidence
-from pipeline.training.events import train_estimator
+from pipeline.training.events.estimator import train_estimator
 
 
 def answers(samples=400, seed=0):

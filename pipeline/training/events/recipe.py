@@ -1,0 +1,113 @@
+"""The hyperparameters of a network on events and of its training."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from models.architecture import parse
+from models.spiking import Neuron, SpikingNetwork
+from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
+from pipeline.recordings.columns import EventColumns
+from pipeline.recordings.steps import EventTable, spike_frames
+from pipeline.run.settings import EventTraining, Input, Settings
+from pipeline.training.recipe import epochs_for
+
+
+@dataclass(frozen=True)
+class EventRecipe:
+    """Hyperparameters of a network on events and of its training.
+
+    Attributes
+    ----------
+    architecture : str
+        See :mod:`models.architecture`.
+    step_ms : float
+        Recording time in milliseconds that one step of the chip represents.
+    refractory : int
+        Refractory period of a taxel in steps; see
+        :func:`pipeline.recordings.steps.spike_frames`.
+    tau_u_ms, tau_v_ms : tuple of float
+        Initial time constants of current and voltage, in milliseconds of recording time.
+    floor, beta : float
+        See :class:`models.spiking.Neuron`.
+    starts : tuple of int
+        First step of each part of a sample with readout weights of its own.
+    epochs, batch_size : int
+        0 epochs: as many as :func:`pipeline.training.recipe.epochs_for` says.
+    learning_rate : float
+        Learning rate of Adam after a short warm-up; it then falls to 0 along a half cosine.
+    average : float
+        Decay per batch of the running mean of the weights; the running mean is the result.
+    dropout : float
+        Share of a layer's neurons whose spikes are dropped in a sample.
+    early, price, budget : float
+        See :mod:`pipeline.training.events`.
+    alteration : Alteration
+        Augmentation of training samples, drawn again in each epoch.
+    """
+
+    architecture: str = EventTraining.architecture
+    step_ms: float = Input.step
+    refractory: int = Input().refractory_steps
+    tau_u_ms: tuple = (30.0,)
+    tau_v_ms: tuple = (80.0,)
+    floor: float = -2.0
+    beta: float = 4.0
+    starts: tuple = (0,)
+    epochs: int = EventTraining.epochs
+    batch_size: int = EventTraining.batch_size
+    learning_rate: float = EventTraining.learning_rate
+    average: float = 0.998
+    dropout: float = EventTraining.dropout
+    early: float = EventTraining.early
+    price: float = 3.0
+    budget: float = EventTraining.budget
+    alteration: Alteration = AUGMENTATIONS["space"]
+
+    def alter_samples(self, rng, table: EventTable, indices) -> EventColumns:
+        """Some samples altered."""
+        events = EventColumns(*table.pick(indices))
+        return alter(self.alteration, rng, events, len(indices), self.step_ms, table.size)
+
+    def frames_of(self, events: EventColumns, samples: int, steps: int, size: tuple) -> np.ndarray:
+        """Frames of events; see :func:`pipeline.recordings.steps.spike_frames`."""
+        sample, time_ms, *place = events
+        step = time_ms / self.step_ms
+        return spike_frames(sample, step, *place, samples, steps, size, self.refractory)
+
+    @classmethod
+    def of(cls, settings: Settings) -> EventRecipe:
+        """Make the recipe from the settings."""
+        shown = settings.input
+        values = asdict(settings.events)
+        how = values.pop("augment")
+        how = AUGMENTATIONS["space" if how == "auto" else how]  # auto: not fitted, so simulated
+        values |= {
+            "step_ms": shown.step,
+            "refractory": shown.refractory_steps,
+            "starts": settings.part_starts,
+        }
+        del values["parts"], values["part"]
+        return cls(**values, alteration=how)
+
+    def for_samples(self, samples: int) -> EventRecipe:
+        """The recipe with its number of epochs, for some number of training samples."""
+        if self.epochs:
+            return self
+        return replace(
+            self, epochs=epochs_for(samples, self.batch_size, bool(self.alteration.turn))
+        )
+
+    @property
+    def neuron(self) -> Neuron:
+        """The neurons, with time constants in steps."""
+        taus = (
+            tuple(tau / self.step_ms for tau in each) for each in (self.tau_u_ms, self.tau_v_ms)
+        )
+        return Neuron(*taus, self.floor, self.beta)
+
+    def network(self, seed: int = 0) -> SpikingNetwork:
+        """The network with its initial weights."""
+        return SpikingNetwork(parse(self.architecture), self.neuron, seed, self.starts)

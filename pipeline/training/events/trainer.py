@@ -1,0 +1,250 @@
+"""Train the weights of a network on events."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from deploy.errors import UserError
+from deploy.network.stimulus import last_steps
+from models.architecture import parse
+from models.spiking_gradient import Batch, SpikingGradient
+from pipeline.paper import CNN_MACS
+from pipeline.recordings.steps import EventTable
+from pipeline.training.events.checkpoint import Checkpoint, train_epochs
+from pipeline.training.events.estimator import train_estimator
+from pipeline.training.events.network import TrainedOnEvents, arriving
+from pipeline.training.events.optimizer import Adam
+from pipeline.training.events.recipe import EventRecipe
+from pipeline.training.networks import make_deterministic
+
+# Number of steps after a sample's last event in which its spikes still reach the outputs.
+TAIL = 3
+
+# Initial mean firing rate of the neurons, in spikes per second of recording time. Silent neurons
+# have no gradient.
+FIRST_RATE_HZ = 5.0
+
+# Maximum number of samples on which the initial weights are scaled.
+MAX_CALIBRATION_SAMPLES = 64
+
+# Batches among whose samples batches of similar length are made.
+BATCHES_SORTED = 16
+
+# Samples that are evaluated together.
+EVALUATED_TOGETHER = 100
+
+
+def train_events(
+    recipe: EventRecipe,
+    table: EventTable,
+    labels,
+    train,
+    seed: int,
+    validation=(),
+    checkpoint: Checkpoint | None = None,
+    advance=None,
+) -> TrainedOnEvents:
+    """Train a network on events.
+
+    Parameters
+    ----------
+    recipe : EventRecipe
+    table : EventTable
+    labels : ndarray of int, shape (n_samples,)
+    train : ndarray of int
+        Indices of the training samples; those without events are left out.
+    seed : int
+        Seed of the initial weights, the order of the samples, data augmentation and dropout.  The
+        weights are reproducible on the same machine.
+    validation : ndarray of int, optional
+        Indices of samples that are evaluated for the history only.
+    checkpoint : Checkpoint, optional
+        The file for the state after each epoch; an interrupted training resumes from it, with the
+        same result as without the interruption.
+    advance : callable, optional
+        ``advance(1, note)`` after each epoch, including those of an earlier session.
+
+    Returns
+    -------
+    TrainedOnEvents
+
+    Raises
+    ------
+    UserError
+        The checkpoint is damaged, or there is no training sample with an event.
+    """
+    make_deterministic(seed)  # of the estimator
+    train = np.asarray(train)
+    recipe = recipe.for_samples(len(train))
+    train = train[np.diff(table.offsets)[train] > 0]
+    if not len(train):
+        raise UserError("no training sample has an event; give other recordings")
+    with threadpool_limits(1, "blas"):  # samples are in several threads already
+        trainer = Trainer(recipe, table, np.asarray(labels), train, seed)
+        watch = functools.partial(trainer.evaluate, validation) if len(validation) else None
+        history = train_epochs(
+            trainer.train_epoch, recipe.epochs, trainer.state, checkpoint, watch, advance
+        )
+        outputs, right = trainer.outputs_in_time(train)
+    estimator = train_estimator(outputs, right, seed)
+    return TrainedOnEvents(recipe, {**trainer.weights, **estimator.arrays()}, history)
+
+
+class Trainer:
+    """The network, the optimiser, and the samples.
+
+    Parameters
+    ----------
+    recipe, table, labels, train, seed
+        As for :func:`train_events`; each training sample has an event.
+    """
+
+    def __init__(self, recipe: EventRecipe, table: EventTable, labels, train, seed: int):
+        self.recipe = recipe
+        self.table = table
+        self.labels = labels
+        self.train = train
+        self.seed = seed
+        self.batches = -(-len(train) // recipe.batch_size)
+        self._network = recipe.network(seed)
+        self._gradient = SpikingGradient(parse(recipe.architecture), recipe.neuron, recipe.starts)
+        variables = self._network.variables_by_name.items()
+        values = {name: variable.numpy() for name, variable in variables}
+        self._calibrate(values)
+        updates = recipe.epochs * self.batches
+        self._optimizer = Adam(values, recipe.learning_rate, updates, recipe.average)
+        self._cost = np.zeros(())  # operations of the last batch, in multiples of the CNN's
+
+    @property
+    def weights(self) -> dict:
+        """The result of the training: the running mean of the weights."""
+        return self._network.named(self._optimizer.means.values())
+
+    @property
+    def state(self) -> dict:
+        """All arrays that the next epoch depends on, by name."""
+        return {**self._optimizer.state, "cost": self._cost}
+
+    def train_epoch(self, epoch: int) -> dict:
+        """Train for one epoch, counted from 0; returns the epoch's row of the history."""
+        rng = np.random.default_rng([self.seed, epoch, 0xE7E])
+        sums = np.zeros(3)
+        for index, batch in enumerate(self._batches(rng)):
+            sums += self._train_on(batch, rng, epoch * self.batches + index)
+        loss, accuracy, cost = sums / self.batches
+        return {"loss": loss, "accuracy": accuracy, "operations": cost}
+
+    def evaluate(self, indices) -> dict:
+        """Accuracy and operations on samples without augmentation, for the history."""
+        right, costs = [], []
+        for some, _, outputs, cost in self._outputs(indices, self._frames):
+            right.append(outputs[:, -1].argmax(-1) == self.labels[some])
+            costs.append(cost)
+        cost = float(np.concatenate(costs).mean()) / CNN_MACS
+        return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
+
+    def outputs_in_time(self, indices) -> tuple:
+        """Delayed outputs up to the effect of the last event, and whether they are right.
+
+        Each sample is used without augmentation and once augmented.  The network overfits the
+        training samples, so that without augmentation the confidence would be overestimated.
+
+        Returns
+        -------
+        outputs, right : list of ndarray
+            As :func:`pipeline.training.events.estimator.train_estimator` takes them.
+        """
+        rng = np.random.default_rng([self.seed, 0x10D6E])
+        every, right = [], []
+        for frames_of in (self._frames, lambda some: self._alter(some, rng)[0]):
+            for some, frames, outputs, _ in self._outputs(indices, frames_of):
+                lengths = last_steps(frames) + 1 + TAIL
+                delayed = arriving(outputs, self.recipe)
+                for sample, index, length in zip(delayed, some, lengths, strict=True):
+                    every.append(sample[:length])
+                    right.append(every[-1].argmax(-1) == self.labels[index])
+        return every, right
+
+    def _calibrate(self, values):
+        """Scale the initial weights of each layer so that it fires at `FIRST_RATE_HZ`."""
+        count = min(len(self.train), MAX_CALIBRATION_SAMPLES)
+        some = self.train[np.linspace(0, len(self.train) - 1, count).astype(int)]
+        duration_ms = max(float(self.table.duration_ms[some].mean()), self.recipe.step_ms)
+        target = FIRST_RATE_HZ * duration_ms / 1000
+        frames = self._frames(some)
+        for index, name in enumerate(self._network.names):
+            first = values[f"{name}.kernel"]
+            low, high = -4.0, 6.0
+            for _ in range(12):
+                middle = (low + high) / 2
+                values[f"{name}.kernel"] = (first * np.exp(middle)).astype(np.float32)
+                rates = self._gradient.outputs(values, frames)[2][index]
+                low, high = (low, middle) if rates.mean() > target else (middle, high)
+
+    def _train_on(self, batch, rng, number):
+        """One update; returns the loss, the share of right predictions, and the operations."""
+        recipe, n = self.recipe, len(batch)
+        frames, last_step = self._alter(batch, rng)
+        gains = [self._draw_gains(rng, n, neurons) for neurons in self._gradient.neurons]
+        # The operations are those of the batch before: a sum over the whole batch would keep the
+        # states of all its samples.
+        price = recipe.price / CNN_MACS if self._cost > recipe.budget else 0.0
+        result = self._gradient.gradients(
+            self._optimizer.values,
+            Batch(frames, self.labels[batch], last_step, gains),
+            recipe.early,
+            price,
+        )
+        gradients = {name: value / n for name, value in result.gradients.items()}
+        self._optimizer.update(gradients, number)
+        self._cost[...] = result.operations / n / CNN_MACS
+        return result.loss / n, result.right / n, float(self._cost)
+
+    def _draw_gains(self, rng, samples, neurons):
+        """Factors of dropout, shape (samples, neurons)."""
+        dropout = self.recipe.dropout
+        if not dropout:
+            return np.ones((samples, neurons), np.float32)
+        kept = rng.random((samples, neurons), np.float32) >= dropout
+        return kept / np.float32(1 - dropout)
+
+    def _batches(self, rng):
+        """Training samples in random order, in batches of samples of similar length."""
+        size = self.recipe.batch_size
+        order = rng.permutation(self.train)
+        order = np.concatenate([order, np.resize(order, -len(order) % size)])
+        batches = []
+        for start in range(0, len(order), BATCHES_SORTED * size):
+            some = order[start : start + BATCHES_SORTED * size]
+            some = some[np.argsort(self.table.duration_ms[some], kind="stable")]
+            batches += np.split(some, len(some) // size)
+        rng.shuffle(batches)
+        return batches
+
+    def _alter(self, indices, rng):
+        """Frames and last steps of augmented samples."""
+        n = len(indices)
+        events = self.recipe.alter_samples(rng, self.table, indices)
+        last_step = (events.durations_ms(n) / self.recipe.step_ms).astype(np.int64)
+        steps = int(last_step.max()) + 1 + TAIL
+        frames = self.recipe.frames_of(events, n, steps, self.table.size)
+        return np.moveaxis(frames, 0, 1), last_step
+
+    def _frames(self, indices):
+        """Frames of samples without augmentation."""
+        step_ms = self.recipe.step_ms
+        steps = int(self.table.duration_ms[indices].max() / step_ms) + 1 + TAIL
+        return np.moveaxis(self.table.frames(indices, step_ms, steps, self.recipe.refractory), 0, 1)
+
+    def _outputs(self, indices, frames_of):
+        """For some samples at a time: indices, frames, outputs and operations."""
+        indices = np.asarray(indices)
+        order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
+        for start in range(0, len(order), EVALUATED_TOGETHER):
+            some = order[start : start + EVALUATED_TOGETHER]
+            frames = frames_of(some)
+            outputs, costs, _ = self._gradient.outputs(self._optimizer.means, frames)
+            yield some, frames, outputs, costs
