@@ -16,7 +16,9 @@ from ..files import locked, reporting_os_errors, write_json
 from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
+from ..targets.overflow import OverflowWatch, overflow_text
 from ..targets.registry import answer, refuse_unfit, target_named
+from ..terminal import WARNING, remark
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
@@ -128,9 +130,10 @@ def answered(work: Work) -> Iterator[dict]:
     chosen = {} if work.options is None else {"options": work.options}
     shown = [work.spec.fed(checks.inputs) for _, checks in work.streams]
     run = target_named(work.target).run
+    watch = OverflowWatch()
     begun = time.perf_counter()
     for (first, checks), responses in zip(
-        work.streams, run(work.spec, shown, work.check["seed"], **chosen)
+        work.streams, watch.during(run(work.spec, shown, work.check["seed"], **chosen))
     ):
         now = time.perf_counter()
         record = {
@@ -141,6 +144,8 @@ def answered(work: Work) -> Iterator[dict]:
         }
         if responses.notes:
             record["notes"] = responses.notes
+        if watch.numbers:
+            record["overflows"] = sorted(watch.numbers)
         begun = now
         remedy = "free some space and run the same command again: the other streams are saved"
         reporting = reporting_os_errors(work.saved, "cannot write", remedy)
@@ -197,6 +202,9 @@ class OpenCheck:
                     sample.get("spike_hash") != str(spikes)
                     for sample, spikes in zip(answers, expected.spike_hashes)
                 )
+        overflows = {number for record in records for number in record.get("overflows", ())}
+        if overflows:
+            remark(WARNING + overflow_text(bundle.spec, target.name, overflows))
         seconds = sum(record["seconds"] for record in records)
         result = result_of(bundle, target.name, seed, answers, seconds, extra)
         write_json(self._out, result)

@@ -78,8 +78,8 @@ def cannot_build(network: nengo.Network, error: Exception) -> UserError:
     """
     problem = _unfit_layer(network) or str(error)
     if not problem or isinstance(error, AttributeError):
-        problem = f"{problem or 'one of its internal limits is not met'}; 'stmnist deploy plan' "
-        problem += "says what does not fit a core"
+        problem = f"{problem or 'one of its internal limits is not met'}; the command "
+        problem += "'plan' says what does not fit a core"
     return UserError(f"NengoLoihi cannot build this network: {problem}")
 
 

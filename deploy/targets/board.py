@@ -44,8 +44,9 @@ def nxsdk_version() -> str:
     interface = nengo_loihi.hardware.interface
     if not nengo_loihi.hardware.HAS_NXSDK:
         raise UserError(
-            "target loihi needs Intel's NxSDK, which is not installed here: run this on an INRC "
-            "host (see deploy/inrc/README.md), or use --target emulator"
+            "target loihi needs Intel's NxSDK, which is not installed in this Python: on an INRC "
+            "host, activate the environment that has it; elsewhere there is no board, and the "
+            "target emulator gives the same spikes without one"
         )
     installed = interface.nxsdk.__version__
     number = interface.parse_nxsdk_version(installed)
@@ -157,7 +158,7 @@ def _board_errors():
         if "AxonCfg" in text:
             raise UserError(
                 f"the board refuses the network: {text}; "
-                f"{REMEDIES['AxonCfg registers']} (see 'stmnist deploy plan')"
+                f"{REMEDIES['AxonCfg registers']} (see the command 'plan')"
             ) from error
         raise BoardLost(text) from error
 

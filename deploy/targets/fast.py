@@ -338,30 +338,25 @@ def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
         The responses to each stream, in order.  They do not depend on the batches.
     """
     emulation, gap = Emulation(spec, seed), spec.presentation.gap
-    overflows = {name: np.zeros(3, int) for name in emulation.positions}
 
     def fitting(n_samples):
         """Number of streams of some length that fit into the memory."""
         spikes = emulation.bytes_per_step(1) * spec.presentation.period
         return max(1, memory // (spikes + emulation.bytes_kept() * n_samples))
 
-    try:
-        for batch in _batches(streams, fitting):
-            hashes = []
+    for batch in _batches(streams, fitting):
+        hashes = []
 
-            def watch(packed, hashes=hashes):
-                rows = [packed[name] for name in spec.spiking_layers]
-                hashes.append([spike_hash(layers) for layers in zip(*rows)])
+        def watch(packed, hashes=hashes):
+            rows = [packed[name] for name in spec.spiking_layers]
+            hashes.append([spike_hash(layers) for layers in zip(*rows)])
 
-            recording = emulation.run(np.stack(batch), watch, memory)
-            for name, count in recording.overflows.items():
-                overflows[name] += count
-            for index, output in enumerate(recording.output):
-                counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
-                answer = read_output(spec, decoded(spec, output[:, gap:]), counts)
-                yield replace(answer, spike_hashes=np.transpose(hashes)[index])
-    finally:
-        _warn_of(overflows)
+        recording = emulation.run(np.stack(batch), watch, memory)
+        _warn_of(recording.overflows)
+        for index, output in enumerate(recording.output):
+            counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
+            answer = read_output(spec, decoded(spec, output[:, gap:]), counts)
+            yield replace(answer, spike_hashes=np.transpose(hashes)[index])
 
 
 def _batches(streams, fitting):

@@ -15,9 +15,11 @@ from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi, require_integers
 from ..network.responses import Responses, join, respond
 from ..network.spec import NetworkSpec
+from ..terminal import WARNING, remark
 from . import BoardOptions
 from .board import describe, run_loihi
 from .fast import run_fast
+from .overflow import OverflowWatch, overflow_text
 
 
 @dataclass(frozen=True)
@@ -188,11 +190,13 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
     flat = spec.fed(samples)
     refuse_unfit(spec, target, seed)
     streams = [flat[part] for part in spec.presentation.streams(len(flat))]
-    parts = []
-    for responses in target_named(target).run(spec, streams, seed, **options):
+    parts, watch = [], OverflowWatch()
+    for responses in watch.during(target_named(target).run(spec, streams, seed, **options)):
         parts.append(responses)
         if advance is not None:
             advance(len(responses.scores))
+    if watch.numbers:
+        remark(WARNING + overflow_text(spec, target, watch.numbers))
     return join(parts)
 
 

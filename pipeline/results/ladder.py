@@ -21,6 +21,15 @@ from pipeline.stages import Opened, answer_all, convert
 # Targets whose existing results are included, but which the ladder does not run.
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
 
+# What may help against a loss at the first stage in which samples follow each other in streams.
+STREAM_REMEDY = {
+    "nengo": (
+        ": here samples first follow each other in a stream and may disturb each other; try a "
+        "longer gap (--set presentation.gap=...) or each sample from rest (--set "
+        "presentation.stream_length=1)"
+    )
+}
+
 # Loss in points above which the layers are listed.
 MAX_LOSS_POINTS = 3.0
 
@@ -257,7 +266,7 @@ def ladder_text(ladder: dict) -> str:
         lines.append(early_text(ladder["while_written"], last))
     losing = losing_stages(ladder)
     for a, b, points in losing:
-        lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}")
+        lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}{STREAM_REMEDY.get(b, '')}")
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
     if simplest and simplest["difference"] < 0 and simplest["mcnemar_p"] < SIGNIFICANCE:

@@ -1,6 +1,5 @@
 """The kind of spiking networks that are trained on the sensor's events."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames
+from deploy.terminal import WARNING
 from models import chain
 from models.architecture import parse
 from models.integers import from_integers
@@ -24,16 +24,17 @@ from pipeline.kinds.kind import (
     training_versions,
     write_network,
 )
+from pipeline.kinds.presentation import neuron_choices, presentation_choices, short_gap_text
 from pipeline.kinds.steps import Step
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import choose_augmentation
 from pipeline.recordings.dataset import Dataset, event_warnings
-from pipeline.recordings.events import Sensor, is_handwriting
+from pipeline.recordings.events import is_handwriting
 from pipeline.recordings.splits import split_of
 from pipeline.recordings.steps import EventTable
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings
+from pipeline.run.settings import Settings, merged
 from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
@@ -42,10 +43,6 @@ FEWEST = 100
 
 # Settings that the confidence depends on.
 DECIDES = ("presentation.steps", "presentation.early_loss")
-
-# Minimum and maximum number of steps of a presentation of events; longer recordings get longer
-# steps.
-FEWEST_STEPS, MOST_STEPS = 50, 400
 
 # Synaptic operations that a network on events may take, in multiples of what its first layer takes
 # to receive the events: with many classes, the readout takes as many as the first layer.
@@ -186,12 +183,19 @@ class EventsKind(NetworkKind):
         from pipeline.training.events import EventRecipe
 
         shown = inputs.settings.presented(confidence_of(inputs.artifact("threshold")))
-        recipe = EventRecipe.of(inputs.settings)
-        return spec_of_events(recipe, inputs.weights("events"), shown, provenance)
+        recipe, weights = EventRecipe.of(inputs.settings), inputs.weights("events")
+        taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
+        if warning := short_gap_text(shown, taus):
+            inputs.say(f"{WARNING}{warning}")
+        return spec_of_events(recipe, weights, shown, provenance)
 
     def choices(self, recordings):
         settings, default = self.settings, Settings().events
-        changes, lines = presentation_choices(settings, recordings)
+        changes, lines = presentation_choices(settings, recordings, may_shorten=True)
+        shown = settings.with_values(changes, settings.data.source)
+        of_neurons, about_neurons = neuron_choices(shown)
+        changes = merged(changes, of_neurons)
+        lines += about_neurons
         now, sensor, chosen = settings.events, recordings.sensor, {}
         train = None if is_handwriting(recordings) else _training(settings, recordings)
         fits = is_for(now.architecture, sensor, self.channels)
@@ -216,7 +220,6 @@ class EventsKind(NetworkKind):
                     f"dropout of {dropout:g}, for few recordings (another: --set "
                     "events.dropout=...)"
                 )
-            shown = settings.with_values(changes, settings.data.source)
             parts, step, is_open = now.parts, shown.input.step, settings.is_open("input.refractory")
             if is_open or not parts:  # what the user has set needs no estimate, which takes seconds
                 reading = _reading(settings, shown, recordings, train)
@@ -225,7 +228,7 @@ class EventsKind(NetworkKind):
                 if is_open:
                     changes["input"] = {"step": step, "refractory": reading.refractory * step}
             chosen |= {"parts": parts, "part": now.part or shown.steps * step / parts}
-        return ({**changes, "events": chosen} if chosen else changes), lines
+        return merged(changes, {"events": chosen}), lines
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings)
@@ -307,35 +310,6 @@ def confidence_of(artifact) -> float | None:
         return chosen and float(chosen["confidence"])
 
 
-def presentation_choices(settings: Settings, recordings) -> tuple:
-    """Present events for as long as the recordings last, with a suitable length of steps.
-
-    Returns
-    -------
-    dict, list of str
-        As :meth:`EventsKind.choices`.
-    """
-    if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
-        return {}, []  # as long as the published recordings: the default fits
-    longest, step = longest_ms(recordings), settings.input.step
-    is_free = settings.is_open("input.step") and settings.is_open("input.refractory")
-    while is_free and longest >= step * MOST_STEPS:
-        step *= 2
-    steps = min(max(math.floor(longest / step) + 1, FEWEST_STEPS), MOST_STEPS)
-    changes = {"presentation": {"steps": steps}}
-    if step != settings.input.step:
-        changes["input"] = {"step": step, "refractory": step}
-    part = "as long as the recordings last"
-    if longest < (steps - 1) * step:
-        part = f"the fewest; the recordings last up to {longest / 1000:.2g} s"
-    if longest >= steps * step:
-        part = (
-            f"the first {steps * step / 1000:g} s of recordings of up to {longest / 1000:.4g} s "
-            "(more: a longer --set input.step=..., or --steps)"
-        )
-    return changes, [f"{steps} steps of {step:g} ms: {part}"]
-
-
 def _training(settings, recordings):
     """Indices of the training samples; none if there can be no split."""
     shares = settings.split
@@ -354,11 +328,6 @@ def _reading(settings, shown, recordings, train):
         return reading
     chosen = shown.input.refractory_steps
     return reading._replace(refractory=chosen, lost=table.lost(step, chosen))
-
-
-def longest_ms(recordings) -> float:
-    """Time of the last event of all recordings in milliseconds."""
-    return float(EventTable.of(recordings).duration_ms.max(initial=0))
 
 
 def _decision_text(chosen, samples):

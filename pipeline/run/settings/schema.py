@@ -78,10 +78,11 @@ ABOVE_0 = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
 INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
 FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
 RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
-STEP = between(0.1, 1000, " milliseconds")
+STEP = between(1e-3, 1000, " milliseconds")
 STEP_OR_NONE = Limit(
     lambda value: value == 0 or 1e-3 <= value <= 1e6, "0, or from 0.001 to 1000000 milliseconds"
 )
+MAX_TAU_MS = 1e6
 SIDE = between(0, 256)
 
 
@@ -289,6 +290,12 @@ class EventTraining(Section):
     dropout: Annotated[float, FROM_0_BELOW_1] = 0.1
     #: Initial learning rate of Adam; it falls to 0 along a half cosine.
     learning_rate: Annotated[float, ABOVE_0] = 0.003
+    #: Initial time constants of the neurons' current in milliseconds of recording time, one per
+    #: layer; the last one also applies to all later layers.  Shorter, if it is not set, for
+    #: presentations below half a second.
+    tau_u_ms: tuple[float, ...] = (30.0,)
+    #: Initial time constants of the neurons' voltage; otherwise as for the current.
+    tau_v_ms: tuple[float, ...] = (80.0,)
     #: Weight of the loss term for early decisions, before the recording ends.
     early: Annotated[float, AT_LEAST_0] = 1.0
     #: Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
@@ -325,7 +332,8 @@ class PresentationSettings(Section):
     #: ``input.step``.  0 for 100 steps, or with events for as many as the
     #: longest recording needs, from 50 to 400.
     steps: Annotated[int, STEPS_OR_NONE] = 0
-    #: Silent steps before each sample.
+    #: Silent steps before each sample.  More, if it is not set, where the neurons' currents last
+    #: longer.
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     #: First step of the readout window, over which the output is averaged for the decision; with
     #: events always the first step of the presentation.
@@ -589,6 +597,11 @@ def _check_relations(s: Settings):
         need(s.value(content) or not s.value(file), file, given)
     need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
          f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
+    for name in ("events.tau_u_ms", "events.tau_v_ms"):
+        taus = s.value(name)
+        need(1 <= len(taus) <= len(layers) - 1 and min(taus) > 0 and max(taus) <= MAX_TAU_MS, name,
+             f"1 to {len(layers) - 1} times above 0 and at most {MAX_TAU_MS:g}, one per layer of "
+             "neurons")  # fmt: skip
     need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
 

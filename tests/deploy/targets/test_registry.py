@@ -7,6 +7,8 @@ import nengo
 import numpy as np
 import pytest
 
+from deploy.check.bundle import write_bundle
+from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
@@ -14,7 +16,7 @@ from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
 from deploy.targets import NAMES
 from deploy.targets.registry import TARGETS, _loihi_simulator, answer, target_named
-from tests.deploy.fast_networks import random_spec
+from tests.deploy.fast_networks import loud_spec, random_spec
 from tests.deploy.networks import conv, random_checks, readout, small_spec
 
 EXACT = ("nengo", "simreal", "emulator")
@@ -172,3 +174,16 @@ def test_what_no_integers_can_hold_is_refused_alike(spec):
 def test_an_unknown_target_is_named_with_the_known_ones():
     with pytest.raises(UserError, match="'gpu'.* " + ", ".join(TARGETS)):
         target_named("gpu")
+
+
+@pytest.mark.parametrize("target", ["emulator", "fast"])
+def test_overflows_are_one_line_with_the_remedy(target, tmp_path, capsys, recwarn):
+    spec = loud_spec(3, 1)
+    checks = random_checks(spec, 2)
+    checks = replace(checks, inputs=np.ones_like(checks.inputs), labels=checks.labels % 3)
+    bundle = write_bundle(tmp_path / "bundle", spec, checks)
+    run_check(bundle, target, tmp_path / "result.json")
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "wrapped" in line]
+    assert target in line
+    assert "deployment.input_rate" in line
+    assert not [one for one in recwarn if "verflow" in str(one.message)]

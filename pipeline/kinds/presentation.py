@@ -1,0 +1,204 @@
+"""How events are presented: the length of a step, the number of steps, and the gap before a sample.
+
+Recordings may last milliseconds or minutes, but a presentation should have some hundred steps: with
+fewer, the order of the events is lost, with more, a presentation takes long.  So the length of a
+step follows the recordings.  The neurons' initial time constants follow it where recordings are
+short, and the gap follows the time constants, so that little is left of a sample when the next one
+begins.
+"""
+
+import math
+
+from deploy import limits
+from deploy.network.spec import Presentation
+from pipeline.recordings.events import Recordings, Sensor
+from pipeline.recordings.steps import EventTable
+from pipeline.run.settings import Settings
+
+# Minimum and maximum number of steps of a presentation of events.
+MIN_STEPS = 50
+MAX_STEPS = 400
+
+# Mantissas of the lengths of a step that are chosen below the default.
+MANTISSAS = (5, 2, 1)
+
+# Shortest length of a step in milliseconds.
+MIN_STEP_MS = 0.001
+
+# Presentations of at least this many milliseconds have the default time constants; those of shorter
+# ones are proportional to it.
+FULL_TIME_CONSTANTS_MS = 500.0
+
+# Largest share of its threshold that a neuron may receive, in all steps of the next sample
+# together, from the current that is left of a sample.
+MAX_SHARE_LEFT = 0.1
+
+# Time constants of currents after the training, in multiples of the initial ones: 0.77 to 1.34
+# were seen.
+MAX_GROWTH = 1.35
+
+
+def presentation_choices(
+    settings: Settings, recordings: Recordings, may_shorten: bool = False
+) -> tuple:
+    """Present events for as long as the recordings last, with a suitable length of steps.
+
+    Parameters
+    ----------
+    settings : Settings
+    recordings : Recordings
+    may_shorten : bool
+        True if the step may also become shorter, for short recordings.
+
+    Returns
+    -------
+    changes : dict
+        As :meth:`pipeline.run.settings.Settings.with_values` takes them.
+    lines : list of str
+        A line about each choice.
+    """
+    if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
+        return {}, []  # as long as the published recordings: the default fits
+    longest_ms = float(EventTable.of(recordings).duration_ms.max(initial=0))
+    step_ms = settings.input.step
+    if settings.is_open("input.step") and settings.is_open("input.refractory"):
+        step_ms = choose_step_ms(longest_ms, step_ms, may_shorten)
+    steps = min(max(math.floor(longest_ms / step_ms) + 1, MIN_STEPS), MAX_STEPS)
+    changes = {"presentation": {"steps": steps}}
+    if step_ms != settings.input.step:
+        changes["input"] = {"step": step_ms, "refractory": step_ms}
+    why = _reason_for(steps, step_ms, longest_ms)
+    return changes, [f"{steps} steps of {step_ms:g} ms: {why}"]
+
+
+def choose_step_ms(longest_ms: float, default_ms: float, may_shorten: bool = True) -> float:
+    """Choose the length of a step, so that the longest recording has from 50 to 400 steps.
+
+    Parameters
+    ----------
+    longest_ms : float
+        Time of the last event of all recordings in milliseconds.
+    default_ms : float
+        The length that is kept if it suits the recordings.
+    may_shorten : bool
+        True if the result may be shorter than the default.
+
+    Returns
+    -------
+    float
+        The default; a multiple of it by a power of two; or the longest of 5, 2, 1, 0.5, ... below
+        the default that is short enough.
+    """
+    if longest_ms >= default_ms * MAX_STEPS:
+        doublings = math.floor(math.log2(longest_ms / (default_ms * MAX_STEPS))) + 1
+        return default_ms * 2**doublings
+    if not may_shorten or longest_ms == 0 or longest_ms >= default_ms * MIN_STEPS:
+        return default_ms
+    longest_step = max(longest_ms / MIN_STEPS, MIN_STEP_MS)
+    decade = 10.0 ** math.floor(math.log10(longest_step) + 1e-9)
+    fits = (mantissa * decade for mantissa in MANTISSAS)
+    return float(f"{next(step for step in fits if step <= longest_step * (1 + 1e-9)):.3g}")
+
+
+def _reason_for(steps, step_ms, longest_ms):
+    """Why there are so many steps of this length."""
+    if longest_ms < (steps - 1) * step_ms:
+        return f"the fewest; the recordings last up to {longest_ms / 1000:.2g} s"
+    if longest_ms >= steps * step_ms:
+        return (
+            f"the first {steps * step_ms / 1000:g} s of recordings of up to "
+            f"{longest_ms / 1000:.4g} s (more: a longer --set input.step=..., or --steps)"
+        )
+    return "as long as the recordings last"
+
+
+def neuron_choices(settings: Settings) -> tuple:
+    """Choose the initial time constants of neurons on events, and the gap between samples.
+
+    Parameters
+    ----------
+    settings : Settings
+        With the chosen presentation.
+
+    Returns
+    -------
+    changes, lines
+        As :func:`presentation_choices`.
+    """
+    changes, lines = {}, []
+    currents_ms, voltages_ms = settings.events.tau_u_ms, settings.events.tau_v_ms
+    presented_ms = settings.steps * settings.input.step
+    are_open = settings.is_open("events.tau_u_ms") and settings.is_open("events.tau_v_ms")
+    if presented_ms < FULL_TIME_CONSTANTS_MS and are_open:
+        currents_ms = shorten(currents_ms, presented_ms)
+        voltages_ms = shorten(voltages_ms, presented_ms)
+        changes["events"] = {"tau_u_ms": currents_ms, "tau_v_ms": voltages_ms}
+        lines.append(
+            f"initial time constants of {currents_ms[0]:g} ms (current) and {voltages_ms[0]:g} ms "
+            f"(voltage), for presentations of {presented_ms:g} ms (others: --set "
+            "events.tau_u_ms=[...])"
+        )
+    if settings.is_open("presentation.gap"):
+        gap = silent_steps(MAX_GROWTH * max(currents_ms) / settings.input.step)
+        if gap > settings.presentation.gap:
+            changes["presentation"] = {"gap": gap}
+            lines.append(
+                f"gap of {gap} silent steps before each sample: then the currents that are left of "
+                f"the sample before add at most {MAX_SHARE_LEFT:g} of a neuron's threshold "
+                "(another: --set presentation.gap=...)"
+            )
+    return changes, lines
+
+
+def shorten(taus_ms: tuple, presented_ms: float) -> tuple:
+    """Time constants in proportion to a short presentation, to two digits."""
+    share = presented_ms / FULL_TIME_CONSTANTS_MS
+    return tuple(float(f"{tau * share:.2g}") for tau in taus_ms)
+
+
+def silent_steps(tau_current: float) -> int:
+    """Number of silent steps after which little is left of a sample.
+
+    In each step a neuron's current is added to its voltage and then multiplied by
+    d = exp(-1 / tau).  After n steps without spikes a current of one threshold, with which a neuron
+    fires in every step, has become d^n thresholds, and all later steps together add d^n / (1 - d)
+    thresholds to the voltage.  The result is the smallest n for which this is at most
+    `MAX_SHARE_LEFT`.
+
+    The voltage that is left is not counted: it is below one threshold and changes the number of a
+    neuron's spikes in the next sample by one at most.
+
+    Parameters
+    ----------
+    tau_current : float
+        Time constant of the current in steps.
+
+    Returns
+    -------
+    int
+        At most :data:`deploy.limits.STEPS`.
+    """
+    added = -1 / math.expm1(-1 / tau_current)
+    steps = math.ceil(tau_current * math.log(added / MAX_SHARE_LEFT) - 1e-9)
+    return min(max(steps, 0), limits.STEPS)
+
+
+def short_gap_text(presentation: Presentation, taus: dict) -> str:
+    """A warning that samples of a stream disturb each other; empty if they do not.
+
+    Parameters
+    ----------
+    presentation : Presentation
+    taus : dict of str to float
+        The trained time constants of currents, in steps, by names such as ``"conv1.tau_u"``.
+    """
+    name = max(taus, key=taus.get)
+    needed = silent_steps(taus[name])
+    if presentation.stream_length == 1 or needed <= presentation.gap:
+        return ""
+    return (
+        f"the currents of layer {name.removesuffix('.tau_u')} (time constant {taus[name]:.3g} "
+        f"steps) outlast the gap of {presentation.gap} steps between samples, which therefore "
+        f"disturb each other: --set presentation.gap={needed}, or --set "
+        "presentation.stream_length=1, so that each sample begins at rest"
+    )
