@@ -253,7 +253,7 @@ def test_wrong_version_of_nxsdk(nxsdk, bundle, tmp_path, monkeypatch, version):
 
 
 def test_without_nxsdk(bundle, tmp_path):
-    with pytest.raises(UserError, match=r"target loihi .*NxSDK.*--target emulator"):
+    with pytest.raises(UserError, match=r"target loihi .*NxSDK.*target emulator"):
         run_check(bundle, "loihi", tmp_path / "r.json")
 
 
