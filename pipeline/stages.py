@@ -40,7 +40,7 @@ from pipeline.progress import hidden, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import facts_of
 from pipeline.recordings.library import recordings_of
-from pipeline.recordings.source import left_out_lines
+from pipeline.recordings.source import reading_lines
 from pipeline.recordings.splits import PUBLISHED, copies
 from pipeline.run.artifacts import DELETE_IT, Artifact, Library, Origin
 from pipeline.run.folder import RunFolder, working_in
@@ -311,7 +311,7 @@ def convert(opened: Opened) -> Bundle:
     view, dataset, recordings = inputs.settings, inputs.dataset, inputs.dataset.recordings
     source, test = recordings.source, dataset.split.test
     chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
-    lost = left_out_lines(source.name, recordings) if source.left_out else []
+    lost = reading_lines(source.name, recordings)
     notes = (*lost, *_notes_on_recordings(opened))
     provenance = {
         "made_from": origin.to_json(),

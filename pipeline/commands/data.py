@@ -24,8 +24,9 @@ Reading = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="A setting of reading recordings: data.time_unit=us, data.downsample=4, "
-        "data.skip_bad=true, skin.rows=16, skin.columns=16, data.writers=100; repeatable.",
+        help="A setting of reading recordings: data.time_unit=us, data.downsample=4, data.bin=20, "
+        "data.rise=1, data.skip_bad=true, skin.rows=16, skin.columns=16, data.writers=100; "
+        "repeatable.",
     ),
 ]
 
@@ -62,9 +63,10 @@ def inspect(
     as_json: options.Json = False,
 ):
     """Print facts about one recording."""
+    from pipeline.recordings.library import options_from
     from pipeline.recordings.statistics import facts_of_file, file_text
 
-    facts = facts_of_file(file, _settings(str(file), reading).data.time_unit)
+    facts = facts_of_file(file, options_from(_settings(str(file), reading)))
     options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
 
 

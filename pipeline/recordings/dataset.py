@@ -35,7 +35,7 @@ NO_SPLIT = "give other data, or another split.kind or split.test_fraction"
 
 # Version of the rules by which files become recordings; to be raised if they change, because files
 # that are read differently have the same hash.
-READING = "3"
+READING = "4"
 
 
 @dataclass(frozen=True)
@@ -111,6 +111,7 @@ class Dataset:
             "classes": list(recordings.sensor.classes),
             "positions": None if places is None else places.tolist(),
             "time_unit": source.time_unit or None,
+            **({"bin_ms": source.bin_ms, "rise": source.rise} if source.bin_ms else {}),
             "downsample": 1 if data.source == SIMULATED else data.downsample,
             TRAINED_ON: sorted({hashes[i] for i in (*split.train, *split.validation)}),
         }
@@ -159,7 +160,7 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     if settings.data.source == SIMULATED:
         reads += ["data.simulation_seed", "data.samples_per_digit", "data.writers"]
     else:
-        reads += ["data.time_unit", "data.downsample"]
+        reads += ["data.time_unit", "data.downsample", "data.bin", "data.rise"]
     contents = {"recordings": recordings_sha256, "split": kind}
     if settings.data.source != SIMULATED:
         contents["rules of reading files"] = READING

@@ -109,6 +109,12 @@ class Source:
     time_unit : str
         Unit in which the times of files of events were read, such as ``"us"``; empty for other
         files.
+    bin_ms : float
+        Width of a bin in milliseconds, with which arrays of counts were read; 0 for other files.
+    rise : int
+        Channel of such arrays that was read as the rise of pressure.
+    remarks : tuple of str
+        What the user should know about how the files were read.
     """
 
     name: str
@@ -117,6 +123,9 @@ class Source:
     written: bool = False
     left_out: tuple = ()
     time_unit: str = ""
+    bin_ms: float = 0.0
+    rise: int = 0
+    remarks: tuple = ()
 
 
 @dataclass(frozen=True)
@@ -345,7 +354,8 @@ def is_handwriting(recordings: Recordings) -> bool:
     """
     source, sensor = recordings.source, recordings.sensor
     is_simulated = source.simulated and are_digits(sensor.classes)
-    is_st_mnist = is_written(sensor.rows, sensor.columns, sensor.classes) and not source.time_unit
+    is_matrix = not source.time_unit and not source.bin_ms
+    is_st_mnist = is_written(sensor.rows, sensor.columns, sensor.classes) and is_matrix
     return bool(source.written or is_simulated or is_st_mnist)
 
 
@@ -385,6 +395,8 @@ def reading_text(recordings: Recordings) -> str:
     ]
     if recordings.source.time_unit:
         parts.append(f"times read as {UNIT_NAMES[recordings.source.time_unit]}")
+    if recordings.source.bin_ms:
+        parts.append(f"bins of {recordings.source.bin_ms:g} ms")
     return ", ".join(parts)
 
 

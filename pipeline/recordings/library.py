@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import re
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +26,14 @@ from pipeline.recordings.events import (
     Source,
     TaxelMap,
 )
-from pipeline.recordings.sensor import AS_FOUND, Reading
+from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
 from pipeline.recordings.splits import PUBLISHED, RANDOM
 from pipeline.run.settings import SIMULATED, Settings
 from pipeline.simulation import parameters
 from pipeline.simulation.simulate import simulate, source_of
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
-FORMAT = 6
+FORMAT = 7
 
 # Maximum number of bytes of a set of recordings, a hundred times that of the published one.
 LARGEST_CACHE = 1 << 34
@@ -48,7 +48,7 @@ def load_recordings(
     skip_bad: bool = False,
     jobs: int = 2,
     warn=None,
-    reading: Reading = AS_FOUND,
+    reading: ReadingOptions = AS_FOUND,
     writers: int = 0,
 ) -> Recordings:
     """Recordings of a source, which are simulated or imported on first use and cached.
@@ -67,7 +67,7 @@ def load_recordings(
         Processes.
     warn : callable, optional
         Called with one line for each file that was left out.
-    reading : pipeline.recordings.sensor.Reading
+    reading : pipeline.recordings.sensor.ReadingOptions
         Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
     writers : int
         Number of simulated people; 0 for the published number, 23.
@@ -91,16 +91,30 @@ def load_recordings(
 
 def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     """Recordings named in the settings; see :func:`load_recordings`."""
-    data, reading = settings.data, Reading(settings.skin.rows, settings.skin.columns)
+    data = settings.data
     # An artifact may read only the settings that apply to its recordings (dataset_origin).
     if data.source == SIMULATED:
         numbers = data.simulation_seed, data.samples_per_digit
+        reading = ReadingOptions(settings.skin.rows, settings.skin.columns)
         return load_recordings(
             SIMULATED, *numbers, jobs=jobs, reading=reading, writers=data.writers
         )
-    reading = replace(reading, time_unit=data.time_unit, downsample=data.downsample)
+    reading = options_from(settings)
     return load_recordings(
         data.source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
+    )
+
+
+def options_from(settings: Settings) -> ReadingOptions:
+    """The settings of reading files."""
+    data = settings.data
+    return ReadingOptions(
+        settings.skin.rows,
+        settings.skin.columns,
+        time_unit=data.time_unit,
+        downsample=data.downsample,
+        bin_ms=data.bin,
+        rise=data.rise,
     )
 
 
@@ -170,7 +184,7 @@ def _imported(source, skip_bad, jobs, warn, reading):
         recordings = sources.read_source(source, jobs, skip_bad, progress, reading)
         store(path, recordings)
     if warn is not None:
-        for line in sources.left_out_lines(source, recordings):
+        for line in sources.reading_lines(source, recordings):
             warn(line)
     return recordings
 
@@ -220,6 +234,8 @@ def store(path, recordings: Recordings):
         column=taxels.column,
         positions=positions,
         source=np.array([source.name, source.sha256, source.time_unit]),
+        bins=np.array([source.bin_ms, source.rise]),
+        remarks=np.array(source.remarks, dtype=str),
         simulated=np.array(source.simulated),
         written=np.array(source.written),
         left_out=np.array(source.left_out, dtype=str),
@@ -242,7 +258,7 @@ def load(path) -> Recordings | None:
     arrays = read_arrays(path, DELETE, LARGEST_CACHE)
     try:
         name, sha256, time_unit = (str(text) for text in arrays["source"])
-        flags = bool(arrays["simulated"]), bool(arrays["written"])
+        bin_ms, rise = arrays["bins"].tolist()
         positions = arrays["positions"]
         recordings = Recordings(
             events=Events(*(arrays[column] for column in EVENT_DTYPES)),
@@ -250,7 +266,17 @@ def load(path) -> Recordings | None:
             labels=arrays["labels"],
             ids=tuple(arrays["ids"].tolist()),
             writers=arrays["writers"],
-            source=Source(name, sha256, *flags, tuple(arrays["left_out"].tolist()), time_unit),
+            source=Source(
+                name,
+                sha256,
+                simulated=bool(arrays["simulated"]),
+                written=bool(arrays["written"]),
+                left_out=tuple(arrays["left_out"].tolist()),
+                time_unit=time_unit,
+                bin_ms=bin_ms,
+                rise=int(rise),
+                remarks=tuple(arrays["remarks"].tolist()),
+            ),
             taxels=TaxelMap(arrays["row"], arrays["column"], positions if len(positions) else None),
             sensor=Sensor(
                 *(int(n) for n in arrays["size"]),

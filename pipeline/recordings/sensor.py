@@ -5,8 +5,6 @@ ST-MNIST's: they have its ten classes and its two seconds, independently of thei
 others the values are those found, unless the settings specify rows and columns.
 """
 
-import csv
-import io
 import math
 import re
 from collections import Counter
@@ -15,31 +13,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deploy.errors import UserError
+from pipeline.recordings import times
 from pipeline.recordings.events import DIGITS, GRID, N_TAXELS, UNIT_NAMES, Sensor, TaxelMap
-from pipeline.recordings.formats.recording import (
-    MAX_DURATION_S,
-    MAX_SIDE,
-    UNITS,
-    BadRecording,
-    EventRecording,
-)
+from pipeline.recordings.formats.recording import MAX_DURATION_S, MAX_SIDE, UNITS
+from pipeline.recordings.taxels import add_positions, size_from_lookup
+from pipeline.recordings.times import GIVE_UNIT
 
-# Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
-# recordings would be shorter is excluded.
-SHORTEST_S = 0.02
+# Number of rows and columns from which the extents of the events of train and test identify a
+# sensor, and the factor between both extents above which the sensors differ.
+MIN_SENSOR_SIDE = 6
+MAX_SIZE_FACTOR = 2
 
-# Factor between durations above which their units differ; units differ by a factor of 1,000.
-MIXED = 100
-
-# Number of rows or columns below which the largest coordinates do not identify a sensor.
-SMALLEST_SENSOR = 6
-
-GIVE_UNIT = "--set data.time_unit=..."
 GIVE_SIZE = "--set skin.rows=... --set skin.columns=..."
+
+# What each layout of a file is called; see EventRecording.layout.
+LAYOUT_NAMES = {
+    "events": "a list of events",
+    "matrix": "a spiketrain",
+    "bins": "an array of counts",
+}
+
+# Value of ReadingOptions.rise that leaves the choice of the channel to the reader.
+AUTOMATIC_RISE = -1
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadingOptions:
     """Properties of files that the user specifies instead of having them detected.
 
     Attributes
@@ -54,6 +53,10 @@ class Reading:
     usual_unit : str
         Unit of similar recordings, for files of events that do not have theirs, if
         :attr:`time_unit` is empty and the recordings have a usual duration in it.
+    bin_ms : float
+        Width of a bin in arrays of counts, in milliseconds.
+    rise : int
+        Channel of rising pressure in arrays of counts; -1: 1 on ST-MNIST's grid, else 0.
     """
 
     rows: int = 0
@@ -61,13 +64,15 @@ class Reading:
     time_unit: str = ""
     downsample: int = 1
     usual_unit: str = ""
+    bin_ms: float = 20.0
+    rise: int = AUTOMATIC_RISE
 
 
-AS_FOUND = Reading()
+AS_FOUND = ReadingOptions()
 
 
 @dataclass(frozen=True)
-class Settled:
+class Interpretation:
     """Recordings of one sensor.
 
     Attributes
@@ -82,6 +87,14 @@ class Settled:
     rows, columns : int
     time_unit : str
         Unit in which the times of files of events were read.
+    duration_s : float
+        Duration that the files state; 0 if they do not.
+    bin_ms : float
+        Width of a bin of arrays of counts; 0 for other files.
+    rise : int
+        Channel of rising pressure of arrays of counts.
+    remarks : tuple of str
+        What the user should know about how the files were read.
     """
 
     kept: list
@@ -91,13 +104,19 @@ class Settled:
     rows: int
     columns: int
     time_unit: str = ""
+    duration_s: float = 0.0
+    bin_ms: float = 0.0
+    rise: int = 0
+    remarks: tuple = ()
 
-    def sensor(self, classes) -> Sensor:
+    def make_sensor(self, classes) -> Sensor:
         """The sensor, with ST-MNIST's classes and duration if the recordings are of its format."""
         is_full = len(self.taxels) == N_TAXELS and self.rows == self.columns == GRID
-        if is_full and set(classes) <= set(DIGITS) and not self.time_unit:
+        is_matrix = not self.time_unit and not self.bin_ms
+        if is_full and set(classes) <= set(DIGITS) and is_matrix:
             return Sensor(self.rows, self.columns)
         latest_ns = max((int(events.time_ns[-1]) for events in self.events), default=0)
+        latest_ns = max(latest_ns, round(self.duration_s * 1e9))
         return Sensor(
             self.rows,
             self.columns,
@@ -118,71 +137,118 @@ def class_order(name: str):
     ], name
 
 
-def settle(path, recordings, parts, lookup=None, positions=None, reading=AS_FOUND) -> Settled:
+def interpret(
+    path, recordings, subsets, lookup=None, positions=None, options=AS_FOUND
+) -> Interpretation:
     """Determine the sensor of recordings that were read one by one.
 
     Parameters
     ----------
     path : path-like
         Path of the source, for messages.
-    recordings : list of MatRecording or EventRecording
-        All of the same kind.
-    parts : list of str
-        Part of the published split of each, or empty.
+    recordings : list of EventRecording
+    subsets : list of str
+        ``"train"`` or ``"test"`` in a published split, or empty.
     lookup : TaxelMap, optional
         Places of the taxels in the image, from ``LUT.mat``.
     positions : dict of int to (float, float), optional
         Positions of the taxels on the sensor, from ``taxels.csv``.
-    reading : Reading
+    options : ReadingOptions
 
     Raises
     ------
     UserError
-        Rows, columns or the unit of time cannot be determined, or differ between the parts.
+        Rows, columns or the unit of time cannot be determined, or differ between train and test.
     """
-    is_camera = any(isinstance(recording, EventRecording) for recording in recordings)
-    settled = (_of_files_of_events if is_camera else _of_matrices)(
-        path, recordings, parts, lookup, positions is not None, reading
+    layouts = [recording.layout for recording in recordings]
+    usual = Counter(layouts).most_common(1)[0][0]
+    interpret_layout = _interpret_places if usual == "events" else _interpret_numbers
+    same = [index for index, layout in enumerate(layouts) if layout == usual]
+    found = interpret_layout(
+        path,
+        [recordings[index] for index in same],
+        [subsets[index] for index in same],
+        lookup,
+        positions is not None,
+        options,
     )
-    _require_equal_polarities(path, settled, parts)
-    if positions is None:
-        return settled
-    return replace(settled, taxels=_with_positions(path, settled, positions))
-
-
-# Files in the published layout, with a row for each taxel.
-
-
-def _of_matrices(path, recordings, parts, lookup, is_strip, reading):
-    rows, columns = reading.rows, reading.columns
-    counts = {
-        part: Counter(r.n_taxels for r, p in zip(recordings, parts, strict=True) if p == part)
-        for part in sorted(set(parts))
+    others = {
+        index: f"is {LAYOUT_NAMES[layout]}, most others are {LAYOUT_NAMES[usual]}s"
+        for index, layout in enumerate(layouts)
+        if layout != usual
     }
-    usual = {part: count.most_common(1)[0][0] for part, count in counts.items()}
+    refused = {same[index]: reason for index, reason in found.refused.items()}
+    kept = [same[index] for index in found.kept]
+    found = replace(found, kept=kept, refused=refused | others)
+    if positions is None:
+        return found
+    taxels = add_positions(path, found.taxels, found.rows, found.columns, positions)
+    return replace(found, taxels=taxels)
+
+
+# Files in which the taxels are numbered: spiketrain matrices and arrays of counts.
+
+
+def _interpret_numbers(path, recordings, subsets, lookup, is_strip, options):
+    has_bins = recordings[0].bins is not None
+    n, refused = _find_number_of_taxels(path, recordings, subsets, lookup)
+    if has_bins:
+        refused |= _find_other_shapes(recordings)
+    kept = [index for index in range(len(recordings)) if index not in refused]
+    if lookup is not None:
+        rows, columns = size_from_lookup(path, lookup, options.rows, options.columns)
+        taxels = lookup
+    else:
+        rows, columns = _arrange(path, n, has_bins, is_strip, options)
+        taxels = TaxelMap.grid(rows, columns)
+    found = Interpretation(kept, [], refused, taxels, rows, columns)
+    fitting = [recordings[index] for index in kept]
+    if has_bins:
+        return _add_bins(path, found, fitting, options)
+    return replace(found, events=[recording.to_events(1, recording.time) for recording in fitting])
+
+
+def _find_number_of_taxels(path, recordings, subsets, lookup):
+    """The number of taxels, and the recordings that have another one, each with the reason."""
+    counts = {}
+    for recording, subset in zip(recordings, subsets, strict=True):
+        counts.setdefault(subset, Counter())[recording.n_taxels] += 1
+    usual = {subset: count.most_common(1)[0][0] for subset, count in counts.items()}
     if len(set(usual.values())) > 1:
-        _refuse_parts(path, "sensors", {part: f"{n} taxels" for part, n in usual.items()})
-    n = len(lookup) if lookup is not None else next(iter(usual.values()), N_TAXELS)
-    which = "LUT.mat says" if lookup is not None else "most have"
+        _refuse_subsets(path, {subset: f"{n} taxels" for subset, n in usual.items()})
+    if lookup is None:
+        n, which = next(iter(usual.values())), "most have"
+    else:
+        n, which = len(lookup), "LUT.mat says"
+    # A spiketrain has a further row for the time.
+    unit, further = ("taxels", 0) if recordings[0].bins is not None else ("rows", 1)
     refused = {
-        index: f"has {recording.n_taxels + 1} rows, not {n + 1} as {which}"
+        index: f"has {recording.n_taxels + further} {unit}, not {n + further} as {which}"
         for index, recording in enumerate(recordings)
         if recording.n_taxels != n
     }
-    kept = [index for index in range(len(recordings)) if index not in refused]
-    events = [recordings[index].events for index in kept]
-    if lookup is not None:
-        needed = int(lookup.row.max()) + 1, int(lookup.column.max()) + 1
-        rows, columns = rows or needed[0], columns or needed[1]
-        if rows < needed[0] or columns < needed[1]:
-            raise UserError(
-                f"{path}: recordings of a sensor of {needed[0]} x {needed[1]} taxels (LUT.mat), "
-                f"larger than {rows} x {columns}; give recordings of a sensor of that size"
-            )
-        return Settled(kept, events, refused, lookup, rows, columns)
+    return n, refused
+
+
+def _find_other_shapes(recordings):
+    """Arrays of counts with other numbers of channels or bins than most, with the reason."""
+    usual = Counter(recording.bins for recording in recordings).most_common(1)[0][0]
+    return {
+        index: "has {} channels and {} bins, most others have {} and {}".format(
+            *recording.bins, *usual
+        )
+        for index, recording in enumerate(recordings)
+        if recording.bins != usual
+    }
+
+
+def _arrange(path, n, has_bins, is_strip, options):
+    """Rows and columns of numbered taxels without a look-up table."""
+    rows, columns = options.rows, options.columns
     if not rows and not columns:
         side = math.isqrt(n)
-        rows = side if side * side == n and not is_strip else 1
+        is_square = n == N_TAXELS if has_bins else side * side == n
+        rows = side if is_square and not is_strip else 1
     rows = rows or max(n // columns, 1)
     columns = columns or max(n // rows, 1)
     if rows * columns != n:
@@ -190,26 +256,91 @@ def _of_matrices(path, recordings, parts, lookup, is_strip, reading):
             f"{path}: recordings of {n} taxels, not of {rows} rows of {columns}; give recordings "
             f"of that sensor, add LUT.mat, or give the numbers of rows and columns: {GIVE_SIZE}"
         )
-    return Settled(kept, events, refused, TaxelMap.grid(rows, columns), rows, columns)
+    return rows, columns
+
+
+def _add_bins(path, found, recordings, options):
+    """The events of arrays of counts, after choosing the channel of rising pressure."""
+    channels, n_bins = recordings[0].bins
+    duration_s = n_bins * options.bin_ms / 1000
+    if duration_s > MAX_DURATION_S:
+        raise UserError(
+            f"{path}: {n_bins} bins of {options.bin_ms:g} ms last {duration_s:.4g} s, more than "
+            f"{MAX_DURATION_S:g} s; give the width of a bin in milliseconds: --set data.bin=..."
+        )
+    is_grid = found.rows == found.columns == GRID and len(found.taxels) == N_TAXELS
+    rise = choose_rise(path, channels, is_grid, options)
+    events = [make_events(recording, rise, options.bin_ms) for recording in recordings]
+    remark = f"{n_bins} bins, read as {options.bin_ms:g} ms each (data.bin)"
+    if channels == 2:
+        remark += f"; channel {rise} is read as the rise of pressure (data.rise)"
+    if is_grid:
+        remark += (
+            "; the bins of ST-MNIST-SPLIT are hundredths of each recording's columns, so they keep "
+            "the order of the events and not their time"
+        )
+    return replace(
+        found,
+        events=events,
+        duration_s=duration_s,
+        bin_ms=options.bin_ms,
+        rise=rise,
+        remarks=(remark,),
+    )
+
+
+def choose_rise(path, channels: int, is_grid: bool, options: ReadingOptions) -> int:
+    """The channel of rising pressure in arrays of counts: the user's, or 1 on ST-MNIST's grid.
+
+    Raises
+    ------
+    UserError
+        The user's is not a channel of the arrays.
+    """
+    if options.rise == AUTOMATIC_RISE:
+        return 1 if is_grid and channels == 2 else 0
+    if options.rise >= channels:
+        raise UserError(
+            f"{path}: data.rise is {options.rise}, and the arrays have one channel; use --set "
+            "data.rise=0"
+        )
+    return options.rise
+
+
+def make_events(recording, rise: int, bin_ms: float):
+    """The events of an array of counts.
+
+    Parameters
+    ----------
+    recording : EventRecording
+        From :func:`pipeline.recordings.formats.bins.make_binned_recording`.
+    rise : int
+        Channel of rising pressure.
+    bin_ms : float
+        Width of a bin.
+    """
+    sign = 1 if rise == 0 else -1
+    time_ns = np.rint(recording.time * bin_ms * 1e6).astype(np.int64)
+    return replace(recording, polarity=sign * recording.polarity).to_events(1, time_ns)
 
 
 # Files of events, with the column and row of each event.
 
 
-def _of_files_of_events(path, recordings, parts, lookup, is_strip, reading):
-    side = reading.downsample
+def _interpret_places(path, recordings, subsets, lookup, is_strip, options):
+    side = options.downsample
     if side > 1:
         recordings = [replace(r, x=r.x // side, y=r.y // side) for r in recordings]
-    unit = _unit_of(path, recordings, parts, reading)
-    refused = _of_other_sensors(path, recordings, parts, reading)
-    for index in _of_other_units([recording.time for recording in recordings]):
+    unit = times.choose_unit(path, recordings, subsets, options)
+    refused, remarks = _find_other_sensors(path, recordings, subsets, lookup, options)
+    for index in times.find_other_units([recording.time for recording in recordings]):
         refused.setdefault(
             index,
-            f"has times more than {MIXED} times as long or as short as most have; if they are in "
-            "another unit, convert them to that of the others",
+            f"has times more than {times.MIN_UNIT_FACTOR} times as long or as short as most have; "
+            "if they are in another unit, convert them to that of the others",
         )
     for index, recording in enumerate(recordings):
-        if (seconds := _span(recording.time) * UNITS[unit]) > MAX_DURATION_S:
+        if (seconds := times.find_span(recording.time) * UNITS[unit]) > MAX_DURATION_S:
             refused.setdefault(
                 index,
                 f"lasts {seconds:.4g} s with its times as {UNIT_NAMES[unit]}, more than "
@@ -217,116 +348,128 @@ def _of_files_of_events(path, recordings, parts, lookup, is_strip, reading):
             )
     kept = [index for index in range(len(recordings)) if index not in refused]
     fitting = [recordings[index] for index in kept]
-    rows, columns = _size_of(path, fitting, side, reading)
-    is_clock = _is_a_clock([recording.time for recording in fitting], unit)
-    events = [r.events(rows, to_ns(r.time, unit, is_clock)) for r in fitting]
-    return Settled(kept, events, refused, TaxelMap.grid(rows, columns), rows, columns, unit)
+    if lookup is not None:
+        rows, columns = size_from_lookup(path, lookup, options.rows, options.columns)
+        rows_in_files, taxels = 1, lookup
+    else:
+        rows, columns = _find_size(path, fitting, side, options)
+        rows_in_files, taxels = rows, TaxelMap.grid(rows, columns)
+    from_first = times.is_clock([recording.time for recording in fitting], unit)
+    events = [r.to_events(rows_in_files, times.to_ns(r.time, unit, from_first)) for r in fitting]
+    return Interpretation(
+        kept,
+        events,
+        refused,
+        taxels,
+        rows,
+        columns,
+        time_unit=unit,
+        remarks=remarks,
+    )
 
 
-def _unit_of(path, recordings, parts, reading):
-    """The unit of time: the user's, the files', or inferred."""
-    if reading.time_unit:
-        return reading.time_unit
-    units = {
-        part: {r.unit for r, p in zip(recordings, parts, strict=True) if p == part and r.unit}
-        for part in sorted(set(parts))
-    }
-    stated = set.union(set(), *units.values())
-    if len(stated) > 1:
-        names = [UNIT_NAMES[unit] for unit in UNITS if unit in stated]
-        raise UserError(f"{path}: files with times in {' and in '.join(names)}; use one unit")
-    spans = {}
-    for recording, part in zip(recordings, parts, strict=True):
-        spans.setdefault(part, []).append(_span(recording.time))
-    typical = {part: float(np.median(spans[part])) for part in sorted(spans)}
-    if len(typical) > 1 and max(typical.values()) > MIXED * min(typical.values()) > 0:
-        texts = {part: f"times of typically {span:.4g}" for part, span in typical.items()}
-        _refuse_parts(path, "units of time", texts)
-    unit = next(iter(stated), "")
-    if not unit and (usual := reading.usual_unit):
-        usual_s = np.median(np.concatenate(list(spans.values()))) * UNITS[usual]
-        unit = usual if SHORTEST_S <= usual_s <= MAX_DURATION_S else ""
-    unit = unit or recognised([recording.time for recording in recordings])
-    if not unit:
-        raise UserError(
-            f"{path}: no unit of time fits recordings of up to {MAX_DURATION_S:g} s; give the unit "
-            f"({GIVE_UNIT})"
-        )
-    return unit
-
-
-def _of_other_sensors(path, recordings, parts, reading):
-    """Recordings whose events cannot be from the same sensor as the others, with the reason."""
+def _find_other_sensors(path, recordings, subsets, lookup, options):
+    """Recordings whose events cannot be from the same sensor as the others, and remarks."""
     extents = np.array([(int(r.y.max()) + 1, int(r.x.max()) + 1) for r in recordings])
-    outside = (extents > np.array([reading.rows or np.inf, reading.columns or np.inf])).any(axis=1)
+    if lookup is not None:
+        return _find_other_numbers(path, extents, lookup), ()
+    refused = _find_outside(path, recordings, extents, options)
     sizes = Counter(r.size for r in recordings if r.size)
-    if 2 * outside.sum() >= len(recordings):
-        size = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)
-        of_what = " x ".join(str(n or "any") for n in (reading.rows, reading.columns))
-        raise UserError(
-            f"{path}: recordings of a sensor of {size[0]} x {size[1]} taxels, larger than the "
-            f"{of_what} of skin.rows and skin.columns; give recordings of a sensor of that size"
-        )
-    refused = {
-        int(index): "has an event at y = {}, x = {}, outside {} rows and {} columns".format(
-            *(extents[index] - 1), *(n or "any" for n in (reading.rows, reading.columns))
-        )
-        for index in np.flatnonzero(outside)
-    }
-    _require_equal_sizes(path, recordings, extents, parts)
+    remarks = _compare_subsets(path, recordings, extents, subsets, options)
     if len(sizes) > 1:
         usual = sizes.most_common(1)[0][0]
         for index, recording in enumerate(recordings):
             if recording.size and recording.size != usual:
                 own, most = ("x".join(map(str, size)) for size in (recording.size, usual))
                 refused.setdefault(index, f"is of a sensor of {own}, most others are of {most}")
-    return refused
+    return refused, remarks
 
 
-def _require_equal_sizes(path, recordings, extents, parts):
-    """Refuse a published split whose parts are of different sensors."""
-    sizes = {}
-    for part in sorted(set(parts)):
-        chosen = np.array([p == part for p in parts])
-        stated = Counter(r.size for r, is_chosen in zip(recordings, chosen, strict=True) if r.size)
-        sizes[part] = np.array(stated.most_common(1)[0][0] if stated else extents[chosen].max(0))
-    smallest, largest = (how(list(sizes.values()), axis=0) for how in (np.min, np.max))
-    if ((largest >= SMALLEST_SENSOR) & (largest > 1.25 * smallest)).any():
-        texts = {part: f"{size[0]} x {size[1]} taxels" for part, size in sizes.items()}
-        _refuse_parts(path, "sensors", texts)
+def _find_other_numbers(path, extents, lookup):
+    """Recordings that have taxels that the look-up table does not have."""
+    if extents[:, 0].max() > 1:
+        raise UserError(
+            f"{path}: LUT.mat is for sensors whose taxels are numbered by x, in one row; these "
+            f"recordings have {extents[:, 0].max()} rows: remove LUT.mat"
+        )
+    return {
+        int(index): f"has taxel {extents[index, 1] - 1}, LUT.mat has those from 0 to "
+        f"{len(lookup) - 1}"
+        for index in np.flatnonzero(extents[:, 1] > len(lookup))
+    }
 
 
-def _refuse_parts(path, what, values):
-    listed = ", ".join(f"{part} has {value}" for part, value in sorted(values.items())[::-1])
+def _find_outside(path, recordings, extents, options):
+    """Recordings with events outside the rows and columns that the user states."""
+    limits = np.array([options.rows or np.inf, options.columns or np.inf])
+    outside = (extents > limits).any(axis=1)
+    stated = [str(n or "any") for n in (options.rows, options.columns)]
+    if 2 * outside.sum() >= len(recordings):
+        sizes = Counter(r.size for r in recordings if r.size)
+        size = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)
+        raise UserError(
+            f"{path}: recordings of a sensor of {size[0]} x {size[1]} taxels, larger than the "
+            f"{' x '.join(stated)} of skin.rows and skin.columns; give recordings of a sensor of "
+            "that size"
+        )
+    return {
+        int(index): "has an event at y = {}, x = {}, outside {} rows and {} columns".format(
+            *(extents[index] - 1), *stated
+        )
+        for index in np.flatnonzero(outside)
+    }
+
+
+def _compare_subsets(path, recordings, extents, subsets, options):
+    """Compare the sensors of train and test; remarks if the events of one reach less far.
+
+    The size of the sensor is that of all recordings together, or the one that the user states: a
+    small test set may have no events at the edge.  Files that state different sizes, and extents of
+    which one is a multiple of the other in both directions, are of different sensors.
+    """
+    sizes, reached = {}, {}
+    for subset in sorted(set(subsets)):
+        chosen = np.array([each == subset for each in subsets])
+        stated = Counter(r.size for r, is_in in zip(recordings, chosen, strict=True) if is_in)
+        stated.pop(None, None)
+        reached[subset] = extents[chosen].max(axis=0)
+        sizes[subset] = stated.most_common(1)[0][0] if stated else None
+    texts = {subset: f"{size[0]} x {size[1]} taxels" for subset, size in reached.items()}
+    if None not in sizes.values() and len(set(sizes.values())) > 1:
+        texts = {subset: f"{size[0]} x {size[1]} taxels" for subset, size in sizes.items()}
+        _refuse_subsets(path, texts)
+    smallest, largest = (how(list(reached.values()), axis=0) for how in (np.min, np.max))
+    counted = largest > 1  # a sensor in one row has one extent
+    is_multiple = (largest > MAX_SIZE_FACTOR * smallest)[counted].all() and counted.any()
+    is_large = (smallest >= MIN_SENSOR_SIDE)[counted].all()
+    if is_multiple and is_large and not (options.rows or options.columns):
+        _refuse_subsets(path, texts, f", or give the size if it is one sensor: {GIVE_SIZE}")
+    if (largest > 1.25 * smallest).any():
+        listed = ", ".join(f"those of {subset} in {text}" for subset, text in texts.items())
+        size = f"{options.rows or largest[0]} x {options.columns or largest[1]} taxels"
+        return (f"the events lie in different places: {listed}; the sensor is read as {size}",)
+    return ()
+
+
+def _refuse_subsets(path, values, remedy=""):
+    listed = ", ".join(f"{subset} has {value}" for subset, value in sorted(values.items())[::-1])
     raise UserError(
-        f"{path}: its parts are of different {what}: {listed}; give parts of one sensor in one unit"
+        f"{path}: train and test are of different sensors: {listed}; give recordings of one "
+        f"sensor{remedy}"
     )
 
 
-def _require_equal_polarities(path, settled, parts):
-    polarities = {}
-    for index, events in zip(settled.kept, settled.events, strict=True):
-        if parts[index]:
-            polarities.setdefault(parts[index], set()).update(np.unique(events.polarity).tolist())
-    if len({tuple(sorted(values)) for values in polarities.values()}) > 1:
-        text = {
-            part: " and ".join(name for sign, name in ((1, "ON"), (-1, "OFF")) if sign in values)
-            for part, values in polarities.items()
-        }
-        _refuse_parts(path, "polarities", {p: f"{names} events" for p, names in text.items()})
-
-
-def _size_of(path, recordings, side, reading):
+def _find_size(path, recordings, side, options):
     """Rows and columns of files of events."""
-    places = [(r.y, r.x) for r in recordings]
-    size = [
-        requested
-        or max(
-            [1, *(int(p[axis].max()) + 1 for p in places)]
-            + [-(-r.size[axis] // side) for r in recordings if r.size]
-        )
-        for axis, requested in ((0, reading.rows), (1, reading.columns))
-    ]
+    size = []
+    for axis, stated in ((0, options.rows), (1, options.columns)):
+        found = 1
+        for recording in recordings:
+            places = (recording.y, recording.x)[axis]
+            found = max(found, int(places.max()) + 1)
+            if recording.size:
+                found = max(found, -(-recording.size[axis] // side))
+        size.append(stated or found)
     if max(size) > MAX_SIDE:
         needed = -(-max(size) // MAX_SIDE) * side
         raise UserError(
@@ -334,132 +477,3 @@ def _size_of(path, recordings, side, reading):
             f"combine squares of pixels: --set data.downsample={needed}"
         )
     return size
-
-
-# Times.
-
-
-def _span(time) -> float:
-    """The time from the first event to the last."""
-    return float(time[-1] - time[0])
-
-
-def recognised(times) -> str:
-    """The unit of recordings, inferred from their duration.
-
-    Times with fractions are seconds if they are as short as recordings are.  Whole numbers are
-    taken for the longest unit in which the recordings last at most a minute.
-
-    Parameters
-    ----------
-    times : sequence of ndarray
-        Times of each recording, in order.
-
-    Returns
-    -------
-    str
-        One of :data:`pipeline.recordings.formats.recording.UNITS`, or empty if none fits.
-    """
-    spans = np.array([_span(time) for time in times])
-    spans = spans[spans > 0]
-    if not len(spans):
-        return "s" if all(time[-1] <= MAX_DURATION_S for time in times) else ""
-    typical = float(np.median(spans))
-    whole = all(time.dtype.kind == "i" for time in times)
-    for unit, seconds in UNITS.items():
-        if unit == "s" and whole:
-            continue  # no sensor has times in whole seconds
-        if SHORTEST_S <= typical * seconds <= MAX_DURATION_S:
-            return unit
-    return "s" if not whole and typical <= MAX_DURATION_S else ""
-
-
-def _of_other_units(times) -> list:
-    """Indices of recordings whose times cannot be in the unit of the others.
-
-    Recordings with a single event have no duration, and fit any unit.
-    """
-    spans = np.array([_span(time) for time in times])
-    some = np.flatnonzero(spans > 0)
-    if len(some) < 2:
-        return []
-    ratio = spans[some] / np.median(spans[some])
-    return some[(ratio > MIXED) | (ratio < 1 / MIXED)].tolist()
-
-
-def _is_a_clock(times, unit: str) -> bool:
-    """True if the times of recordings are a running clock's, not relative to their start.
-
-    A camera's clock starts when it is switched on, or in 1970.  One recording that starts later
-    than the longest one lasts, or that ends later than any can last, shows that the recordings
-    were cut from a longer one, also those from its first minute.
-    """
-    first, last = (max((float(time[i]) for time in times), default=0) for i in (0, -1))
-    longest = max(map(_span, times), default=0)
-    return last * UNITS[unit] > MAX_DURATION_S or first > longest > 0
-
-
-def to_ns(time: np.ndarray, unit: str, from_first: bool = False) -> np.ndarray:
-    """Times in nanoseconds.
-
-    Parameters
-    ----------
-    time : ndarray
-        In order.
-    unit : str
-    from_first : bool
-        True for times relative to the first event.
-    """
-    if from_first:
-        time = time - time[0]
-    if time.dtype.kind == "i":
-        return time * round(UNITS[unit] * 1e9)
-    return np.rint(time * UNITS[unit] * 1e9).astype(np.int64)
-
-
-# Positions.
-
-
-def read_positions(content: bytes) -> dict:
-    """Read ``taxels.csv``: a line ``taxel,x,y`` for each taxel, below a line with these names.
-
-    Returns
-    -------
-    dict of int to (float, float)
-        Position of each taxel: x to the right, y downwards, in any unit.
-
-    Raises
-    ------
-    BadRecording
-        It has other columns or values, or a taxel twice.
-    """
-    try:
-        rows = list(csv.DictReader(io.StringIO(content.decode("utf-8-sig")), skipinitialspace=True))
-        taxels = [int(row["taxel"]) for row in rows]
-        places = [(float(row["x"]), float(row["y"])) for row in rows]
-    except (ValueError, KeyError, TypeError, csv.Error) as error:
-        raise BadRecording("is not a table with the columns taxel, x and y in numbers") from error
-    doubled = [taxel for taxel, count in Counter(taxels).items() if count > 1]
-    if doubled:
-        raise BadRecording(f"has taxel {doubled[0]} twice; keep one line of it")
-    if not rows or not np.isfinite(places).all():
-        raise BadRecording("has no taxels, or a position that is not finite")
-    return dict(zip(taxels, places, strict=True))
-
-
-def _with_positions(path, settled, positions):
-    """The taxels with their positions, of a sensor in one row whose taxels are numbered by x."""
-    if settled.rows != 1:
-        raise UserError(
-            f"{path}: taxels.csv is for sensors whose taxels are numbered by x, in one row; these "
-            f"recordings have {settled.rows} rows: remove taxels.csv"
-        )
-    if wrong := sorted(positions.keys() ^ set(range(settled.columns))):
-        raise UserError(
-            f"{path}: taxels.csv needs a line for each taxel from 0 to {settled.columns - 1} (or "
-            f"give --set skin.columns=...), and taxel {wrong[0]} is missing or not one of them"
-        )
-    return replace(
-        settled.taxels,
-        positions=np.array([positions[taxel] for taxel in range(settled.columns)], float),
-    )

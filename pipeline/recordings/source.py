@@ -3,8 +3,10 @@
 ::
 
     LUT.mat, taxels.csv           places or positions of the taxels, optional
-    train/, test/                 the parts of a published split, optional
+    train/, test/                 the subsets of a published split, optional
         <class>/<recording>       all with one suffix
+
+or the class is in the name of each file, ``<name>_label_<class>.npy``, without folders of classes.
 
 There may be any number of folders around everything, as ``data_submission`` in ST-MNIST's archive.
 Hidden files, ``README*``, ``LICENSE*``, ``*.txt`` and ``*.md`` are ignored; anything else is
@@ -28,6 +30,7 @@ from joblib import delayed
 
 from deploy.errors import SeveralErrors, UserError
 from deploy.files import open_regular, sha256_of
+from deploy.tables import listed
 from deploy.terminal import WARNING, printable
 from pipeline.jobs import results_of
 from pipeline.progress import ignore_progress
@@ -36,26 +39,30 @@ from pipeline.recordings.events import Recordings, Source, collect
 from pipeline.recordings.formats import READERS, read_file
 from pipeline.recordings.formats.mat import read_lookup_table
 from pipeline.recordings.formats.recording import MAX_FILE_BYTES, BadRecording, read_limited
+from pipeline.recordings.taxels import read_positions
 
 LOOKUP_TABLE, POSITIONS = "lut.mat", "taxels.csv"
 IGNORED = ("readme*", "license*", "*.txt", "*.md")
-# Part of a published split, by the name of a folder in lower case.
-PARTS = {"train": "train", "training": "train", "test": "test", "testing": "test"}
+# Subset of a published split, by the name of a folder in lower case.
+SUBSETS = {"train": "train", "training": "train", "test": "test", "testing": "test"}
+
+# What stands before the class in the name of a file.
+LABEL_MARK = "_label_"
 
 VALIDATION = ("validation", "valid", "val", "dev")
 
 # Events of a source. The published recordings have 20 million columns, and a quarter as many
 # events; a million events take up to 75 MB and a tenth of a second.
-MOST_EVENTS = 22_000_000
+MAX_SOURCE_EVENTS = 22_000_000
 
 # Recordings of a source.
-MOST_FILES = 100_000
+MAX_FILES = 100_000
 
 # Number of files that a worker reads at a time: a compromise of overhead and progress bar.
 CHUNK = 32
 
 # Number of reasons, and of files that were left out, that are listed individually.
-LISTED = 10
+MAX_LISTED = 10
 
 # Errors that reading a member of a damaged zip raises.
 READ_ERRORS = (
@@ -84,8 +91,10 @@ class Entry:
 
     @property
     def id(self) -> str:
-        """The recording's id: part, class and name without suffix."""
-        return str(PurePosixPath(self.part, self.of_class, PurePosixPath(self.member).stem))
+        """The recording's id: subset, class and name without suffix and label."""
+        stem = PurePosixPath(self.member).stem
+        name = stem.rpartition(LABEL_MARK)[0] or stem
+        return str(PurePosixPath(self.part, self.of_class, name))
 
 
 @dataclass(frozen=True)
@@ -132,6 +141,27 @@ def list_source(path) -> Listing:
     """
     path = Path(path)
     files, folders, refused = _members(path)
+    members, tables = _sort_files(path, files)
+    recordings, others = _choose_kind(path, members)
+    refused += others
+    layout = _find_layout(path, recordings)
+    entries = []
+    for member in recordings:
+        subset, of_class, problem = _place(member, layout)
+        if problem:
+            refused.append((str(member), problem))
+        else:
+            entries.append(Entry(str(member), subset, of_class))
+    if not entries:
+        raise UserError(f"{path}: {_shorten(refused[-1][0])} {refused[-1][1]}")
+    refused += _find_empty_classes(entries, folders)
+    entries.sort(key=lambda e: (e.part != "train", sensor.class_order(e.of_class), e.member))
+    lookup_table, positions = tables
+    return Listing(path, tuple(entries), lookup_table, positions, tuple(sorted(refused)))
+
+
+def _sort_files(path, files):
+    """Paths of the files that are not ignored, and those of ``LUT.mat`` and ``taxels.csv``."""
     tables, members = {LOOKUP_TABLE: [], POSITIONS: []}, []
     for name in files:
         member = PurePosixPath(name)
@@ -139,11 +169,22 @@ def list_source(path) -> Listing:
             tables.get(member.name.lower(), members).append(member)
     for name, several in tables.items():
         if len(several) > 1:
-            listed = " and ".join(_short(member) for member in several[:2])
+            listed = " and ".join(_shorten(member) for member in several[:2])
             raise UserError(f"{path}: has several files {name}: {listed}; keep one")
+    return members, [str(found[0]) if found else None for found in tables.values()]
+
+
+def _choose_kind(path, members):
+    """The recordings, which have one suffix, and the files that are none, with the reason."""
     kinds = {member.suffix.lower(): member for member in reversed(members)}
     kinds = {suffix: kinds[suffix] for suffix in READERS if suffix in kinds}
     if not kinds:
+        archives = [_shorten(m) for m in members if m.suffix.lower() == ".zip"]
+        if archives:
+            raise UserError(
+                f"{path}: holds no recordings, but archives; give one of them: "
+                f"--data {path / archives[0]}"
+            )
         raise UserError(
             f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
             "other files of events, <digit>/*.mat in the ST-MNIST archive"
@@ -151,43 +192,91 @@ def list_source(path) -> Listing:
     if len(kinds) > 1:
         raise UserError(
             f"{path}: holds both {' and '.join(kinds)} files, such as "
-            f"{' and '.join(map(_short, kinds.values()))}; keep one kind of recording"
+            f"{' and '.join(map(_shorten, kinds.values()))}; keep one kind of recording"
         )
     (suffix,) = kinds
     recordings = [member for member in members if member.suffix.lower() == suffix]
-    refused += [
+    if len(recordings) > MAX_FILES:
+        raise UserError(
+            f"{path}: holds {len(recordings):,} recordings, more than {MAX_FILES:,}; give a part "
+            "of it"
+        )
+    others = [
         (str(member), f"is not a recording (the others are {suffix} files); move it away")
         for member in members
         if member.suffix.lower() != suffix
     ]
-    if len(recordings) > MOST_FILES:
-        raise UserError(
-            f"{path}: holds {len(recordings):,} recordings, more than {MOST_FILES:,}; give a part "
-            "of it"
-        )
-    around = _folders_around(recordings)
+    return recordings, others
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the classes of a source are.
+
+    Attributes
+    ----------
+    around : PurePosixPath
+        The folder that contains train and test, or the folders of the classes.
+    is_published : bool
+        True if it contains train and test.
+    has_numbers : bool
+        True if most labels in names of files are whole numbers.
+    """
+
+    around: PurePosixPath
+    is_published: bool
+    has_numbers: bool
+
+
+def _find_layout(path, recordings):
+    _require_one_data_set(path, recordings)
+    around = _find_folders_around(recordings)
     inside = [m.relative_to(around) for m in recordings if m.is_relative_to(around)]
     tops = {m.parts[0] for m in inside if len(m.parts) > 1}
-    in_parts = {PARTS.get(m.parts[0].lower()) for m in inside if len(m.parts) > 2} - {None}
-    is_published = len(in_parts) == 2
+    is_published = _are_subsets(inside)
     if is_published and (extra := [top for top in tops if top.lower() in VALIDATION]):
         raise UserError(
             f"{path}: has a folder {extra[0]!r} beside train and test; move its recordings to "
             "train, from which validation samples are drawn, or move it away"
         )
-    entries = []
+    labels = [label for label in map(_label_in_name, recordings) if label is not None]
+    number = sum(label.isdecimal() for label in labels)
+    return _Layout(around, is_published, 2 * number > len(labels))
+
+
+def _label_in_name(member):
+    """The class in a file's name, ``..._label_<class>``; None if there is none."""
+    _, mark, label = member.stem.rpartition(LABEL_MARK)
+    return label if mark else None
+
+
+def _are_subsets(members):
+    """True if train and test are the top folders, and the classes are below or in the names."""
+    tops = {
+        SUBSETS.get(member.parts[0].lower())
+        for member in members
+        if len(member.parts) > (2 if _label_in_name(member) is None else 1)
+    }
+    return len(tops - {None}) == 2
+
+
+def _require_one_data_set(path, recordings):
+    """Refuse a folder with several data sets, each with train and test."""
+    subsets = {}
     for member in recordings:
-        part, problem = _part_of(member, around, is_published)
-        if problem:
-            refused.append((str(member), problem))
-        else:
-            entries.append(Entry(str(member), part, member.parts[-2]))
-    if not entries:
-        raise UserError(f"{path}: {_short(refused[-1][0])} {refused[-1][1]}")
-    refused += _empty_classes(entries, folders)
-    entries.sort(key=lambda e: (e.part != "train", sensor.class_order(e.of_class), e.member))
-    lookup_table, positions = (str(names[0]) if names else None for names in tables.values())
-    return Listing(path, tuple(entries), lookup_table, positions, tuple(sorted(refused)))
+        folders = member.parts[:-1]
+        depth = next((i for i, name in enumerate(folders) if name.lower() in SUBSETS), None)
+        if depth is not None:
+            found = subsets.setdefault(PurePosixPath(*folders[:depth]), set())
+            found.add(SUBSETS[folders[depth].lower()])
+    roots = sorted(map(str, subsets))
+    if len(roots) > 1 and any(len(found) == 2 for found in subsets.values()):
+        is_folder = path.is_dir()
+        remedy = f"give one of them: --data {path / roots[0]}" if is_folder else "give one of them"
+        raise UserError(
+            f"{path}: has several data sets with train or test: {listed(map(_shorten, roots))}; "
+            f"{remedy}"
+        )
 
 
 def _members(path):
@@ -241,18 +330,16 @@ def _is_ignored(member):
     return any(fnmatch(member.name.lower(), pattern) for pattern in IGNORED)
 
 
-def _folders_around(recordings) -> PurePosixPath:
+def _find_folders_around(recordings) -> PurePosixPath:
     """The folders around most recordings, inside of which are the folders of the classes."""
+    parents = {member.parent for member in recordings}
+    if len(parents) == 1 and None not in map(_label_in_name, recordings):
+        return parents.pop()
     around = PurePosixPath()
     while True:
-        depth = len(around.parts)
-        tops = Counter(
-            m.parts[depth]
-            for m in recordings
-            if len(m.parts) > depth + 2 and m.is_relative_to(around)
-        )
-        is_published = len({PARTS.get(top.lower()) for top in tops} - {None}) == 2
-        if is_published or not tops:
+        inside = [m.relative_to(around) for m in recordings if m.is_relative_to(around)]
+        tops = Counter(member.parts[0] for member in inside if len(member.parts) > 2)
+        if _are_subsets(inside) or not tops:
             return around
         top, number = tops.most_common(1)[0]
         if 2 * number <= len(recordings):
@@ -260,26 +347,52 @@ def _folders_around(recordings) -> PurePosixPath:
         around /= top
 
 
-def _part_of(member, around, is_published):
-    """The part of a recording, or the reason why it is in a wrong folder."""
-    if not member.is_relative_to(around):
-        return "", f"is not in {around}, as the others are; move it"
-    folders = member.relative_to(around).parts[:-1]
-    if is_published:
-        part = PARTS.get(folders[0].lower() if folders else "")
-        if part is None:
-            return "", "is neither in train nor in test, as the others are; move it away"
+def _place(member, layout):
+    """Subset and class of a recording, and empty; or the reason why it has none."""
+    if not member.is_relative_to(layout.around):
+        return "", "", f"is not in {layout.around}, as the others are; move it"
+    folders = member.relative_to(layout.around).parts[:-1]
+    subset = ""
+    if layout.is_published:
+        subset = SUBSETS.get(folders[0].lower() if folders else "")
+        if subset is None:
+            return "", "", "is neither in train nor in test, as the others are; move it away"
         folders = folders[1:]
-    if not folders:
-        return "", "is not in a folder of a class; give the folder above, or make a folder for it"
     if len(folders) > 1:
-        return "", "is in a folder inside that of a class; move it"
-    return (part if is_published else ""), None
+        return "", "", "is in a folder inside that of a class; move it"
+    label = _label_in_name(member)
+    if label is not None and (problem := _examine_label(label, folders, layout)):
+        return "", "", problem
+    if not folders and label is None:
+        return (
+            "",
+            "",
+            ("is not in a folder of a class; give the folder above, or make a folder for it"),
+        )
+    return subset, (folders[0] if folders else label), ""
 
 
-def _empty_classes(entries, folders):
+def _examine_label(label, folders, layout):
+    """The reason to refuse a label in a file's name; empty if it is a class."""
+    if not label.strip() or (layout.has_numbers and not label.isdecimal()):
+        return f"has the label {label!r} in its name, which is no class; correct the name"
+    if not folders or label == folders[0]:
+        return ""
+    if label.isdecimal() and folders[0].isdecimal() and int(label) == int(folders[0]):
+        return ""
+    return (
+        f"is in the folder of class {folders[0]!r}, and has the label {label!r} in its name; move "
+        "it or correct the name"
+    )
+
+
+def _find_empty_classes(entries, folders):
     """Folders beside those of the classes that have no recording."""
-    classes = {PurePosixPath(entry.member).parent for entry in entries}
+    classes = {
+        folder
+        for folder in (PurePosixPath(entry.member).parent for entry in entries)
+        if folder.name.lower() not in SUBSETS and folder.name
+    }
     beside = {folder.parent for folder in classes}
     return [
         (str(folder), "is a class without a recording; remove the folder")
@@ -302,7 +415,7 @@ def read_source(
         True to continue without refused files; they are in ``source.left_out``.
     progress : callable, optional
         ``progress(label, total)``, a context manager that yields ``advance(n)``.
-    reading : pipeline.recordings.sensor.Reading
+    reading : pipeline.recordings.sensor.ReadingOptions
         Properties that the user has specified.
 
     Returns
@@ -337,18 +450,18 @@ def read_source(
     if not read:
         raise SeveralErrors(_refusals(path, refused, listing.total, False))
     parts = [entry.part for entry in entries]
-    settled = sensor.settle(path, read, parts, lookup, positions, reading)
-    refused += [(entries[index].member, why) for index, why in settled.refused.items()]
+    found = sensor.interpret(path, read, parts, lookup, positions, reading)
+    refused += [(entries[index].member, why) for index, why in found.refused.items()]
     if refused and not skip_bad:
         raise SeveralErrors(_refusals(path, refused, listing.total))
-    entries, read = ([values[index] for index in settled.kept] for values in (entries, read))
+    entries, read = ([values[index] for index in found.kept] for values in (entries, read))
     classes = {entry.of_class for entry in entries}
     if lost := sorted({entry.of_class for entry in listing.entries} - classes):
         head = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or remove them"
         raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
-    the_sensor, ids = settled.sensor(classes), [entry.id for entry in entries]
+    the_sensor, ids = found.make_sensor(classes), [entry.id for entry in entries]
     return collect(
-        samples=settled.events,
+        samples=found.events,
         labels=[the_sensor.classes.index(entry.of_class) for entry in entries],
         ids=ids if len(set(ids)) == len(ids) else [entry.member for entry in entries],
         writers=[recording.writer for recording in read],
@@ -356,11 +469,14 @@ def read_source(
             name=listing.path.name,
             sha256=content_hash(listing),
             simulated=any(recording.simulated for recording in read),
-            written=all(getattr(recording, "written", None) for recording in read),
-            left_out=tuple(f"{_short(name)}: {reason}" for name, reason in refused),
-            time_unit=settled.time_unit,
+            written=all(recording.written for recording in read),
+            left_out=tuple(f"{_shorten(name)}: {reason}" for name, reason in refused),
+            time_unit=found.time_unit,
+            bin_ms=found.bin_ms,
+            rise=found.rise,
+            remarks=found.remarks,
         ),
-        taxels=settled.taxels,
+        taxels=found.taxels,
         sensor=the_sensor,
         parts=[entry.part for entry in entries],
     )
@@ -371,7 +487,7 @@ def _tables_of(listing):
     tables = []
     for name, read in (
         (listing.lookup_table, read_lookup_table),
-        (listing.positions, sensor.read_positions),
+        (listing.positions, read_positions),
     ):
         try:
             tables.append(None if name is None else read(_reader(listing.path).read(name)))
@@ -380,8 +496,8 @@ def _tables_of(listing):
     return tables
 
 
-def left_out_lines(path, recordings: Recordings) -> list:
-    """Messages about the files that were left out of a source, a line each.
+def reading_lines(path, recordings: Recordings) -> list:
+    """Messages about how a source was read and which files were left out, a line each.
 
     Parameters
     ----------
@@ -391,9 +507,10 @@ def left_out_lines(path, recordings: Recordings) -> list:
         From :func:`read_source`.
     """
     left_out = recordings.source.left_out
-    lines = [f"{WARNING}{path}: left out {line}" for line in left_out[:LISTED]]
-    if len(left_out) > LISTED:
-        lines.append(f"{WARNING}{path}: left out {len(left_out) - LISTED} more")
+    lines = [f"{path}: {remark}" for remark in recordings.source.remarks]
+    lines += [f"{WARNING}{path}: left out {line}" for line in left_out[:MAX_LISTED]]
+    if len(left_out) > MAX_LISTED:
+        lines.append(f"{WARNING}{path}: left out {len(left_out) - MAX_LISTED} more")
     return lines
 
 
@@ -406,14 +523,14 @@ def _refusals(path, refused, total, can_skip=True):
     for name, reason in sorted(refused):
         kinds.setdefault(re.sub(r"'[^']*'|-?[\d.]+", "*", reason), []).append((name, reason))
     lines = []
-    for files in list(kinds.values())[:LISTED]:
-        (name, reason), others = files[0], [_short(other) for other, _ in files[1:3]]
+    for files in list(kinds.values())[:MAX_LISTED]:
+        (name, reason), others = files[0], [_shorten(other) for other, _ in files[1:3]]
         if len(files) > 3:
             others.append(f"{len(files) - 3} more")
         also = f" (also {', '.join(others)})" if others else ""
-        lines.append(f"{len(files)} of {total} files refused: {_short(name)}{also} {reason}")
-    if len(kinds) > LISTED:
-        lines.append(f"and files refused for {len(kinds) - LISTED} more reasons")
+        lines.append(f"{len(files)} of {total} files refused: {_shorten(name)}{also} {reason}")
+    if len(kinds) > MAX_LISTED:
+        lines.append(f"and files refused for {len(kinds) - MAX_LISTED} more reasons")
     remedy = "correct them" + can_skip * (
         ", or leave them out: --set data.skip_bad=true (of 'adapt' and 'check run' --skip-bad)"
     )
@@ -423,7 +540,7 @@ def _refusals(path, refused, total, can_skip=True):
     return [f"{path}: {line}" for line in (head, *lines)]
 
 
-def _short(name, longest=120):
+def _shorten(name, longest=120):
     name = printable(str(name))
     return name if len(name) <= longest else f"...{name[3 - longest :]}"
 
@@ -450,10 +567,10 @@ def _size_of(recording):
 
 
 def _require_few(path, n_events):
-    if n_events > MOST_EVENTS:
+    if n_events > MAX_SOURCE_EVENTS:
         raise UserError(
-            f"{path}: holds more than {MOST_EVENTS:,} events in all; give a part of it, such as "
-            "fewer recordings of each class"
+            f"{path}: holds more than {MAX_SOURCE_EVENTS:,} events in all; give a part of it, such "
+            "as fewer recordings of each class"
         )
 
 

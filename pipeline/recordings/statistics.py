@@ -1,6 +1,7 @@
 """What recordings are: their numbers, sizes and durations, and the paper's Table 1 for them."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from deploy.files import open_regular, reporting_os_errors
 from deploy.tables import in_blocks, listed, shortened_apart
 from deploy.terminal import printable
 from pipeline.recordings.events import (
+    N_TAXELS,
     TICK_NS,
     UNIT_NAMES,
     Recordings,
@@ -23,10 +25,10 @@ from pipeline.recordings.formats.recording import (
     MAX_DURATION_S,
     UNITS,
     BadRecording,
-    EventRecording,
     read_limited,
 )
-from pipeline.recordings.sensor import recognised, to_ns
+from pipeline.recordings.sensor import AS_FOUND, ReadingOptions, choose_rise, make_events
+from pipeline.recordings.times import infer_unit, to_ns
 
 
 def facts_with_events(recordings: Recordings) -> dict:
@@ -61,14 +63,14 @@ def _counted(facts, polarities=""):
     return f"{facts['events']} physical events{polarities} in {facts['columns']} columns"
 
 
-def facts_of_file(path: Path, time_unit: str = "") -> dict:
+def facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
     """Counts and times of one recording: columns of the file, and physical events.
 
     Parameters
     ----------
     path : Path
-    time_unit : str
-        Unit of times in a file of events; empty to infer it from the times.
+    options : ReadingOptions
+        Properties that the user states, such as the unit of times.
 
     Raises
     ------
@@ -83,31 +85,53 @@ def facts_of_file(path: Path, time_unit: str = "") -> dict:
             f"{path}: {error}; expected a recording as ST-MNIST has them, or a file of events "
             "x, y, t, p"
         ) from error
-    facts = {"simulated": recording.simulated, "columns": len(recording), "events": len(recording)}
-    if isinstance(recording, EventRecording):
-        unit = time_unit or recording.unit or recognised([recording.time])
-        if not unit:
-            raise UserError(f"{path}: no unit fits its times; give --set data.time_unit=...")
-        time_ns = to_ns(recording.time, unit, recording.time[-1] * UNITS[unit] > MAX_DURATION_S)
-        first, last = time_ns[[0, -1]]
-        taxels, polarity = recording.x << 16 | recording.y, recording.polarity
-        rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
-        facts |= {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
+    about = {"simulated": recording.simulated}
+    if recording.layout == "events":
+        events, facts = _read_places(path, recording, options)
+    elif recording.layout == "bins":
+        events, facts = _read_bins(path, recording, options)
     else:
-        events = recording.events
-        first, last = events.time_ns[0], events.time_ns[-1] + TICK_NS * (events.columns[-1] - 1)
-        taxels, polarity = events.taxel, events.polarity
-        facts["columns"] = int(events.columns.sum(dtype=np.int64))
-        if recording.written:
-            facts |= {"source": "written", "writer": recording.writer}
+        events, facts = recording.to_events(1, recording.time), {}
+    if recording.written:
+        facts |= {"source": "written", "writer": recording.writer}
+    columns = int(events.columns.sum(dtype=np.int64))
+    last_ns = events.time_ns[-1] + TICK_NS * (int(events.columns[-1]) - 1)
     return {
+        **about,
+        "columns": columns,
+        "events": len(recording),
         **facts,
-        "on": int((polarity == 1).sum()),
-        "off": int((polarity == -1).sum()),
-        "t_first_s": float(first * 1e-9),
-        "t_last_s": float(last * 1e-9),
-        "taxels": len(np.unique(taxels)),
+        "on": int((events.polarity == 1).sum()),
+        "off": int((events.polarity == -1).sum()),
+        "t_first_s": float(events.time_ns[0] * 1e-9),
+        "t_last_s": float(last_ns * 1e-9),
+        "taxels": len(np.unique(recording.x << 16 | recording.y)),
     }
+
+
+def _read_places(path, recording, options):
+    """The events of a file with places, and facts about its sensor and times."""
+    unit = options.time_unit or recording.unit or infer_unit([recording.time])
+    if not unit:
+        raise UserError(f"{path}: no unit fits its times; give --set data.time_unit=...")
+    is_clock = recording.time[-1] * UNITS[unit] > MAX_DURATION_S
+    rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
+    facts = {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
+    # Only their number matters here: the places of a camera may exceed what events can have.
+    numbered = replace(recording, x=np.zeros_like(recording.x), y=np.zeros_like(recording.y))
+    return numbered.to_events(1, to_ns(recording.time, unit, is_clock)), facts
+
+
+def _read_bins(path, recording, options):
+    """The events of an array of counts, and facts about its shape."""
+    channels, n_bins = recording.bins
+    rise = choose_rise(path, channels, recording.n_taxels == N_TAXELS, options)
+    facts = {
+        "shape": [recording.n_taxels, channels, n_bins],
+        "bin_ms": options.bin_ms,
+        "rise": rise,
+    }
+    return make_events(recording, rise, options.bin_ms), facts
 
 
 def file_text(name: str, facts: dict) -> str:
@@ -122,6 +146,14 @@ def file_text(name: str, facts: dict) -> str:
     text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
     if "time_unit" in facts:
         text += f", times read as {UNIT_NAMES[facts['time_unit']]}"
+    if "bin_ms" in facts:
+        taxels, channels, n_bins = facts["shape"]
+        text += (
+            f", read from {taxels} taxels x {channels} channels x {n_bins} bins of "
+            f"{facts['bin_ms']:g} ms (data.bin)"
+        )
+        if channels == 2:
+            text += f", channel {facts['rise']} as the rise of pressure (data.rise)"
     return text
 
 

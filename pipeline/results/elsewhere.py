@@ -23,7 +23,7 @@ from pipeline.recordings.dataset import (
 from pipeline.recordings.events import UNIT_NAMES, Recordings
 from pipeline.recordings.formats.recording import UNITS
 from pipeline.recordings.library import load_recordings
-from pipeline.recordings.sensor import Reading
+from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.splits import draw_check_samples
 from pipeline.recordings.steps import EventTable
 from pipeline.results.ladder import confusion_matrix
@@ -86,7 +86,15 @@ def recordings_for(
     # A person who writes faster than the others of the training has the same unit of time.
     usual = recorded.get("time_unit")
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
-    reading = Reading(rows, columns, data.time_unit, downsample, usual if usual in UNITS else "")
+    reading = ReadingOptions(
+        rows,
+        columns,
+        time_unit=data.time_unit,
+        downsample=downsample,
+        usual_unit=usual if usual in UNITS else "",
+        bin_ms=recorded.get("bin_ms", data.bin),
+        rise=recorded.get("rise", data.rise),
+    )
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )

@@ -21,6 +21,7 @@ from pipeline.recordings.formats.recording import (
     MAX_SIDE,
     MAX_TAXELS,
     BadRecording,
+    EventRecording,
     parse_writer,
 )
 
@@ -96,9 +97,22 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     )
 
 
-def read_mat(content: bytes, name: str = "") -> MatRecording:
-    """:func:`read_recording` for any number of taxels."""
-    return read_recording(content, n_taxels=None)
+def read_mat(content: bytes, name: str = "") -> EventRecording:
+    """:func:`read_recording` for any number of taxels, as an :class:`EventRecording`."""
+    recording = read_recording(content, n_taxels=None)
+    events = recording.events
+    return EventRecording(
+        x=events.taxel.astype(np.int64),
+        y=np.zeros(len(events), np.int64),
+        time=events.time_ns,
+        polarity=events.polarity,
+        unit="ns",
+        simulated=recording.simulated,
+        writer=recording.writer,
+        written=recording.written,
+        n_taxels=recording.n_taxels,
+        columns=events.columns,
+    )
 
 
 def _number(variable):

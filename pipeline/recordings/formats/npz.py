@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.recordings.formats.bins import make_binned_recording
 from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
     BadRecording,
@@ -61,16 +62,21 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
 
 
 def read_npy(content: bytes, name: str = "") -> EventRecording:
-    """Read one array of events, structured or with rows of four numbers.
+    """Read one array: events, structured or in rows of four numbers, or counts in bins.
+
+    An array of more than two dimensions has counts, see
+    :func:`pipeline.recordings.formats.bins.make_binned_recording`.
 
     Raises
     ------
     BadRecording
     """
-    return make_recording(read_array(content, "the array"))
+    array = read_array(content, "the array", max_dimensions=np.inf)
+    has_counts = array.ndim > 2 and array.dtype.names is None
+    return make_binned_recording(array) if has_counts else make_recording(array)
 
 
-def read_array(content: bytes, name: str) -> np.ndarray:
+def read_array(content: bytes, name: str, max_dimensions: float = 2) -> np.ndarray:
     """An array of numbers, after comparing its declared size with the number of bytes."""
     data = io.BytesIO(content)
     try:
@@ -81,7 +87,8 @@ def read_array(content: bytes, name: str) -> np.ndarray:
         }[version]
         shape, columns_first, dtype = read_header(data)
         kinds = {dtype[field].kind for field in dtype.names} if dtype.names else {dtype.kind}
-        if not kinds <= set("fiub") or dtype.itemsize > MAX_EVENT_BYTES or len(shape) > 2:
+        is_too_large = dtype.itemsize > MAX_EVENT_BYTES or len(shape) > max_dimensions
+        if not kinds <= set("fiub") or is_too_large:
             raise BadRecording(f"{name!r} is not a row of numbers")
         return np.frombuffer(data.read(), dtype).reshape(shape, order="FC"[not columns_first])
     except BadRecording:

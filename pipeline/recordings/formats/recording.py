@@ -62,15 +62,16 @@ def parse_writer(number) -> int:
 
 @dataclass(frozen=True)
 class EventRecording:
-    """The events of one file or array, in order of time.
+    """The events of one file or array, in order of time: what every format gives.
 
     Attributes
     ----------
     x, y : ndarray of int64, shape (n,)
-        Column and row, from 0.
+        Column and row, from 0.  If the file numbers its taxels, ``x`` is the number and ``y`` 0.
     time : ndarray of int64 or float64, shape (n,)
-        Not negative, in ``unit``.
+        Not negative, in ``unit`` or in bins.
     polarity : ndarray of int8, shape (n,)
+        1 where pressure rises (ON), -1 where it falls (OFF).
     unit : str
         One of :data:`UNITS`; empty if it is not known.
     size : (int, int) or None
@@ -79,6 +80,15 @@ class EventRecording:
         True if the file states that it is simulated.
     writer : int
         Number of the person who made the recording, from 0; -1 if the file does not have it.
+    written : bool
+        True if the file states that a person wrote it on the simulated sensor.
+    n_taxels : int
+        Number of taxels of a file that numbers them instead of having their places; else 0.
+    columns : ndarray of int, shape (n,), or None
+        Columns of the file that report each event (:mod:`pipeline.recordings.formats.mat`); None
+        if there is one entry for each event.
+    bins : (int, int) or None
+        Channels and bins of an array of counts (:mod:`pipeline.recordings.formats.bins`).
     """
 
     x: np.ndarray
@@ -89,21 +99,32 @@ class EventRecording:
     size: tuple | None = None
     simulated: bool = False
     writer: int = -1
+    written: bool = False
+    n_taxels: int = 0
+    columns: np.ndarray | None = None
+    bins: tuple | None = None
 
     def __len__(self):
         return len(self.polarity)
 
-    def events(self, rows: int, time_ns: np.ndarray) -> Events:
+    @property
+    def layout(self) -> str:
+        """``"events"`` with places, or ``"matrix"`` or ``"bins"`` with numbered taxels."""
+        if self.bins is not None:
+            return "bins"
+        return "matrix" if self.n_taxels else "events"
+
+    def to_events(self, rows: int, time_ns: np.ndarray) -> Events:
         """The events with taxels numbered as by :meth:`pipeline.recordings.events.TaxelMap.grid`.
 
         Parameters
         ----------
         rows : int
-            Number of rows of the sensor.
+            Number of rows of the sensor; 1 if taxels are numbered already.
         time_ns : ndarray of int64, shape (n,)
         """
-        taxel = self.y + rows * self.x
-        return Events(time_ns, taxel, self.polarity, np.ones(len(taxel)))
+        columns = np.ones(len(self)) if self.columns is None else self.columns
+        return Events(time_ns, self.y + rows * self.x, self.polarity, columns)
 
 
 def make_recording(events) -> EventRecording:
@@ -190,8 +211,8 @@ def _split_columns(events):
     if rows.ndim == 2 and rows.shape[1] == 4:
         return dict(zip(ARRAYS, rows.T, strict=True)), ""
     raise BadRecording(
-        f"is an array of shape {rows.shape}, not four arrays x, y, t, p, a structured array or "
-        "rows of four numbers"
+        f"is an array of shape {rows.shape}, not four arrays x, y, t, p, a structured array, "
+        "rows of four numbers, or counts (taxels, channels, bins)"
     )
 
 

@@ -104,6 +104,11 @@ class Data(Section):
     #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
     #: duration of the recordings.
     time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
+    #: Arrays of counts (.npy of three dimensions): width of a bin in milliseconds.
+    bin: Annotated[float, between(0.001, 60_000, " milliseconds")] = 20.0
+    #: Arrays of counts: channel of rising pressure, 0 or 1; -1: 1 on ST-MNIST's grid of a hundred
+    #: taxels, otherwise 0.
+    rise: Annotated[int, between(-1, 1)] = -1
     #: Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels.
     downsample: Annotated[int, between(1, MOST_DOWNSAMPLED)] = 1
 

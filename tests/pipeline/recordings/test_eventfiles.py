@@ -13,7 +13,7 @@ from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.images import tactile_images
 from pipeline.recordings.library import load_recordings
-from pipeline.recordings.sensor import to_ns
+from pipeline.recordings.times import to_ns
 from pipeline.recordings.writing import write_recordings
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import npz
@@ -133,7 +133,7 @@ def test_an_event_file_is_read_as_it_was_written(rows, columns, seed):
     np.testing.assert_array_equal(to_ns(read.time, "s"), np.arange(n) * 1000)
     np.testing.assert_array_equal(read.polarity, p[order])
     taxels = TaxelMap.grid(rows, columns)
-    taxel = read.events(rows, read.time).taxel
+    taxel = read.to_events(rows, read.time).taxel
     np.testing.assert_array_equal(taxels.column[taxel], x[order])
     np.testing.assert_array_equal(taxels.row[taxel], y[order])
 

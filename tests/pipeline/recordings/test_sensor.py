@@ -9,7 +9,7 @@ from deploy.errors import UserError
 from pipeline.recordings.events import Sensor, reading_text
 from pipeline.recordings.images import tactile_images
 from pipeline.recordings.library import load_recordings
-from pipeline.recordings.sensor import Reading, class_order
+from pipeline.recordings.sensor import ReadingOptions, class_order
 from pipeline.recordings.source import read_source
 from pipeline.run.settings import Image
 from tests.command import missing
@@ -36,7 +36,7 @@ def refused(tmp_path, members, reading=None) -> list:
     """The lines of the error that reading an archive ends with."""
     archive(tmp_path / "own.zip", members)
     with pytest.raises(UserError) as caught:
-        read_source(tmp_path / "own.zip", jobs=1, reading=reading or Reading())
+        read_source(tmp_path / "own.zip", jobs=1, reading=reading or ReadingOptions())
     return list(getattr(caught.value, "lines", [str(caught.value)]))
 
 
@@ -66,16 +66,16 @@ def test_the_unit_of_the_training_is_kept_where_it_fits(tmp_path):
     """A gesture of a tenth of the usual duration is fast; a thousandth is another unit."""
     for scale, unit in ((1e5, "us"), (1e3, "ms")):
         archive(tmp_path / "own.zip", own(scale=scale))
-        read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(usual_unit="us"))
+        read = read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(usual_unit="us"))
         assert read.source.time_unit == unit
 
 
 def test_the_unit_that_is_given_counts(tmp_path):
     archive(tmp_path / "own.zip", own(scale=1e6))
-    read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ns"))
+    read = read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(time_unit="ns"))
     assert read.events.time_ns.max() < 2_100_000
     with pytest.raises(UserError, match=r"16 of 16 .*milliseconds.*time"):
-        read_source(tmp_path / "own.zip", jobs=1, reading=Reading(time_unit="ms"))
+        read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(time_unit="ms"))
 
 
 def test_a_clock_that_runs_since_1970(tmp_path):
@@ -94,18 +94,36 @@ def test_mixed_units(tmp_path):
     assert missing(line, "1 of 16 ", name, "time") == []
 
 
-def test_parts_of_a_published_split_have_the_same_polarities(tmp_path):
-    train = {f"train/{name}": content for name, content in own(p=np.ones_like).items()}
-    both = {f"test/{name}": content for name, content in own().items()}
-    (line,) = refused(tmp_path, {**train, **both})
-    assert missing(line, "polarities", "train", "test", "ON and OFF") == []
+def test_a_test_set_without_events_at_the_edge_and_with_one_polarity(tmp_path):
+    """The sensor is that of all recordings together, or the one that the user states."""
+    train = {f"train/{name}": content for name, content in own().items()}
+    inner = own(p=np.ones_like, x=lambda x: np.minimum(x, 8), y=lambda y: np.minimum(y, 6))
+    test = {f"test/{name}": content for name, content in inner.items()}
+    archive(tmp_path / "own.zip", {**train, **test})
+    read = read_source(tmp_path / "own.zip", jobs=1)
+    assert (read.sensor.rows, read.sensor.columns) == (ROWS, COLUMNS)
+    assert read.sensor.polarities == 2
+    assert missing(read.source.remarks[0], "test in 7 x 9", f"{ROWS} x {COLUMNS} taxels") == []
+    stated = ReadingOptions(rows=16, columns=16)
+    read = read_source(tmp_path / "own.zip", jobs=1, reading=stated)
+    assert (read.sensor.rows, read.sensor.columns) == (16, 16)
+
+
+def test_subsets_of_quite_different_extents_are_one_sensor_if_it_is_stated(tmp_path):
+    train = {f"train/{name}": content for name, content in own().items()}
+    wide = own(x=lambda x: 4 * x, y=lambda y: 4 * y)
+    members = {**train, **{f"test/{name}": content for name, content in wide.items()}}
+    (line,) = refused(tmp_path, members)
+    assert missing(line, "different sensors", "9 x 12", "skin.rows") == []
+    read = read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(48, 48))
+    assert (read.sensor.rows, read.sensor.columns) == (48, 48)
 
 
 def test_a_sensor_with_too_many_pixels_is_downsampled(tmp_path):
     members = own(x=lambda x: 100 * x, y=lambda y: 40 * y)
     (line,) = refused(tmp_path, members)
     assert "data.downsample=5" in line
-    read = read_source(tmp_path / "own.zip", jobs=1, reading=Reading(downsample=40))
+    read = read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(downsample=40))
     assert (read.sensor.rows, read.sensor.columns) == (ROWS, 28)
 
 
@@ -129,10 +147,12 @@ def test_the_published_layout_with_another_number_of_taxels(tmp_path):
     read = read_source(tmp_path / "s.zip", jobs=1)
     assert read.sensor == Sensor(6, 6, 2, pytest.approx(0.4), ("hard", "soft"))
     assert (read.taxels.row[7], read.taxels.column[7]) == (1, 1)
-    given = read_source(tmp_path / "s.zip", jobs=1, reading=Reading(4, 9))
+    given = read_source(tmp_path / "s.zip", jobs=1, reading=ReadingOptions(4, 9))
     assert (given.sensor.rows, given.sensor.columns) == (4, 9)
     assert (given.taxels.row[7], given.taxels.column[7]) == (3, 1)
-    assert read_source(tmp_path / "s.zip", jobs=1, reading=Reading(columns=9)).sensor.rows == 4
+    assert (
+        read_source(tmp_path / "s.zip", jobs=1, reading=ReadingOptions(columns=9)).sensor.rows == 4
+    )
 
 
 def test_another_number_of_taxels_than_the_others(tmp_path):
@@ -155,7 +175,7 @@ def test_names_have_one_order(names):
 
 def test_a_simulated_skin_of_another_size():
     small, large = (
-        load_recordings(samples_per_digit=2, jobs=1, reading=Reading(rows, columns))
+        load_recordings(samples_per_digit=2, jobs=1, reading=ReadingOptions(rows, columns))
         for rows, columns in ((10, 10), (16, 14))
     )
     assert (large.sensor.rows, large.sensor.columns) == (16, 14)
@@ -177,14 +197,14 @@ def test_taxels_in_no_square_are_a_strip(tmp_path):
     read = read_source(tmp_path / "s.zip", jobs=1)
     assert (read.sensor.rows, read.sensor.columns) == (1, 39)
     with pytest.raises(UserError, match=r"39 taxels, not of 9 rows of 12.*LUT\.mat"):
-        read_source(tmp_path / "s.zip", jobs=1, reading=Reading(9, 12))
+        read_source(tmp_path / "s.zip", jobs=1, reading=ReadingOptions(9, 12))
 
 
 def test_recordings_of_a_larger_sensor_are_one_line_about_the_sensor(tmp_path):
-    (line,) = refused(tmp_path, own(), Reading(4, 5))
+    (line,) = refused(tmp_path, own(), ReadingOptions(4, 5))
     assert "a sensor of 9 x 12 taxels, larger than the 4 x 5" in line
     one = {f"{CLASSES[0]}/far.npz": npz(x=[30, 1], y=[1, 1], t=[0, 900_000], p=[0, 1])}
-    (line,) = refused(tmp_path, {**own(), **one}, Reading(ROWS, COLUMNS))
+    (line,) = refused(tmp_path, {**own(), **one}, ReadingOptions(ROWS, COLUMNS))
     assert missing(line, "1 of 17 ", "far.npz", "x = 30") == []
 
 

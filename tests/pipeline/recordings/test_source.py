@@ -155,9 +155,9 @@ def test_damaged_members_are_refused_by_name(tmp_path):
 
 def test_a_source_with_too_many_events_or_files(tmp_path, monkeypatch):
     path = put(tmp_path / "s.zip", members())
-    monkeypatch.setattr(source, "MOST_EVENTS", 30)
+    monkeypatch.setattr(source, "MAX_SOURCE_EVENTS", 30)
     assert "more than 30 events" in error(path)
-    monkeypatch.setattr(source, "MOST_FILES", 5)
+    monkeypatch.setattr(source, "MAX_FILES", 5)
     assert "6 recordings, more than 5" in error(path)
 
 
@@ -211,7 +211,7 @@ def test_a_published_split_with_something_else(tmp_path, more, fact):
 @pytest.mark.parametrize(
     ("how", "fact"),
     [
-        ({"taxels": 12}, "sensors: train has 1 x 7 taxels, test has 1 x 12 taxels"),
+        ({"taxels": 30}, "sensors: train has 1 x 7 taxels, test has 1 x 30 taxels"),
         ({"t": 1000 * np.arange(7)}, "units of time"),
     ],
 )
