@@ -1,28 +1,11 @@
-"""examples/real_touch.py reads the two repositories as they are published; hand-made ones here."""
+"""examples/real_touch.py reads the repository of letters as published; here a hand-made one."""
 
-import io
 import json
 import runpy
-import zipfile
-
-import numpy as np
 
 from tests.command import ROOT
 
 EXAMPLE = runpy.run_path(str(ROOT / "examples" / "real_touch.py"))
-
-
-def test_objects(tmp_path):
-    counts = np.zeros((39, 2, 250), np.float32)
-    counts[7, 0, 3] = counts[2, 1, 3] = counts[38, 1, 249] = 1
-    buffer = io.BytesIO()
-    np.save(buffer, counts)
-    with zipfile.ZipFile(tmp_path / "Ev-Objects.zip", "w") as archive:
-        archive.writestr("Ev-Objects/test/sample_0_label_20.npy", buffer.getvalue())
-    (((x, y, t, p), label, part),) = EXAMPLE["objects"](tmp_path)
-    assert (x.tolist(), y.tolist(), p.tolist()) == ([2, 7, 38], [0] * 3, [False, True, False])
-    assert t.tolist() == [60_000, 60_000, 4_980_000]
-    assert (label, part) == ("20", "test")
 
 
 def test_letters(tmp_path):
@@ -33,7 +16,7 @@ def test_letters(tmp_path):
     (tmp_path / "data" / "A" / "A_0.csv").write_text("\n".join([*lines, "10.25,0,80,7"]))
     (tmp_path / "data" / "A" / "A_1.csv").write_text("\n".join(lines[:2]))
     (tmp_path / "data" / "A" / "A_2.csv").write_text(lines[0])  # empty: left out
-    first, second = EXAMPLE["letters"](tmp_path)
+    first, second = EXAMPLE["read_letters"](tmp_path)
     (x, y, t, p), label, part = first
     assert (x.tolist(), y.tolist(), label, part) == ([79, 4, 4, 4], [0] * 4, "A", "train")
     assert t.tolist() == [0, 250_000, 500_000, 750_000]

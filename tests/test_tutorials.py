@@ -92,7 +92,7 @@ def test_real_touch(tmp_path):
         x, t = rng.integers(label, label + 3, 60), np.sort(rng.uniform(0, 2, 60))
         recordings.append(((x, np.zeros(60, int), t, rng.integers(0, 2, 60)), label))
         parts.append(part)
-    names = [f"{label:02d}" for label in range(21)]
+    names = [str(label) for label in range(21)]
     data = write_recordings(tmp_path / "objects.zip", recordings, names, "s", parts=parts)
     quick = r"{\"kind\": \"events\"} -> {\"kind\": \"events\"}, \"events\": {\"epochs\": 2}"
     env = {**users_environment(), "TOUCH": str(data)}
