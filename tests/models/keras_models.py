@@ -110,6 +110,154 @@ def good(keras):
     return models
 
 
+def exact(keras):
+    """Further models that compute the same: what users' files have between the usual layers."""
+    layers = keras.layers
+
+    def chain(shape, *middle):
+        return keras.Sequential([keras.Input(shape), *middle])
+
+    inner = keras.Sequential(
+        [keras.Input((6, 6, 1)), layers.RandomFlip(), layers.Conv2D(3, 3, activation="relu")],
+        name="inner",
+    )
+    return {
+        "vector": chain(
+            (100,),
+            layers.Dense(8, activation="relu"),
+            layers.GaussianNoise(0.1),
+            layers.Dense(3, activation="sigmoid"),
+        ),
+        "vector_reshaped": chain(
+            (40,),
+            layers.Reshape((4, 5, 2)),
+            layers.Conv2D(3, 2, activation="relu"),
+            layers.Reshape((-1,)),
+            layers.Dense(3, activation="tanh"),
+        ),
+        "channel_added": chain(
+            (6, 7),
+            layers.Reshape((6, 7, 1)),
+            layers.ZeroPadding2D(1),
+            layers.Conv2D(3, 3),
+            layers.BatchNormalization(),
+            layers.ReLU(),
+            layers.Permute((2, 1, 3)),
+            layers.Flatten(),
+            layers.Dense(3, activation="softplus"),
+        ),
+        "global_average": chain(
+            (7, 9, 1),
+            layers.Conv2D(4, 3, activation="relu"),
+            layers.BatchNormalization(),
+            layers.GlobalAveragePooling2D(),
+            layers.Dense(3, activation="softmax"),
+        ),
+        "convolutions_only": chain(
+            (8, 8, 1),
+            layers.Conv2D(4, 3, activation="relu"),
+            layers.Conv2D(5, 2, strides=2, padding="same"),
+            layers.GlobalAveragePooling2D(),
+            layers.Softmax(),
+        ),
+        "average_read_out": chain(
+            (6, 6, 2),
+            layers.Conv2D(4, 3, activation="relu"),
+            layers.GlobalAveragePooling2D(),
+            layers.Activation("softmax"),
+        ),
+        "overlapping": chain(
+            (8, 8, 1),
+            layers.Conv2D(4, 3, padding="same", activation="relu"),
+            layers.AveragePooling2D(3, strides=2, padding="same"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "two_classes": chain(
+            (5, 5, 1),
+            layers.Flatten(),
+            layers.Dense(6, activation="relu"),
+            layers.Dense(1, activation="sigmoid"),
+        ),
+        "linear_pair": chain(
+            (5, 5, 1),
+            layers.Flatten(),
+            layers.Dense(6, activation="relu"),
+            layers.Dense(4),
+            layers.Dense(3, activation="softmax"),
+        ),
+        "separable": chain(
+            (8, 8, 2),
+            layers.DepthwiseConv2D(3, depth_multiplier=2, activation="relu"),
+            layers.SeparableConv2D(5, 2, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3, activation="relu"),
+        ),
+        "normalised_rows": chain(
+            (6, 6, 1),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.BatchNormalization(axis=1),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "channels_first": chain(
+            (2, 8, 7),
+            layers.Conv2D(3, 3, data_format="channels_first"),
+            layers.BatchNormalization(axis=1),
+            layers.ReLU(),
+            layers.AveragePooling2D(2, data_format="channels_first"),
+            layers.Conv2D(4, 2, data_format="channels_first", activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "within": chain((6, 6, 1), inner, layers.Flatten(), layers.Dense(3)),
+    }
+
+
+def inexact(keras):
+    """Models that are used if training goes on; without, they are refused with that reason."""
+    layers = keras.layers
+
+    def chain(*middle, shape=(12, 12, 1)):
+        end = [layers.Flatten(), layers.Dense(3, activation="softmax")]
+        return keras.Sequential([keras.Input(shape), *middle, *end])
+
+    return {
+        "maxima": chain(
+            layers.Conv2D(4, 3, activation="relu"),
+            layers.BatchNormalization(),
+            layers.MaxPooling2D(name="cause"),
+            layers.Conv2D(5, 2),
+            layers.MaxPooling2D(2),
+            layers.ReLU(),
+        ),
+        "global_maximum": chain(
+            layers.Conv2D(4, 3, activation="relu"), layers.GlobalMaxPooling2D(name="cause")
+        ),
+        "overlapping_maxima": chain(
+            layers.Conv2D(4, 4, activation="relu"),
+            layers.MaxPooling2D(3, strides=2, name="cause"),
+        ),
+        "lenet": chain(
+            layers.Conv2D(4, 3, activation="tanh", name="cause"),
+            layers.AveragePooling2D(2),
+            layers.Conv2D(5, 2, activation="sigmoid"),
+        ),
+        "leaky": chain(
+            layers.Conv2D(4, 3),
+            layers.LeakyReLU(0.1, name="cause"),
+            layers.Flatten(),
+            layers.Dense(6),
+            layers.ELU(0.5),
+            layers.Dense(5),
+            layers.ReLU(max_value=6),
+        ),
+        "no_activation": chain(
+            layers.Conv2D(4, 3, name="cause"), layers.Conv2D(4, 3, activation="relu")
+        ),
+    }
+
+
 def bad(keras):
     """Models that cannot, by name."""
     layers, models = keras.layers, {}
@@ -121,57 +269,39 @@ def bad(keras):
     def conv(**options):
         return layers.Conv2D(4, **{"kernel_size": 3, "activation": "relu", "name": "c", **options})
 
-    models["max_pooling"] = chain(conv(), layers.MaxPooling2D(name="pool"))
-    models["global_pooling"] = chain(
-        conv(), layers.GlobalAveragePooling2D(name="pool"), end=[layers.Dense(3)]
-    )
-    models["overlapping"] = chain(conv(), layers.AveragePooling2D(3, strides=2, name="pool"))
-    models["padded_pooling"] = chain(
-        conv(padding="same"), layers.AveragePooling2D(3, padding="same", name="pool")
-    )
-    models["sigmoid"] = chain(conv(activation="sigmoid"))
-    models["leaky"] = chain(conv(activation="linear"), layers.LeakyReLU(name="leak"))
-    models["relu6"] = chain(conv(activation="linear"), layers.ReLU(max_value=6, name="six"))
     models["function"] = chain(conv(activation=lambda x: x * x))
     models["lambda"] = chain(conv(), layers.Lambda(lambda x: 2 * x, name="double"))
     models["dilated"] = chain(conv(dilation_rate=2))
     models["groups"] = chain(conv(groups=2), shape=(8, 8, 2))
     models["not_square"] = chain(conv(kernel_size=(3, 2)))
     models["uneven_strides"] = chain(conv(strides=(1, 2)))
-    models["channels_first"] = chain(layers.Flatten(data_format="channels_first", name="flat"),
-                                     shape=(8, 8, 2), end=[layers.Dense(3)])  # fmt: skip
-    models["no_relu"] = chain(conv(activation=None), conv(name="d"))
     models["relu_after_pooling"] = chain(conv(activation=None), layers.AveragePooling2D(2),
                                          layers.ReLU())  # fmt: skip
     models["relu_first"] = chain(layers.ReLU(name="early"))
-    models["relu_at_the_end"] = chain(end=[layers.Flatten(), layers.Dense(3, "relu", name="out")])
     models["no_hidden_layer"] = keras.Sequential(
         [keras.Input((5, 4)), layers.Flatten(), layers.Dense(2, activation="softmax")]
     )
     models["one_output"] = chain(end=[layers.Flatten(), layers.Dense(1, name="out")])
-    models["sigmoid_output"] = chain(
-        end=[layers.Flatten(), layers.Dense(3, activation="sigmoid", name="out")]
-    )
     models["softmax_within"] = chain(
         end=[layers.Flatten(), layers.Dense(3, "softmax", name="early"), layers.Dense(3)]
     )
-    models["no_dense_output"] = chain(conv(), end=[layers.Flatten()])
+    models["no_dense_output"] = chain(conv(), end=[])
+    models["overlapping_means"] = chain(conv(), layers.AveragePooling2D(3, strides=2), conv(kernel_size=2, name="d"))
+    models["other_padding"] = chain(layers.ZeroPadding2D(3), conv())
+    models["unknown_rows"] = chain(shape=(200,), end=[layers.Dense(3)])
     models["dense_on_images"] = chain(layers.Dense(3, "relu", name="each"))
     models["offset_and_padding"] = chain(layers.Rescaling(1.0, offset=0.5), conv(padding="same"))
-    models["normalised_rows"] = chain(conv(), layers.BatchNormalization(axis=1, name="rows"))
     models["normalised_flat"] = chain(
         conv(activation=None),
         end=[layers.Flatten(), layers.BatchNormalization(name="flat"), layers.ReLU(),
              layers.Dense(3)],
     )  # fmt: skip
-    models["one_dimension"] = chain(shape=(100,), end=[layers.Dense(3)])
     models["any_size"] = chain(
         conv(), layers.GlobalAveragePooling2D(), shape=(None, None, 1), end=[layers.Dense(3)]
     )
     models["recurrent"] = chain(
         layers.SimpleRNN(4, name="loop"), shape=(10, 10), end=[layers.Dense(3)]
     )
-    models["within"] = keras.Sequential([keras.Input((8, 8, 1)), chain(conv()), layers.Dense(3)])
 
     class Mine(layers.Dense):
         pass
@@ -209,12 +339,16 @@ def randomise(model, seed):
 
 def write(keras, folder):
     """Write NAME.keras, NAME.h5 and, of the good ones, NAME.npz with inputs and predictions."""
+    import tensorflow as tf
+
     keras.utils.set_random_seed(0)
-    for seed, (name, model) in enumerate(good(keras).items()):
+    models = {**good(keras), **exact(keras), **inexact(keras)}
+    for seed, (name, model) in enumerate(models.items()):
         if name != "trained":
             randomise(model, seed)
         inputs = np.random.default_rng(seed).uniform(0, 1, (20, *model.input_shape[1:]))
-        outputs = np.asarray(model(inputs.astype(np.float32), training=False))
+        compute = tf.function(model, jit_compile=True) if name == "channels_first" else model
+        outputs = np.asarray(compute(inputs.astype(np.float32), training=False))
         np.savez(folder / f"{name}.npz", inputs=inputs, outputs=outputs)
         save(model, folder / name)
     for name, model in bad(keras).items():

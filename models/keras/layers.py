@@ -1,0 +1,762 @@
+"""A chain of Keras layers as an architecture and weights.
+
+The chip has convolutions and dense layers of neurons with the curve of a ReLU, averaging between
+them, and a linear output.  Between two layers with weights, Keras's layers are linear: they scale
+(normalisation), move values (flatten, reshape, permute, pad) or average.  :class:`Chain` keeps this
+linear function as a sparse matrix and an offset,
+
+    signal = map @ built + offset,
+
+with the signal of the Keras model on the left, and that of the layers built so far on the right.
+The next layer with weights takes it in: for a dense layer with any map, ``kernel' = map^T kernel``
+and ``bias' = bias + offset kernel``; for a convolution if the map scales channels and pads zeros.
+
+`HANDLERS` has a function for each layer that can be converted, `REFUSED` an alternative for others.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from deploy.network.geometry import windows
+from models.architecture import (
+    MAX_LAYERS,
+    MAX_VALUES,
+    MAX_WEIGHTS,
+    Architecture,
+    Convolution,
+    Dense,
+    Pooling,
+)
+from models.keras.files import ModelFileError
+
+# Maximum number of weights of a convolution that is written as a matrix.
+MAX_MATRIX_WEIGHTS = 20_000_000
+
+RETRAIN = "with --retrain it becomes"
+
+
+class Layer(NamedTuple):
+    """A layer of a Keras model: its class, name, arguments, and arrays in Keras's order."""
+
+    kind: str
+    name: str
+    config: dict
+    arrays: tuple
+
+    def __str__(self):
+        return f"layer {self.name!r} ({self.kind})"
+
+    def refuse(self, problem):
+        raise ModelFileError(f"{self}: {problem}")
+
+    def pair(self, key) -> tuple:
+        """(rows, columns) of an argument that is one number or two."""
+        value = self.config[key]
+        return tuple(value) if isinstance(value, (list, tuple)) else (value, value)
+
+
+class MaxPool(NamedTuple):
+    """A maximum over windows in the file's model, where the architecture averages.
+
+    Attributes
+    ----------
+    size, strides : (int, int)
+        Along rows and columns.
+    padding : str
+    signs : ndarray, shape (channels,)
+        -1 for channels of which a later normalisation changes the sign, so that the file's model
+        has their minimum.
+    """
+
+    size: tuple
+    strides: tuple
+    padding: str
+    signs: np.ndarray
+
+
+@dataclass(frozen=True)
+class KerasModel:
+    """A user's model as an architecture and its weights.
+
+    Attributes
+    ----------
+    architecture : Architecture
+    weights : dict
+        ``"conv1.kernel"``, ... as float32, with the shapes of ``architecture.weight_shapes``.  With
+        a ReLU after each convolution and hidden dense layer the network computes the model's
+        logits, unless something is ``replaced``.
+    notes : tuple of str
+        One line for each layer that was folded or left out.
+    replaced : tuple of str
+        One line for each layer with another function than in the file.
+    curves : dict
+        The functions in the file that ReLUs replace, by the name of the layer of neurons.
+    max_pools : dict of str to MaxPool
+        The layers in the file that averages replace, by the name of the pooling.
+    end : str
+        Activation of the output in the file.
+    input_order : ndarray of int
+        The values of an image, in the order (row, column, channel), that the model's input has, in
+        its shape.
+    """
+
+    architecture: Architecture
+    weights: dict
+    notes: tuple
+    replaced: tuple
+    curves: dict
+    max_pools: dict
+    end: str
+    input_order: np.ndarray
+
+
+@dataclass
+class _Sums:
+    """Weighted sums: a layer, and its kernel and bias with what is folded into them."""
+
+    layer: Layer
+    kernel: np.ndarray = field(repr=False)
+    bias: np.ndarray = field(repr=False)
+    curve: object = "relu"  # in the file; the architecture has ReLUs only
+
+
+def convert_layers(input_shape, layers, retrain: bool = False, grid=None) -> KerasModel:
+    """Turn a chain of layers into an architecture and its weights.
+
+    Parameters
+    ----------
+    input_shape : tuple of int
+        Shape of one sample.
+    layers : sequence of Layer
+    retrain : bool
+        Replace what cannot be converted exactly, where training makes up for it.
+    grid : tuple of int, optional
+        (rows, columns, channels) of an image, for a model whose input is a vector.
+
+    Raises
+    ------
+    ModelFileError
+        A layer is not supported.
+    """
+    order = _input_order(input_shape, layers, grid)
+    chain = Chain(order, retrain)
+    for layer in layers:
+        chain.add(layer)
+    return chain.finish()
+
+
+def _input_order(input_shape, layers, grid):
+    """The positions of an image's values in the model's input, and the shape of the image."""
+    shape = tuple(input_shape)
+    sizes = "x".join(map(str, shape[:6]))
+    if None in shape or not 1 <= len(shape) <= 3 or math.prod(shape) > MAX_VALUES:
+        raise ModelFileError(
+            f"its input of {sizes} is not an image of a sensor's rows and columns; begin the model "
+            "with keras.Input((rows, columns, channels))"
+        )
+    first = next((layer for layer in layers if layer.kind != "InputLayer"), None)
+    if len(shape) == 1:
+        image = _image_of_vector(shape[0], first, grid)
+        return np.arange(shape[0]), image
+    if len(shape) == 2:
+        shape = (*shape, 1)
+    formats = [layer.config["data_format"] for layer in layers if "data_format" in layer.config]
+    if len(input_shape) == 3 and formats[:1] == ["channels_first"]:
+        image = (*shape[1:], shape[0])
+        return np.moveaxis(np.arange(math.prod(shape)).reshape(image), -1, 0), image
+    return np.arange(math.prod(shape)).reshape(input_shape), shape
+
+
+def _image_of_vector(length, first, grid):
+    """The shape of the image that a vector of values has: what the model says, or a square."""
+    if first is not None and first.kind == "Reshape":
+        target = tuple(first.config["target_shape"])
+        if len(target) in (2, 3) and math.prod(target) == length:
+            return target if len(target) == 3 else (*target, 1)
+    if grid is not None and math.prod(grid) == length:
+        return tuple(grid)
+    side = math.isqrt(length)
+    if side * side == length:
+        return side, side, 1
+    raise ModelFileError(
+        f"its input is a vector of {length} values; say of which rows and columns: "
+        "--set skin.rows=... --set skin.columns=..."
+    )
+
+
+class Chain:
+    """The layers converted so far, and the linear function from their signal to the model's.
+
+    Parameters
+    ----------
+    order : (ndarray, tuple)
+        From `_input_order`.
+    retrain : bool
+    """
+
+    def __init__(self, order, retrain):
+        self.input_order, self.input_shape = order
+        self.retrain = retrain
+        self.layers = []
+        self.sums = []
+        self.max_pools = {}  # by the index of their layer
+        self.is_linear = False  # no activation since the last weighted sums
+        self.end = None  # (layer, activation) of an output, if it is one
+        self.notes, self.replaced = [], []
+        self.begin_signal(self.input_shape)
+        self.arrange(self.input_order)
+
+    # --- the linear function ----------------------------------------------------------------------
+
+    def begin_signal(self, built, scale=1.0, offset=0.0):
+        """Let the model's signal be the built one, but for an affine function of each channel."""
+        self.built = self.shape = built
+        self.map = sparse.diags_array(np.broadcast_to(scale, built).ravel().astype(float)).tocsr()
+        self.offset = np.broadcast_to(offset, built).ravel().astype(float)
+        self.pads = ((0, 0), (0, 0))
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Numbers of the signal's values, in its shape."""
+        return np.arange(math.prod(self.shape)).reshape(self.shape)
+
+    def arrange(self, positions):
+        """Move values; -1 stands for a zero."""
+        zero = sparse.csr_array((1, self.map.shape[1]))
+        self.map = sparse.vstack([self.map, zero]).tocsr()[positions.ravel()]
+        self.offset = np.append(self.offset, 0.0)[positions.ravel()]
+        self.shape = positions.shape
+
+    def channel_affine(self):
+        """Scale and offset of each channel, or None if the signal is not the built image."""
+        if not self.is_image:
+            return None
+        (top, bottom), (left, right) = self.pads
+        rows, columns = self.shape[:2]
+        inside = self.positions[top : rows - bottom, left : columns - right]
+        if inside.shape != self.built:
+            return None
+        inside = inside.ravel()
+        scales = self.map[inside].diagonal()
+        is_diagonal = abs(self.map[inside] - sparse.diags_array(scales)).max() == 0
+        scales, offsets = (a.reshape(-1, self.shape[2]) for a in (scales, self.offset[inside]))
+        if not is_diagonal or (scales != scales[0]).any() or (offsets != offsets[0]).any():
+            return None
+        return scales[0], offsets[0]
+
+    @property
+    def is_unchanged(self) -> bool:
+        """True if the signal is the built one."""
+        if self.shape != self.built or self.offset.any():
+            return False
+        return abs(self.map - sparse.eye_array(len(self.offset))).max() == 0
+
+    @property
+    def is_image(self) -> bool:
+        """True if the signal has rows, columns and channels."""
+        return len(self.shape) == 3
+
+    @property
+    def is_padded(self) -> bool:
+        """True if zeros are padded around the image."""
+        return any(map(any, self.pads))
+
+    # --- a layer ----------------------------------------------------------------------------------
+
+    def add(self, layer: Layer):
+        if layer.kind == "InputLayer":
+            return
+        if layer.kind in IDLE:
+            self.notes.append(f"{layer} left out: it only acts in training")
+            return
+        if layer.kind not in HANDLERS:
+            layer.refuse(f"not supported; {REFUSED.get(layer.kind, USABLE)}")
+        if not all(np.isfinite(array).all() for array in layer.arrays):
+            layer.refuse("has NaN or infinite weights; train it again, with a lower learning rate")
+        if len(self.layers) >= MAX_LAYERS:
+            raise ModelFileError(f"has more than {MAX_LAYERS} layers; use fewer")
+        if self.end is not None:  # no output, since a layer follows
+            before, curve = self.end
+            self.end = None
+            if curve == "softmax":
+                layer.refuse(f"follows the softmax of {before}; remove that softmax")
+            self.use_curve(before, curve)
+        is_channels_first = layer.config.get("data_format") == "channels_first" and self.is_image
+        if is_channels_first:
+            self.arrange(np.moveaxis(self.positions, 0, -1))
+        HANDLERS[layer.kind](self, layer)
+        if is_channels_first and self.is_image:
+            self.arrange(np.moveaxis(self.positions, -1, 0))
+
+    def finish(self) -> KerasModel:
+        is_dense = bool(self.layers) and self.layers[-1].kind == "dense" and self.is_unchanged
+        if is_dense and not self.is_linear:
+            self.end = self.sums[-1].layer, "relu"
+        elif not is_dense:
+            self.read_out()
+        last, curve = self.sums[-1], "linear"
+        if self.end is not None:
+            layer, curve = self.end
+            self.notes.append(
+                f"{layer}: its {_name(curve)} left out, which does not change the prediction"
+            )
+        if self.layers[-1].units == 1:
+            if curve != "sigmoid":
+                last.layer.refuse(
+                    "has one output; use one unit per class, or activation='sigmoid' for two "
+                    "classes"
+                )
+            # Softmax of 0 and z is the sigmoid of z.
+            last.kernel = np.concatenate([np.zeros_like(last.kernel), last.kernel], axis=1)
+            last.bias = np.concatenate([[0.0], last.bias])
+            self.layers[-1] = Dense(2)
+            self.notes.append(f"{last.layer}: one output became two classes")
+        return self._model(curve)
+
+    def _model(self, end):
+        layers = (*self.layers[:-1], replace(self.layers[-1], output=True))
+        architecture = Architecture(self.input_shape, layers)
+        names = architecture.names
+        weighted = [name for name, one in zip(names, layers, strict=True) if one.kind != "pool"]
+        weights = {}
+        for name, sums in zip(weighted, self.sums, strict=True):
+            with np.errstate(over="ignore"):  # infinite values are refused below
+                kernel, bias = (np.asarray(a, np.float32) for a in (sums.kernel, sums.bias))
+            if not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
+                sums.layer.refuse("its weights are too large for single precision")
+            weights |= {f"{name}.kernel": kernel, f"{name}.bias": bias}
+        curves = {name: sums.curve for name, sums in zip(weighted, self.sums, strict=True)}
+        return KerasModel(
+            architecture=architecture,
+            weights=weights,
+            notes=tuple(self.notes),
+            replaced=tuple(self.replaced),
+            curves={n: c for n, c in curves.items() if c != "relu" and n != "output"},
+            max_pools={names[index]: pool for index, pool in self.max_pools.items()},
+            end=end,
+            input_order=self.input_order,
+        )
+
+    # --- layers with weights ----------------------------------------------------------------------
+
+    def convolve(self, layer):
+        (rows, columns), strides = layer.pair("kernel_size"), layer.pair("strides")
+        if not self.is_image:
+            layer.refuse("its input has no rows and columns")
+        if rows != columns:
+            layer.refuse(f"its kernel of {rows}x{columns} is not square; use a square one")
+        if strides[0] != strides[1]:
+            layer.refuse("its strides along rows and columns differ; use the same")
+        if layer.pair("dilation_rate") != (1, 1):
+            layer.refuse("is dilated; use dilation_rate=1 and a larger kernel or a stride")
+        if layer.config.get("groups", 1) != 1:
+            layer.refuse("is a grouped convolution; use groups=1")
+        self.require_curve(layer)
+        kernel, bias = _kernel_and_bias(layer)
+        affine = self.channel_affine()
+        if affine is None:
+            layer.refuse(
+                "its input is averaged over windows that overlap, or is in another order than "
+                "rows, columns and channels; use AveragePooling2D(2), or a Dense after it"
+            )
+        scale, offset = affine
+        made = Convolution(kernel.shape[-1], rows, strides[0], layer.config["padding"])
+        if self.is_padded:
+            same = replace(made, padding="same")
+            if made.padding != "valid" or same.pads(self.built) != self.pads:
+                layer.refuse(
+                    f"the zeros padded before it, {self.pads}, are not those of padding='same'; "
+                    "use that instead"
+                )
+            made = same
+        if offset.any() and any(map(any, made.pads(self.built))):
+            layer.refuse(
+                "zero padding after a normalisation or rescaling with an offset cannot be folded "
+                "into weights; use padding='valid', or normalise after the convolution and before "
+                "its ReLU"
+            )
+        if kernel.shape != made.weight_shapes(self.built)["kernel"]:
+            layer.refuse(NO_CHAIN)
+        bias = bias + np.einsum("ijcf,c->f", kernel, offset)
+        self.weigh(layer, made, kernel * scale[:, None], bias)
+        self.activate(layer)
+
+    def connect(self, layer):
+        if len(self.shape) != 1:
+            layer.refuse("is applied to each row and column; put a Flatten before it")
+        kernel, bias = _kernel_and_bias(layer)
+        if len(kernel) != len(self.offset):
+            layer.refuse(NO_CHAIN)
+        self.weigh_dense(layer, kernel, bias)
+        self.activate(layer)
+
+    def weigh_dense(self, layer, kernel, bias):
+        """Append a dense layer; one that follows another without an activation is multiplied."""
+        kernel, bias = self.map.T @ kernel, self.offset @ kernel + bias
+        if self.layers and self.layers[-1].kind == "pool":
+            self.require_curve(layer)
+        if self.is_linear:
+            before = self.linear_dense()
+            kernel, bias = before.kernel @ kernel, before.bias @ kernel + bias
+            self.notes.append(f"{before.layer}: folded into {layer}, since it has no activation")
+            self.layers.pop()
+            self.sums.pop()
+        self.weigh(layer, Dense(kernel.shape[1]), kernel, bias)
+
+    def linear_dense(self) -> _Sums:
+        """The last sums, which have no activation, as those of a dense layer."""
+        last, made = self.sums[-1], self.layers[-1]
+        if made.kind == "dense":
+            return last
+        before = self.input_shape
+        for layer in self.layers[:-1]:
+            before = layer.shape(before)
+        if math.prod(before) * math.prod(self.built) > MAX_MATRIX_WEIGHTS:
+            last.layer.refuse("has no activation; use activation='relu'")
+        from models.keras.keras2 import tf
+
+        units = np.eye(math.prod(before)).reshape(-1, *before)
+        matrix = tf.nn.conv2d(units, last.kernel, made.stride, made.padding.upper()).numpy()
+        bias = np.broadcast_to(last.bias, self.built).ravel()
+        return _Sums(last.layer, matrix.reshape(len(units), -1), bias)
+
+    def weigh(self, layer, made, kernel, bias):
+        if math.prod(made.shape(self.built)) > MAX_VALUES or kernel.size > MAX_WEIGHTS:
+            layer.refuse(f"has more than {MAX_VALUES} outputs or {MAX_WEIGHTS} weights")
+        self.begin_signal(made.shape(self.built))
+        self.layers.append(made)
+        self.sums.append(_Sums(layer, kernel, np.broadcast_to(bias, kernel.shape[-1:])))
+        self.is_linear = True
+
+    def read_out(self):
+        """Append an output that only passes on the signal, as after a global average."""
+        if not self.sums or len(self.shape) != 1:
+            raise ModelFileError("does not end with a Dense; add one with one unit per class")
+        outputs = len(self.offset)
+        self.weigh_dense(Layer("Dense", "output", {}, ()), np.eye(outputs), np.zeros(outputs))
+
+    # --- activations ------------------------------------------------------------------------------
+
+    def activate(self, layer):
+        """Use the activation that a layer with weights, or an Activation, has."""
+        curve = layer.config.get("activation")
+        if not (curve is None or isinstance(curve, str)):
+            layer.refuse(f"its activation is not one of Keras's; {USE_RELU}")
+        if curve not in (None, "linear"):
+            self.use_activation(layer, curve)
+
+    def use_activation(self, layer, curve):
+        """Use an activation: of the output if it can be one, and else of a hidden layer."""
+        is_dense = self.is_linear and self.layers[-1].kind == "dense" and len(self.shape) == 1
+        if curve == "softmax" and self.sums and len(self.shape) == 1 and not is_dense:
+            self.read_out()
+            is_dense = True
+        if is_dense and curve != "relu" and _is_monotone(curve):
+            self.end = layer, curve
+        else:
+            self.use_curve(layer, curve)
+
+    def use_curve(self, layer, curve):
+        """Use the activation of a hidden layer."""
+        if curve == "softmax":
+            layer.refuse("its softmax does not follow the output; remove it")
+        if not self.sums:
+            layer.refuse("precedes the first Conv2D or Dense; remove it")
+        last = self.sums[-1]
+        if not self.is_linear:
+            # A signal that is not negative passes a ReLU unchanged.
+            is_positive = last.curve == "relu" and min(self.map.data.min(), self.offset.min()) >= 0
+            if curve != "relu" or not is_positive:
+                layer.refuse(
+                    f"a second activation after that of {last.layer}; put the normalisation, or "
+                    "the averaging, before or after both, or remove one"
+                )
+            return
+        if (self.map.data != 1).any() or self.offset.any():
+            layer.refuse(
+                "follows an average, or a normalisation of each position, of sums; put the "
+                "activation before it, and the normalisation before the Flatten"
+            )
+        self.is_linear = False
+        if curve == "relu":
+            return
+        if not self.retrain:
+            layer.refuse(
+                f"{_name(curve)!r} is not the curve of a spiking neuron, which is like a ReLU; "
+                f"{RETRAIN} a ReLU and is trained further; or {USE_RELU}"
+            )
+        last.curve = curve
+        self.replaced.append(f"{layer}: {_name(curve)} replaced by a ReLU")
+
+    def require_curve(self, layer):
+        """Refuse sums without an activation before a convolution."""
+        if not self.is_linear:
+            return
+        last = self.sums[-1]
+        if not self.retrain:
+            last.layer.refuse(
+                f"has no activation before {layer.name!r}; use activation='relu' ({RETRAIN} a ReLU)"
+            )
+        self.is_linear = False
+        last.curve = "linear"
+        self.replaced.append(f"{last.layer}: a ReLU added, since it has no activation")
+
+    def rectify(self, layer):
+        limits = {
+            "max_value": layer.config.get("max_value"),
+            "alpha": float(layer.config.get("negative_slope") or 0),
+            "threshold": float(layer.config.get("threshold") or 0),
+        }
+        if limits["max_value"] is None and not limits["alpha"] + limits["threshold"]:
+            self.use_activation(layer, "relu")
+        else:
+            self.use_activation(layer, _curve("ReLU with arguments", "relu", **limits))
+
+    def leak(self, layer):
+        slope = layer.config.get("negative_slope", layer.config.get("alpha"))
+        self.use_activation(layer, _curve("leaky_relu", "relu", alpha=float(np.asarray(slope))))
+
+    def rise_exponentially(self, layer):
+        self.use_activation(layer, _curve("elu", "elu", alpha=float(layer.config["alpha"])))
+
+    # --- layers that move values ------------------------------------------------------------------
+
+    def flatten(self, layer):
+        self.arrange(self.positions.reshape(-1))
+
+    def reshape(self, layer):
+        target = tuple(layer.config["target_shape"])
+        try:
+            self.arrange(self.positions.reshape(target))
+        except ValueError:
+            layer.refuse(NO_CHAIN)
+
+    def permute(self, layer):
+        self.arrange(self.positions.transpose([axis - 1 for axis in layer.config["dims"]]))
+
+    def pad(self, layer):
+        pads = layer.config["padding"]
+        pads = (pads, pads) if isinstance(pads, int) else pads
+        pads = tuple((n, n) if isinstance(n, int) else tuple(n) for n in pads)
+        if math.prod(n + sum(p) for n, p in zip(self.shape, pads, strict=False)) > MAX_VALUES:
+            layer.refuse(f"has more than {MAX_VALUES} values")
+        around = tuple(
+            (before[0] + more[0], before[1] + more[1])
+            for before, more in zip(self.pads, pads, strict=True)
+        )
+        self.arrange(np.pad(self.positions, (*pads, (0, 0)), constant_values=-1))
+        self.pads = around
+
+    def crop(self, layer):
+        cropped = layer.config["cropping"]
+        (top, bottom), (left, right) = cropped
+        rows, columns = self.shape[:2]
+        self.arrange(self.positions[top : rows - bottom, left : columns - right])
+
+    # --- pooling ----------------------------------------------------------------------------------
+
+    def average(self, layer):
+        self.pool_average(layer.pair("pool_size"), _strides(layer), layer.config["padding"])
+
+    def average_all(self, layer):
+        self.pool_average(self.shape[:2], self.shape[:2], "valid")
+        self.end_global(layer)
+
+    def end_global(self, layer):
+        if not layer.config.get("keepdims", False):
+            self.flatten(layer)
+
+    def pool_average(self, size, strides, padding):
+        affine = None if self.is_linear or self.is_padded else self.channel_affine()
+        sides = self.shape[:2]
+        fills = padding == "valid" or not any(n % k for n, k in zip(sides, size, strict=True))
+        if affine is not None and size == strides and size[0] == size[1] and fills:
+            if size != (1, 1):
+                self.layers.append(Pooling(size[0]))
+                self.begin_signal(self.layers[-1].shape(self.built), *affine)
+            return
+        means = [_means(*of_side, padding) for of_side in zip(sides, size, strides, strict=True)]
+        over_channels = sparse.eye_array(self.shape[2])
+        matrix = sparse.kron(sparse.kron(*means), over_channels).tocsr()
+        self.map, self.offset = (matrix @ self.map).tocsr(), matrix @ self.offset
+        self.shape = (means[0].shape[0], means[1].shape[0], self.shape[2])
+        self.pads = ((0, 0), (0, 0))
+
+    def maximise(self, layer):
+        self.pool_maximum(layer, layer.pair("pool_size"), _strides(layer), layer.config["padding"])
+
+    def maximise_all(self, layer):
+        self.pool_maximum(layer, self.shape[:2], self.shape[:2], "valid")
+        self.end_global(layer)
+
+    def pool_maximum(self, layer, size, strides, padding):
+        if not self.retrain:
+            layer.refuse(
+                f"the chip cannot take a maximum; {RETRAIN} an average and the network is trained "
+                "further; or use AveragePooling2D, or a stride in the convolution before it"
+            )
+        affine = self.channel_affine()
+        sides = self.shape[:2]
+        counts = [windows(*of, padding)[0] for of in zip(sides, size, strides, strict=True)]
+        is_like_average = strides[0] == strides[1] > 1 and counts == [
+            n // strides[0] for n in sides
+        ]
+        if affine is None or self.is_padded or not is_like_average:
+            layer.refuse(
+                "its windows are not square, or overlap so that averages without overlap have "
+                "another shape; use MaxPooling2D(2)"
+            )
+        scale, offset = affine
+        self.max_pools[len(self.layers)] = MaxPool(size, strides, padding, np.sign(scale))
+        self.layers.append(Pooling(strides[0]))
+        self.begin_signal(self.layers[-1].shape(self.built), scale, offset)
+        self.replaced.append(f"{layer}: replaced by AveragePooling2D({strides[0]})")
+
+    # --- layers that scale ------------------------------------------------------------------------
+
+    def normalise(self, layer):
+        axis = layer.config["axis"]
+        axis = axis[0] if isinstance(axis, (list, tuple)) and len(axis) == 1 else axis
+        if not isinstance(axis, int):
+            layer.refuse("normalises over several axes; use axis=-1")
+        arrays = [array.astype(float) for array in layer.arrays]
+        gamma = arrays.pop(0) if layer.config.get("scale", True) else 1.0
+        beta = arrays.pop(0) if layer.config.get("center", True) else 0.0
+        mean, variance = arrays
+        scale = gamma / np.sqrt(variance + layer.config["epsilon"])
+        shape = [1] * len(self.shape)
+        shape[axis if axis < 0 else axis - 1] = -1
+        self.apply_affine(
+            layer,
+            *(np.reshape(a, shape) for a in (scale * np.ones_like(mean), beta - mean * scale)),
+        )
+
+    def rescale(self, layer):
+        self.apply_affine(
+            layer, *(np.asarray(layer.config[key], float) for key in ("scale", "offset"))
+        )
+
+    def apply_affine(self, layer, scale, offset):
+        """Fold ``scale * signal + offset``; they broadcast to the signal's shape."""
+        try:
+            scale, offset = (np.broadcast_to(a, self.shape).ravel() for a in (scale, offset))
+        except ValueError:
+            layer.refuse(NO_CHAIN)
+        with np.errstate(all="ignore"):  # infinite weights are refused in _model()
+            if self.is_linear and self.fold_back(scale, offset):
+                self.notes.append(f"{layer}: folded into {self.sums[-1].layer}")
+                return
+            self.map = (sparse.diags_array(scale) @ self.map).tocsr()
+            self.offset = scale * self.offset + offset
+        self.notes.append(f"{layer}: folded into the next layer")
+
+    def fold_back(self, scale, offset) -> bool:
+        """Fold an affine function into the last weighted sums, if it is one for each channel."""
+        if self.map.nnz != len(scale) or (self.map.data != 1).any() or self.offset.any():
+            return False
+        last = self.sums[-1]
+        scales, offsets = (
+            (self.map.T @ values).reshape(-1, len(last.bias)) for values in (scale, offset)
+        )
+        if (scales != scales[0]).any() or (offsets != offsets[0]).any():
+            return False
+        last.kernel, last.bias = last.kernel * scales[0], last.bias * scales[0] + offsets[0]
+        return True
+
+
+def _kernel_and_bias(layer):
+    """Kernel and bias of a layer as those of a Conv2D or Dense."""
+    kernel, *others = (array.astype(float) for array in layer.arrays)
+    if layer.kind in ("DepthwiseConv2D", "SeparableConv2D"):
+        # Each channel has kernels of its own: those between different channels are zeros.
+        channels = kernel.shape[2]
+        own = np.eye(channels)[:, :, None]
+        kernel = (kernel[:, :, :, None, :] * own).reshape(*kernel.shape[:2], channels, -1)
+    if layer.kind == "SeparableConv2D":
+        kernel = kernel @ others.pop(0)[0, 0]
+    return kernel, others[0] if others else np.zeros(kernel.shape[-1])
+
+
+def _strides(layer):
+    return layer.pair("pool_size") if layer.config["strides"] is None else layer.pair("strides")
+
+
+def _means(n, size, stride, padding):
+    """The matrix of means over windows along one side; padded positions do not count."""
+    count, before, _ = windows(n, size, stride, padding)
+    matrix = np.zeros((max(count, 0), n))
+    for index, start in enumerate(range(-before, -before + count * stride, stride)):
+        window = slice(max(start, 0), min(start + size, n))
+        matrix[index, window] = 1 / (window.stop - window.start)
+    return sparse.csr_array(matrix)
+
+
+def _curve(name, function, **arguments) -> Callable:
+    """An activation of Keras 2 with arguments."""
+
+    def compute(values):
+        from models.keras.keras2 import tf
+
+        return getattr(tf.keras.activations, function)(values, **arguments)
+
+    compute.__name__ = name
+    return compute
+
+
+def _name(curve) -> str:
+    return curve if isinstance(curve, str) else curve.__name__
+
+
+def _is_monotone(curve) -> bool:
+    return _name(curve) in MONOTONE
+
+
+HANDLERS = {
+    "Conv2D": Chain.convolve,
+    "DepthwiseConv2D": Chain.convolve,
+    "SeparableConv2D": Chain.convolve,
+    "Dense": Chain.connect,
+    "Activation": Chain.activate,
+    "ReLU": Chain.rectify,
+    "LeakyReLU": Chain.leak,
+    "ELU": Chain.rise_exponentially,
+    "Softmax": lambda chain, layer: chain.use_activation(layer, "softmax"),
+    "BatchNormalization": Chain.normalise,
+    "Rescaling": Chain.rescale,
+    "Flatten": Chain.flatten,
+    "Reshape": Chain.reshape,
+    "Permute": Chain.permute,
+    "ZeroPadding2D": Chain.pad,
+    "Cropping2D": Chain.crop,
+    "AveragePooling2D": Chain.average,
+    "GlobalAveragePooling2D": Chain.average_all,
+    "MaxPooling2D": Chain.maximise,
+    "GlobalMaxPooling2D": Chain.maximise_all,
+}
+# Layers that only act in training.
+IDLE = (
+    *("Dropout", "SpatialDropout2D", "AlphaDropout", "GaussianDropout", "GaussianNoise"),
+    *("ActivityRegularization", "RandomFlip", "RandomRotation", "RandomZoom", "RandomContrast"),
+    *("RandomTranslation", "RandomBrightness", "Identity"),
+)
+# Activations that do not change which output is the largest.
+MONOTONE = (
+    *("softmax", "log_softmax", "sigmoid", "tanh", "softplus", "softsign", "elu", "selu"),
+    *("exponential", "relu", "leaky_relu"),
+)
+
+NO_CHAIN = "is not one chain of layers, each called once and with its input only; build one"
+USABLE = "use Conv2D (with a stride), AveragePooling2D, Dense, Flatten, ReLU, BatchNormalization"
+USE_RELU = "use activation='relu' (in the output 'softmax' or None)"
+# Alternatives to layers that are not supported.
+REFUSED = {
+    "LayerNormalization": "use BatchNormalization",
+    "Normalization": "use Rescaling, or BatchNormalization",
+    "Conv1D": "use Conv2D on an input of rows, columns, channels",
+    "PReLU": USE_RELU,
+}
