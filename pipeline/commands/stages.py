@@ -66,11 +66,12 @@ def convert(
     from pipeline import stages
 
     changes, examine = {}, None
-    if model is not None:
-        changes, examine = stages.settings_of_model(model, retrain), _require_model
-    if nir is not None:
+    if model is not None or nir is not None:
         refuse_other_folders(run)
         before = RunFolder(run).resolve_settings(requested.settings, {})
+    if model is not None:
+        changes, examine = stages.settings_of_model(model, retrain, before), _require_model
+    if nir is not None:
         changes = stages.settings_of_nir(nir, step, requested.input, before)
         examine = functools.partial(stages.refuse_early, strict=strict)
     with options.opened(run, requested, jobs, changes, examine=examine) as opened:

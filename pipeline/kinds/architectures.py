@@ -129,3 +129,23 @@ def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec
         for link in links
     ]
     return deployed(chain, EventFrames() if on_events else ImageSpikes(), Presentation())
+
+
+def suggest_sensor_size(needed: tuple, found: tuple) -> str:
+    """The settings that fit recordings to an imported network for a larger sensor, or nothing.
+
+    The size of a sensor that is read from files is that of its largest coordinates, and the outer
+    taxels may have no events.
+
+    Parameters
+    ----------
+    needed, found : (int, int)
+        Rows and columns of the network's input, and of the recordings.
+    """
+    if needed == found or any(n < f for n, f in zip(needed, found, strict=True)):
+        return ""
+    rows, columns = needed
+    return (
+        "if the sensor's outer taxels have no events, give its size, "
+        f"--set skin.rows={rows} --set skin.columns={columns}; else "
+    )

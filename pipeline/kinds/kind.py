@@ -32,7 +32,12 @@ from deploy.network.responses import Responses
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from models.architecture import parse
-from pipeline.kinds.architectures import architecture_for, chip_problems, is_for
+from pipeline.kinds.architectures import (
+    architecture_for,
+    chip_problems,
+    is_for,
+    suggest_sensor_size,
+)
 from pipeline.kinds.steps import Step, StepInputs
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
@@ -308,10 +313,11 @@ class NetworkKind:
         size, parsed = f"{sensor.rows}x{sensor.columns}x{self.channels}", parse(self.architecture)
         if self.imported is not None:
             has = "x".join(map(str, parsed.input_shape))
+            remedy = suggest_sensor_size(parsed.input_shape[:2], (sensor.rows, sensor.columns))
             raise UserError(
                 f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; "
-                f"recordings give {size} and {classes} classes: train one for those, or give its "
-                "--data or images (--set image.slices, image.aggregation)"
+                f"recordings give {size} and {classes} classes: {remedy}train one "
+                "for those, or give its --data or images (--set image.slices, image.aggregation)"
             )
         like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(

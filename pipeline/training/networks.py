@@ -151,7 +151,13 @@ class TrainedRates(Trained):
 
 
 def train_cnn(
-    settings: Settings, data, seed: int, validation=None, advance=None, altered=None
+    settings: Settings,
+    data,
+    seed: int,
+    validation=None,
+    advance=None,
+    altered=None,
+    weights=None,
 ) -> TrainedCNN:
     """Train the paper's CNN (Section 3.2.1).
 
@@ -172,12 +178,16 @@ def train_cnn(
         :meth:`pipeline.recordings.dataset.Dataset.altered`.  Default: the images themselves,
         whatever
         ``cnn.augment`` is.
+    weights : dict, optional
+        Weights at the beginning.  Default: new ones.
 
     Returns
     -------
     TrainedCNN
     """
     model = new_cnn(settings, seed)
+    if weights is not None:
+        set_weights(model, weights)
     recipe = cnn_recipe(settings.cnn, len(data[0]))
     history = fit(model, recipe, data, seed, validation, advance, altered)
     return TrainedCNN(settings, get_weights(model), history)

@@ -210,6 +210,12 @@ def exact(keras):
             layers.Flatten(),
             layers.Dense(3),
         ),
+        "keras_1": chain(
+            (8, 8, 1),
+            layers.Conv2D(4, 3, strides=2, activation="relu", name="c"),
+            layers.Flatten(),
+            layers.Dense(3, activation="softmax", name="out"),
+        ),
         "within": chain((6, 6, 1), inner, layers.Flatten(), layers.Dense(3)),
     }
 
@@ -286,7 +292,9 @@ def bad(keras):
         end=[layers.Flatten(), layers.Dense(3, "softmax", name="early"), layers.Dense(3)]
     )
     models["no_dense_output"] = chain(conv(), end=[])
-    models["overlapping_means"] = chain(conv(), layers.AveragePooling2D(3, strides=2), conv(kernel_size=2, name="d"))
+    models["overlapping_means"] = chain(
+        conv(), layers.AveragePooling2D(3, strides=2), conv(kernel_size=2, name="d")
+    )
     models["other_padding"] = chain(layers.ZeroPadding2D(3), conv())
     models["unknown_rows"] = chain(shape=(200,), end=[layers.Dense(3)])
     models["dense_on_images"] = chain(layers.Dense(3, "relu", name="each"))

@@ -1,9 +1,12 @@
 """A user's Keras model: the same function as an architecture and weights, or refused in a line."""
 
+import json
 import os
+import shutil
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import pytest
 
@@ -24,8 +27,8 @@ CURVES = {
     "softplus": lambda x: np.log1p(np.exp(x)),
     "relu": lambda x: np.maximum(x, 0),
 }
-KERAS = ("keras2", "keras3")
-FORMATS = ("keras", "h5")
+# What each Keras writes by default.
+SUFFIXES = {"keras2": "h5", "keras3": "keras"}
 GOOD = {
     "paper": "10x10-6c4-24c3-10o",
     "strides_and_pooling": "11x9x2-5c4s2p-2a-7-3o",
@@ -50,6 +53,7 @@ EXACT = {
     "normalised_rows": "6x6-3c3-3o",
     "channels_first": "8x7x2-3c3-2a-4c2-3o",
     "within": "6x6-3c3-3o",
+    "keras_1": "8x8-4c3s2-3o",
 }
 # Of models of which something is replaced, since training goes on.
 REPLACED = {
@@ -94,7 +98,7 @@ BAD = {
 @pytest.fixture(scope="session")
 def files(tmp_path_factory):
     """Folders of files that Keras 2 and Keras 3 wrote, in a process of their own."""
-    folders = {which: tmp_path_factory.mktemp(which) for which in KERAS}
+    folders = {which: tmp_path_factory.mktemp(which) for which in SUFFIXES}
     clean = {k: v for k, v in os.environ.items() if k != "TF_USE_LEGACY_KERAS"}
     done = subprocess.run(
         [sys.executable, keras_models.__file__, *map(str, folders.values())],
@@ -117,26 +121,31 @@ def original_outputs(path, own):
     return outputs, logits
 
 
-@pytest.mark.parametrize("which", KERAS)
+@pytest.mark.parametrize("which", SUFFIXES)
 @pytest.mark.parametrize("name", {**GOOD, **EXACT, **REPLACED})
 def test_the_same_function(files, which, name):
     architecture = {**GOOD, **EXACT, **REPLACED}[name]
-    for suffix in FORMATS:
-        own = read_keras(files[which] / f"{name}.{suffix}", retrain=name in REPLACED)
-        assert own.architecture == parse(architecture)
-        assert bool(own.replaced) == (name in REPLACED)
-        outputs, logits = original_outputs(files[which] / name, own)
-        if outputs.shape[1] == 1:
-            logits = logits[:, 1:] - logits[:, :1]
-        computed = CURVES[own.end](logits)
-        np.testing.assert_allclose(computed, outputs, rtol=1e-4, atol=1e-5)
+    own = read_keras(files[which] / f"{name}.{SUFFIXES[which]}", retrain=name in REPLACED)
+    assert own.architecture == parse(architecture)
+    assert bool(own.replaced) == (name in REPLACED)
+    outputs, logits = original_outputs(files[which] / name, own)
+    if outputs.shape[1] == 1:
+        logits = logits[:, 1:] - logits[:, :1]
+    np.testing.assert_allclose(CURVES[own.end](logits), outputs, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("which", KERAS)
+@pytest.mark.parametrize("file", ["keras2/paper.keras", "keras3/functional.h5"])
+def test_the_other_format_of_each_keras(files, file):
+    which, name = file.split("/")
+    own = read_keras(files[which] / name)
+    assert own.architecture == parse(GOOD[name.partition(".")[0]])
+
+
+@pytest.mark.parametrize("which", SUFFIXES)
 @pytest.mark.parametrize("name", REPLACED)
 def test_what_needs_training_is_refused_without_it(files, which, name):
     with pytest.raises(ModelFileError) as refusal:
-        read_keras(files[which] / f"{name}.keras")
+        read_keras(files[which] / f"{name}.{SUFFIXES[which]}")
     assert missing(str(refusal.value), "'cause'", "--retrain") == []
 
 
@@ -150,15 +159,14 @@ def test_what_was_folded_or_left_out_is_said(files):
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_cannot_be_used_is_refused_by_name(files, name):
-    for which in KERAS:
-        for suffix in FORMATS:
-            path = files[which] / f"{name}.{suffix}"
-            with pytest.raises(ModelFileError) as refusal:
-                read_keras(path)
-            line = str(refusal.value)
-            assert line.startswith(f"{path}: ")
-            assert "\n" not in line
-            assert missing(line, *BAD[name]) == []
+    for which, suffix in SUFFIXES.items():
+        path = files[which] / f"{name}.{suffix}"
+        with pytest.raises(ModelFileError) as refusal:
+            read_keras(path)
+        line = str(refusal.value)
+        assert line.startswith(f"{path}: ")
+        assert "\n" not in line
+        assert missing(line, *BAD[name]) == []
 
 
 @pytest.mark.parametrize(
@@ -176,8 +184,54 @@ def test_no_file_and_a_folder_and_weights_alone(tmp_path, files):
         read_keras(tmp_path / "model.keras")
     with pytest.raises(UserError, match=f"^{tmp_path}: "):
         read_keras(tmp_path)
-    with pytest.raises(ModelFileError, match=r"only\.weights\.h5: .*model.save"):
+    with pytest.raises(ModelFileError, match=r"only\.weights\.h5: has weights only"):
         read_keras(files["keras3"] / "only.weights.h5")
+
+
+def test_a_file_of_keras_1(tmp_path, files):
+    """A configuration with the names of Keras 1, and the weights of a model of Keras 2."""
+    with h5py.File(files["keras2"] / "keras_1.h5") as file:
+        groups = [file["model_weights"][name] for name in ("c", "out")]
+        arrays = [[group[name][()] for name in group.attrs["weight_names"]] for group in groups]
+    layers = [
+        ("Convolution2D", {"name": "c", "nb_filter": 4, "nb_row": 3, "nb_col": 3, "bias": True,
+                           "subsample": [2, 2], "border_mode": "valid", "dim_ordering": "tf",
+                           "init": "glorot_uniform", "activation": "relu",
+                           "W_regularizer": None, "batch_input_shape": [None, 8, 8, 1]}),
+        ("Dropout", {"name": "d", "p": 0.5}),
+        ("Flatten", {"name": "f"}),
+        ("Dense", {"name": "out", "output_dim": 3, "activation": "softmax", "init": "normal"}),
+    ]  # fmt: skip
+    config = [{"class_name": kind, "config": arguments} for kind, arguments in layers]
+    path = tmp_path / "old.hdf5"
+    with h5py.File(path, "w") as file:
+        file.attrs["keras_version"] = np.bytes_("1.2.2")
+        file.attrs["model_config"] = np.bytes_(
+            json.dumps({"class_name": "Sequential", "config": config})
+        )
+        weights = file.create_group("model_weights")
+        names = [arguments["name"] for _, arguments in layers]
+        weights.attrs["layer_names"] = np.array(names, "S")
+        weights.attrs["keras_version"] = np.bytes_("1.2.2")
+        weights.attrs["backend"] = np.bytes_("tensorflow")
+        for name in names:
+            weights.create_group(name).attrs["weight_names"] = np.array([], "S1")
+        for name, (kernel, bias) in zip(("c", "out"), arrays, strict=True):
+            weights[name].attrs["weight_names"] = np.array([f"{name}_W", f"{name}_b"], "S")
+            weights[name][f"{name}_W"], weights[name][f"{name}_b"] = kernel, bias
+    own, same = read_keras(path), read_keras(files["keras2"] / "keras_1.h5")
+    assert own.architecture == same.architecture == parse("8x8-4c3s2-3o")
+    for name, array in same.weights.items():
+        np.testing.assert_array_equal(own.weights[name], array)
+
+
+def test_a_file_that_refers_to_others(tmp_path, files):
+    path = tmp_path / "model.h5"
+    shutil.copy(files["keras2"] / "paper.h5", path)
+    with h5py.File(path, "a") as file:
+        file["model_weights"]["more"] = h5py.ExternalLink("/etc/passwd", "/")
+    with pytest.raises(ModelFileError, match=r"model\.h5: .*another file"):
+        read_keras(path)
 
 
 def test_batch_normalisation_by_hand():
@@ -190,12 +244,12 @@ def test_batch_normalisation_by_hand():
     conv = Layer("Conv2D", "c", {**arguments, "dilation_rate": 1}, arrays)
     relu, flat = Layer("ReLU", "r", {}, ()), Layer("Flatten", "f", {}, ())
     end = Layer("Dense", "o", {"units": 2}, (np.eye(2),))
-    own = convert_layers((1, 2), (conv, norm, relu, flat, end))
+    own = convert_layers((1, 2, 1), (conv, norm, relu, flat, end))
     assert own.architecture == parse("1x2-1c1p-2o")
     assert own.weights["conv1.kernel"].ravel().tolist() == [3.0]
     assert own.weights["conv1.bias"].tolist() == [-3.0]
     assert own.weights["output.bias"].tolist() == [0.0, 0.0]
     # After the ReLU it is the next layer's: its kernel stays, its bias becomes 4 of each input.
-    own = convert_layers((1, 2), (conv, relu, norm, flat, end))
+    own = convert_layers((1, 2, 1), (conv, relu, norm, flat, end))
     assert own.weights["conv1.bias"].tolist() == [-7.0]
     assert own.weights["output.bias"].tolist() == [4.0, 4.0]

@@ -13,7 +13,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.targets.fast import firing_rates
 from models import chain
 from models.architecture import parse
-from models.keras.reader import read_keras
+from models.keras.reader import original_network, read_keras
 from pipeline.kinds import counts
 from pipeline.kinds.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
 from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
@@ -21,6 +21,7 @@ from pipeline.kinds.kind import (
     Imported,
     NetworkKind,
     Reference,
+    accuracies,
     accuracy_text,
     imported_file,
     metrics_of,
@@ -130,9 +131,10 @@ class ImageKind(NetworkKind):
 
     @property
     def steps(self):
-        cnn = ["cnn.model_sha256"]
-        if not self.settings.cnn.model:
-            cnn = ["cnn.epochs", "cnn.batch_size", "cnn.learning_rate", "cnn.augment"]
+        cnn = ["cnn.epochs", "cnn.batch_size", "cnn.learning_rate", "cnn.augment"]
+        if self.settings.cnn.model:
+            is_trained = self.settings.snn.recipe == "loihi"
+            cnn = ["cnn.model_sha256", "snn.recipe", *(cnn if is_trained else [])]
         files, further = ("metrics.json", "weights.npz"), SNN_SETTINGS[self.settings.snn.recipe]
         reads = ("input.kind", "image", "cnn.architecture", *cnn)
         return (
@@ -169,21 +171,13 @@ class ImageKind(NetworkKind):
         """Train the CNN, or read the user's own."""
         settings, dataset = inputs.settings, inputs.dataset
         if settings.cnn.model:
-            path, trained, notes = take_over(artifact.folder, settings, dataset)
-            for note in notes:
-                inputs.say(f"cnn: {note}")
+            path, model = take_over(artifact.folder, settings, dataset)
+            trained, seconds = _adopt(model, settings, dataset, inputs.say)
             copy = copy_of_model(artifact.folder, settings)
             if path != copy:
                 copy_file(path, copy)
-            seconds = 0.0
         else:
-            from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
-
-            data, how = dataset.part("train"), settings.cnn.augment
-            altered = dataset.altered("none" if how == "auto" else how)
-            epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
-            arguments = settings, data, settings.seed, watched(dataset)
-            trained, seconds = timed("cnn", epochs, train_cnn, *arguments, altered=altered)
+            trained, seconds = _train_cnn(settings, dataset)
         write_network(artifact.folder, trained, not len(dataset.split.validation))
         metrics = metrics_of(trained, dataset, seconds, training_versions())
         inputs.say(accuracy_text("cnn", metrics))
@@ -313,6 +307,40 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     return chain.deployed(links, settings.stimulus, settings.presented(), provenance)
 
 
+def _train_cnn(settings, dataset, weights=None):
+    """Train the CNN from given weights or from new ones; return it and the seconds."""
+    from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
+
+    data, how = dataset.part("train"), settings.cnn.augment
+    altered = dataset.altered("none" if how == "auto" else how)
+    epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
+    arguments = settings, data, settings.seed, watched(dataset)
+    return timed("cnn", epochs, train_cnn, *arguments, altered=altered, weights=weights)
+
+
+def _adopt(model, settings, dataset, say):
+    """The user's model as the CNN; it is trained further if something in it was replaced."""
+    from models.cnn import predict
+    from pipeline.training.networks import TrainedCNN
+
+    for note in (*model.notes, *model.replaced):
+        say(f"cnn: {note}")
+    taken = TrainedCNN(settings, model.weights)
+    if not model.replaced:
+        return taken, 0.0
+    logits = [predict(original_network(model), dataset.inputs), taken.logits(dataset.inputs)]
+    trained, seconds = _train_cnn(settings, dataset, model.weights)
+    logits.append(trained.logits(dataset.inputs))
+    rows = [accuracies(one.argmax(1) == dataset.labels, dataset)["accuracy"] for one in logits]
+    part = list(rows[0])[-1]
+    before, replaced, after = (f"{row[part]:.3f}" for row in rows)
+    say(
+        f"cnn: {part} accuracy {before} as in the file, {replaced} with what was replaced, "
+        f"{after} after further training"
+    )
+    return trained, seconds
+
+
 def _trained_further(name, function, inputs, artifact):
     """Train a network that starts from the CNN; write it, and return it and its metrics."""
     from pipeline.training.networks import snn_recipe
@@ -353,7 +381,7 @@ LEAST_KNOWN = 0.15
 GIVE_MODEL_AGAIN = "give it again with 'stmnist convert RUN --model FILE' (and --retrain if used)"
 
 
-def settings_of_model(path: Path, retrain: bool = False) -> dict:
+def settings_of_model(path: Path, retrain: bool = False, before: Settings | None = None) -> dict:
     """Changes of the settings with which a user's Keras model replaces the CNN.
 
     Parameters
@@ -361,6 +389,9 @@ def settings_of_model(path: Path, retrain: bool = False) -> dict:
     path : path-like
     retrain : bool
         Train the model further with rate-LIF neurons.
+    before : Settings, optional
+        Settings before these changes, whose rows, columns and channels are those of a model whose
+        input is a vector.
 
     Raises
     ------
@@ -368,7 +399,9 @@ def settings_of_model(path: Path, retrain: bool = False) -> dict:
         The file cannot be read, is not a Keras model, or does not fit any chip.
     """
     path = Path(path)
-    model, sha256 = read_keras(path), sha256_of(path)
+    skin, channels = (before or Settings()).skin, (before or Settings()).image.channels
+    grid = (skin.rows, skin.columns, channels) if skin.rows and skin.columns else None
+    model, sha256 = read_keras(path, retrain, grid), sha256_of(path)
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
         "input": {"kind": "image"},
@@ -403,8 +436,8 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
 
     Returns
     -------
-    Path, TrainedCNN, sequence of str
-        The file that was read, the network, and messages about it.
+    Path, models.keras.layers.KerasModel
+        The file that was read, and the model.
 
     Raises
     ------
@@ -414,15 +447,16 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     """
     copy = copy_of_model(folder, settings)
     path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
-    model = read_keras(path)
+    retrain = settings.snn.recipe == "loihi"
+    model = read_keras(path, retrain, parse(settings.cnn.architecture).input_shape)
     imported = settings.cnn.model_sha256, settings.cnn.architecture
     if (sha256_of(path), str(model.architecture)) != imported:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
-    from pipeline.training.networks import TrainedCNN
+    from models.cnn import predict
 
     images, labels = dataset.part("train")
-    taken = TrainedCNN(settings, model.weights)
-    right = int((taken.logits(images).argmax(1) == labels).sum())
+    logits = predict(original_network(model), images)
+    right = int((logits.argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)
     if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
         raise UserError(
@@ -430,4 +464,4 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
             f"{right / len(labels):.3f}, {likeliest:.3f} by always predicting the same class); "
             "train it on images as [image] in the settings makes them, with classes in this order"
         )
-    return path, taken, model.notes
+    return path, model

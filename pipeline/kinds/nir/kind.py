@@ -27,6 +27,7 @@ from models.nir.chain import from_nir, merges_polarities
 from models.nir.graph import NirNetwork, read_nir
 from models.nir.simulator import AT_ONCE, simulate
 from pipeline.kinds import counts
+from pipeline.kinds.architectures import suggest_sensor_size
 from pipeline.kinds.events.kind import DECIDES, confidence_of, presentation_choices, trusted
 from pipeline.kinds.kind import Imported, NetworkKind, Reference, imported_file, is_file
 from pipeline.kinds.steps import Step
@@ -545,10 +546,12 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events:
     fits = [(n, rows, columns) for n in ({channels, 1} if on_events else {channels})]
     if shape not in (*fits, *((math.prod(fit),) for fit in fits)):
         what = "events" if on_events else "an image"
+        remedy = suggest_sensor_size(shape[1:], (rows, columns)) if len(shape) == 3 else ""
         raise UserError(
             f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
             f"{columns} taxels would be {channels} x {rows} x {columns} (channels, rows, columns): "
-            "train it for that, or give another --data or --input, or other settings image.*"
+            f"{remedy}train it for that, or give another --data or --input, or other settings "
+            "image.*"
         )
     if network.outputs != classes:
         raise UserError(
