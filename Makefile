@@ -4,7 +4,7 @@
 # events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100
 # of 1 ms, or with events 200 of 10 ms of skin time), JOBS (default 2),
 # TARGET (of make check; default emulator), BOARD, PARTITION and CHIPS (of make loihi-hardware),
-# SET (other settings, such as SET="cnn.epochs=5 presentation.readout_start=3"),
+# SET (other settings, such as SET="cnn.epochs=5 snn.max_rates=[150, 100]"),
 # PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
 # Unset ones leave a run's own settings as they are.
 
@@ -16,7 +16,9 @@ PYTHON38 ?= $(shell sh setup.sh --find 3.8)
 BIN := .venv/bin
 STMNIST := $(BIN)/stmnist
 DATA_OPTIONS := $(if $(DATA),--data "$(DATA)") $(if $(SEED),--seed $(SEED)) --jobs $(JOBS)
-SET_OPTIONS := $(foreach value,$(SET),--set $(value))
+# By way of the environment, so that no value is taken apart at its blanks or quotation marks.
+export SET
+SET_OPTIONS := $(if $(SET),--set "$$SET")
 SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT)) $(SET_OPTIONS)
 CHIP_OPTIONS := $(if $(CHIPS),--chips $(CHIPS))
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION)) $(CHIP_OPTIONS)
@@ -139,8 +141,10 @@ audit: .venv-audit/installed  ## Look up known vulnerabilities of the pinned ver
 	@.venv-audit/bin/pip install -qq pip-audit==2.10.1
 	@touch $@
 
-clean:  ## Remove the run RUN, but not the cache and .venv
-	@rm -rf -- "$(RUN)"
+clean:  ## Remove the run RUN; other folders, the cache and .venv are kept
+	@if [ -f "$(RUN)/experiment.toml" ]; then rm -rf -- "$(RUN)"; \
+	elif [ -e "$(RUN)" ]; then \
+	  echo "clean: $(RUN): not a run (it has no experiment.toml), so it is kept" >&2; exit 2; fi
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-15s %s\n", $$1, $$2}' Makefile

@@ -13,6 +13,7 @@ from .check.run import run_check
 from .check.text import summary
 from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
+from .progress import ProgressLines
 from .targets import NAMES, BoardOptions
 from .targets.board import nxsdk_version
 from .targets.registry import options_for
@@ -87,13 +88,17 @@ def _check(options):
     chosen = options_for(options.target, **values)
     bundle = read_bundle(options.bundle)
     out = options.out or result_beside(options.bundle, options.target)
-    total, done = len(bundle.checks), 0
+    total = len(bundle.checks)
+    lines = ProgressLines(f"check {options.target}", total)
+    done = 0
 
     def advance(n):
         nonlocal done
         done += n
         if sys.stderr.isatty():
             print(f"\r{options.target}: {done} of {total} samples", end="", file=sys.stderr)
+        else:
+            lines.advance(n)
 
     result = run_check(bundle, options.target, out, options.seed, advance, chosen)
     if sys.stderr.isatty():

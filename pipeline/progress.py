@@ -1,10 +1,12 @@
-"""Progress bars with an estimate of the time, on a terminal or in a notebook; silent elsewhere."""
+"""Progress with an estimate of the time: a bar on a terminal or in a notebook, lines elsewhere."""
 
 import contextlib
 import importlib.util
 
 from rich.console import Console
 from rich.progress import Progress
+
+from deploy.progress import ProgressLines
 
 console = Console(stderr=True)
 
@@ -30,7 +32,7 @@ def ignore_progress(label: str, total: int):
 
 @contextlib.contextmanager
 def progress(label: str, total: int):
-    """Display a bar while the block runs.
+    """Display a bar, or now and then a line, while the block runs.
 
     Parameters
     ----------
@@ -45,8 +47,13 @@ def progress(label: str, total: int):
         ``advance(n=1, note=None)``: n more steps are done; ``note`` is printed after the label.
     """
     in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
-    drawn = not _hidden and (console.is_terminal or in_notebook)
-    with Progress(console=console, disable=not drawn) as bar:
+    if _hidden:
+        yield lambda n=1, note=None: None
+        return
+    if not (console.is_terminal or in_notebook):
+        yield ProgressLines(label, total).advance
+        return
+    with Progress(console=console) as bar:
         task = bar.add_task(label, total=total)
 
         def advance(n=1, note=None):

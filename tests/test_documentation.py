@@ -296,11 +296,31 @@ def test_a_target_of_the_makefile_calls_a_command_that_exists(target):
         assert any(called.startswith(words) for words in commands()), called
 
 
-def test_settings_are_passed_on():
-    done = make("-n", "-o", "setup", "train", "SET=cnn.epochs=5 seed=3")
-    assert "--set cnn.epochs=5 --set seed=3" in done.stdout
-    done = make("-n", "-o", "setup", "benchmark", "SET=cnn.epochs=5")
-    assert "--set cnn.epochs=5" in done.stdout
+@pytest.mark.parametrize("target", ["train", "ladder", "benchmark"])
+def test_settings_with_blanks_are_passed_on(target, tmp_path):
+    """Each command is replaced by one that prints its arguments."""
+    tool = tmp_path / "python"
+    tool.write_text("#!/bin/sh\nprintf '%s\\n' \"$@\"\n")
+    tool.chmod(0o755)
+    given = 'SET=cnn.epochs=5 data.source=my "own" events seed=3'
+    target = {"ladder": "loihi-emulate"}.get(target, target)
+    done = make("-o", "setup", target, given, f"STMNIST={tool}", f"BIN={tmp_path}")
+    (word,) = [line for line in done.stdout.splitlines() if "epochs" in line]
+    assert word == given.removeprefix("SET=")
+
+
+@pytest.mark.parametrize("is_run", [True, False])
+def test_only_a_run_is_removed(tmp_path, is_run):
+    folder = tmp_path / "my own"
+    folder.mkdir()
+    (folder / "thesis.txt").write_text("years")
+    if is_run:
+        (folder / "experiment.toml").touch()
+    command = ["make", "clean", f"RUN={folder}"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == (0 if is_run else 2)
+    assert folder.exists() is not is_run
+    assert is_run or "experiment.toml" in done.stderr
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -165,6 +165,16 @@ def test_assignments_of_the_command_line():
     assert parse_assignments(["snn.max_rates=100"]) == {"snn": {"max_rates": [100]}}
 
 
+def test_one_word_of_the_command_line_may_have_several_settings():
+    word = "seed=3  snn.max_rates=[150, 100] data.source=my own events check.samples=7"
+    assert parse_assignments([word]) == {
+        "seed": 3,
+        "snn": {"max_rates": [150, 100]},
+        "data": {"source": "my own events"},
+        "check": {"samples": 7},
+    }
+
+
 @pytest.mark.parametrize(
     "assignments",
     [

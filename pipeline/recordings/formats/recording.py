@@ -25,6 +25,12 @@ COLUMN_NAMES = {
     "p": ("p", "polarity", "pol", "on"),
 }
 
+# What to write where the polarity is missing.
+NO_POLARITY = (
+    "add the polarity p: 1 for ON, the pressure rises, and 0 for OFF; 1 everywhere if the sensor "
+    "has one kind of events"
+)
+
 # Events of one recording.
 MAX_EVENTS = 5_000_000
 
@@ -208,6 +214,8 @@ def _split_columns(events):
     if is_four and all(np.ndim(array) == 1 for array in events):
         return dict(zip(ARRAYS, events, strict=True)), ""
     rows = np.asarray(events)
+    if rows.ndim == 2 and rows.shape[1] == 3:
+        raise BadRecording(f"has rows of three numbers; if these are x, y and t, {NO_POLARITY}")
     if rows.ndim == 2 and rows.shape[1] == 4:
         return dict(zip(ARRAYS, rows.T, strict=True)), ""
     raise BadRecording(
@@ -223,6 +231,7 @@ def find_columns(names) -> dict:
     for name, others in COLUMN_NAMES.items():
         key = next((other for other in others if other in lower), None)
         if key is None:
-            raise BadRecording(f"has no array {name!r}; expected x, y, t and p")
+            remedy = NO_POLARITY if name == "p" else "expected x, y, t and p"
+            raise BadRecording(f"has no {name!r}; {remedy}")
         chosen[name] = lower[key]
     return chosen

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import itertools
 import re
 import textwrap
 import tomllib
@@ -43,11 +44,16 @@ def settings_text(described: list, width: int = 80) -> str:
     return "\n".join(lines[1:])
 
 
+# The blanks before the name of a setting.
+_NEXT_SETTING = re.compile(r"\s+(?=(?:seed|[a-z]\w*\.\w+)\s*=)")
+
+
 def parse_assignments(assignments) -> dict:
     """Turn ``["cnn.epochs=5", "seed=1"]`` into nested values.
 
-    Values are read as TOML, and as plain text where that fails; a single value is taken as a list
-    of one where a list is needed.
+    An entry may have several settings with blanks between them, as make's ``SET``; values may have
+    blanks, too.  Values are read as TOML, and as plain text where that fails; a single value is
+    taken as a list of one where a list is needed.
 
     Raises
     ------
@@ -55,7 +61,7 @@ def parse_assignments(assignments) -> dict:
         An entry is not of the form ``name=value``.
     """
     values: dict = {}
-    for assignment in assignments:
+    for assignment in itertools.chain.from_iterable(map(_NEXT_SETTING.split, assignments)):
         name, equals, text = assignment.partition("=")
         if not equals or not name.strip():
             raise UserError(f"--set {assignment!r}: expected section.name=value")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from deploy.errors import SeveralErrors, UserError
 from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.formats import read_file
+from pipeline.recordings.formats.csv import read_csv
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.images import tactile_images
 from pipeline.recordings.library import load_recordings
@@ -190,7 +191,7 @@ def test_arrays_of_many_forms():
         np.testing.assert_array_equal(read.x, X)
         np.testing.assert_array_equal(read.time, T)
     with pytest.raises(BadRecording, match="shape"):
-        make_recording(np.zeros((3, 3)))
+        make_recording(np.zeros((3, 5)))
 
 
 class LikeTonic:
@@ -281,3 +282,9 @@ def test_four_events_in_lists_are_rows_or_columns():
     with pytest.raises(BadRecording, match="rows or columns"):
         make_recording(rows)
     np.testing.assert_array_equal(make_recording(np.array(rows)).x, [1, 2, 3, 0])
+
+
+@pytest.mark.parametrize("first", ["x,y,t\n", ""])
+def test_a_csv_without_a_polarity_says_what_to_write(first):
+    with pytest.raises(BadRecording, match="polarity p: 1 for ON"):
+        read_csv(f"{first}1,2,0.5\n2,2,0.6\n".encode())

@@ -1,0 +1,58 @@
+"""Progress of a long step as lines, for output that goes to a file."""
+
+from __future__ import annotations
+
+import time
+
+from .terminal import remark
+
+# Lines in a step: one each tenth.
+PARTS = 10
+
+# Least time between two lines in seconds, so that short steps have none.
+MIN_SECONDS = 10.0
+
+
+class ProgressLines:
+    """A line for each tenth of a step, with the time that it took and that it will take.
+
+    Parameters
+    ----------
+    label : str
+        The activity, such as ``"train events"``.
+    total : int
+        Total number of units of work.
+    clock : callable
+        The time in seconds.
+    """
+
+    def __init__(self, label: str, total: int, clock=time.monotonic):
+        self._label = label
+        self._total = total
+        self._clock = clock
+        self._begun = self._printed = clock()
+        self._done = self._told_part = 0
+
+    def advance(self, n: int = 1, note: str | None = None):
+        """Count n more units of work; print a line if a tenth is complete.
+
+        Parameters
+        ----------
+        n : int
+        note : str, optional
+            Printed after the label.
+        """
+        self._done += n
+        part = PARTS * self._done // max(self._total, 1)
+        now = self._clock()
+        is_last = self._done >= self._total
+        if part == self._told_part or is_last or now - self._printed < MIN_SECONDS:
+            return
+        self._told_part = part
+        self._printed = now
+        seconds = now - self._begun
+        left = seconds * (self._total - self._done) / self._done
+        label = self._label if note is None else f"{self._label} {note}"
+        remark(
+            f"{label}: {self._done} of {self._total} after {seconds:.0f} s, about {left:.0f} s left"
+        )
