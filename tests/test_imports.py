@@ -75,7 +75,7 @@ FLOORS = {
     ],
     "deploy": [
         {"terminal"},
-        {"errors", "limits", "loading", "tables", "requirements"},
+        {"errors", "limits", "loading", "progress", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},
