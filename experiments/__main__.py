@@ -10,6 +10,7 @@ from deploy.terminal import remark, show
 OTHERS = {
     "adapt": ("adapt", "The gain of fitting a network to a person", "30 min"),
     "speed": ("speed", "fast and FastSimulator beside NengoLoihi's emulator", "5 min"),
+    "stream": ("stream", "Latency of a running sensor's decisions, highest event rate", "4 min"),
     "recurrent": ("recurrent", "A recurrent network from snnTorch on the emulator", "15 min"),
     "calibration": ("calibration", "Fit the simulation to the paper's Table 1", "10 min"),
     "handwriting": ("handwriting", "Estimate the model of handwriting", "1 min"),

@@ -81,6 +81,7 @@ FLOORS = {
         {"preflight"},
         {"targets"},
         {"check"},
+        {"stream"},
         {"cli"},
         {"__main__"},
     ],

@@ -193,6 +193,36 @@ def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -
     return np.where(outputs.any(-1), np.minimum(sure, SUREST), 0.0)
 
 
+def continued_confidence(
+    outputs, known, estimator: Optional[Estimator] = None, first: int = 0
+) -> np.ndarray:
+    """The confidence at the steps that follow those whose confidence is known.
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (steps, classes)
+        Accumulated readout at all steps.
+    known : ndarray, shape (n,)
+        Confidence at the first steps.
+    estimator, first
+        As in :func:`confidence`.
+
+    Returns
+    -------
+    ndarray, shape (steps - n,)
+        The last values of :func:`confidence` of all outputs.
+    """
+    n = len(known)
+    if n == 0 or estimator is None:
+        return confidence(outputs[n:], estimator, first + n)
+    start = max(0, n - max(LAGS) - 1)
+    sure = confidence(outputs[start:], estimator, first + start)[n - start :]
+    changed = (outputs[n:] != outputs[n - 1 : -1]).any(axis=1)
+    unchanged = len(changed) if not changed.any() else int(changed.argmax())
+    sure[:unchanged] = known[-1]
+    return sure
+
+
 def probabilities(outputs, sure) -> np.ndarray:
     """Probabilities of the classes, of which the largest is the confidence in the answer.
 

@@ -15,7 +15,7 @@ from typing import Dict, Iterator, NamedTuple, Optional
 import numpy as np
 
 from .chip import LOIHI
-from .decision import decide
+from .decision import continued_confidence, decide
 from .spec import NetworkSpec
 
 
@@ -159,14 +159,16 @@ def spike_hash(packed) -> str:
     return every_spike.hexdigest()[:16]
 
 
-def decoded(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
+def decoded(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.ndarray:
     """The readout of the part of the presentation that each step belongs to.
 
     Parameters
     ----------
     spec : NetworkSpec
     output : ndarray, shape (..., steps, parts * n_classes)
-        The probe of the readout, from the first step of a sample on.
+        The probe of the readout.
+    first : int
+        Number in the sample, from 0, of the first of these steps.
 
     Returns
     -------
@@ -177,7 +179,7 @@ def decoded(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
         return output
     steps = np.arange(output.shape[-2])
     by_part = output.reshape(*output.shape[:-1], readout.parts, readout.size)
-    return by_part[..., steps, readout.part_of(steps), :]
+    return by_part[..., steps, readout.part_of(first + steps), :]
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
@@ -237,9 +239,92 @@ def _sums(spec, means):
 
 def _running_means(spec, output):
     """Running means of the readout from ``readout_start`` on."""
-    readout, window = spec.layers[-1], output[:, spec.presentation.readout_start :]
+    window = output[:, spec.presentation.readout_start :]
+    totals, counts = np.cumsum(window, axis=1), np.arange(1, window.shape[1] + 1)
+    return _mean(spec, totals, counts[:, None])
+
+
+def _mean(spec, total, count):
+    """The mean of a readout, with its bias, from a total over some steps."""
+    readout = spec.layers[-1]
     bias = readout.bias if readout.neurons is None else 0.0
-    return np.cumsum(window, axis=1) / np.arange(1, window.shape[1] + 1)[:, None] + bias
+    return total / count + bias
+
+
+class RunningReadout:
+    """The accumulated readout of one sample, some steps at a time, as :func:`read_output` has it.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    steps : int
+        Maximum number of steps.
+
+    Attributes
+    ----------
+    n_steps : int
+        Number of steps so far.
+    """
+
+    def __init__(self, spec: NetworkSpec, steps: int):
+        self._spec, self._unit = spec, score_unit(spec)
+        self._start = spec.presentation.readout_start
+        classes = spec.layers[-1].size
+        self._total = np.zeros((1, classes))
+        self._means = np.zeros((max(steps - self._start, 0), classes))
+        self._sums = np.zeros_like(self._means)
+        self._confidences = np.zeros(len(self._sums))
+        self._spoke = np.zeros(len(self._sums), bool)
+        self.n_steps = 0
+
+    @property
+    def sums(self) -> np.ndarray:
+        """Sums from ``readout_start`` on, shape (n, classes); see :func:`running_sums`."""
+        return self._sums[: self._n_read]
+
+    @property
+    def confidences(self) -> np.ndarray:
+        """The confidence at each step from ``readout_start`` on, shape (n,)."""
+        return self._confidences[: self._n_read]
+
+    @property
+    def spoke(self) -> np.ndarray:
+        """False as long as the output is empty, at each step from ``readout_start`` on."""
+        return self._spoke[: self._n_read]
+
+    @property
+    def _n_read(self):
+        return max(self.n_steps - self._start, 0)
+
+    def scores_at(self, step: int) -> np.ndarray:
+        """Scores of the classes after some number of steps, above ``readout_start``."""
+        return settled(self._means[step - self._start - 1], self._unit)
+
+    def take(self, output: np.ndarray):
+        """Add the readout of the next steps.
+
+        Parameters
+        ----------
+        output : ndarray, shape (steps, parts * n_classes)
+        """
+        done = self._n_read
+        values = decoded(self._spec, output, self.n_steps)
+        window = values[max(self._start - self.n_steps, 0) :]
+        self.n_steps += len(values)
+        if not len(window):
+            return
+        new = slice(done, done + len(window))
+        # A cumulative sum adds in the same order, whether it is interrupted or not.
+        totals = np.cumsum(np.concatenate([self._total, window]), axis=0)[1:]
+        counts = np.arange(new.start + 1, new.stop + 1)[:, None]
+        self._total = totals[-1:]
+        self._means[new] = _mean(self._spec, totals, counts)
+        self._sums[new] = settled(self._means[new] * counts, self._unit)
+        before = self._spoke[done - 1] if done else False
+        self._spoke[new] = np.logical_or.accumulate((window != 0).any(axis=1)) | before
+        estimator, known = self._spec.estimator, self._confidences[:done]
+        sums = self._sums[: new.stop]
+        self._confidences[new] = continued_confidence(sums, known, estimator, self._start)
 
 
 def score_unit(spec: NetworkSpec) -> float:

@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections import defaultdict
 from dataclasses import replace
-from typing import Dict, Iterator, NamedTuple
+from typing import TYPE_CHECKING, Dict, Iterator, NamedTuple
 
 import nengo
 import numpy as np
@@ -23,6 +23,9 @@ from ..network.responses import Responses, decoded, read_output, spike_hash
 from ..network.spec import DT, NetworkSpec
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
+
+if TYPE_CHECKING:
+    from fastloihi.streams import StreamState
 
 # Maximum memory in bytes for the spikes of some steps of all streams that run together.
 MEMORY = 32 << 20
@@ -47,6 +50,19 @@ class StreamOutputs(NamedTuple):
     output: np.ndarray
     counts: dict
     overflows: dict
+
+
+class EmulationState(NamedTuple):
+    """State of a network on the kernel between two steps, for some streams.
+
+    Attributes
+    ----------
+    chip : fastloihi.streams.StreamState
+    readout : Readout
+    """
+
+    chip: StreamState
+    readout: Readout
 
 
 class Emulation:
@@ -106,7 +122,8 @@ class Emulation:
         # The spikes that are decoded, in the order in which their decoders are added.
         order = np.concatenate(list(self.positions.values()))
         self._decoded = order[self.decoders[order].any(axis=1)]
-        self._lock = threading.Lock()
+        self._decoded_weights = self.decoders[self._decoded]
+        self._lock = threading.RLock()
 
     def _places(self, model, blocks):
         """Compartment of each neuron of a layer, which may be on several cores."""
@@ -125,6 +142,35 @@ class Emulation:
             ]
             decoders.append(np.asarray(probe.weight_outputs(spikes), float))
         return np.concatenate(decoders)
+
+    def start(self, n_streams=1) -> EmulationState:
+        """The state of a fresh network, for some streams."""
+        readout = Readout(self.spec.layers[-1], n_streams, self.decoders.shape[1])
+        return EmulationState(self.chip.start(n_streams), readout)
+
+    def advance(self, state, sent):
+        """Advance all streams by some steps.
+
+        Parameters
+        ----------
+        state : EmulationState
+            Changed to the state after the last step.
+        sent : (n_streams, n_steps, size) uint8 array
+            1 where an input neuron spikes, else 0.
+
+        Returns
+        -------
+        spikes : (n_streams, n_steps, chip.n) uint8 array
+            Spikes of all compartments; see :attr:`positions`.
+        output : (n_streams, n_steps, n_outputs) array
+            Values of the readout.
+        overflows : (n_blocks, 3) int64 array
+            See `fastloihi.streams.StreamEmulator.advance`.
+        """
+        with self._lock:
+            spikes, overflows = self.chip.advance(state.chip, _at(sent, self.sent))
+        decoded = self._sum_rows(_at(spikes, self._decoded), self._decoded_weights)
+        return spikes, state.readout.advance(decoded), overflows
 
     def run(self, samples, watch=None, memory=MEMORY) -> StreamOutputs:
         """Present streams of samples, each to a fresh network, as the spec's presentation says.
@@ -150,21 +196,18 @@ class Emulation:
         gap, period = self.spec.presentation.gap, self.spec.presentation.period
         n_streams, n_samples, size = samples.shape[0], samples.shape[1], samples.shape[-1]
         host = InputNeurons(self.spec.stimulus, n_streams, size)
-        readout = Readout(self.spec.layers[-1], n_streams, self.decoders.shape[1])
-        state, overflows = self.chip.start(n_streams), np.zeros((len(self.chip.blocks), 3), int)
+        state, overflows = self.start(n_streams), np.zeros((len(self.chip.blocks), 3), int)
         at_once = max(1, memory // self.bytes_per_step(n_streams))
         outputs, counts = [], defaultdict(list)
-        weights = self.decoders[self._decoded]
         for index in range(n_samples):
             host.take(samples[:, index])
-            before = state.counters[:, 1].copy()
+            before = state.chip.counters[:, 1].copy()
             n_input, packed = np.zeros((n_streams, size), int), defaultdict(list)
             for first in range(-gap, period - gap, at_once):
                 sent = host.spikes(first, min(first + at_once, period - gap))
-                spikes, over = self.chip.advance(state, _at(sent, self.sent))
+                spikes, output, over = self.advance(state, sent)
                 overflows += over
-                decoded = self._sum_rows(_at(spikes, self._decoded), weights)
-                outputs.append(readout.advance(decoded))
+                outputs.append(output)
                 n_input += sent.sum(axis=1, dtype=np.int32)
                 if watch is not None:
                     packed["input"].append(np.packbits(sent, axis=2))
@@ -172,7 +215,7 @@ class Emulation:
                         packed[name].append(np.packbits(_at(spikes, places), axis=2))
             counts["input"].append(n_input)
             for name, places in self.positions.items():
-                counts[name].append(_at(state.counters[:, 1] - before, places))
+                counts[name].append(_at(state.chip.counters[:, 1] - before, places))
             if watch is not None:
                 watch({name: np.concatenate(parts, axis=1) for name, parts in packed.items()})
         output = np.concatenate(outputs, axis=1)

@@ -8,6 +8,7 @@ number of columns with each event; :func:`expand_bursts` is its inverse.
 from __future__ import annotations
 
 import hashlib
+import html
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -157,7 +158,7 @@ class TaxelMap:
         return len(self.row)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recordings:
     """A set of labelled recordings, whose events are in the same four columns.
 
@@ -195,6 +196,71 @@ class Recordings:
     def __post_init__(self):
         if not self.parts:
             object.__setattr__(self, "parts", ("",) * len(self.labels))
+
+    @classmethod
+    def read(cls, path, time_unit: str = "") -> Recordings:
+        """Read the recordings of a zip or folder, as ``--data`` does.
+
+        Parameters
+        ----------
+        path : path-like
+        time_unit : str
+            Unit of the times of files of events; empty: inferred from the durations.
+
+        Raises
+        ------
+        UserError
+            They cannot be read.
+        """
+        from pipeline.recordings.arrays import read_recordings  # imports this module
+
+        return read_recordings(path, time_unit)
+
+    @classmethod
+    def from_arrays(cls, events, labels, **more) -> Recordings:
+        """Make recordings of events in memory.
+
+        Parameters
+        ----------
+        events : iterable
+            Events of each recording: arrays x, y, t, p, a dict of them, a structured array, or an
+            array of shape (n, 4).  ``x`` is the column from the left, ``y`` the row from the top.
+        labels : iterable
+            Class of each recording: a number from 0, or a name.
+        **more
+            ``classes``, ``time_unit``, ``writers``, ``simulated`` and ``parts``, as in
+            :func:`pipeline.recordings.formats.eventfiles.write_recordings`.
+
+        Raises
+        ------
+        UserError
+            Events or labels are not valid, with a line for each reason; or there are none.
+        """
+        from pipeline.recordings.arrays import recordings_from_arrays  # imports this module
+
+        return recordings_from_arrays(events, labels, **more)
+
+    def write(self, path):
+        """Write the recordings as a zip that every command accepts.
+
+        Parameters
+        ----------
+        path : path-like
+            The zip; its name must end in ``.zip``.
+        """
+        from pipeline.recordings.arrays import write_zip  # imports this module
+
+        return write_zip(self, path)
+
+    def __repr__(self):
+        return f"Recordings of {self.source.name}: {len(self)} on {self.sensor}"
+
+    def _repr_html_(self):
+        counts = np.bincount(self.labels[self.labels >= 0], minlength=len(self.sensor.classes))
+        names = "".join(f"<th>{html.escape(name)}</th>" for name in self.sensor.classes)
+        numbers = "".join(f"<td>{count}</td>" for count in counts)
+        title = html.escape(repr(self))
+        return f"<p>{title}</p><table><tr>{names}</tr><tr>{numbers}</tr></table>"
 
     def __len__(self):
         return len(self.labels)

@@ -1,0 +1,170 @@
+"""The times of a sensor's events: conversion, order, and faults of its clock."""
+
+from __future__ import annotations
+
+from typing import Optional
+
+import numpy as np
+
+from .faults import Faults
+
+# Nanoseconds of each unit of time.
+UNIT_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+
+# Time by which an event may be out of order; further back, it has a wrong time, or the sensor's
+# clock has jumped.
+MAX_DISORDER_NS = 1_000_000_000
+
+# Largest time that is accepted, about 146 years: sums of two fit into 64 bits.
+MAX_TIME_NS = 1 << 62
+
+
+class SensorClock:
+    """The time of a stream, which never goes back, from the times of a sensor's events.
+
+    An event that is far from all before it has either a wrong time, or there was silence, or the
+    clock has jumped.  It is held until the next event or :meth:`advance` tells which:
+
+    - if the next time is near the one of the event held, there was silence, or the clock has jumped
+      back; after a jump, the stream's time goes on without one;
+    - if the next time is near those before, the time of the event held is wrong, and the event is
+      used at the present time.
+
+    Parameters
+    ----------
+    silence_ns : float
+        Time without events after which an event is held.
+    faults : Faults
+
+    Attributes
+    ----------
+    now_ns : int or None
+        The latest time of the stream, of an event or of :meth:`advance`; None before both.
+    latest_ns : int or None
+        Time of the latest event.  It may be before ``now_ns`` without a fault, because events need
+        time to arrive.
+    """
+
+    def __init__(self, silence_ns: float, faults: Faults):
+        self._silence_ns, self._faults = silence_ns, faults
+        self._offset_ns = 0  # from the sensor's time to the stream's
+        self._held = None  # sensor's time, stream's time without a jump, and cell of an event
+        self._advanced_ns = None  # the stream's time of the last call of `advance`
+        self.now_ns: Optional[int] = None
+        self.latest_ns: Optional[int] = None
+
+    def sensor_time(self, stream_ns: float) -> float:
+        """Convert a time of the stream to the sensor's."""
+        return stream_ns - self._offset_ns
+
+    def stream_time(self, sensor_ns: int) -> int:
+        """Convert a time of the sensor to the stream's, if its clock has not jumped."""
+        return sensor_ns + self._offset_ns
+
+    def is_next(self, stream_ns: int) -> bool:
+        """True for the time of an event that follows those before, without silence."""
+        in_order = self._held is None and self.latest_ns is not None and stream_ns >= self.latest_ns
+        return in_order and -MAX_DISORDER_NS <= stream_ns - self.now_ns <= self._silence_ns
+
+    def note(self, stream_ns: int):
+        """Take the time of an event for which :meth:`is_next` is true."""
+        self.latest_ns = stream_ns
+        self.now_ns = max(self.now_ns, stream_ns)
+
+    def order(self, time_ns, cell):
+        """Convert the times of events, whose order is that of their arrival.
+
+        Parameters
+        ----------
+        time_ns : ndarray of int64, shape (n,)
+            Time of each event on the sensor's clock.
+        cell : ndarray of int64, shape (n,)
+            Any number for each event.
+
+        Returns
+        -------
+        time_ns, cell : ndarray of int64, shape (m,)
+            The events in order of the stream's time, without the one that is held now and with one
+            that was held before.
+        """
+        if self._are_regular(time_ns):
+            time_ns = time_ns + self._offset_ns
+            self.note(int(time_ns[-1]))
+            return time_ns, cell
+        taken = []
+        for time, number in zip(time_ns.tolist(), cell.tolist()):
+            self._take(time, number, taken)
+        return _sorted(taken)
+
+    def advance(self, time_ns: int):
+        """Say what time it is on the sensor's clock.
+
+        Returns
+        -------
+        time_ns, cell : ndarray of int64
+            The event that was held, unless it is held on.
+        """
+        taken = []
+        if self._held is not None:
+            self._release(time_ns, taken)
+        now_ns = time_ns + self._offset_ns
+        if self._advanced_ns is not None and now_ns < self._advanced_ns - MAX_DISORDER_NS:
+            self._faults.count("jump")
+            self._offset_ns += self._advanced_ns - now_ns
+            now_ns = self._advanced_ns
+        self._advanced_ns = now_ns
+        self.now_ns = now_ns if self.now_ns is None else max(self.now_ns, now_ns)
+        return _sorted(taken)
+
+    def release(self):
+        """Return the event that is held, at its own time; no other will follow."""
+        taken = []
+        if self._held is not None:
+            self._release(self._held[0], taken)
+        return _sorted(taken)
+
+    def _are_regular(self, time_ns):
+        """True if no event is out of order, and none follows silence."""
+        if not self.is_next(int(time_ns[0]) + self._offset_ns):
+            return False
+        steps = np.diff(time_ns)
+        return steps.min(initial=0) >= 0 and steps.max(initial=0) <= self._silence_ns
+
+    def _take(self, time_ns, cell, taken):
+        if self._held is not None:
+            self._release(time_ns, taken)
+        if self.now_ns is None:
+            self.now_ns = time_ns + self._offset_ns
+        ahead_ns = time_ns + self._offset_ns - self.now_ns
+        if ahead_ns > self._silence_ns or ahead_ns < -MAX_DISORDER_NS:
+            self._held = time_ns, cell
+            return
+        if self.latest_ns is not None and self.now_ns + ahead_ns < self.latest_ns:
+            self._faults.count("late")
+        self._use(self.now_ns + ahead_ns, cell, taken)
+
+    def _release(self, next_ns, taken):
+        """Use the event that is held, at a time that depends on the next time of the sensor."""
+        time_ns, cell = self._held
+        self._held = None
+        ahead_ns = time_ns + self._offset_ns - self.now_ns
+        nearer_held = abs(next_ns - time_ns) <= abs(next_ns + self._offset_ns - self.now_ns)
+        if not nearer_held:
+            self._faults.count("future" if ahead_ns > 0 else "late")
+        elif ahead_ns < 0:
+            self._faults.count("jump")
+            self._offset_ns -= ahead_ns
+        else:
+            self.now_ns += ahead_ns
+        self._use(self.now_ns, cell, taken)
+
+    def _use(self, stream_ns, cell, taken):
+        taken.append((stream_ns, cell))
+        self.note(stream_ns if self.latest_ns is None else max(stream_ns, self.latest_ns))
+
+
+def _sorted(taken):
+    """Events as two arrays, in order of time; those of the same time stay in their order."""
+    table = np.array(taken, np.int64).reshape(-1, 2)
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    return table[:, 0], table[:, 1]

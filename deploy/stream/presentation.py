@@ -1,0 +1,136 @@
+"""A network that runs step by step, one presentation after the other, as a check presents samples.
+
+A stream of a check starts from a fresh network; before each sample are the silent steps of the
+gap, and after ``stream_length`` samples the next stream starts.  Here each touch is a sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..network.responses import RunningReadout
+from ..targets.fast import Emulation
+
+# Maximum number of steps that are computed at once, which bounds the memory for their frames.
+MAX_STEPS_AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class SharedNetwork:
+    """A network that several streams share.
+
+    Attributes
+    ----------
+    emulation : Emulation
+    recorded : dict of str to int
+        Number of neurons of each layer whose spikes are recorded for each presentation.
+    """
+
+    emulation: Emulation
+    recorded: dict = field(default_factory=dict)
+
+
+class Presentation:
+    """One touch as the network sees it.
+
+    Attributes
+    ----------
+    readout : RunningReadout
+    spikes : dict of str to ndarray of uint8, shape (gap + steps, n_bytes)
+        Spikes of the recorded layers at each step, eight neurons per byte (`numpy.packbits`); zero
+        for steps that have not been computed.
+    """
+
+    def __init__(self, readout: RunningReadout, spikes: dict):
+        self.readout, self.spikes = readout, spikes
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps so far."""
+        return self.readout.n_steps
+
+
+class PresentingNetwork:
+    """A network on the kernel for one stream of events.
+
+    Parameters
+    ----------
+    network : SharedNetwork
+    stream_length : int
+        Presentations until the network starts fresh.
+    steps : int
+        Maximum number of steps of a presentation.
+    """
+
+    def __init__(self, network: SharedNetwork, stream_length: int, steps: int):
+        self._emulation = emulation = network.emulation
+        self._recorded = network.recorded
+        self._spec = emulation.spec
+        self._stream_length = stream_length
+        self._steps = steps
+        self._size = int(np.prod(self._spec.input_shape))
+        self._refractory = self._spec.stimulus.refractory
+        self._presented, self._state = stream_length, None
+        # The first step compiles the kernel, which takes some seconds the first time on a machine.
+        emulation.advance(emulation.start(), np.zeros((1, 1, self._size), np.uint8))
+        self.prepare()
+
+    def prepare(self):
+        """Present the gap before the next presentation; the latter then starts without delay."""
+        if self._presented == self._stream_length:
+            self._state, self._presented = self._emulation.start(), 0
+        self._presented += 1
+        gap = self._spec.presentation.gap
+        spikes = {
+            name: np.zeros((gap + self._steps, -(-neurons // 8)), np.uint8)
+            for name, neurons in self._recorded.items()
+        }
+        self._next = Presentation(RunningReadout(self._spec, self._steps), spikes)
+        self._ready = np.zeros(self._size, int)
+        for first in range(0, gap, MAX_STEPS_AT_ONCE):
+            steps = min(MAX_STEPS_AT_ONCE, gap - first)
+            silence = np.zeros((steps, self._size), np.uint8)
+            self._compute(silence, self._next, first)
+
+    def begin(self) -> Presentation:
+        """Begin the presentation that was prepared."""
+        return self._next
+
+    def advance(self, presentation: Presentation, frames: np.ndarray):
+        """Advance the current presentation by some steps.
+
+        Parameters
+        ----------
+        presentation : Presentation
+            From :meth:`begin`.
+        frames : ndarray of uint8, shape (steps, size)
+            1 where a taxel and polarity has an event; changed to what remains with the refractory
+            period.
+        """
+        gap = self._spec.presentation.gap
+        for first in range(0, len(frames), MAX_STEPS_AT_ONCE):
+            some = frames[first : first + MAX_STEPS_AT_ONCE]
+            self._thin(some, presentation.n_steps)
+            output = self._compute(some, presentation, gap + presentation.n_steps)
+            presentation.readout.take(output)
+
+    def _thin(self, frames, step):
+        """Remove spikes in the refractory period, as `deploy.network.stimulus.thinned`."""
+        if self._refractory == 0:
+            return
+        for frame in frames:
+            if frame.any():
+                frame *= self._ready <= step
+                self._ready[frame != 0] = step + 1 + self._refractory
+            step += 1
+
+    def _compute(self, frames, presentation, row):
+        """Output of the readout in some steps; records the spikes from a row on."""
+        spikes, output, _ = self._emulation.advance(self._state, frames[None])
+        for name, rows in presentation.spikes.items():
+            places = self._emulation.positions.get(name)
+            layer = frames if places is None else spikes[0][:, places]
+            rows[row : row + len(frames)] = np.packbits(layer, axis=1)
+        return output[0]

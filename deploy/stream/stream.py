@@ -1,0 +1,551 @@
+"""A running sensor: events in, decisions of the network out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import List, Optional
+
+import numpy as np
+
+from ..check.bundle import Bundle, read_bundle
+from ..errors import UserError
+from ..network.stimulus import EventFrames
+from ..targets.fast import Emulation
+from ..terminal import advised
+from .clock import MAX_TIME_NS, UNIT_NS, SensorClock
+from .faults import Faults
+from .presentation import PresentingNetwork, SharedNetwork
+
+NANOSECONDS_PER_MS = 1e6
+
+NUMBERS = (int, float, np.number)
+
+# Share of a step near its end in which the rounding of single precision decides.
+STEP_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The network's decision on one touch.
+
+    Attributes
+    ----------
+    label : str
+        Name of the class.
+    number : int
+        The class, from 0.
+    probability : float
+        Estimated probability that the class is right, from 0 to 1; 0 if no spike has reached the
+        readout, so that the class means nothing.
+    time : float
+        Time at which the decision was due, in the unit and on the clock of the events.
+    start : float
+        Time of the first event of the touch.
+    early : bool
+        True if the threshold of the bundle was reached before the end.
+    events : int
+        Number of events of the touch until the decision.
+    """
+
+    label: str
+    number: int
+    probability: float
+    time: float
+    start: float
+    early: bool
+    events: int
+
+    def to_dict(self) -> dict:
+        """The decision as plain values, for JSON."""
+        return asdict(self)
+
+
+class Touch:
+    """A touch: its events and the network's presentation of them.
+
+    Attributes
+    ----------
+    start_ns, last_ns : int
+        Time of the first and the last event, on the stream's clock.
+    events : ndarray of int, shape (steps,)
+        Number of events in each step.
+    presentation : Presentation
+    decision : Decision or None
+        None until the network has decided.
+    """
+
+    def __init__(self, start_ns, presentation, steps):
+        self.start_ns = self.last_ns = start_ns
+        self.events = np.zeros(steps, int)
+        self.presentation = presentation
+        self.decision: Optional[Decision] = None
+        self.checked = 0  # steps in which an early decision was looked for
+
+
+class Stream:
+    """A network that runs on the events of a sensor in real time.
+
+    A touch begins with an event after silence.  The network is presented its events step by step,
+    as in a check: after the gap, for the steps of the bundle's presentation.  It decides as soon as
+    its confidence reaches the bundle's threshold, or else at the end of the presentation; if the
+    sensor is silent before, the remaining steps are computed at once.
+
+    Parameters
+    ----------
+    bundle : Bundle or path-like
+        A bundle on events, its folder, or the folder of its run.
+    unit : str
+        Unit of the events' times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
+    silence : float, optional
+        Time in seconds without events that ends a touch; default: the longest within a sample of
+        the bundle's check, at least the gap of the presentation.
+    longest : float, optional
+        Time in seconds for which the network is presented a touch that does not end; default: the
+        bundle's presentation.
+    stream_length : int, optional
+        Touches until the network starts fresh; default: the bundle's.  With 1, no touch depends on
+        the one before.
+    network : SharedNetwork, optional
+        The bundle's network, if several streams share it.
+
+    Attributes
+    ----------
+    classes : tuple of str
+        Names of the classes.
+    silence : float
+        Time in seconds without events that ends a touch.
+    n_events : int
+        Number of events that were presented.
+
+    Raises
+    ------
+    UserError
+        The bundle cannot be read, or its network is not on ON and OFF events; Numba is missing.
+
+    Examples
+    --------
+    >>> stream = Stream("runs/mine")
+    >>> for t, x, y, p in sensor:
+    ...     for decision in stream.push(t, x, y, p):
+    ...         print(decision.label, decision.probability)
+    >>> stream.finish()
+    """
+
+    def __init__(
+        self,
+        bundle,
+        unit: str = "s",
+        silence: Optional[float] = None,
+        longest: Optional[float] = None,
+        stream_length: Optional[int] = None,
+        network: Optional[SharedNetwork] = None,
+    ):
+        if unit not in UNIT_NS:
+            raise UserError(f"unit {unit!r}: not one of {', '.join(UNIT_NS)}")
+        if not isinstance(bundle, Bundle):
+            bundle = read_bundle(_bundle_folder(bundle))
+        _require_events(bundle)
+        self.silence = _usual_silence(bundle) if silence is None else float(silence)
+        if not self.silence > 0:
+            raise UserError(f"silence {silence:g}: must be above 0 seconds")
+        self._spec = spec = bundle.spec
+        self._tick_ns = UNIT_NS[unit]
+        self._set_steps(longest)
+        self._rows, self._columns = spec.input_shape[:2]
+        self._has_off = spec.provenance.get("polarities", 2) == 2
+        names = spec.provenance.get("classes") or range(spec.layers[-1].size)
+        self.classes = tuple(map(str, names))
+        self._silence_ns = 1e9 * self.silence
+        self._faults = Faults()
+        self._clock = SensorClock(self._silence_ns, self._faults)
+        if network is None:
+            network = SharedNetwork(Emulation(spec, bundle.seed))
+        if stream_length is None:
+            stream_length = spec.presentation.stream_length
+        self._network = PresentingNetwork(network, stream_length, self._longest_steps)
+        self._frame = np.zeros(int(np.prod(spec.input_shape)), np.uint8)
+        self._touch: Optional[Touch] = None
+        self._touching = False
+        self._due: List[Decision] = []  # decisions that have not been returned
+        self.n_events = 0
+
+    def _set_steps(self, longest):
+        """Set the durations of a step and of presentations."""
+        step_s, usual = self._spec.stimulus.step_seconds, self._spec.presentation.steps
+        self._step_ms = 1000 * step_s
+        self._certain_step_ns = (1 - STEP_ROUNDING) * self._step_ms * NANOSECONDS_PER_MS
+        self._usual_steps = self._longest_steps = usual
+        if longest is not None:
+            self._longest_steps = max(usual, round(longest / step_s))
+
+    def __repr__(self):
+        return f"Stream of {self._spec.architecture}, {self.n_events} events, {self.faults}"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self._faults.report()
+
+    @property
+    def faults(self) -> dict:
+        """Number of events with each fault so far; see :data:`deploy.stream.faults.FAULTS`.
+
+        ``outside``, ``polarity`` and ``unreadable`` events are not presented.  Those that are
+        ``late``, from the ``future`` or at a ``jump`` are presented, in the present step.
+        ``surplus`` events belong to a touch, but come after the end of its presentation.
+        """
+        return dict(self._faults.counts)
+
+    @property
+    def touching(self) -> bool:
+        """True from the first event of a touch until silence."""
+        return self._touching
+
+    @property
+    def touch(self) -> Optional[Touch]:
+        """The current touch, or the last one."""
+        return self._touch
+
+    def push(self, t, x, y, p) -> List[Decision]:
+        """Take events that have arrived.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (n,)
+            Time of each event on the sensor's clock.
+        x, y : int or array_like, shape (n,)
+            Column from the left and row from the top.
+        p : int, bool or array_like, shape (n,)
+            Polarity: 1 or True for ON, 0, -1 or False for OFF.
+
+        Returns
+        -------
+        list of Decision
+            Decisions that have become due.
+
+        Raises
+        ------
+        UserError
+            The columns differ in length.
+        """
+        if isinstance(t, NUMBERS) and self._take_in_present_step(t, x, y, p):
+            return []
+        time_ns, cell = self._readable(t, x, y, p)
+        if not len(time_ns):
+            return []
+        self._take(*self._clock.order(time_ns, cell))
+        return self._take_due()
+
+    def advance(self, t) -> List[Decision]:
+        """Say what time it is, if no event has told; call it a few times per step.
+
+        Parameters
+        ----------
+        t : float
+            Present time on the sensor's clock.
+
+        Returns
+        -------
+        list of Decision
+            Decisions that have become due.
+        """
+        time_ns, known = self._nanoseconds(np.atleast_1d(t))
+        if not known.all():
+            self._faults.count("unreadable")
+            return []
+        self._take(*self._clock.advance(int(time_ns[0])))
+        self._pass_time(self._clock.now_ns)
+        return self._take_due()
+
+    def finish(self) -> List[Decision]:
+        """End the current touch, as silence does, and report the remaining faults.
+
+        Returns
+        -------
+        list of Decision
+            The decision on the touch, unless it was made before.
+        """
+        self._take(*self._clock.release())
+        if self._touching:
+            self._end_touch(self._clock.now_ns)
+        self._faults.report()
+        return self._take_due()
+
+    def _take_in_present_step(self, t, x, y, p):
+        """Take a single event in the shortest time, if it is in the step that is not over yet.
+
+        Returns
+        -------
+        bool
+            False if it is not, or if anything about it is unusual; nothing has been done then.
+        """
+        if not self._touching:
+            return False
+        touch = self._touch
+        steps = touch.presentation.n_steps
+        try:
+            time_ns = self._clock.stream_time(round(t * self._tick_ns))
+            is_next = self._clock.is_next(time_ns)
+            # The last millionth of a step is left to `_step_at`, which rounds as the check does.
+            is_present = time_ns < touch.start_ns + (steps + 1) * self._certain_step_ns
+            inside = 0 <= x < self._columns and 0 <= y < self._rows
+            is_on = p == 1
+            has_polarity = is_on or (self._has_off and p in (0, -1))
+        except (TypeError, ValueError, OverflowError):
+            return False
+        is_presented = steps < self._longest_steps and is_present and is_next
+        if not (is_presented and inside and has_polarity):
+            return False
+        self._frame[2 * (int(y) * self._columns + int(x)) + (not is_on)] = 1
+        touch.events[steps] += 1
+        touch.last_ns = time_ns
+        self._clock.note(time_ns)
+        self.n_events += 1
+        return True
+
+    def _take_due(self):
+        due, self._due = self._due, []
+        return due
+
+    def _nanoseconds(self, t):
+        """Times as int64 nanoseconds, and which of them are numbers in the range."""
+        t = np.asarray(t)
+        if t.dtype.kind in "iu":
+            known = np.abs(t.astype(float)) < MAX_TIME_NS / self._tick_ns
+            return np.where(known, t, 0).astype(np.int64) * self._tick_ns, known
+        time_ns = self._tick_ns * _floats(t)
+        known = np.abs(time_ns) < MAX_TIME_NS  # False for NaN
+        return np.rint(np.where(known, time_ns, 0)).astype(np.int64), known
+
+    def _readable(self, t, x, y, p):
+        """Times and cells of the frame of those events that the network can be presented."""
+        columns = [np.atleast_1d(np.asarray(values)) for values in (t, x, y, p)]
+        if len({values.shape for values in columns}) != 1 or columns[0].ndim != 1:
+            shapes = ", ".join(str(values.shape) for values in columns)
+            raise UserError(f"events: t, x, y and p have the shapes {shapes}; give equal lengths")
+        time_ns, known = self._nanoseconds(columns[0])
+        x, y, p = (
+            values if values.dtype.kind in "iub" else _floats(values) for values in columns[1:]
+        )
+        readable = known & np.isfinite(x) & np.isfinite(y) & np.isfinite(p)
+        inside = (x >= 0) & (x < self._columns) & (y >= 0) & (y < self._rows)
+        is_on = p == 1
+        has_polarity = is_on | (((p == 0) | (p == -1)) & self._has_off)
+        good = readable & inside & has_polarity
+        if not good.all():
+            self._faults.count("unreadable", int(np.sum(~readable)))
+            self._faults.count("outside", int(np.sum(readable & ~inside)))
+            self._faults.count("polarity", int(np.sum(readable & inside & ~has_polarity)))
+            time_ns, x, y, is_on = time_ns[good], x[good], y[good], is_on[good]
+        place = y.astype(np.int64) * self._columns + x.astype(np.int64)
+        return time_ns, 2 * place + ~is_on
+
+    def _take(self, time_ns, cell):
+        """Present events in order of time, touch by touch."""
+        if not len(time_ns):
+            return
+        self.n_events += len(time_ns)
+        ends = np.flatnonzero(np.diff(time_ns) > self._silence_ns) + 1
+        for first, end in zip([0, *ends], [*ends, len(time_ns)]):
+            self._take_within_touch(time_ns[first:end], cell[first:end])
+
+    def _take_within_touch(self, time_ns, cell):
+        """Present events without silence between them."""
+        if self._touching and time_ns[0] - self._touch.last_ns > self._silence_ns:
+            self._end_touch(int(self._touch.last_ns + self._silence_ns))
+        if not self._touching:
+            self._touch, self._touching = self._new_touch(int(time_ns[0])), True
+            self._frame[:] = 0
+        touch = self._touch
+        touch.last_ns = max(touch.last_ns, int(time_ns[-1]))
+        step = np.maximum(self._step_at(time_ns), touch.presentation.n_steps)
+        surplus = len(step) - int(np.searchsorted(step, self._longest_steps))
+        if surplus:
+            self._faults.count("surplus", surplus)
+            step, cell = step[: len(step) - surplus], cell[: len(cell) - surplus]
+        if len(step):
+            np.add.at(touch.events, step, 1)
+            self._present(touch, step, cell)
+        self._pass_time(int(time_ns[-1]))
+
+    def _new_touch(self, start_ns):
+        return Touch(start_ns, self._network.begin(), self._longest_steps)
+
+    def _step_at(self, time_ns):
+        """Step of the touch, with the rounding of `pipeline.recordings.steps.EventTable`."""
+        since_ms = ((time_ns - self._touch.start_ns) / NANOSECONDS_PER_MS).astype(np.float32)
+        return np.floor(since_ms / np.float32(self._step_ms)).astype(np.int64)
+
+    def _present(self, touch, step, cell):
+        """Present events; the step of the last one is computed later, when it is over."""
+        first = touch.presentation.n_steps
+        if step[-1] > first:
+            frames = np.zeros((step[-1] - first + 1, len(self._frame)), np.uint8)
+            frames[0] = self._frame
+            frames[step - first, cell] = 1
+            self._frame = frames[-1].copy()
+            self._compute(touch, frames[:-1])
+        else:
+            self._frame[cell] = 1
+
+    def _pass_time(self, now_ns):
+        """Compute the steps that are over, and end the touch after silence."""
+        touch = self._touch
+        if not self._touching:
+            return
+        if now_ns - touch.last_ns > self._silence_ns:
+            self._end_touch(int(touch.last_ns + self._silence_ns))
+            return
+        over = int(self._step_at(np.int64(now_ns))) - touch.presentation.n_steps
+        left = self._last_step(touch) - touch.presentation.n_steps
+        self._compute(touch, self._frames_to_come(min(over, left)))
+
+    def _last_step(self, touch):
+        """Steps after which nothing happens any more, unless there are other events.
+
+        A touch of the usual length ends with its presentation, as in the check.  A longer one ends
+        when the spikes of its last event have reached the output.
+        """
+        if self._longest_steps == self._usual_steps:
+            return self._usual_steps
+        settling = len(self._spec.layers) + 2
+        last_ms = (touch.last_ns - touch.start_ns) / NANOSECONDS_PER_MS
+        end = round(last_ms / self._step_ms + settling)
+        return min(max(end, self._usual_steps), self._longest_steps)
+
+    def _frames_to_come(self, steps):
+        """The frame of the present step, and silence after it."""
+        frames = np.zeros((max(steps, 0), len(self._frame)), np.uint8)
+        if steps > 0:
+            frames[0] = self._frame
+            self._frame[:] = 0
+        return frames
+
+    def _compute(self, touch, frames):
+        """Compute some steps of the network, and decide if its rules say so."""
+        if not len(frames):
+            return
+        self._network.advance(touch.presentation, frames)
+        self._decide_early(touch, np.inf)
+        if touch.decision is None and touch.presentation.n_steps == self._longest_steps:
+            self._decide_at_end(touch, self._step_end(touch, self._longest_steps))
+
+    def _decide_early(self, touch, now_ns):
+        """Decide at the first step that reaches the threshold, if there is one."""
+        if touch.decision is not None:
+            return
+        threshold, readout = self._spec.presentation.threshold, touch.presentation.readout
+        start = self._spec.presentation.readout_start
+        usual = readout.confidences[: self._usual_steps - start]
+        reached = np.flatnonzero(usual[touch.checked :] >= threshold)
+        if len(reached):
+            row = touch.checked + int(reached[0])
+            steps = start + row + 1
+            self._decide(
+                touch,
+                steps,
+                number=int(readout.sums[row].argmax()),
+                probability=float(usual[row]),
+                time=min(self._step_end(touch, steps), now_ns),
+                early=True,
+            )
+        touch.checked = len(usual)
+
+    def _decide_at_end(self, touch, time_ns):
+        """The decision of a check, after the last step."""
+        steps = self._last_step(touch)
+        row = steps - self._spec.presentation.readout_start - 1
+        readout = touch.presentation.readout
+        self._decide(
+            touch,
+            steps,
+            number=int(readout.scores_at(steps).argmax()),
+            probability=float(readout.confidences[row]) if readout.spoke[row] else 0.0,
+            time=time_ns,
+            early=False,
+        )
+
+    def _decide(self, touch, steps, number, time, **others):
+        """Store a decision that is made on the first steps of a touch, at a time of the stream."""
+        touch.decision = Decision(
+            label=self.classes[number],
+            number=number,
+            time=self._clock.sensor_time(time) / self._tick_ns,
+            start=self._clock.sensor_time(touch.start_ns) / self._tick_ns,
+            events=int(touch.events[:steps].sum()),
+            **others,
+        )
+        self._due.append(touch.decision)
+
+    def _step_end(self, touch, steps):
+        """Time at which some number of steps of a touch are over."""
+        return touch.start_ns + round(steps * self._step_ms * NANOSECONDS_PER_MS)
+
+    def _end_touch(self, time_ns):
+        """End the touch: compute the rest of its presentation, decide, prepare the next one."""
+        touch = self._touch
+        left = self._last_step(touch) - touch.presentation.n_steps
+        if left > 0:
+            self._network.advance(touch.presentation, self._frames_to_come(left))
+        self._decide_early(touch, time_ns)
+        if touch.decision is None:
+            self._decide_at_end(touch, time_ns)
+        self._touching = False
+        self._network.prepare()
+
+
+def _numbers(values):
+    """Numbers as they are, and all others as floats."""
+    return values if values.dtype.kind in "iub" else _floats(values)
+
+
+def _floats(values):
+    """Numbers as floats; NaN for what is no number."""
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError):
+        return np.array([_float(value) for value in np.ravel(values)])
+
+
+def _float(value):
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan
+
+
+def _bundle_folder(path):
+    """The folder of a bundle, which is named directly or by its run."""
+    path = Path(path)
+    inside = path / "bundle"
+    return inside if inside.is_dir() and not (path / "MANIFEST.json").exists() else path
+
+
+def _require_events(bundle):
+    """Refuse networks whose input is not the ON and OFF events of a sensor."""
+    spec, where = bundle.spec, bundle.path or "the bundle"
+    if not isinstance(spec.stimulus, EventFrames):
+        remedy = advised("convert", "runs/events", "--set", "input.kind=events")
+        raise UserError(
+            f"{where}: its network is on images, which are made of whole recordings; a stream "
+            f"needs one on events, such as of {remedy}"
+        )
+    if len(spec.input_shape) != 3 or spec.input_shape[2] != 2:
+        raise UserError(
+            f"{where}: its input has the shape {spec.input_shape}; a stream needs a network on ON "
+            "and OFF events, (rows, columns, 2)"
+        )
+
+
+def _usual_silence(bundle):
+    """Seconds of the longest silence within a sample of the check, at least the gap."""
+    spec = bundle.spec
+    longest = spec.presentation.gap
+    if bundle.checks is not None:
+        frames = bundle.checks.inputs
+        for busy in frames.reshape(*frames.shape[:2], -1).any(axis=2):
+            longest = max(longest, int(np.diff(np.flatnonzero(busy)).max(initial=0)))
+    # Within the refractory period, frames do not have all events.
+    return (longest + 1) * spec.stimulus.step_seconds

@@ -1,0 +1,187 @@
+"""A running sensor: events in as JSON lines, decisions of a network out as JSON lines.
+
+Each line is one event, ``{"t": 12.5, "x": 3, "y": 4, "p": 1}`` or ``[12.5, 3, 4, 1]``, or a list of
+such events; ``x`` is the column from the left and ``y`` the row from the top.  Events come from
+standard input, from datagrams to a UDP port of this machine, or from recordings, which are played
+at their own speed::
+
+    my-driver | python examples/stream.py runs/mine
+    python examples/stream.py runs/mine --udp 5005 --unit us
+    python examples/stream.py runs/mine --replay recordings.zip --speed 2
+"""
+
+import argparse
+import json
+import queue
+import socket
+import sys
+import threading
+import time
+
+import numpy as np
+
+import stmnist
+
+# Seconds between two looks at the clock, less than a network's step.
+TICK_S = 0.002
+
+# Seconds between two recordings that are played, beside the silence that ends a touch.
+PAUSE_S = 0.2
+
+# Largest datagram of UDP in bytes.
+DATAGRAM = 65535
+
+END = None
+
+
+def lines_of_input(lines):
+    """Put each line of standard input into a queue, and at last its end."""
+    for line in sys.stdin.buffer:
+        lines.put(line)
+    lines.put(END)
+
+
+def lines_of_port(receiving, lines):
+    """Put each line of each datagram into a queue."""
+    while True:
+        for line in receiving.recv(DATAGRAM).splitlines():
+            lines.put(line)
+
+
+def columns_of(line):
+    """Columns t, x, y, p of the events in a line, or None if it has none."""
+    try:
+        events = json.loads(line)
+        if isinstance(events, dict) or not isinstance(events[0], (list, dict)):
+            events = [events]
+        rows = [[e["t"], e["x"], e["y"], e["p"]] if isinstance(e, dict) else e for e in events]
+        return [list(column) for column in zip(*rows, strict=True)] if rows else None
+    except (ValueError, KeyError, IndexError, TypeError, RecursionError):
+        return None
+
+
+def say(decisions):
+    """Print decisions as JSON lines, at once."""
+    for decision in decisions:
+        print(json.dumps(decision.to_dict()), flush=True)
+
+
+class PresentTime:
+    """The present time on the sensor's clock, from its last event and this machine's clock."""
+
+    def __init__(self, ticks_per_second):
+        self._ticks_per_second = ticks_per_second
+        self._last = None
+
+    def note(self, t):
+        """Note that an event of a time has just arrived."""
+        self._last = t, time.monotonic()
+
+    def now(self):
+        """The present time, or None before the first event."""
+        if self._last is None:
+            return None
+        t, arrived = self._last
+        return t + (time.monotonic() - arrived) * self._ticks_per_second
+
+
+def follow(stream, lines, ticks_per_second):
+    """Push the events of lines as they come until their end, and print the decisions."""
+    present, unreadable = PresentTime(ticks_per_second), 0
+    while True:
+        try:
+            line = lines.get(timeout=TICK_S)
+        except queue.Empty:
+            now = present.now()
+            if now is not None:
+                say(stream.advance(now))
+            continue
+        if line is END:
+            break
+        columns = columns_of(line)
+        if columns is None or len(columns) != 4:
+            unreadable += bool(line.strip())
+            continue
+        say(stream.push(*columns))
+        if isinstance(columns[0][-1], (int, float)):
+            present.note(columns[0][-1])
+    say(stream.finish())
+    if unreadable:
+        print(f"stream: {unreadable} lines are not events in JSON", file=sys.stderr)
+
+
+def schedule(recordings, pause_s):
+    """Columns t (in nanoseconds), x, y, p of recordings one after the other, and their starts."""
+    times, starts, now_ns = [], [], 0
+    for index in range(len(recordings)):
+        time_ns = recordings[index].time_ns
+        starts.append(now_ns)
+        if len(time_ns):
+            times.append(now_ns + time_ns - time_ns[0])
+            now_ns = int(times[-1][-1] + 1e9 * pause_s)
+    events, taxels = recordings.events, recordings.taxels
+    x, y = taxels.column[events.taxel], taxels.row[events.taxel]
+    return (np.concatenate(times), x, y, events.polarity > 0), starts
+
+
+def replay(stream, recordings, speed):
+    """Play recordings one after the other, each event at its time; speed 0 plays at once."""
+    columns, starts = schedule(recordings, stream.silence + PAUSE_S)
+    time_ns = columns[0]
+
+    def say_with_name(decisions):
+        for decision in decisions:
+            index = int(np.searchsorted(starts, decision.start, side="right")) - 1
+            values = {"recording": recordings.ids[index], **decision.to_dict()}
+            print(json.dumps(values), flush=True)
+
+    begun, done = time.monotonic(), 0
+    while speed and done < len(time_ns):
+        now_ns = int((time.monotonic() - begun) * speed * 1e9)
+        arrived = int(np.searchsorted(time_ns, now_ns, side="right"))
+        say_with_name(stream.push(*(column[done:arrived] for column in columns)))
+        say_with_name(stream.advance(now_ns))
+        done = arrived
+        time.sleep(TICK_S)
+    say_with_name(stream.push(*(column[done:] for column in columns)))
+    say_with_name(stream.finish())
+
+
+def main():
+    """Read the arguments and run."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("bundle", help="folder of a run or of a bundle on events")
+    parser.add_argument("--udp", type=int, metavar="PORT", help="port on 127.0.0.1; 0 for any")
+    parser.add_argument("--unit", default="s", help="unit of t: s, ms, us or ns (default: s)")
+    parser.add_argument("--silence", type=float, help="seconds without events that end a touch")
+    parser.add_argument("--replay", metavar="DATA", help="recordings to play, a zip or folder")
+    parser.add_argument("--speed", type=float, default=1.0, help="of --replay; 0: at once")
+    given = parser.parse_args()
+    unit = "ns" if given.replay else given.unit
+    stream = stmnist.Stream(given.bundle, unit, given.silence)
+    if given.replay:
+        replay(stream, stmnist.Recordings.read(given.replay), given.speed)
+        return
+    lines = queue.SimpleQueue()
+    if given.udp is None:
+        reader = threading.Thread(target=lines_of_input, args=(lines,), daemon=True)
+    else:
+        receiving = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        receiving.bind(("127.0.0.1", given.udp))
+        address = "{}:{}".format(*receiving.getsockname())
+        print(f"stream: listening on {address}; Ctrl-C ends", file=sys.stderr, flush=True)
+        reader = threading.Thread(target=lines_of_port, args=(receiving, lines), daemon=True)
+    reader.start()
+    ticks_per_second = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[given.unit]
+    try:
+        follow(stream, lines, ticks_per_second)
+    except KeyboardInterrupt:
+        say(stream.finish())
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except stmnist.UserError as error:
+        print(f"stream: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,261 @@
+"""The latency of a stream's decisions, and the highest event rate that keeps real time.
+
+The samples of a bundle's check are played to :class:`deploy.stream.stream.Stream` at their own
+speed.  To reach a rate, each event is repeated within its step, where repetitions are one spike, so
+that the decisions do not depend on the rate.  One thread plays the sensor and runs the network.
+"""
+
+import bisect
+import itertools
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from deploy.check.bundle import read_bundle
+from deploy.errors import CheckFailed
+from deploy.files import write_json
+from deploy.stream.presentation import SharedNetwork
+from deploy.stream.stream import Stream
+from deploy.tables import aligned
+from deploy.targets.fast import Emulation
+from experiments.studies import RESULTS, Store, processor
+from pipeline.commands import options
+from pipeline.live.network import SHIPPED
+
+# Target of the latency and the share of decisions that meet it.
+TARGET_MS = 20.0
+TARGET_SHARE = 0.99
+
+# Seconds between two samples, beside the silence that ends a touch.
+PAUSE_S = 0.1
+
+# Time in seconds between two looks at the clock while no event is due.
+TICK_S = 0.0005
+
+# Samples, and seconds between them, with which processor time is measured: a sensor that is touched
+# nearly all the time.
+LOAD_SAMPLES = 5
+TOUCHING_S = 0.4
+
+# Time for which a driver that pushes arrays collects events, in nanoseconds.
+BLOCK_NS = 1_000_000
+
+# Ways to push events: whether one by one, and the rates at which the share of processor time is
+# measured for the highest rate.
+WAYS = {
+    "single events": (True, (20_000, 200_000)),
+    "arrays": (False, (200_000, 1_000_000)),
+}
+
+
+def events_at(bundle, rate: float, samples: int, pause_s: float):
+    """Events of samples one after the other, at a rate while each lasts.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    rate : float
+        Events per second from the first to the last step of a sample.
+    samples : int
+    pause_s : float
+
+    Returns
+    -------
+    columns : tuple of ndarray, shape (n_events,)
+        t in nanoseconds, x, y, p, in order of time.
+    """
+    rng = np.random.default_rng(0)
+    step_ns = round(1e9 * bundle.spec.stimulus.step_seconds)
+    parts, start_ns = [], 0
+    for frames in bundle.checks.inputs[:samples]:
+        step, row, column, polarity = np.nonzero(frames)
+        if not len(step):
+            continue
+        steps = int(step[-1]) + 1
+        wanted = max(len(step), round(rate * steps * step_ns * 1e-9))
+        which = np.concatenate([np.arange(len(step)), _repeated(rng, step, wanted)])
+        within_ns = rng.integers(0, step_ns, len(which))
+        within_ns[0] = 0  # the first event, from which the steps are counted
+        time_ns = start_ns + step[which] * step_ns + within_ns
+        order = np.argsort(time_ns, kind="stable")
+        columns = (time_ns, column[which], row[which], polarity[which] == 0)
+        parts.append([values[order] for values in columns])
+        start_ns += steps * step_ns + round(1e9 * pause_s)
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+
+
+def _repeated(rng, step, wanted):
+    """Events to repeat, evenly over the time from the first step to the last."""
+    more = wanted - len(step)
+    moments = rng.integers(0, int(step[-1]) + 1, more)
+    return np.minimum(np.searchsorted(step, moments), len(step) - 1)
+
+
+def play(stream, columns, one_by_one: bool) -> dict:
+    """Play events at their own speed.
+
+    Parameters
+    ----------
+    stream : Stream
+        With times in nanoseconds.
+    columns : tuple of ndarray
+        From :func:`events_at`.
+    one_by_one : bool
+        True to push single events, False to push all that have come since the last push.
+
+    Returns
+    -------
+    dict
+        ``latency_ms``: for each decision the time from the last event before an early one, or from
+        the moment at which one at the end is due; ``busy``: share of the time in which the
+        processor works; ``decisions``: the classes.
+    """
+    times = columns[0].tolist()
+    events = list(zip(*(column.tolist() for column in columns), strict=True))
+    said, done = [], 0
+    begun, processor_s = time.perf_counter(), time.thread_time()
+
+    def passed_ns():
+        return (time.perf_counter() - begun) * 1e9
+
+    def note(decisions):
+        now_ns = passed_ns()
+        said.extend((decision, now_ns) for decision in decisions)
+
+    while done < len(times):
+        now_ns = passed_ns()
+        if times[done] > now_ns:
+            note(stream.advance(now_ns))
+            time.sleep(min(TICK_S, max(times[done] - passed_ns(), 0) * 1e-9))
+        elif one_by_one:
+            note(stream.push(*events[done]))
+            done += 1
+        else:
+            arrived = bisect.bisect_right(times, now_ns)
+            note(stream.push(*(column[done:arrived] for column in columns)))
+            done = arrived
+    busy = (time.thread_time() - processor_s) / (passed_ns() * 1e-9)
+    last = stream.finish()  # at no time of its own
+    latency = [now_ns - _moment(decision, times) for decision, now_ns in said]
+    return {
+        "latency_ms": np.array(latency) / 1e6,
+        "busy": busy,
+        "decisions": [decision.number for decision, _ in said] + [d.number for d in last],
+    }
+
+
+def _moment(decision, times):
+    """Time of the last event before an early decision, or at which one at the end is due."""
+    if not decision.early:
+        return decision.time
+    return times[bisect.bisect_left(times, decision.time) - 1]
+
+
+def busy_at_once(stream, columns, one_by_one: bool) -> float:
+    """Processor time as a share of the events' time, if they are pushed without waiting."""
+    time_ns = columns[0]
+    begun = time.thread_time()
+    if one_by_one:
+        for event in zip(*(column.tolist() for column in columns), strict=True):
+            stream.push(*event)
+    else:
+        edges = np.arange(time_ns[0], time_ns[-1] + BLOCK_NS, BLOCK_NS)
+        places = np.unique(np.searchsorted(time_ns, edges)).tolist()
+        for first, end in itertools.pairwise([*places, len(time_ns)]):
+            stream.push(*(column[first:end] for column in columns))
+    stream.finish()
+    return (time.thread_time() - begun) / (time_ns[-1] * 1e-9)
+
+
+def measure(bundle, rate: float, samples: int) -> dict:
+    """Latencies at a rate in real time, and the highest rate, for both ways to push events."""
+    network = SharedNetwork(Emulation(bundle.spec, bundle.seed))
+
+    def opened():
+        return Stream(bundle, "ns", network=network)
+
+    pause_s = opened().silence + PAUSE_S
+    columns = events_at(bundle, rate, samples, pause_s)
+    expected = [decision.number for decision in _at_once(opened(), columns)]
+    rows = []
+    for name, (one_by_one, rates) in WAYS.items():
+        played = play(opened(), columns, one_by_one)
+        latency = played["latency_ms"]
+        loads = []
+        for load in rates:
+            events = events_at(bundle, load, LOAD_SAMPLES, TOUCHING_S)
+            loads.append(busy_at_once(opened(), events, one_by_one))
+        slope, rest = np.polyfit(rates, loads, 1)
+        rows.append(
+            {
+                "pushed": name,
+                "decisions": len(latency),
+                "median_ms": float(np.median(latency)),
+                "percentile99_ms": float(np.quantile(latency, 0.99)),
+                "largest_ms": float(latency.max()),
+                "share_within_target": float(np.mean(latency <= TARGET_MS)),
+                "busy": played["busy"],
+                "highest_rate": float((1 - rest) / slope),
+                "same_decisions": played["decisions"] == expected,
+            }
+        )
+    return {
+        "experiment": "stream",
+        "rate": rate,
+        "samples": samples,
+        "step_ms": 1000 * bundle.spec.stimulus.step_seconds,
+        "architecture": bundle.spec.architecture,
+        "rows": rows,
+        "measured": {"processor": processor()},
+    }
+
+
+def _at_once(stream, columns):
+    return stream.push(*columns) + stream.finish()
+
+
+def text_of(found: dict) -> str:
+    """The result as a table."""
+    lines = [["", "median", "99 %", "largest", f"within {TARGET_MS:g} ms", "busy", "highest rate"]]
+    for row in found["rows"]:
+        lines.append(
+            [
+                row["pushed"],
+                f"{row['median_ms']:.2f} ms",
+                f"{row['percentile99_ms']:.2f} ms",
+                f"{row['largest_ms']:.2f} ms",
+                f"{row['share_within_target']:.1%}",
+                f"{row['busy']:.0%}",
+                f"{row['highest_rate']:,.0f} events/s",
+            ]
+        )
+    title = (
+        f"Latency of the decisions on {found['samples']} touches, {found['rate']:,.0f} events per "
+        f"second, {found['architecture']}, steps of {found['step_ms']:g} ms, one core"
+    )
+    return "\n".join([title, *aligned(lines)])
+
+
+def main(
+    bundle: Annotated[Path, typer.Argument(help="Folder of a bundle or run on events.")] = SHIPPED,
+    rate: Annotated[float, typer.Option(help="Events per second during a touch.", min=1)] = 20_000,
+    samples: Annotated[int, typer.Option(help="Samples of the check to play.", min=2)] = 60,
+    store: Store = "",
+    as_json: options.Json = False,
+):
+    """Measure the latency of a stream's decisions, and the highest rate of events."""
+    found = measure(read_bundle(options.bundle_in(bundle)), rate, samples)
+    if store:
+        write_json(RESULTS / f"{store}.json", found)
+    options.tell(found, text_of, as_json)
+    for row in found["rows"]:
+        if not row["same_decisions"]:
+            raise CheckFailed("the decisions in real time differ from those at once")
+        if row["share_within_target"] < TARGET_SHARE:
+            raise CheckFailed(
+                f"{row['pushed']}: {row['share_within_target']:.1%} of the decisions are within "
+                f"{TARGET_MS:g} ms, fewer than {TARGET_SHARE:.0%}"
+            )

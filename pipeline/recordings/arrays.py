@@ -1,0 +1,65 @@
+"""Recordings from and to events in memory, by the same rules as files."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from deploy.errors import SeveralErrors, UserError
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.formats.eventfiles import write_recordings
+from pipeline.recordings.library import load_recordings
+from pipeline.recordings.sensor import Reading
+
+# Name of recordings that were made of arrays.
+NAME = "arrays.zip"
+
+
+def read_recordings(path, time_unit: str = "") -> Recordings:
+    """See :meth:`pipeline.recordings.events.Recordings.read`."""
+    return load_recordings(str(path), reading=Reading(time_unit=time_unit))
+
+
+def recordings_from_arrays(events, labels, **more) -> Recordings:
+    """See :meth:`pipeline.recordings.events.Recordings.from_arrays`."""
+    events, labels = list(events), list(labels)
+    if len(events) != len(labels):
+        raise UserError(
+            f"arrays: {len(events)} recordings and {len(labels)} labels; give a label for each"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / NAME
+        try:
+            write_recordings(path, zip(events, labels, strict=True), **more)
+            return load_recordings(str(path))
+        except SeveralErrors as error:
+            lines = [line.replace(str(path), "arrays") for line in error.lines]
+            raise SeveralErrors(lines) from error
+        except UserError as error:
+            raise UserError(str(error).replace(str(path), "arrays")) from error
+
+
+def write_zip(recordings: Recordings, path) -> Path:
+    """See :meth:`pipeline.recordings.events.Recordings.write`."""
+    taxels, names = recordings.taxels, recordings.sensor.classes
+
+    def events_of(index):
+        events = recordings[index]
+        return {
+            "x": taxels.column[events.taxel],
+            "y": taxels.row[events.taxel],
+            "t": events.time_ns,
+            "p": events.polarity,
+        }
+
+    labels = [names[label] for label in recordings.labels]
+    known_writers = bool((recordings.writers >= 0).all())
+    return write_recordings(
+        path,
+        zip(map(events_of, range(len(recordings))), labels, strict=True),
+        classes=list(names),
+        time_unit="ns",
+        writers=recordings.writers.tolist() if known_writers else None,
+        simulated=recordings.source.simulated,
+        parts=recordings.parts if recordings.is_split else None,
+    )

@@ -1,0 +1,114 @@
+"""examples/stream.py: events as JSON lines in, decisions as JSON lines out."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from deploy.check.bundle import write_bundle
+from pipeline.recordings.events import Recordings
+from tests.command import ROOT, environment
+from tests.test_stream import STEP_US, events_of, make_bundle, replay
+
+COMMAND = [sys.executable, "-m", "examples.stream"]
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    made = make_bundle()
+    return write_bundle(tmp_path_factory.mktemp("example") / "bundle", made.spec, made.checks)
+
+
+@pytest.fixture(scope="module")
+def expected(bundle):
+    from deploy.stream.stream import Stream
+
+    return [decision.number for decision in replay(Stream(bundle, "us"), bundle.checks.inputs)]
+
+
+def lines_of(bundle):
+    """A line for each event: objects, lists and a list of events by turns."""
+    lines, start_us = [], 5_000_000
+    for index, sample in enumerate(bundle.checks.inputs):
+        columns = [column.astype(int).tolist() for column in events_of(sample, start_us)]
+        rows = [list(row) for row in zip(*columns, strict=True)]
+        if index % 3 == 0:
+            lines += [dict(zip("txyp", row, strict=True)) for row in rows]
+        elif index % 3 == 1:
+            lines += rows
+        else:
+            lines.append(rows)
+        start_us += len(sample) * STEP_US + 700_000
+    return [json.dumps(line) for line in lines]
+
+
+def decisions_of(printed):
+    return [json.loads(line)["number"] for line in printed.splitlines()]
+
+
+def test_events_from_standard_input_and_lines_that_are_none(bundle, expected):
+    lines = ["not JSON", "[]", '{"t": 1}', *lines_of(bundle), "[9e9, 99, 0, 1]", "7"]
+    done = subprocess.run(
+        [*COMMAND, str(bundle.path), "--unit", "us"],
+        input="\n".join(lines),
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert decisions_of(done.stdout) == expected
+    assert "Traceback" not in done.stderr
+    assert "4 lines are not events" in done.stderr
+    assert "1 outside the sensor" in done.stderr
+
+
+def test_recordings_are_played_and_named(bundle, expected, tmp_path):
+    events = [events_of(sample, 0) for sample in bundle.checks.inputs]
+    arrays = [{"x": x, "y": y, "t": t, "p": p} for t, x, y, p in events]
+    labels = [index % 3 for index in range(len(arrays))]
+    recordings = Recordings.from_arrays(arrays, labels, time_unit="us")
+    path = recordings.write(tmp_path / "played.zip")
+    done = subprocess.run(
+        [*COMMAND, str(bundle.path), "--replay", str(path), "--speed", "0"],
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [each["recording"] for each in said] == list(Recordings.read(path).ids)
+
+
+def test_events_from_a_port_are_decided_on_by_the_clock_of_this_machine(bundle):
+    with subprocess.Popen(
+        [*COMMAND, str(bundle.path), "--unit", "us", "--udp", "0"],
+        cwd=ROOT,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        lines = iter(process.stderr.readline, "")
+        heard = next(line for line in lines if "listening" in line)
+        port = int(heard.split("127.0.0.1:")[1].split(";")[0])
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending:
+            sending.sendto(b'[0, 1, 1, 1]\n{"t": 30, "x": 2, "y": 1, "p": 0}', ("127.0.0.1", port))
+            decision = json.loads(process.stdout.readline())  # silence by the clock
+        process.send_signal(signal.SIGINT)
+        process.communicate()
+    assert decision["events"] == 2
+    assert process.returncode == 0
+
+
+def test_a_missing_bundle_is_said_in_one_line(tmp_path):
+    done = subprocess.run(
+        [*COMMAND, str(tmp_path)], cwd=ROOT, env=environment(), capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "not a bundle" in done.stderr
+    assert "Traceback" not in done.stderr
