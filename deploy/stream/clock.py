@@ -116,6 +116,20 @@ class SensorClock:
         self.now_ns = now_ns if self.now_ns is None else max(self.now_ns, now_ns)
         return _sorted(taken)
 
+    def advance_quietly(self, stream_ns: int) -> bool:
+        """As :meth:`advance`, in a short time, if the clock goes on and no event is held.
+
+        Returns
+        -------
+        bool
+            False if it does not; nothing has been done then.
+        """
+        if self._held is not None or self._advanced_ns is None or stream_ns < self._advanced_ns:
+            return False
+        self._advanced_ns = stream_ns
+        self.now_ns = max(self.now_ns, stream_ns)
+        return True
+
     def release(self):
         """Return the event that is held, at its own time; no other will follow."""
         taken = []

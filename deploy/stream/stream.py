@@ -199,6 +199,11 @@ class Stream:
         return dict(self._faults.counts)
 
     @property
+    def step_ns(self) -> float:
+        """Duration of a step in nanoseconds; a decision is due at the end of one."""
+        return self._step_ms * NANOSECONDS_PER_MS
+
+    @property
     def touching(self) -> bool:
         """True from the first event of a touch until silence."""
         return self._touching
@@ -241,6 +246,8 @@ class Stream:
     def advance(self, t) -> List[Decision]:
         """Say what time it is, if no event has told; call it a few times per step.
 
+        Push all events before this time first: later ones are presented in the present step.
+
         Parameters
         ----------
         t : float
@@ -251,6 +258,8 @@ class Stream:
         list of Decision
             Decisions that have become due.
         """
+        if isinstance(t, NUMBERS) and self._is_nothing_due(t):
+            return []
         time_ns, known = self._nanoseconds(np.atleast_1d(t))
         if not known.all():
             self._faults.count("unreadable")
@@ -288,8 +297,7 @@ class Stream:
         try:
             time_ns = self._clock.stream_time(round(t * self._tick_ns))
             is_next = self._clock.is_next(time_ns)
-            # The last millionth of a step is left to `_step_at`, which rounds as the check does.
-            is_present = time_ns < touch.start_ns + (steps + 1) * self._certain_step_ns
+            is_present = time_ns < self._certain_end_ns(touch)
             inside = 0 <= x < self._columns and 0 <= y < self._rows
             is_on = p == 1
             has_polarity = is_on or (self._has_off and p in (0, -1))
@@ -304,6 +312,28 @@ class Stream:
         self._clock.note(time_ns)
         self.n_events += 1
         return True
+
+    def _is_nothing_due(self, t):
+        """Take the present time in the shortest time, if no step or silence is over."""
+        touch = self._touch
+        try:
+            time_ns = self._clock.stream_time(round(t * self._tick_ns))
+        except (ValueError, OverflowError):
+            return False
+        if self._touching:
+            if time_ns - touch.last_ns > self._silence_ns:
+                return False
+            is_running = touch.presentation.n_steps < self._last_step(touch)
+            if is_running and time_ns >= self._certain_end_ns(touch):
+                return False
+        return self._clock.advance_quietly(time_ns)
+
+    def _certain_end_ns(self, touch):
+        """A time at which the present step is certainly not over.
+
+        The last millionth of a step is left to :meth:`_step_at`, which rounds as the check does.
+        """
+        return touch.start_ns + (touch.presentation.n_steps + 1) * self._certain_step_ns
 
     def _take_due(self):
         due, self._due = self._due, []

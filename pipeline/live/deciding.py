@@ -6,7 +6,8 @@ between two answers is in the object that :meth:`Decider.begin` returns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -18,19 +19,20 @@ from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence, probabilities
 from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
 from deploy.network.stimulus import EventFrames
+from deploy.stream.presentation import SharedNetwork
+from deploy.stream.stream import Stream
 from deploy.targets.fast import Emulation
 from pipeline.recordings.dataset import inputs_for
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.recordings.steps import EventTable
 
 # Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
 # screen.
-MOST_DRAWN = 4096
+MAX_DRAWN_NEURONS = 4096
 
 
 # Time for which a network on events receives them, in multiples of its presentation: a slow hand
 # takes longer than the recordings of the training.
-SLOWER = 3
+MAX_SLOWNESS = 3
 
 
 @dataclass(frozen=True)
@@ -136,56 +138,20 @@ class Decider:
     """
 
     clocked = False
-    window_s, usual_s = None, None
+    window_s = None
+    usual_s = None
 
     def __init__(self, bundle: Bundle, sensor: Sensor):
         self._spec = spec = bundle.spec
-        self._sensor, self._taxels = sensor, TaxelMap.grid(sensor.rows, sensor.columns)
-        self._emulation = Emulation(spec)
-        self.steps, self.first_step = spec.presentation.period, -spec.presentation.gap
+        self._sensor = sensor
+        self._emulation = Emulation(spec, bundle.seed)
+        self.steps = spec.presentation.period
+        self.first_step = -spec.presentation.gap
         limit = spec.presentation.threshold
         self.threshold = limit if limit < 1 else None
         sizes = {layer.name: layer.size for layer in spec.layers}
         sizes["input"] = int(np.prod(spec.input_shape))
-        self.layers = {n: sizes[n] for n in spec.spiking_layers if sizes[n] <= MOST_DRAWN}
-        shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
-        self._show(np.zeros((1, *shape)), spec.presentation.steps)  # compiles the kernel
-
-    def _recording(self, events):
-        """One recording of the page's sensor."""
-        source = Source("live", "", True)
-        return collect([events], [0], [""], [-1], source, self._taxels, self._sensor)
-
-    def _show(self, samples, steps):
-        """Scores, spikes and accumulated readout of one sample after some of its steps.
-
-        Returns
-        -------
-        scores : ndarray, shape (classes,)
-        spikes : dict
-            See :class:`Answer`.
-        sums : ndarray, shape (steps - readout_start, classes)
-            See :func:`deploy.network.responses.running_sums`.
-        """
-        spec, spikes = self._spec, {}
-        gap = spec.presentation.gap
-
-        def watch(packed):
-            for name in self.layers:
-                spikes[name] = packed[name][0].copy()
-                spikes[name][gap + steps :] = 0
-
-        done = self._emulation.run(spec.stimulus.flat(samples)[None], watch)
-        counts = {name: done.counts[name][0] for name in spec.spiking_layers}
-        output = decoded(spec, done.output[0, :, gap : gap + steps])
-        responses = read_output(spec, output, counts)
-        if responses.decisions[0, -1] < 0:  # an empty output is no answer
-            return None
-        return responses.scores[0], spikes, running_sums(spec, output)[0]
-
-    def _confidence(self, sums):
-        """The confidence for early decisions at each step of the sums."""
-        return confidence(sums, self._spec.estimator, self._spec.presentation.readout_start)
+        self.layers = {n: sizes[n] for n in spec.spiking_layers if sizes[n] <= MAX_DRAWN_NEURONS}
 
 
 class ImageDecider(Decider):
@@ -200,6 +166,11 @@ class ImageDecider(Decider):
     sensor : Sensor
     """
 
+    def __init__(self, bundle: Bundle, sensor: Sensor):
+        super().__init__(bundle, sensor)
+        self._taxels = TaxelMap.grid(sensor.rows, sensor.columns)
+        self._present(np.zeros((1, *self._spec.input_shape)))  # compiles the kernel
+
     def begin(self):
         """Begin a recording; its answers are stored for the curve."""
         return SimpleNamespace(answer=partial(self._answer, []))
@@ -208,26 +179,44 @@ class ImageDecider(Decider):
         """The answer for all events up to a time (infinity: to the end of the recording)."""
         if len(events) == 0:
             return None
-        image = inputs_for(self._spec, self._recording(events))
-        shown = self._show(image, self._spec.presentation.steps)
-        if shown is None:
+        source = Source("live", "", True)
+        recording = collect([events], [0], [""], [-1], source, self._taxels, self._sensor)
+        presented = self._present(inputs_for(self._spec, recording))
+        if presented is None:
             return None
-        scores, spikes, sums = shown
+        scores, spikes, sums = presented
         # The softmax was trained on the scores, which are means.  Sums of many steps would always
         # give a confidence of nearly 1 unless a threshold was chosen for them.
-        sure = (confidence(scores[None]) if self.threshold is None else self._confidence(sums))[-1]
-        now = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
+        if self.threshold is None:
+            sure = confidence(scores[None])[-1]
+        else:
+            first = self._spec.presentation.readout_start
+            sure = confidence(sums, self._spec.estimator, first)[-1]
+        now_s = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
         best = int(np.argmax(settled(scores, score_unit(self._spec))))
-        points.append((now, sure, best, probabilities(scores, sure)))
+        points.append((now_s, sure, best, probabilities(scores, sure)))
         curve = Curve(*map(np.array, zip(*points, strict=True)))
         return Answer(scores, spikes, curve, curve.first(self.threshold))
 
+    def _present(self, images):
+        """Scores, spikes and accumulated readout of one image; None if its output is empty."""
+        spec, spikes = self._spec, {}
+
+        def watch(packed):
+            for name in self.layers:
+                spikes[name] = packed[name][0].copy()
+
+        done = self._emulation.run(spec.stimulus.flat(images)[None], watch)
+        counts = {name: done.counts[name][0] for name in spec.spiking_layers}
+        output = decoded(spec, done.output[0, :, spec.presentation.gap :])
+        responses = read_output(spec, output, counts)
+        if responses.decisions[0, -1] < 0:
+            return None
+        return responses.scores[0], spikes, running_sums(spec, output)[0]
+
 
 class EventDecider(Decider):
-    """A decider for a bundle on events, in the time steps of the network.
-
-    A later event cannot change an earlier step.  Running all steps so far again therefore gives the
-    same result as continuing from the last step, and takes a millisecond.
+    """A decider for a bundle on events: each recording is a touch of a stream.
 
     Parameters
     ----------
@@ -238,41 +227,88 @@ class EventDecider(Decider):
     clocked = True
 
     def __init__(self, bundle: Bundle, sensor: Sensor):
-        spec, step_s = bundle.spec, bundle.spec.stimulus.step_seconds
-        self.usual_s = step_s * spec.presentation.steps
-        longer = spec.with_presentation(steps=min(SLOWER * spec.presentation.steps, limits.STEPS))
-        super().__init__(replace(bundle, spec=longer), sensor)
-        self.window_s = step_s * longer.presentation.steps
+        super().__init__(bundle, sensor)
+        presentation = self._spec.presentation
+        step_s = self._spec.stimulus.step_seconds
+        longest = min(MAX_SLOWNESS * presentation.steps, limits.STEPS)
+        self.steps = presentation.gap + longest
+        self.usual_s = step_s * presentation.steps
+        self.window_s = step_s * longest
+        self._bundle = bundle
+        self._network = SharedNetwork(self._emulation, self.layers)
+        self.begin()  # compiles the kernel
 
     def begin(self):
-        """Begin a recording; its answers do not depend on earlier answers."""
-        return self
+        """Begin a recording: a fresh network, whose only touch ends when the recording does."""
+        stream = Stream(
+            self._bundle,
+            unit="ns",
+            silence=math.inf,
+            longest=self.window_s,
+            stream_length=1,
+            network=self._network,
+        )
+        return TouchDeciding(self, stream, self._sensor.rows)
+
+    def describe(self, touch) -> Answer | None:
+        """The answer for a touch so far."""
+        spec, readout = self._spec, touch.presentation.readout
+        if not len(readout.sums) or not readout.spoke[-1]:
+            return None
+        first_s = touch.start_ns * 1e-9
+        steps = np.arange(spec.presentation.readout_start + 1, readout.n_steps + 1)
+        curve = Curve(
+            first_s + spec.stimulus.step_seconds * steps,
+            readout.confidences.copy(),
+            readout.sums.argmax(axis=1),
+            probabilities(readout.sums, readout.confidences),
+        )
+        # Slower than all recordings of the training, confidence is too high to decide early.
+        usual_s = first_s + self.usual_s + spec.stimulus.step_seconds / 2
+        spikes = {name: rows.copy() for name, rows in touch.presentation.spikes.items()}
+        verdict = curve.first(self.threshold, usual_s)
+        return Answer(readout.scores_at(readout.n_steps), spikes, curve, verdict)
+
+
+class TouchDeciding:
+    """The answers for one recording on events.
+
+    Parameters
+    ----------
+    decider : EventDecider
+    stream : Stream
+    rows : int
+        Rows of the sensor, whose taxels are numbered column by column.
+    """
+
+    def __init__(self, decider: EventDecider, stream: Stream, rows: int):
+        self._decider, self._stream, self._rows = decider, stream, rows
+        self._n_taken = 0
 
     def answer(self, events: Events, time_s: float) -> Answer | None:
-        """The answer for all events up to a time (infinity: to the end of the recording)."""
+        """The answer for all events up to a time (infinity: to the end of the recording).
+
+        Parameters
+        ----------
+        events : Events
+            All of the recording so far, those of the last call first.
+        time_s : float
+            Never before that of the last call.
+        """
         if len(events) == 0:
             return None
-        shown, seconds = self._spec.presentation, self._spec.stimulus.step_seconds
-        first_s, last_s = events.time_ns[[0, -1]] * 1e-9
-        since = (time_s - first_s) / seconds  # steps of the first event on
-        # A recording of the usual length ends with its presentation, as in the check.
-        settles = len(self._spec.layers) + 2  # steps that a spike needs to the output
-        end_s = max(self.usual_s, last_s - first_s + settles * seconds)
-        steps = int(min(max(since, 0), round(end_s / seconds), shown.steps))
-        if steps <= shown.readout_start:
-            return None
-        table, refractory = EventTable.of(self._recording(events)), self._spec.stimulus.refractory
-        frames = table.frames([0], 1e3 * seconds, shown.steps, refractory)
-        answered = self._show(np.moveaxis(frames, 0, 1), steps)
-        if answered is None:
-            return None
-        scores, spikes, sums = answered
-        ends = first_s + seconds * np.arange(shown.readout_start + 1, steps + 1)
-        sure = self._confidence(sums)
-        curve = Curve(ends, sure, sums.argmax(axis=1), probabilities(sums, sure))
-        # Slower than all recordings of the training, confidence is too high to decide early.
-        usual_s = first_s + self.usual_s + seconds / 2
-        return Answer(scores, spikes, curve, curve.first(self.threshold, usual_s))
+        time_ns = events.time_ns[self._n_taken :]
+        column, row = np.divmod(events.taxel[self._n_taken :], self._rows)
+        # The page says that later ones are not received.
+        received = time_ns < events.time_ns[0] + 1e9 * self._decider.window_s
+        columns = (time_ns, column, row, events.polarity[self._n_taken :])
+        self._stream.push(*(values[received] for values in columns))
+        self._n_taken = len(events)
+        if np.isinf(time_s):
+            self._stream.finish()
+        else:
+            self._stream.advance(1e9 * time_s)
+        return self._decider.describe(self._stream.touch)
 
 
 def decider_of(bundle: Bundle, sensor: Sensor) -> Decider:

@@ -154,4 +154,4 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
 def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, recordings):
     events = recordings[0]
     first_s = events.time_ns[0] * 1e-9
-    assert decider_of(clocked, Sensor()).answer(events, first_s + 0.01) is None
+    assert decider_of(clocked, Sensor()).begin().answer(events, first_s + 0.01) is None
