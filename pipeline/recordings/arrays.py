@@ -7,12 +7,15 @@ from pathlib import Path
 
 from deploy.errors import SeveralErrors, UserError
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.formats.eventfiles import write_recordings
+from pipeline.recordings.writing import write_recordings
 from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import Reading
 
 # Name of recordings that were made of arrays.
 NAME = "arrays.zip"
+
+# Class of recordings without labels.
+UNLABELLED = "unlabelled"
 
 
 def read_recordings(path, time_unit: str = "") -> Recordings:
@@ -20,9 +23,10 @@ def read_recordings(path, time_unit: str = "") -> Recordings:
     return load_recordings(str(path), reading=Reading(time_unit=time_unit))
 
 
-def recordings_from_arrays(events, labels, **more) -> Recordings:
+def recordings_from_arrays(events, labels=None, **more) -> Recordings:
     """See :meth:`pipeline.recordings.events.Recordings.from_arrays`."""
-    events, labels = list(events), list(labels)
+    events = list(events)
+    labels = [UNLABELLED] * len(events) if labels is None else list(labels)
     if len(events) != len(labels):
         raise UserError(
             f"arrays: {len(events)} recordings and {len(labels)} labels; give a label for each"

@@ -217,7 +217,7 @@ class Recordings:
         return read_recordings(path, time_unit)
 
     @classmethod
-    def from_arrays(cls, events, labels, **more) -> Recordings:
+    def from_arrays(cls, events, labels=None, **more) -> Recordings:
         """Make recordings of events in memory.
 
         Parameters
@@ -225,11 +225,11 @@ class Recordings:
         events : iterable
             Events of each recording: arrays x, y, t, p, a dict of them, a structured array, or an
             array of shape (n, 4).  ``x`` is the column from the left, ``y`` the row from the top.
-        labels : iterable
-            Class of each recording: a number from 0, or a name.
+        labels : iterable, optional
+            Class of each recording: a number from 0, or a name; default: not known.
         **more
             ``classes``, ``time_unit``, ``writers``, ``simulated`` and ``parts``, as in
-            :func:`pipeline.recordings.formats.eventfiles.write_recordings`.
+            :func:`pipeline.recordings.writing.write_recordings`.
 
         Raises
         ------

@@ -153,5 +153,7 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
 
 def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, recordings):
     events = recordings[0]
-    first_s = events.time_ns[0] * 1e-9
-    assert decider_of(clocked, Sensor()).begin().answer(events, first_s + 0.01) is None
+    names = ("time_ns", "taxel", "polarity", "columns")
+    first = Events(*(getattr(events, name)[:1] for name in names))
+    deciding = decider_of(clocked, Sensor()).begin()
+    assert deciding.answer(first, events.time_ns[0] * 1e-9 + 0.009) is None
