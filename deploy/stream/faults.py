@@ -26,7 +26,7 @@ FAULTS = {
 class Faults:
     """Counts of events with a fault, by the names of :data:`FAULTS`.
 
-    Reports are warnings of the logger ``stmnist.stream``, which Python prints on standard error
+    Reports are warnings of the logger "stmnist.stream", which Python prints on standard error
     unless the program configures it otherwise.
 
     Attributes
