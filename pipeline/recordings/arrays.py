@@ -7,9 +7,9 @@ from pathlib import Path
 
 from deploy.errors import SeveralErrors, UserError
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.writing import write_recordings
 from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import Reading
+from pipeline.recordings.writing import write_recordings
 
 # Name of recordings that were made of arrays.
 NAME = "arrays.zip"
