@@ -147,7 +147,7 @@ def open_regular(path, mode="rb", **options):
 
 
 @contextlib.contextmanager
-def locked(path, taken: str, remedy: str):
+def lock_file(path, taken: str, remedy: str):
     """Lock a file of this program against other processes while the block runs.
 
     Parameters

@@ -3,7 +3,7 @@
 The type hints of a dataclass say what a value may be: ``bool``, ``int``, ``float`` (a whole number
 will do), ``str``, ``Optional``, ``Tuple[X, ...]``, ``List[X]``, ``Dict[str, X]`` or another
 dataclass; any other hint, such as ``dict`` or ``np.ndarray``, is not checked.  A :class:`Limit` is
-the metadata of a field (:func:`limited`) or, from Python 3.9 on, part of its hint
+the metadata of a field (:func:`limited_field`) or, from Python 3.9 on, part of its hint
 (``Annotated[int, limit]``).  An error has the field's name with those around it, such as
 ``layers[0].neurons.tau_rc``.
 """
@@ -39,7 +39,7 @@ def one_of(*values) -> Limit:
     )
 
 
-def limited(limit: Limit, default=MISSING):
+def limited_field(limit: Limit, default=MISSING):
     """A field of a dataclass with a limit; its value may be None if the hint allows it."""
     return field(default=default, metadata={"limit": limit})
 
@@ -88,18 +88,18 @@ def load(kind, values, name: str = "", extra: bool = False):
     known, built = {entry.name: entry for entry in fields(kind) if entry.init}, {}
     unknown = sorted(str(each)[:40] for each in set(values) - set(known))
     if unknown and not extra:
-        raise WrongValue(_joined(name, unknown[0]), "is unknown")
+        raise WrongValue(_join_names(name, unknown[0]), "is unknown")
     for each, entry in known.items():
-        where = _joined(name, each)
+        where = _join_names(name, each)
         if each in values:
-            built[each] = _built(_hints(kind)[each], values[each], where, extra)
+            built[each] = _build_value(_hints(kind)[each], values[each], where, extra)
             _require_limit(entry.metadata.get("limit"), built[each], where)
         elif entry.default is MISSING and entry.default_factory is MISSING:
             raise WrongValue(where, "is missing")
     try:
         return kind(**built)
     except WrongValue as error:
-        raise WrongValue(_joined(name, error.name), error.problem) from error
+        raise WrongValue(_join_names(name, error.name), error.problem) from error
 
 
 def check(instance):
@@ -111,7 +111,7 @@ def check(instance):
     """
     for entry in fields(instance):
         value = getattr(instance, entry.name)
-        _built(_hints(type(instance))[entry.name], value, entry.name, False)
+        _build_value(_hints(type(instance))[entry.name], value, entry.name, False)
         _require_limit(entry.metadata.get("limit"), value, entry.name)
 
 
@@ -123,15 +123,15 @@ def _hints(kind):
         return get_type_hints(kind)
 
 
-def _built(hint, value, name, extra):
+def _build_value(hint, value, name, extra):
     """The value of a field; raises an error if it is of another type."""
     for limit in getattr(hint, "__metadata__", ()):
-        value = _built(hint.__origin__, value, name, extra)
+        value = _build_value(hint.__origin__, value, name, extra)
         _require_limit(limit, value, name)
         return value
     origin, inner = getattr(hint, "__origin__", hint), getattr(hint, "__args__", ())
     if origin is Union or type(hint).__name__ == "UnionType":  # Optional[X], or X | None
-        return None if value is None else _built(inner[0], value, name, extra)
+        return None if value is None else _build_value(inner[0], value, name, extra)
     if is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, name, extra)
     if origin in (tuple, list):
@@ -140,11 +140,14 @@ def _built(hint, value, name, extra):
             _require(len(value) == len(inner), name, f"a list of {len(inner)}", value)
         hints = inner if origin is tuple and inner[-1] is not Ellipsis else inner[:1] * len(value)
         parts = zip(hints, value)
-        return origin(_built(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(parts))
+        return origin(_build_value(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(parts))
     if origin is dict:
         _require(isinstance(value, dict), name, "a table of values", value)
         of_values = inner[1] if inner else None  # None lets a value of any kind pass
-        return {key: _built(of_values, v, _joined(name, key), extra) for key, v in value.items()}
+        return {
+            key: _build_value(of_values, v, _join_names(name, key), extra)
+            for key, v in value.items()
+        }
     if origin is bool:
         _require(type(value) is bool, name, "true or false", value)
     elif origin is int:
@@ -183,5 +186,5 @@ def _short(value):
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _joined(name, entry):
+def _join_names(name, entry):
     return f"{name}.{entry}" if name and entry else name or entry

@@ -7,7 +7,7 @@ from typing import List, Sequence
 from .terminal import SIGNIFICANT, printable
 
 
-def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
+def align_rows(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     """Lines of a table with aligned columns.
 
     Parameters
@@ -33,22 +33,22 @@ WIDTH = 80
 
 
 def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
-    """Align a table as :func:`aligned` does, and divide a wide one into blocks of columns.
+    """Align a table as :func:`align_rows` does, and divide a wide one into blocks of columns.
 
     Each block begins with the columns that are flush left; blocks are separated by an empty line.
 
     Parameters
     ----------
     rows, left
-        As in :func:`aligned`.
+        As in :func:`align_rows`.
     width : int
         Maximum number of characters of a line.
     """
     fitting = left + 1
     for columns in range(left + 1, len(rows[0]) + 1):
-        if max(map(len, aligned([row[:columns] for row in rows], left))) <= width:
+        if max(map(len, align_rows([row[:columns] for row in rows], left))) <= width:
             fitting = columns
-    lines = aligned([row[:fitting] for row in rows], left)
+    lines = align_rows([row[:fitting] for row in rows], left)
     if fitting < len(rows[0]):
         rest = [[*row[:left], *row[fitting:]] for row in rows]
         lines += ["", *in_blocks(rest, left, width)]
@@ -80,13 +80,13 @@ def plain(value) -> str:
     return str(value) if value != "" else "-"
 
 
-def listed(names) -> str:
+def list_names(names) -> str:
     """The first twelve names, shortened but still different, separated by commas."""
     names = shortened_apart([str(name) for name in names], 24)
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 
-def shortened(name: str, width: int) -> str:
+def shorten_name(name: str, width: int) -> str:
     """A name of at most ``width`` characters, shortened in its middle.
 
     Both ends remain, since names of a set often begin or end alike.
@@ -102,9 +102,9 @@ def shortened_apart(names, width: int) -> list:
 
     Names that would become equal are numbered at their end.
     """
-    short = [shortened(name, width) for name in names]
+    short = [shorten_name(name, width) for name in names]
     for index, name in enumerate(short):
         if short.count(name) > 1:
             number = f"~{index}"
-            short[index] = shortened(names[index], max(width - len(number), 1)) + number
+            short[index] = shorten_name(names[index], max(width - len(number), 1)) + number
     return short

@@ -27,7 +27,7 @@ def printable(text) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def advised(*words) -> str:
+def command_text(*words) -> str:
     """A command of ``stmnist`` for a message; in quotation marks, unless it has its own."""
     command = shlex.join(["stmnist", *map(str, words)])
     return command if "'" in command else f"'{command}'"

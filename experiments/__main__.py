@@ -3,7 +3,7 @@
 import sys
 from importlib import import_module
 
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from deploy.terminal import remark, show
 
 # Experiments that are no list of cases: module, what it does, expected time.
@@ -30,7 +30,7 @@ def main(arguments=None):
     if name in ("", "-h", "--help"):
         rows = [[e.name, e.title, e.time] for e in EXPERIMENTS]
         rows += [[name, title, time] for name, (_, title, time) in OTHERS.items()]
-        show("\n".join(aligned(rows, left=3)))
+        show("\n".join(align_rows(rows, left=3)))
         return
     if name in studies:
         verb = command_of(studies[name])

@@ -18,7 +18,7 @@ from scipy import stats as statistics
 
 from deploy.errors import UserError
 from deploy.files import sha256_of, write_json
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from experiments import handwriting, unipen
 from experiments.studies import RESULTS, Store, measured
 from experiments.tables import interval_text
@@ -223,7 +223,7 @@ def main(
     as_json: options.Json = False,
 ):
     """Measure the gain of fitting a network to one person, as a mean over people."""
-    with options.resolved(out, given, of_results=True) as (folder, settings):
+    with options.resolve_settings(out, given, of_results=True) as (folder, settings):
         if settings.data.source != SIMULATED:
             raise UserError("the networks are trained on simulated recordings; omit data.source")
         pen, name = pen.absolute(), f"adapt-{settings.input.kind}"
@@ -243,5 +243,5 @@ def main(
         write_json(RESULTS / f"{store}.json", found)
     title = "real pen trajectories pressed on the simulated sensor, people nobody trained on"
     errors = "; ".join(f"{case.alter}: {error}" for case, error in failed.items())
-    text = "\n".join([title, *aligned(cells(found))])
+    text = "\n".join([title, *align_rows(cells(found))])
     options.conclude(found, errors, lambda value: text, as_json)

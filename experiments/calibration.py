@@ -34,7 +34,7 @@ import typer
 
 from deploy.errors import CheckFailed
 from deploy.files import read_json, write_json
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.commands.data import SimulationSeed
@@ -135,7 +135,7 @@ def cells_text(cells: list) -> str:
         ]
         for cell in cells
     ]
-    return "\n".join(aligned(rows, left=3))
+    return "\n".join(align_rows(rows, left=3))
 
 
 def step(form: Form, row, paper, damping) -> Form:

@@ -13,8 +13,8 @@ import numpy as np
 import typer
 
 from deploy.files import read_arrays, write_arrays
-from deploy.tables import aligned
-from deploy.targets.registry import answer
+from deploy.tables import align_rows
+from deploy.targets.registry import run_target
 from deploy.terminal import show
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
@@ -54,7 +54,7 @@ def main(
             arguments = python, script, frames, graph, answers, seed, epochs
             subprocess.run([str(argument) for argument in arguments], check=True)
             rows.append((str(seed), *compared(graph, answers, settings, dataset, target)))
-    show("\n".join(aligned(rows)))
+    show("\n".join(align_rows(rows)))
 
 
 def compared(graph, answers, settings, dataset, target) -> tuple:
@@ -67,7 +67,7 @@ def compared(graph, answers, settings, dataset, target) -> tuple:
     held = graph_inputs(network, inputs, settings.steps)
     outputs = simulate(network, held, stepped.seconds, stepped.method).outputs
     same = (outputs == np.moveaxis(theirs["outputs"], 0, 1)).mean()
-    chip, torch = answer(spec, inputs, target).predictions, theirs["predictions"]
+    chip, torch = run_target(spec, inputs, target).predictions, theirs["predictions"]
     accuracies = [(p == labels).mean() for p in (torch, outputs.sum(1).argmax(1), chip)]
     lost = 100 * (accuracies[0] - accuracies[2])
     return (

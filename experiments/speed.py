@@ -20,9 +20,9 @@ from deploy.files import write_json
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import respond
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from deploy.targets.fast import Emulation
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from experiments.studies import RESULTS, Store, processor
 from fastloihi import FastSimulator
 from pipeline.commands import options
@@ -58,15 +58,15 @@ def of_bundle(bundle, samples: int | None = None) -> dict:
     """
     spec, inputs = bundle.spec, bundle.checks.inputs[:samples]
     parts = spec.presentation.streams(len(inputs))
-    found, emulation = answer(spec, inputs, "fast", SEED), Emulation(spec, SEED)
+    found, emulation = run_target(spec, inputs, "fast", SEED), Emulation(spec, SEED)
     whole = [part for part in parts if part.stop - part.start == parts[0].stop]
-    streams = np.stack([spec.fed(inputs[part]) for part in whole])
+    streams = np.stack([spec.flatten_samples(inputs[part]) for part in whole])
     n_streamed = len(whole) * parts[0].stop
     paces, identical = [], True
     with progress("speed", len(inputs)) as advance, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for part in parts:
-            built, shown = build(spec), spec.fed(inputs[part])
+            built, shown = build(spec), spec.flatten_samples(inputs[part])
             with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
                 slow, expected = _spent(respond, spec, built, sim, shown)
             quick, _ = _spent(emulation.run, streams)
@@ -266,6 +266,6 @@ def main(
     if store:
         write_json(RESULTS / f"{store}.json", found)
     title = "Processor time relative to NengoLoihi's emulator, medians of turns"
-    options.tell(found, lambda value: "\n".join([title, *aligned(cells(value))]), as_json)
+    options.tell(found, lambda value: "\n".join([title, *align_rows(cells(value))]), as_json)
     if not all(row["identical"] for row in (*found["bundles"].values(), *found["networks"])):
         raise CheckFailed("the predictions differ from those of NengoLoihi's emulator")

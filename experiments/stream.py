@@ -19,7 +19,7 @@ from deploy.errors import CheckFailed
 from deploy.files import write_json
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from deploy.targets.fast import Emulation
 from experiments.studies import RESULTS, Store, processor
 from pipeline.commands import options
@@ -255,7 +255,7 @@ def text_of(found: dict) -> str:
         f"Latency of the decisions on {found['samples']} touches, {found['rate']:,.0f} events per "
         f"second, {found['architecture']}, steps of {found['step_ms']:g} ms, one core"
     )
-    return "\n".join([title, *aligned(cells(found))])
+    return "\n".join([title, *align_rows(cells(found))])
 
 
 def main(

@@ -17,11 +17,11 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import write_json
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from experiments import tables
 from experiments.variants import VARIANTS, varied
 from pipeline.commands import options
-from pipeline.kinds import fitted
+from pipeline.kinds import choose_settings
 from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case
@@ -332,7 +332,7 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
     by_input = {}
     for kind in dict.fromkeys(line.input for line in lines):
         of_kind = settings.with_values({"input": {"kind": kind}}, "experiment")
-        by_input[kind] = fitted(of_kind, recordings, say=say)
+        by_input[kind] = choose_settings(of_kind, recordings, say=say)
     splits = splits_of(experiment, settings, recordings)
     folder.save_settings(settings)
     cases = cases_of(
@@ -427,14 +427,14 @@ def text(experiment: Experiment, found: dict) -> str:
     what = "simulated recordings" if found["simulated"] else "recordings"
     lines = [f"{experiment.title}, on {what}: means over splits"]
     for split in dict.fromkeys(row["split"] for row in found["rows"]):
-        lines += ["", *aligned(cells(experiment, found, split))]
+        lines += ["", *align_rows(cells(experiment, found, split))]
         if any(len(row["seeds"]) == 1 for row in found["rows"]):
             lines.append("the intervals of a single split are Wilson's, over its test samples")
         elif split == "published":
             lines.append("the intervals are over trainings on this one split")
     if found["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
-        lines += ["", *aligned(tables.comparisons_cells(found, titles))]
+        lines += ["", *align_rows(tables.comparisons_cells(found, titles))]
     lines += ["", *filter(None, [experiment.note])]
     lines.append(
         "operations: synaptic, readout included, relative to the multiply-accumulates of the "
@@ -474,7 +474,7 @@ def command_of(experiment: Experiment) -> Callable:
         workers: options.Workers,
         as_json: options.Json = False,
     ):
-        with options.resolved(out, given, of_results=True) as (folder, settings):
+        with options.resolve_settings(out, given, of_results=True) as (folder, settings):
             found, failed = run(experiment, folder, settings, seeds, only, workers, options.say)
         if store and not failed:
             write_json(RESULTS / f"{store}.json", found)

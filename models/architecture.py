@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.network.geometry import convolution_fan_out, convolution_shape, reached, windows
+from deploy.network.geometry import convolution_fan_out, convolution_shape, count_windows, windows
 
 # Maximum number of layers in a text, including the output.
 MAX_LAYERS = 64
@@ -134,7 +134,7 @@ class Pooling:
     def fan_out(self, input_shape) -> np.ndarray:
         """Synapses that leave each input position, int64: 1, or 0 outside of complete windows."""
         reach = [
-            reached(n, outputs, self.size, self.size, 0)
+            count_windows(n, outputs, self.size, self.size, 0)
             for n, outputs in zip(input_shape[:2], self.shape(input_shape), strict=False)
         ]
         return np.repeat(np.outer(*reach)[..., None], input_shape[2], axis=2)

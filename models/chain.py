@@ -1,7 +1,8 @@
 """A chain of links: what every trained or imported network becomes before it is deployed.
 
 A link is one linear map and the neurons after it, which the chip computes as one layer; averaging
-before the map is part of the link.  These functions make chains, and :func:`deployed` makes the
+before the map is part of the link.  These functions make chains, and :func:`build_network_spec`
+makes the
 deployed network of any of them:
 
 =======================================  =========================================================
@@ -20,7 +21,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deploy.network.geometry import convolution_fan_out, pooled_shape, unpooled
+from deploy.network.geometry import convolution_fan_out, pooled_shape, unpool
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import Stimulus
 from models.architecture import Architecture, Convolution, Dense, Pooling
@@ -109,7 +110,7 @@ class Link:
         else:
             windows = len(self.weights), self.shape[-1], self.stride, self.padding
             reached = convolution_fan_out(read, *windows)
-        return reached if self.pool == 1 else unpooled(reached, self.input_shape, self.pool)
+        return reached if self.pool == 1 else unpool(reached, self.input_shape, self.pool)
 
 
 def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
@@ -224,7 +225,7 @@ def from_rates(
     return (*chain, output)
 
 
-def deployed(
+def build_network_spec(
     chain: tuple,
     stimulus: Stimulus,
     presentation: Presentation,

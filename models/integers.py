@@ -181,10 +181,12 @@ def currents(link: Link, weights, spikes) -> np.ndarray:
     lead = spikes.shape[:2]
     if link.kind == "dense":
         return (spikes.reshape(-1, spikes.shape[-1]) @ weights).reshape(*lead, -1)
-    return np.tensordot(_seen(link, spikes), weights, ((3, 4, 5), (2, 0, 1))).reshape(*lead, -1)
+    return np.tensordot(_sum_windows(link, spikes), weights, ((3, 4, 5), (2, 0, 1))).reshape(
+        *lead, -1
+    )
 
 
-def _seen(link, spikes):
+def _sum_windows(link, spikes):
     """Windows (frames, rows, columns, channels, kernel's rows, columns) of sums over squares."""
     frames = spikes.reshape(-1, *link.input_shape)
     if link.pool > 1:
@@ -199,7 +201,7 @@ def _seen(link, spikes):
     return seen[:, :: link.stride, :: link.stride]
 
 
-def fired(link: Link, spikes, integers: Integers | None = None) -> np.ndarray:
+def simulate_spikes(link: Link, spikes, integers: Integers | None = None) -> np.ndarray:
     """Spikes of a link's neurons, from rest.
 
     Parameters
@@ -263,7 +265,7 @@ def in_integers(chain, spikes, height: float = 1.0) -> tuple:
     Raises
     ------
     UserError
-        As :func:`rounded`.
+        As :func:`round_to_integers`.
     """
     made = []
     for index, link in enumerate(chain):
@@ -272,28 +274,28 @@ def in_integers(chain, spikes, height: float = 1.0) -> tuple:
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(link, weights=link.weights * factor)
-        made.append(on_loihi(link, chosen(scaled, spikes), factor))
-        spikes = fired(scaled, spikes)
+        made.append(on_loihi(link, choose_integers(scaled, spikes), factor))
+        spikes = simulate_spikes(scaled, spikes)
     return tuple(made)
 
 
-def chosen(link: Link, spikes) -> Integers:
+def choose_integers(link: Link, spikes) -> Integers:
     """The link's integers, with the scale and rounding of weights that change the spikes least.
 
     Parameters
     ----------
     link : Link
     spikes : ndarray
-        Input on training samples, as for :func:`fired`.
+        Input on training samples, as for :func:`simulate_spikes`.
     """
-    spiked = fired(link, spikes)
+    spiked = simulate_spikes(link, spikes)
     wanted, tried = spiked.sum(1, dtype=float), []
     ways = [None]
     if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
         ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
     for clip, moments in itertools.product(CLIPS, ways):
-        integers = rounded(link, clip, moments)
-        error = fired(link, spikes, integers).sum(1, dtype=float) - wanted
+        integers = round_to_integers(link, clip, moments)
+        error = simulate_spikes(link, spikes, integers).sum(1, dtype=float) - wanted
         tried.append((float(np.square(error).mean()), -clip, integers))
     return min(tried, key=lambda entry: entry[:2])[2]
 
@@ -303,7 +305,7 @@ def _with_own(spikes, own):
     return np.concatenate([spikes, np.pad(own[:, :-1], ((0, 0), (1, 0), (0, 0)))], 2)
 
 
-def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
+def round_to_integers(link: Link, clip: float = 1.0, moments=None) -> Integers:
     """Round a link of neurons to the chip's integers.
 
     Parameters
@@ -345,7 +347,7 @@ def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
     if moments is None:
         weights = np.clip(np.rint(real / scale), -WEIGHT_LEVELS, WEIGHT_LEVELS)
     else:
-        weights = _compensated(real / scale, moments)
+        weights = _round_with_compensation(real / scale, moments)
     keep_u, keep_v = (
         int(np.clip(np.rint(DECAY_UNIT * keep), least, MOST_KEEP))
         for keep, least in zip(decays, (LEAST_KEEP_U, LEAST_KEEP_V), strict=True)
@@ -373,7 +375,7 @@ def rounded(link: Link, clip: float = 1.0, moments=None) -> Integers:
     return Integers(weights, bias, threshold, FLOOR, keep_u, keep_v, -lowered, loop)
 
 
-def _compensated(real, moments) -> np.ndarray:
+def _round_with_compensation(real, moments) -> np.ndarray:
     """Whole numbers near ``real``, such that the error of weighted sums is small.
 
     The inputs are rounded one after the other, and the remaining ones compensate the error by least
@@ -413,7 +415,7 @@ def moments_of(link: Link, spikes) -> np.ndarray:
             left.append(v)
     seen = np.stack(left, 1)
     if link.kind == "conv":
-        seen = np.moveaxis(_seen(link, seen), 3, 5)  # channels last, as in the weights
+        seen = np.moveaxis(_sum_windows(link, seen), 3, 5)  # channels last, as in the weights
     inputs = math.prod(seen.shape[3:]) if link.kind == "conv" else seen.shape[2]
     seen = seen.reshape(-1, inputs)
     moments = seen.T @ seen / len(seen)

@@ -155,7 +155,7 @@ def results_of(calls, processes: int, in_order: bool = True):
 
 def _in_processes(function, jobs, processes, meanwhile):
     left = dict(enumerate(jobs))
-    calls = (delayed(_numbered)(number, function, job) for number, job in left.copy().items())
+    calls = (delayed(_run_numbered)(number, function, job) for number, job in left.copy().items())
     try:
         with results_of(calls, min(processes, len(jobs)), in_order=False) as results:
             meanwhile()
@@ -166,7 +166,7 @@ def _in_processes(function, jobs, processes, meanwhile):
             yield job, Failure(KILLED, KILLED, UserError(KILLED))
 
 
-def _numbered(number, function, job):
+def _run_numbered(number, function, job):
     return number, attempt(function, job)
 
 

@@ -1,7 +1,8 @@
 """The stages of a run: each reads the artifacts of the previous one, and is made only if outdated.
 
 :func:`open_run` loads the recordings and chooses what the settings leave open; the others take what
-it returns: :meth:`Opened.make` trains a network, :func:`convert` writes the bundle, :func:`answer`
+it returns: :meth:`Opened.make` trains a network, :func:`convert` writes the bundle,
+:func:`check_stage`
 answers its samples with a network or target.
 """
 
@@ -24,14 +25,14 @@ from deploy.check.bundle import (
     write_bundle,
 )
 from deploy.check.results import read_result, result_of
-from deploy.check.run import answered, open_check, records_of, run_check
+from deploy.check.run import open_check, records_of, run_check, run_streams
 from deploy.files import write_json
 from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.jobs import Failure, run_jobs
-from pipeline.kinds import NetworkKind, fitted, kind_of_network, new_run_text, split_text
+from pipeline.kinds import NetworkKind, choose_settings, kind_of_network, new_run_text, split_text
 from pipeline.kinds.image.kind import settings_of_model
 from pipeline.kinds.kind import read_weights
 from pipeline.kinds.nir.kind import refuse_early, settings_of_nir
@@ -49,8 +50,8 @@ from pipeline.training.adaptation import with_rehearsal
 
 __all__ = [
     "Opened",
-    "answer",
-    "answer_all",
+    "check_stage",
+    "check_stages",
     "convert",
     "open_run",
     "opened_in",
@@ -182,7 +183,7 @@ def open_run(
     """
     lines = []
     recordings = recordings_of(settings, jobs, say)
-    chosen = fitted(settings, recordings, check, lines.append)
+    chosen = choose_settings(settings, recordings, check, lines.append)
     dataset = Dataset.of(chosen, jobs, recordings=recordings)
     opened = opened_in(run, chosen, dataset, say)
     if check:
@@ -358,7 +359,7 @@ def settings_read(spec: NetworkSpec) -> dict:
     return {**settings, "presentation.steps": steps}
 
 
-def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
+def check_stage(opened: Opened, bundle: Bundle, stage: str) -> dict:
     """The check result of a reference stage or target, made unless it is current.
 
     Parameters
@@ -370,7 +371,7 @@ def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
     stage : str
         One of the kind's reference stages, or a target.
     """
-    artifact = _answer_artifact(opened, bundle, stage)
+    artifact = _check_artifact_of(opened, bundle, stage)
     path, state = artifact.record, artifact.state()
     if state.is_current:
         opened.say(f"{stage}: up to date ({path})")
@@ -399,15 +400,15 @@ def answer(opened: Opened, bundle: Bundle, stage: str) -> dict:
     return result
 
 
-def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
-    """Run :func:`answer` for several stages: targets in processes, networks in this process.
+def check_stages(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
+    """Run :func:`check_stage` for several stages: targets in processes, networks in this process.
 
     Processes share single streams, not targets, so that no core is idle during the last target.
 
     Parameters
     ----------
     opened, bundle
-        As in :func:`answer`.
+        As in :func:`check_stage`.
     stages : sequence of str
     jobs : int
         Number of processes.
@@ -422,7 +423,7 @@ def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
     UserError
         A target failed; the results of the others are saved.
     """
-    artifacts = {stage: _answer_artifact(opened, bundle, stage) for stage in stages}
+    artifacts = {stage: _check_artifact_of(opened, bundle, stage) for stage in stages}
     states = {stage: artifact.state() for stage, artifact in artifacts.items()}
     results = {}
     targets = [stage for stage in stages if stage in TARGETS and not states[stage].is_current]
@@ -433,21 +434,21 @@ def answer_all(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
             def answer_here():
                 for stage in here:
                     with hidden():
-                        results[stage] = answer(opened, bundle, stage)
+                        results[stage] = check_stage(opened, bundle, stage)
                     advance(len(bundle.checks), stage)
 
             for name in targets:
                 states[name].announce("answering", opened.say)
             paths = {name: artifacts[name].record for name in targets}
             seed = opened.settings.seed
-            results |= _shared(bundle, paths, seed, jobs, advance, answer_here)
+            results |= _run_targets(bundle, paths, seed, jobs, advance, answer_here)
     for stage in stages:
         if stage not in results:
-            results[stage] = answer(opened, bundle, stage)
+            results[stage] = check_stage(opened, bundle, stage)
     return [results[stage] for stage in stages]
 
 
-def _shared(bundle, paths, seed, jobs, advance, meanwhile):
+def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):
     """Results of targets by name; each remaining stream is a job if any of the targets is slow."""
     checks, failures = {}, {}
     with contextlib.ExitStack() as stack:
@@ -458,7 +459,7 @@ def _shared(bundle, paths, seed, jobs, advance, meanwhile):
         for check in checks.values():
             parts = [[part] for part in check.left] if check.target.slow else [check.left]
             work += [check.work(streams) for streams in parts if streams]
-        for job, records in run_jobs(_answered, work, jobs, meanwhile=meanwhile):
+        for job, records in run_jobs(_run_all_streams, work, jobs, meanwhile=meanwhile):
             if isinstance(records, Failure):
                 failures.setdefault(job.target, records)
             else:
@@ -470,11 +471,11 @@ def _shared(bundle, paths, seed, jobs, advance, meanwhile):
     return results
 
 
-def _answered(work):
-    return list(answered(work))
+def _run_all_streams(work):
+    return list(run_streams(work))
 
 
-def _answer_artifact(opened, bundle, stage):
+def _check_artifact_of(opened, bundle, stage):
     """The artifact of a check's result; one that is damaged is refused and not replaced."""
     if stage not in (stages := (*opened.kind.references, *TARGETS)):
         raise ValueError(f"no stage {stage!r}; the stages are {', '.join(stages)}")

@@ -110,14 +110,14 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
 @pytest.mark.parametrize("of", ["run", "tiny_run"])
 def test_responses_are_what_the_readout_reads(of, request):
     """Old weights on the responses give the scores of the target itself, and of other targets."""
-    from deploy.targets.registry import answer
+    from deploy.targets.registry import run_target
     from pipeline.training.adaptation import Responder
 
     bundle = read_bundle(request.getfixturevalue(of) / "bundle")
     alone = bundle.spec.with_presentation(stream_length=1)
     readout = bundle.spec.layers[-1]
     scores = Responder(bundle.spec).responses(bundle.checks.inputs) @ readout.weights.T
-    found = answer(alone, bundle.checks.inputs, "fast").scores
+    found = run_target(alone, bundle.checks.inputs, "fast").scores
     np.testing.assert_allclose(scores + readout.bias, found, atol=1e-6)
 
 

@@ -18,7 +18,7 @@ from deploy.stream import faults
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.targets.fast import Emulation
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from tests.deploy import networks
 
 STEP_US = 10_000
@@ -88,7 +88,7 @@ def replay(stream, frames, one_by_one=False, pause_us=700_000, start_us=5_000_00
 def test_decisions_are_those_of_a_check_with_the_target_fast(confidence, one_by_one):
     """Samples follow each other without a reset, in streams of three, as in ``check run``."""
     bundle = make_bundle(confidence=confidence, readout_start=3)
-    expected = answer(bundle.spec, bundle.checks.inputs, "fast", bundle.seed)
+    expected = run_target(bundle.spec, bundle.checks.inputs, "fast", bundle.seed)
     decisions = replay(Stream(bundle, unit="us"), bundle.checks.inputs, one_by_one)
     assert len(decisions) == len(bundle.checks)
     n_early = 0

@@ -31,7 +31,7 @@ from typing import List
 from ..errors import UserError
 from ..network.chip import LOIHI
 from ..network.spec import NetworkSpec
-from ..tables import aligned
+from ..tables import align_rows
 
 # Joules (Davies et al. 2018).
 CHIP = {
@@ -201,7 +201,7 @@ def estimate_text(value: EnergyEstimate) -> str:
         )
     lines = [
         "ESTIMATE of the energy of one inference, from published energies per operation",
-        *aligned(rows, left=2),
+        *align_rows(rows, left=2),
         f"of Loihi's energy {value.share_of_updates:.0%} are neuron updates, "
         f"{1 - value.share_of_updates:.0%} synaptic operations",
         "Loihi: synaptic operations x 27.1 pJ + neuron updates x 81 pJ",

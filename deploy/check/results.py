@@ -12,7 +12,7 @@ import numpy as np
 from .. import __version__
 from ..errors import CheckFailed, UserError
 from ..files import read_json
-from ..loading import Limit, WrongValue, between, limited, load
+from ..loading import Limit, WrongValue, between, limited_field, load
 from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
 from ..network.stimulus import last_steps
@@ -179,26 +179,26 @@ COUNTS = Limit(lambda counts: all(n >= 0 for n in counts.values()), "counts of a
 @dataclass(frozen=True)
 class _Sample:
     id: str
-    label: int = limited(COUNT)
-    prediction: int = limited(COUNT)
+    label: int = limited_field(COUNT)
+    prediction: int = limited_field(COUNT)
     scores: List[float]
-    stopped_at: Optional[int] = limited(COUNT, None)
+    stopped_at: Optional[int] = limited_field(COUNT, None)
     spike_hash: Optional[str] = None
 
 
 @dataclass(frozen=True)
 class _ByItself:
-    confidence: float = limited(SHARE)
-    accuracy: float = limited(SHARE)
-    accuracy_ci95: List[float] = limited(INTERVAL)
-    share_of_writing_mean: float = limited(SHARE)
-    before_the_end: float = limited(SHARE)
+    confidence: float = limited_field(SHARE)
+    accuracy: float = limited_field(SHARE)
+    accuracy_ci95: List[float] = limited_field(INTERVAL)
+    share_of_writing_mean: float = limited_field(SHARE)
+    before_the_end: float = limited_field(SHARE)
 
 
 @dataclass(frozen=True)
 class _WhileWritten:
-    shares: List[float] = limited(SHARES_OF_1)
-    accuracy: List[float] = limited(SHARES_OF_1)
+    shares: List[float] = limited_field(SHARES_OF_1)
+    accuracy: List[float] = limited_field(SHARES_OF_1)
     step_ms: float
     written_steps_mean: float
     by_itself: Optional[_ByItself] = None
@@ -212,14 +212,14 @@ class _WhileWritten:
 class _Data:
     source: str
     sha256: str
-    recordings: int = limited(COUNT)
+    recordings: int = limited_field(COUNT)
 
 
 @dataclass(frozen=True)
 class _Part:
-    n: int = limited(COUNT)
-    accuracy: float = limited(SHARE)
-    accuracy_ci95: List[float] = limited(INTERVAL)
+    n: int = limited_field(COUNT)
+    accuracy: float = limited_field(SHARE)
+    accuracy_ci95: List[float] = limited_field(INTERVAL)
 
 
 @dataclass(frozen=True)
@@ -228,16 +228,16 @@ class _Result:
 
     bundle: str
     target: str
-    n_samples: int = limited(COUNT)
-    samples: List[_Sample] = limited(Limit(len, "a sample or more"))
-    accuracy: float = limited(SHARE)
-    accuracy_ci95: List[float] = limited(INTERVAL)
-    anytime_accuracy: List[float] = limited(SHARES_OF_1)
-    steps_per_sample: int = limited(COUNT)
+    n_samples: int = limited_field(COUNT)
+    samples: List[_Sample] = limited_field(Limit(len, "a sample or more"))
+    accuracy: float = limited_field(SHARE)
+    accuracy_ci95: List[float] = limited_field(INTERVAL)
+    anytime_accuracy: List[float] = limited_field(SHARES_OF_1)
+    steps_per_sample: int = limited_field(COUNT)
     simulated: Optional[bool]
-    spikes: Dict[str, float] = limited(COUNTS)
-    synaptic_operations: Dict[str, float] = limited(COUNTS)
-    wall_seconds: float = limited(COUNT)
+    spikes: Dict[str, float] = limited_field(COUNTS)
+    synaptic_operations: Dict[str, float] = limited_field(COUNTS)
+    wall_seconds: float = limited_field(COUNT)
     versions: Dict[str, str]
     while_written: Optional[_WhileWritten] = None
     data: Optional[_Data] = None

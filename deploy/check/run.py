@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Dict, Iterator, List, Optional
 
 from ..errors import UserError
-from ..files import locked, reporting_os_errors, write_json
+from ..files import lock_file, reporting_os_errors, write_json
 from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..targets.overflow import OverflowWatch, overflow_text
-from ..targets.registry import answer, refuse_unfit, target_named
+from ..targets.registry import refuse_unfit, run_target, target_named
 from ..terminal import WARNING, remark
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
@@ -85,7 +85,7 @@ def run_check(
         The target is unknown, the result cannot be written, or another process is writing it.
     """
     with open_check(bundle, target, out, seed, advance, options) as check:
-        for record in answered(check.work(check.left)):
+        for record in run_streams(check.work(check.left)):
             check.take(record)
         return check.finish()
 
@@ -119,7 +119,7 @@ class Work:
         return self.check["target"]
 
 
-def answered(work: Work) -> Iterator[dict]:
+def run_streams(work: Work) -> Iterator[dict]:
     """Run streams of a check; save and yield the responses to each.
 
     Raises
@@ -128,7 +128,7 @@ def answered(work: Work) -> Iterator[dict]:
         The disk is full, or the network's stimulus cannot present the samples.
     """
     chosen = {} if work.options is None else {"options": work.options}
-    shown = [work.spec.fed(checks.inputs) for _, checks in work.streams]
+    shown = [work.spec.flatten_samples(checks.inputs) for _, checks in work.streams]
     run = target_named(work.target).run
     watch = OverflowWatch()
     begun = time.perf_counter()
@@ -183,7 +183,7 @@ class OpenCheck:
         return Work(self._bundle.spec, streams, self._check, self._saved.absolute(), self._options)
 
     def take(self, record: dict):
-        """Add a record from :func:`answered`, in any order."""
+        """Add a record from :func:`run_streams`, in any order."""
         self._done[record["first"]] = record
         self._advance(len(record["samples"]))
 
@@ -197,7 +197,7 @@ class OpenCheck:
         if target.hardware:
             # Without Numba the board's result is written all the same.
             with contextlib.suppress(UserError):
-                expected = answer(bundle.spec, bundle.checks.inputs, "fast", seed)
+                expected = run_target(bundle.spec, bundle.checks.inputs, "fast", seed)
                 extra["samples_unlike_fast"] = sum(
                     sample.get("spike_hash") != str(spikes)
                     for sample, spikes in zip(answers, expected.spike_hashes)
@@ -256,7 +256,7 @@ def open_check(
     # Other recordings may have been put in the place of the bundle's, also with the same ids.
     check["samples"] = bundle.checks.sha256
     taken = f"{out}: another process is writing this result; wait for it or use another --out"
-    with locked(saved, taken, "choose another --out") as file:
+    with lock_file(saved, taken, "choose another --out") as file:
         try:
             done = _resume(file, check, _streams(bundle))
             yield OpenCheck(bundle, check, out, saved, done, advance, options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..tables import aligned
+from ..tables import align_rows
 from ..terminal import printable
 from .results import Comparison
 
@@ -52,7 +52,7 @@ def others_text(result: dict) -> str:
                 low, high = row["accuracy_ci95"]
                 name, share = short.get(row[key], str(row[key])), f"{row['accuracy']:.3f}"
                 cells.append([name, str(row["n"]), share, f"{low:.3f} to {high:.3f}"])
-            lines += aligned(cells)
+            lines += align_rows(cells)
     wrong = [
         (count, named[label], named[prediction])
         for label, counts in enumerate(result["confusion"])
@@ -121,7 +121,7 @@ def comparison_text(comparison: Comparison) -> str:
         lines.append(f"spikes differ in {comparison.other_spikes} samples")
     if differ:
         rows = [[s["id"], *(str(s[key]) for key in ("label", "a", "b"))] for s in differ[:10]]
-        lines += aligned([["sample", "label", a, b], *rows])
+        lines += align_rows([["sample", "label", a, b], *rows])
     if len(differ) > 10:
         lines.append(f"and {len(differ) - 10} more")
     return "\n".join(lines)

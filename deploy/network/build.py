@@ -10,7 +10,7 @@ import numpy as np
 from nengo.builder import transforms
 
 from .blocks import block_shapes
-from .geometry import unpooled, windows
+from .geometry import unpool, windows
 from .loihi_import import nengo_loihi
 from .spec import Layer, NetworkSpec
 from .stimulus import EventFrames, Feed
@@ -103,7 +103,8 @@ class Built:
     feed : Feed
     output : nengo.Probe
         The readout at each step: decoded values on the host, those of all parts of the
-        presentation (:func:`deploy.network.responses.decoded`), or spikes of output neurons on the
+        presentation (:func:`deploy.network.responses.select_readout`), or spikes of output
+        neurons on the
         chip.
     spikes : dict of str to nengo.Probe
         Spikes of each spiking layer, in order.
@@ -229,7 +230,7 @@ def _transform(layer: Layer):
         weights, before = layer.weights, int(np.prod(layer.input_shape))
         if layer.pool > 1:
             by_place = np.moveaxis(weights.reshape(len(weights), *layer.read_shape), 0, -1)
-            by_place = unpooled(by_place, layer.input_shape, layer.pool) / layer.pool**2
+            by_place = unpool(by_place, layer.input_shape, layer.pool) / layer.pool**2
             weights = np.moveaxis(by_place, -1, 0).reshape(-1, before)
         return nengo.Dense((len(weights), before), init=weights), None
     kernel, input_shape, inputs = layer.weights, layer.input_shape, None

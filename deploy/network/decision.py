@@ -124,11 +124,11 @@ def estimator_inputs(outputs, first: int = 0) -> np.ndarray:
     step = np.broadcast_to(
         (first + np.arange(steps, dtype=float))[:, None], (*ranked.shape[:-1], 1)
     )
-    changes = (outputs - delayed(outputs, lag) for lag in LAGS)
+    changes = (outputs - delay_outputs(outputs, lag) for lag in LAGS)
     return np.concatenate([ranked, which, log_p, step, *changes], -1)
 
 
-def delayed(outputs, steps: int) -> np.ndarray:
+def delay_outputs(outputs, steps: int) -> np.ndarray:
     """The values some steps earlier; 0 before the first step.
 
     Parameters
@@ -185,7 +185,7 @@ def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -
     """
     outputs = np.asarray(outputs, float)
     if estimator is not None:
-        changed = (outputs != delayed(outputs, 1)).any(-1)
+        changed = (outputs != delay_outputs(outputs, 1)).any(-1)
         since = np.maximum.accumulate(np.where(changed, np.arange(changed.shape[-1]), 0), -1)
         sure = np.take_along_axis(estimator(outputs, first), since, -1)
     else:
@@ -268,10 +268,10 @@ def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, fir
         Index in ``outputs``; the last one if the confidence never reaches the threshold.
     classes : ndarray of int, shape (n_samples,)
     """
-    return _decided(np.asarray(outputs), confidence(outputs, estimator, first), threshold)
+    return _find_decisions(np.asarray(outputs), confidence(outputs, estimator, first), threshold)
 
 
-def _decided(outputs, sure, threshold):
+def _find_decisions(outputs, sure, threshold):
     reached = sure >= threshold
     reached[:, -1] = True
     steps = reached.argmax(1)
@@ -322,7 +322,7 @@ def choose_threshold(
     at_the_end, sure = mean(outputs[:, -1].argmax(-1) == labels), confidence(outputs, estimator)
     best = Threshold(1.0, at_the_end, 1.0)
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
-        steps, classes = _decided(outputs, sure, level)
+        steps, classes = _find_decisions(outputs, sure, level)
         threshold = Threshold(
             float(level), mean(classes == labels), mean(share_of_time(steps, last_step))
         )

@@ -29,7 +29,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2
 
 
-def reached(n: int, count: int, kernel: int, stride: int, before: int) -> np.ndarray:
+def count_windows(n: int, count: int, kernel: int, stride: int, before: int) -> np.ndarray:
     """Number of windows, of ``count``, that contain each of n positions, int64, shape (n,)."""
     steps = np.zeros(n + 1, np.int64)
     start = np.arange(count) * stride - before
@@ -48,7 +48,7 @@ def convolution_fan_out(input_shape, kernel, filters, stride=1, padding="valid")
     reach = []
     for n in input_shape[:2]:
         count, before, _ = windows(n, kernel, stride, padding)
-        reach.append(reached(n, count, kernel, stride, before))
+        reach.append(count_windows(n, count, kernel, stride, before))
     positions = np.outer(*reach) * filters
     return np.repeat(positions[..., None], input_shape[2], axis=2)
 
@@ -59,7 +59,7 @@ def pooled_shape(input_shape, size: int) -> tuple:
     return (rows // size, columns // size, channels)
 
 
-def unpooled(values, input_shape, size: int) -> np.ndarray:
+def unpool(values, input_shape, size: int) -> np.ndarray:
     """Expand values after a pooling to the positions before it.
 
     Parameters

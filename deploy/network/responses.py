@@ -141,7 +141,7 @@ def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
         hashes.append(spike_hash(np.packbits(rows, axis=1) for rows in shown.spikes.values()))
         outputs.append(shown.output[spec.presentation.gap :])
     counts = {name: np.array(rows) for name, rows in counts.items()}
-    output = decoded(spec, np.array(outputs))
+    output = select_readout(spec, np.array(outputs))
     return replace(read_output(spec, output, counts), spike_hashes=np.array(hashes))
 
 
@@ -159,7 +159,7 @@ def spike_hash(packed) -> str:
     return every_spike.hexdigest()[:16]
 
 
-def decoded(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.ndarray:
+def select_readout(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.ndarray:
     """The readout of the part of the presentation that each step belongs to.
 
     Parameters
@@ -190,7 +190,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     spec : NetworkSpec
     output : ndarray, shape (n_samples, steps, n_classes)
         The readout at each step of a sample's presentation: decoded on the host, or spikes of the
-        output neurons (``amplitude / dt`` in a step with a spike); see :func:`decoded`.
+        output neurons (``amplitude / dt`` in a step with a spike); see :func:`select_readout`.
     spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
         Number of spikes of each neuron of each spiking layer, including the gap before the sample.
 
@@ -201,14 +201,14 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     start, limit = spec.presentation.readout_start, spec.presentation.confidence
     scores = _running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
-    best = np.argmax(settled(scores, score_unit(spec)), axis=2)
+    best = np.argmax(round_scores(scores, score_unit(spec)), axis=2)
     empty = ~np.logical_or.accumulate((output[:, start:] != 0).any(2), axis=1)
     decisions[:, start:] = np.where(empty, -1, best)
     stopped = None
     if limit is not None:
         stopped = start + 1 + decide(_sums(spec, scores), limit, spec.estimator, start)[0]
     return Responses(
-        scores=settled(scores[:, -1], score_unit(spec)),
+        scores=round_scores(scores[:, -1], score_unit(spec)),
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
         operations=spec.synaptic_operations(spikes),
@@ -234,7 +234,7 @@ def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
 
 def _sums(spec, means):
     """Sums, computed from the running means."""
-    return settled(means * np.arange(1, means.shape[1] + 1)[:, None], score_unit(spec))
+    return round_scores(means * np.arange(1, means.shape[1] + 1)[:, None], score_unit(spec))
 
 
 def _running_means(spec, output):
@@ -298,7 +298,7 @@ class RunningReadout:
 
     def scores_at(self, step: int) -> np.ndarray:
         """Scores of the classes after some number of steps, above ``readout_start``."""
-        return settled(self._means[step - self._start - 1], self._unit)
+        return round_scores(self._means[step - self._start - 1], self._unit)
 
     def take(self, output: np.ndarray):
         """Add the readout of the next steps.
@@ -308,7 +308,7 @@ class RunningReadout:
         output : ndarray, shape (steps, parts * n_classes)
         """
         done = self._n_read
-        values = decoded(self._spec, output, self.n_steps)
+        values = select_readout(self._spec, output, self.n_steps)
         window = values[max(self._start - self.n_steps, 0) :]
         self.n_steps += len(values)
         if not len(window):
@@ -319,7 +319,7 @@ class RunningReadout:
         counts = np.arange(new.start + 1, new.stop + 1)[:, None]
         self._total = totals[-1:]
         self._means[new] = _mean(self._spec, totals, counts)
-        self._sums[new] = settled(self._means[new] * counts, self._unit)
+        self._sums[new] = round_scores(self._means[new] * counts, self._unit)
         before = self._spoke[done - 1] if done else False
         self._spoke[new] = np.logical_or.accumulate((window != 0).any(axis=1)) | before
         estimator, known = self._spec.estimator, self._confidences[:done]
@@ -339,7 +339,7 @@ def score_unit(spec: NetworkSpec) -> float:
     return 10.0 ** float(np.floor(np.log10(largest)))
 
 
-def settled(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
+def round_scores(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
     """Round away the last bits, so that the same spikes give the same scores on every target.
 
     Targets add the same spikes in different orders, which must not resolve a tie.

@@ -18,10 +18,10 @@ import numpy as np
 
 from .. import limits
 from ..errors import UserError
-from ..loading import Limit, WrongValue, between, check, limited, load, one_of
+from ..loading import Limit, WrongValue, between, check, limited_field, load, one_of
 from .chip import LOIHI
 from .decision import Estimator
-from .geometry import convolution_fan_out, convolution_shape, pooled_shape, unpooled
+from .geometry import convolution_fan_out, convolution_shape, pooled_shape, unpool
 from .stimulus import KINDS, Stimulus
 
 TAU = between(1e-6, limits.SECONDS, " seconds")
@@ -57,10 +57,10 @@ class Neurons:
         Lower bound of the membrane voltage, in units of the threshold.
     """
 
-    amplitude: float = limited(between(1e-9, limits.MAGNITUDE))
-    tau_rc: float = limited(TAU, 0.02)
-    tau_ref: float = limited(between(0, limits.REFRACTORY_S, " seconds"), 0.001)
-    min_voltage: float = limited(between(-limits.MAGNITUDE, 0), 0.0)
+    amplitude: float = limited_field(between(1e-9, limits.MAGNITUDE))
+    tau_rc: float = limited_field(TAU, 0.02)
+    tau_ref: float = limited_field(between(0, limits.REFRACTORY_S, " seconds"), 0.001)
+    min_voltage: float = limited_field(between(-limits.MAGNITUDE, 0), 0.0)
 
     def __post_init__(self):
         check(self)
@@ -110,20 +110,20 @@ class Layer:
     """
 
     name: str
-    kind: str = limited(one_of("conv", "dense"))
-    input_shape: Tuple[int, ...] = limited(SHAPE)
-    shape: Tuple[int, ...] = limited(SHAPE)
-    placement: str = limited(one_of("chip", "host"))
+    kind: str = limited_field(one_of("conv", "dense"))
+    input_shape: Tuple[int, ...] = limited_field(SHAPE)
+    shape: Tuple[int, ...] = limited_field(SHAPE)
+    placement: str = limited_field(one_of("chip", "host"))
     neurons: Optional[Neurons]
-    synapse: Optional[float] = limited(TAU)
+    synapse: Optional[float] = limited_field(TAU)
     kernel: int
-    block_shape: Optional[Tuple[int, ...]] = limited(SHAPE)
+    block_shape: Optional[Tuple[int, ...]] = limited_field(SHAPE)
     weights: np.ndarray = field(repr=False, compare=False)
     bias: np.ndarray = field(repr=False, compare=False)
-    stride: int = limited(AT_LEAST_1, 1)
-    padding: str = limited(one_of("valid", "same"), "valid")
-    pool: int = limited(AT_LEAST_1, 1)
-    starts: Tuple[int, ...] = limited(RISING, (0,))
+    stride: int = limited_field(AT_LEAST_1, 1)
+    padding: str = limited_field(one_of("valid", "same"), "valid")
+    pool: int = limited_field(AT_LEAST_1, 1)
+    starts: Tuple[int, ...] = limited_field(RISING, (0,))
     recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
@@ -229,7 +229,7 @@ class Layer:
         """
         if self.pool == 1:
             return self.read_fan_out.ravel()
-        return unpooled(self.read_fan_out, self.input_shape, self.pool).ravel()
+        return unpool(self.read_fan_out, self.input_shape, self.pool).ravel()
 
     @property
     def multiply_accumulates(self) -> int:
@@ -258,16 +258,16 @@ class Presentation:
     """
 
     # Steps for which a sample is presented.
-    steps: int = limited(between(1, limits.STEPS), 100)
+    steps: int = limited_field(between(1, limits.STEPS), 100)
     # Silent steps before each sample.
-    gap: int = limited(between(0, limits.STEPS), 20)
+    gap: int = limited_field(between(0, limits.STEPS), 20)
     # Steps at the start of each sample that the readout ignores.
-    readout_start: int = limited(between(0, limits.STEPS), 20)
+    readout_start: int = limited_field(between(0, limits.STEPS), 20)
     # Samples per stream; 1 means that every sample starts from a fresh network.
-    stream_length: int = limited(between(1, limits.SAMPLES), 10)
+    stream_length: int = limited_field(between(1, limits.SAMPLES), 10)
     # Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
     # the end.
-    confidence: Optional[float] = limited(
+    confidence: Optional[float] = limited_field(
         Limit(lambda value: 0 < value <= 1, "above 0, at most 1"), None
     )
 
@@ -443,7 +443,7 @@ class NetworkSpec:
         """The same network with changes of the presentation."""
         return replace(self, presentation=replace(self.presentation, **changes))
 
-    def fed(self, samples) -> np.ndarray:
+    def flatten_samples(self, samples) -> np.ndarray:
         """Samples in the network's input format; see `Stimulus.flat`.
 
         Raises

@@ -13,7 +13,7 @@ from typing import ClassVar, Optional
 import numpy as np
 
 from .. import limits
-from ..loading import Limit, between, check, limited
+from ..loading import Limit, between, check, limited_field
 from .chip import LOIHI
 
 
@@ -93,8 +93,10 @@ class ImageSpikes(Stimulus):
     """
 
     kind: ClassVar[str] = "image-spikes"
-    max_rate: float = limited(between(1e-3, 1 / LOIHI.dt), 500.0)
-    initial_phase: float = limited(Limit(lambda value: 0 <= value < 1, "from 0 to below 1"), 0.5)
+    max_rate: float = limited_field(between(1e-3, 1 / LOIHI.dt), 500.0)
+    initial_phase: float = limited_field(
+        Limit(lambda value: 0 <= value < 1, "from 0 to below 1"), 0.5
+    )
 
     def __post_init__(self):
         check(self)
@@ -141,8 +143,8 @@ class EventFrames(Stimulus):
 
     kind: ClassVar[str] = "events"
     static: ClassVar[bool] = False
-    seconds: float = limited(between(1e-6, limits.SECONDS), 0.02)
-    refractory: int = limited(between(0, limits.STEPS), 0)
+    seconds: float = limited_field(between(1e-6, limits.SECONDS), 0.02)
+    refractory: int = limited_field(between(0, limits.STEPS), 0)
 
     def __post_init__(self):
         check(self)
@@ -170,12 +172,12 @@ class EventFrames(Stimulus):
         if not np.isin(samples, (0, 1)).all():
             return "frames of events contain values other than 0 and 1"
         in_time = np.moveaxis(samples, 1, 0)
-        if not np.array_equal(thinned(in_time, self.refractory), in_time):
+        if not np.array_equal(apply_refractory_period(in_time, self.refractory), in_time):
             return f"a taxel spikes again within {self.refractory} steps"
         return None
 
 
-def thinned(frames, refractory: int) -> np.ndarray:
+def apply_refractory_period(frames, refractory: int) -> np.ndarray:
     """Spikes that remain with a refractory period.
 
     Parameters

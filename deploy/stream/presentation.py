@@ -117,7 +117,7 @@ class PresentingNetwork:
             presentation.readout.take(output)
 
     def _thin(self, frames, step):
-        """Remove spikes in the refractory period, as `deploy.network.stimulus.thinned`."""
+        """Remove spikes in the refractory period; see `deploy.network.stimulus`."""
         if self._refractory == 0:
             return
         for frame in frames:

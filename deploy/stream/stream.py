@@ -12,7 +12,7 @@ from ..check.bundle import Bundle, read_bundle
 from ..errors import UserError
 from ..network.stimulus import EventFrames
 from ..targets.fast import Emulation
-from ..terminal import advised
+from ..terminal import command_text
 from .clock import MAX_TIME_NS, UNIT_NS, SensorClock
 from .faults import Faults
 from .presentation import PresentingNetwork, SharedNetwork
@@ -557,7 +557,7 @@ def _require_events(bundle):
     """Refuse networks whose input is not the ON and OFF events of a sensor."""
     spec, where = bundle.spec, bundle.path or "the bundle"
     if not isinstance(spec.stimulus, EventFrames):
-        remedy = advised("convert", "runs/events", "--set", "input.kind=events")
+        remedy = command_text("convert", "runs/events", "--set", "input.kind=events")
         raise UserError(
             f"{where}: its network is on images, which are made of whole recordings; a stream "
             f"needs one on events, such as of {remedy}"

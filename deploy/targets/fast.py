@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import UserError
 from ..network.build import EvenSpikes, build
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
-from ..network.responses import Responses, decoded, read_output, spike_hash
+from ..network.responses import Responses, read_output, select_readout, spike_hash
 from ..network.spec import DT, NetworkSpec
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
@@ -115,7 +115,7 @@ class Emulation:
             if name != "input"
         }
         self.positions = {name: self._places(model, bs) for name, bs in self._blocks.items()}
-        self.sent = np.concatenate([_sent(model, item) for item in model.inputs])
+        self.sent = np.concatenate([_find_senders(model, item) for item in model.inputs])
         on_host = spec.layers[-1].neurons is None
         probe = next(iter(model.chip2host_receivers)) if on_host else built.output
         self.decoders = self._decoders(model.objs[probe]["out"])
@@ -236,7 +236,7 @@ class Emulation:
         return 8 * outputs + 4 * (self.chip.n + len(self.sent))
 
 
-def _sent(model, spike_input):
+def _find_senders(model, spike_input):
     """The input neurons whose spikes an input of the chip receives."""
     (sender,) = (
         sender
@@ -398,7 +398,7 @@ def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
         _warn_of(recording.overflows)
         for index, output in enumerate(recording.output):
             counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
-            answer = read_output(spec, decoded(spec, output[:, gap:]), counts)
+            answer = read_output(spec, select_readout(spec, output[:, gap:]), counts)
             yield replace(answer, spike_hashes=np.transpose(hashes)[index])
 
 

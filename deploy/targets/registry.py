@@ -161,7 +161,9 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
         require_integers(build(spec, seed).network)
 
 
-def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options) -> Responses:
+def run_target(
+    spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options
+) -> Responses:
     """Run a target on samples, presented as the network defines it.
 
     Parameters
@@ -187,7 +189,7 @@ def answer(spec: NetworkSpec, samples, target: str, seed=0, advance=None, **opti
         There is no target of that name, the network's stimulus cannot present the samples, or
         NengoLoihi cannot build the network.
     """
-    flat = spec.fed(samples)
+    flat = spec.flatten_samples(samples)
     refuse_unfit(spec, target, seed)
     streams = [flat[part] for part in spec.presentation.streams(len(flat))]
     parts, watch = [], OverflowWatch()

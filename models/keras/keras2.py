@@ -51,7 +51,7 @@ as_written = tf.autograph.experimental.do_not_convert
 
 
 @contextlib.contextmanager
-def silenced():
+def silence_native_errors():
     """Suppress standard error of native code, which log levels do not control."""
     sys.stderr.flush()
     kept = os.dup(2)
@@ -67,7 +67,7 @@ def silenced():
 @functools.cache
 def quiet_compiler():
     """Trigger the message that XLA prints once per process, at its first compilation, silently."""
-    with silenced():
+    with silence_native_errors():
         tf.function(lambda x: x + 1, jit_compile=True)(tf.ones(()))
 
 

@@ -7,7 +7,7 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import refuse_linked_folder
-from deploy.tables import listed
+from deploy.tables import list_names
 from pipeline.commands import options
 
 
@@ -99,7 +99,7 @@ def _of_one(recordings, writer) -> tuple:
     source, known = recordings.source.name, sorted(set(recordings.writers.tolist()))
     if writer is None:
         if len(known) > 1:
-            raise UserError(f"{source}: has writers {listed(known)}; choose one with --writer")
+            raise UserError(f"{source}: has writers {list_names(known)}; choose one with --writer")
         return recordings, str(known[0]) if known and known[0] >= 0 else Path(source).stem
     if writer not in known:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")

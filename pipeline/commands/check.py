@@ -110,7 +110,7 @@ def run(
     options.warn_if_outdated(bundle)
     if seed is None:
         seed = opened.seed
-    check = partial(_checked, target=target, seed=seed, chosen=chosen)
+    check = partial(_run_check, target=target, seed=seed, chosen=chosen)
     if others.data is not None:
         result, path = _on_others(opened, target, others, seed, out, check)
         options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
@@ -136,7 +136,7 @@ def _fitted_to(spec):
     return number if type(number) is int else 0
 
 
-def _checked(bundle, path, target, seed, chosen):
+def _run_check(bundle, path, target, seed, chosen):
     from deploy.check.run import run_check
     from pipeline.progress import progress
 

@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.files import require_ending
 from deploy.terminal import show
 from pipeline.commands import options
-from pipeline.run.settings import SIMULATED, Settings, merged
+from pipeline.run.settings import SIMULATED, Settings, merge_values
 
 Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
 SimulationSeed = Annotated[
@@ -40,7 +40,7 @@ def _recordings(source, reading, jobs, **data):
 def _settings(source, reading, **data):
     """The settings of recordings; ``--set`` has precedence over the values of other options."""
     requested = options.Requested(data=source, assignments=reading).changes()
-    return Settings().with_values(merged({"data": data}, requested), "command line")
+    return Settings().with_values(merge_values({"data": data}, requested), "command line")
 
 
 def import_(

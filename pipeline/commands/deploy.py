@@ -8,7 +8,7 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import require_ending
-from deploy.terminal import advised, show
+from deploy.terminal import command_text, show
 from pipeline.commands import options
 from pipeline.run.folder import checks_of
 
@@ -27,7 +27,7 @@ def plan(
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
     from deploy.preflight.plan import make_plan, plan_text
 
-    made = make_plan(_opened(bundle).spec, chips)
+    made = make_plan(_read_bundle(bundle).spec, chips)
     options.tell(made.to_json(), lambda _: plan_text(made), as_json)
     if made.problems:
         raise UserError("the network does not fit: " + made.problems[0])
@@ -49,7 +49,7 @@ def export(
     require_ending(out, ".nir")
     if inputs is not None:
         require_ending(inputs, ".npz")
-    opened = _opened(bundle)
+    opened = _read_bundle(bundle)
     write_nir(out, opened.spec)
     show(f"written to {out}")
     if not (shown := opened.spec.stimulus).static:
@@ -75,11 +75,11 @@ def energy(
     from deploy.check.energy import estimate_energy, estimate_text
     from deploy.check.results import read_result
 
-    opened = _opened(bundle)
+    opened = _read_bundle(bundle)
     # Both targets count the same spikes.
     usual = [checks_of(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
     paths = [result] if result else [path for path in usual if path.exists()] or usual[-1:]
-    remedy = f"run {advised('check', 'run', bundle, '--target', 'fast')}"
+    remedy = f"run {command_text('check', 'run', bundle, '--target', 'fast')}"
     results = [read_result(path, "give a check's result" if result else remedy) for path in paths]
     counted = next((each for each in results if each["bundle"] == opened.id), None)
     if counted is None:
@@ -88,7 +88,7 @@ def energy(
     options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
 
 
-def _opened(path):
+def _read_bundle(path):
     """The bundle of a command, with a warning if it is outdated."""
     from deploy.check.bundle import read_bundle
 

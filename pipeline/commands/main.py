@@ -93,7 +93,7 @@ PANELS = {
 }
 
 
-def _imported(name):
+def _import_verbs(name):
     """The functions of one of the :data:`VERBS`, or of the verbs below it, each with its name."""
     _, verb = VERBS[name]
     places = {name: verb} if isinstance(verb, str) else verb
@@ -110,7 +110,7 @@ class _Deferred(TyperCommand):
     @cached_property
     def chosen(self):
         made = _typer(self.help, add_completion=False)
-        for name, verb in _imported(self.name).items():
+        for name, verb in _import_verbs(self.name).items():
             made.command(name)(for_typer(verb))
         return typer.main.get_command(made)  # a single command, or a group of them
 

@@ -23,7 +23,7 @@ from typing import Annotated, get_type_hints
 import typer
 
 from deploy.errors import CheckFailed, UserError
-from deploy.terminal import advised, remark, show
+from deploy.terminal import command_text, remark, show
 from pipeline.run.folder import refuse_other_folders, working_in
 
 KEYWORD = Parameter.KEYWORD_ONLY
@@ -187,7 +187,7 @@ TrainingRequested = group(Requested, data=Data, input=Input, seed=Seed, **CHANGE
 
 
 @contextlib.contextmanager
-def resolved(
+def resolve_settings(
     path: Path, requested: Requested, changes: dict | None = None, of_results: bool = False
 ):
     """Lock a folder and resolve its settings with the options that were given.
@@ -211,15 +211,15 @@ def resolved(
     UserError
         A file or value is wrong, or another process is working in the folder.
     """
-    from pipeline.run.settings import merged  # imports NumPy
+    from pipeline.run.settings import merge_values  # imports NumPy
 
     with working_in(path, of_results) as folder:
-        changes = merged(changes or {}, requested.changes())
+        changes = merge_values(changes or {}, requested.changes())
         yield folder, folder.resolve_settings(requested.settings, changes)
 
 
 @contextlib.contextmanager
-def opened(
+def open_locked_run(
     path: Path,
     requested: Requested,
     jobs: int,
@@ -232,7 +232,7 @@ def opened(
     Parameters
     ----------
     path, requested, changes
-        As in :func:`resolved`.
+        As in :func:`resolve_settings`.
     jobs : int
         Number of processes for recordings that are not in the cache.
     check : bool
@@ -247,11 +247,11 @@ def opened(
     Raises
     ------
     UserError
-        As :func:`resolved` and :func:`pipeline.stages.open_run`.
+        As :func:`resolve_settings` and :func:`pipeline.stages.open_run`.
     """
     from pipeline.stages import open_run  # imports all that a run is made with
 
-    with resolved(path, requested, changes) as (folder, settings):
+    with resolve_settings(path, requested, changes) as (folder, settings):
         if examine is not None:
             examine(settings)
         yield open_run(folder, settings, jobs, say, check)
@@ -271,7 +271,7 @@ def bundle_in(path: Path) -> Path:
         return path / "bundle"
     if (path / "experiment.toml").exists():
         refuse_other_folders(path)
-        raise UserError(f"{path}: has no bundle yet; make it with {advised('convert', path)}")
+        raise UserError(f"{path}: has no bundle yet; make it with {command_text('convert', path)}")
     return path
 
 

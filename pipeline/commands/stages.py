@@ -19,7 +19,7 @@ def train(run: options.Run, requested: options.TrainingRequested, jobs: options.
     def examine(settings):
         return kind_of_network(settings).trained  # an error if the network was trained elsewhere
 
-    with options.opened(run, requested, jobs, check=False, examine=examine) as opened:
+    with options.open_locked_run(run, requested, jobs, check=False, examine=examine) as opened:
         for name in opened.kind.trained:
             opened.make(name)
     options.suggest("ladder", run)
@@ -74,10 +74,10 @@ def convert(
     if nir is not None:
         changes = stages.settings_of_nir(nir, step, requested.input, before)
         examine = functools.partial(stages.refuse_early, strict=strict)
-    with options.opened(run, requested, jobs, changes, examine=examine) as opened:
+    with options.open_locked_run(run, requested, jobs, changes, examine=examine) as opened:
         bundle = stages.convert(opened)
         for stage in opened.kind.deployed_stages:
-            stages.answer(opened, bundle, stage)
+            stages.check_stage(opened, bundle, stage)
     options.suggest("ladder", run)
 
 
@@ -97,7 +97,7 @@ def ladder(
     """Run the missing stages up to the emulator, and print the loss of each stage."""
     from pipeline.results.ladder import ladder_text, measure_ladder
 
-    with options.opened(run, requested, jobs) as opened:
+    with options.open_locked_run(run, requested, jobs) as opened:
         table = measure_ladder(opened, jobs)
     options.tell(table, lambda ladder: "\n" + ladder_text(ladder), as_json)
     options.suggest("report", run)

@@ -30,6 +30,6 @@ def sweep(
     """
     from pipeline.results.sweep import measure_sweep, sweep_text
 
-    with options.resolved(out, requested, of_results=True) as (folder, resolved):
+    with options.resolve_settings(out, requested, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
     options.conclude(summary, failed, sweep_text, as_json)

@@ -1,7 +1,8 @@
 """Kinds: all that depends on the kind of network, each in one module; see :mod:`.kind`.
 
-:func:`fitted` chooses the settings that the user has left open, for the recordings.  The defaults
-are the paper's: its network, 200 samples, two seconds.  If recordings of another sensor need other
+:func:`choose_settings` chooses the settings that the user has left open, for the recordings.  The
+defaults are the paper's: its network, 200 samples, two seconds.  If recordings of another sensor
+need other
 values and the user has not set them, the kind of the network chooses them.  What is chosen depends
 only on the user's settings and the recordings.  A value that the user has set and that does not fit
 is an error; all errors are reported together before anything is trained.
@@ -49,7 +50,7 @@ def kind_of_network(settings: Settings) -> NetworkKind:
     return EventsKind(settings) if settings.on_events else ImageKind(settings)
 
 
-def fitted(
+def choose_settings(
     settings: Settings, recordings: Recordings | None = None, check: bool = True, say=None
 ) -> Settings:
     """Choose the settings that have their defaults, for the recordings.

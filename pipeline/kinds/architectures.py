@@ -9,7 +9,7 @@ import numpy as np
 from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
-from models.chain import deployed, links_of
+from models.chain import build_network_spec, links_of
 from pipeline.recordings.events import Sensor, size_text
 from pipeline.run.settings import Deployment
 
@@ -102,11 +102,11 @@ def chip_problems(architecture: str, on_events: bool, deployment: Deployment) ->
     """
     from deploy.preflight.plan import make_plan  # imports NengoLoihi, which takes seconds
 
-    plan = make_plan(untrained(architecture, on_events, deployment), ANY_NUMBER)
+    plan = make_plan(make_untrained_network(architecture, on_events, deployment), ANY_NUMBER)
     return tuple(f"{architecture}: {problem}" for problem in plan.problems)
 
 
-def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec:
+def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec:
     """A network with random weights.
 
     Parameters
@@ -128,7 +128,7 @@ def untrained(text: str, on_events: bool, deployment: Deployment) -> NetworkSpec
         )
         for link in links
     ]
-    return deployed(chain, EventFrames() if on_events else ImageSpikes(), Presentation())
+    return build_network_spec(chain, EventFrames() if on_events else ImageSpikes(), Presentation())
 
 
 def suggest_sensor_size(needed: tuple, found: tuple) -> str:

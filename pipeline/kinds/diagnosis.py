@@ -11,7 +11,7 @@ Two shares of a layer's neurons measure how much information they can transmit:
 import numpy as np
 
 from deploy.network.spec import DT, NetworkSpec
-from deploy.tables import aligned
+from deploy.tables import align_rows
 
 # Share of the fastest rate from which a neuron counts as saturated on a sample.
 NEAR_FASTEST = 0.9
@@ -117,7 +117,7 @@ def layers_text(layers: list) -> str:
         rows.append((layer["layer"], "-" if r is None else f"{r:.4f}", *errors, *shares))
     lines = [
         "firing rate on the chip in the readout window against the rate network's activation:",
-        *(f"  {line}" for line in aligned(rows)),
+        *(f"  {line}" for line in align_rows(rows)),
         f"  lowest correlation: {least_faithful(layers)}",
         "  errors in units of max_rate; in brackets the rate network.  silent: share of neurons",
         "  that fire on no sample; saturated: share that on 1 % of the samples or more fire at",

@@ -377,7 +377,7 @@ def responses_of(logits: np.ndarray, presentation) -> Responses:
     return Responses(scores[:, -1], decisions, {}, {})
 
 
-def timed(name: str, epochs: int, function, *arguments, **more) -> tuple:
+def time_training(name: str, epochs: int, function, *arguments, **more) -> tuple:
     """Run a training with a progress bar; return the network and the seconds that it took."""
     with progress(f"train {name}", epochs) as advance:
         begun = time.perf_counter()
@@ -385,7 +385,7 @@ def timed(name: str, epochs: int, function, *arguments, **more) -> tuple:
         return trained, time.perf_counter() - begun
 
 
-def watched(dataset: Dataset):
+def select_curve_samples(dataset: Dataset):
     """Samples for the learning curve: validation samples or, without these, some test samples.
 
     No result depends on them.

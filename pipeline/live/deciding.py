@@ -17,7 +17,13 @@ import numpy as np
 from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence, probabilities
-from deploy.network.responses import decoded, read_output, running_sums, score_unit, settled
+from deploy.network.responses import (
+    read_output,
+    round_scores,
+    running_sums,
+    score_unit,
+    select_readout,
+)
 from deploy.network.stimulus import EventFrames
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
@@ -193,7 +199,7 @@ class ImageDecider(Decider):
             first = self._spec.presentation.readout_start
             sure = confidence(sums, self._spec.estimator, first)[-1]
         now_s = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
-        best = int(np.argmax(settled(scores, score_unit(self._spec))))
+        best = int(np.argmax(round_scores(scores, score_unit(self._spec))))
         points.append((now_s, sure, best, probabilities(scores, sure)))
         curve = Curve(*map(np.array, zip(*points, strict=True)))
         return Answer(scores, spikes, curve, curve.first(self.threshold))
@@ -208,7 +214,7 @@ class ImageDecider(Decider):
 
         done = self._emulation.run(spec.stimulus.flat(images)[None], watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
-        output = decoded(spec, done.output[0, :, spec.presentation.gap :])
+        output = select_readout(spec, done.output[0, :, spec.presentation.gap :])
         responses = read_output(spec, output, counts)
         if responses.decisions[0, -1] < 0:
             return None

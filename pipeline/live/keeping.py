@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.files import locked, open_regular, remove_leftovers, replacing, reporting_os_errors
+from deploy.files import lock_file, open_regular, remove_leftovers, replacing, reporting_os_errors
 from pipeline.recordings.events import Sensor, TaxelMap
 from pipeline.recordings.formats.mat import (
     MatRecording,
@@ -138,7 +138,7 @@ class Keeper:
         """Lock the folder, which is created if it does not exist."""
         remedy = "choose another folder with --record"
         taken = f"{self.folder}: another 'stmnist live' saves there; end it, or {remedy}"
-        self._held.enter_context(locked(self.folder / LOCK, taken, remedy))
+        self._held.enter_context(lock_file(self.folder / LOCK, taken, remedy))
         remove_leftovers(self.folder)
 
     def look(self):

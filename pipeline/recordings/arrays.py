@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.errors import SeveralErrors, UserError
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.library import load_recordings
-from pipeline.recordings.sensor import Reading
+from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.writing import write_recordings
 
 # Name of recordings that were made of arrays.
@@ -20,7 +20,7 @@ UNLABELLED = "unlabelled"
 
 def read_recordings(path, time_unit: str = "") -> Recordings:
     """See :meth:`pipeline.recordings.events.Recordings.read`."""
-    return load_recordings(str(path), reading=Reading(time_unit=time_unit))
+    return load_recordings(str(path), reading=ReadingOptions(time_unit=time_unit))
 
 
 def recordings_from_arrays(events, labels=None, **more) -> Recordings:

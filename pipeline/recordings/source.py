@@ -30,7 +30,7 @@ from joblib import delayed
 
 from deploy.errors import SeveralErrors, UserError
 from deploy.files import open_regular, sha256_of
-from deploy.tables import listed
+from deploy.tables import list_names
 from deploy.terminal import WARNING, printable
 from pipeline.jobs import results_of
 from pipeline.progress import ignore_progress
@@ -274,8 +274,8 @@ def _require_one_data_set(path, recordings):
         is_folder = path.is_dir()
         remedy = f"give one of them: --data {path / roots[0]}" if is_folder else "give one of them"
         raise UserError(
-            f"{path}: has several data sets with train or test: {listed(map(_shorten, roots))}; "
-            f"{remedy}"
+            f"{path}: has several data sets with train or test: "
+            f"{list_names(map(_shorten, roots))}; {remedy}"
         )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deploy.tables import listed
+from deploy.tables import list_names
 from pipeline.recordings.events import Recordings
 
 # Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
@@ -128,7 +128,9 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
         return "recordings of one class only; at least two are needed"
     if kind_of(kind, recordings) != PUBLISHED or not recordings.is_split:
         if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
-            return f"only one recording of {listed(single)}; record more, or take the folder away"
+            return (
+                f"only one recording of {list_names(single)}; record more, or take the folder away"
+            )
         return None
     remedy = "add some, or use --set split.kind=random"
     for part, least in (("train", 2), ("test", 1)):
@@ -137,7 +139,7 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
         few = [classes[i] for i in np.flatnonzero((counts_in_part < least) & (counts > 0))]
         if few:
             number = "no recording" if least == 1 else "fewer than two recordings"
-            return f"{number} of {listed(map(repr, few))} in its folder {part}; {remedy}"
+            return f"{number} of {list_names(map(repr, few))} in its folder {part}; {remedy}"
     return None
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
-from deploy.tables import in_blocks, listed, shortened_apart
+from deploy.tables import in_blocks, list_names, shortened_apart
 from deploy.terminal import printable
 from pipeline.recordings.events import (
     N_TAXELS,
@@ -46,7 +46,7 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     kind = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         kind = "recordings, written by hand on the simulated sensor,"
-    of_each = listed(
+    of_each = list_names(
         f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
     )
     source = printable(facts["source"])

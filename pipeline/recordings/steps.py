@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.stimulus import thinned
+from deploy.network.stimulus import apply_refractory_period
 from pipeline.recordings.events import Recordings
 
 
@@ -155,4 +155,4 @@ def spike_frames(
     step = np.floor(step).astype(np.int64)
     inside = (step >= 0) & (step < steps)
     frames[step[inside], sample[inside], row[inside], column[inside], polarity[inside]] = 1
-    return thinned(frames, refractory)
+    return apply_refractory_period(frames, refractory)

@@ -12,15 +12,15 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import SIGNIFICANCE, aligned, p_text, plain, star
+from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, star
 from deploy.targets.registry import TARGETS
-from deploy.terminal import advised, printable
+from deploy.terminal import command_text, printable
 from pipeline.kinds import REFERENCES, kind_of_network
 from pipeline.kinds.kind import FROM_ELSEWHERE
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.dataset import classes_of
 from pipeline.recordings.events import is_written
-from pipeline.results.status import outdated, remedy_text, status_of
+from pipeline.results.status import find_outdated, remedy_text, status_of
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import RunFolder, require_run
 from pipeline.run.settings import SIMULATED, Settings, read_settings
@@ -70,7 +70,7 @@ class Run:
     chips: int
     results: dict
     stale: tuple = ()
-    outdated: dict = field(default_factory=dict)
+    find_outdated: dict = field(default_factory=dict)
 
 
 def read_runs(paths) -> list:
@@ -100,7 +100,7 @@ def _read_run(path):
     folder = RunFolder(path)
     require_run(folder)
     if not folder.bundle.is_dir():
-        raise UserError(f"{path}: has no bundle; make it with {advised('convert', path)}")
+        raise UserError(f"{path}: has no bundle; make it with {command_text('convert', path)}")
     bundle = read_bundle(folder.bundle)
     files = {stage: folder.check(stage) for stage in ORDER}
     every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
@@ -108,7 +108,9 @@ def _read_run(path):
     stale = [stage for stage in every if stage not in results]
     if not results:
         old = " of its bundle, only of an earlier one" if stale else ""
-        raise UserError(f"{path}: no check results{old}; make them with {advised('ladder', path)}")
+        raise UserError(
+            f"{path}: no check results{old}; make them with {command_text('ladder', path)}"
+        )
     plan = make_plan(bundle.spec)
     return Run(
         name=str(path),
@@ -118,7 +120,7 @@ def _read_run(path):
         chips=plan.chips,
         results=results,
         stale=tuple(stale),
-        outdated=outdated(status_of(folder)),
+        outdated=find_outdated(status_of(folder)),
     )
 
 
@@ -301,7 +303,7 @@ def _settings_lines(compared, letters):
     rows = [["setting that differs", *letters]]
     for setting in compared["settings"]:
         rows.append([setting["name"], *map(plain, setting["values"])])
-    return _fitted(rows)
+    return _wrap_table(rows)
 
 
 def _accuracy_lines(compared, letters):
@@ -328,7 +330,7 @@ def _accuracy_lines(compared, letters):
     counts = dict.fromkeys(row["n_samples"] for row in rows_of_all)  # in the order of the runs
     lines = [
         f"accuracy on {' and '.join(map(str, counts))} {what}",
-        *aligned(rows, left=2),
+        *align_rows(rows, left=2),
         "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
     ]
     if any(cells[-1].endswith("*") for cells in rows):
@@ -368,13 +370,13 @@ def _inference_lines(runs, letters):
         row("early decision after", "share", "{:.0%} of recording", early),
         row("its accuracy", "accuracy", "{:.3f}", early),
     ]
-    lines = _fitted([cells for cells in rows if any(cells[1:])])
+    lines = _wrap_table([cells for cells in rows if any(cells[1:])])
     if any(run["operations_per_mac"] is not None for run in runs):
         lines.append(f"times the CNN's: the paper's CNN has {CNN_MACS:,} multiply-accumulates")
     return lines
 
 
-def _fitted(rows):
+def _wrap_table(rows):
     """A table whose cells are wrapped if their columns would be too wide."""
     first, n = max(len(row[0]) for row in rows), len(rows[0]) - 1
     room = max((WIDTH - first) // n - 2, 8)
@@ -383,4 +385,4 @@ def _fitted(rows):
         parts = [textwrap.wrap(cell, room) or [""] for cell in cells]
         for index, line in enumerate(itertools.zip_longest(*parts, fillvalue="")):
             folded.append(["" if index else head, *line])
-    return aligned(folded)
+    return align_rows(folded)

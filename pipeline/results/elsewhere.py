@@ -9,8 +9,8 @@ from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
-from deploy.tables import listed
-from deploy.targets.registry import answer
+from deploy.tables import list_names
+from deploy.targets.registry import run_target
 from deploy.terminal import WARNING, remark
 from pipeline.paper import CHECK_SAMPLES
 from pipeline.recordings.dataset import (
@@ -111,7 +111,7 @@ def recordings_for(
     if unknown and labelled:
         raise UserError(
             f"{source}: has classes that the network of {bundle.path} does not have: "
-            f"{listed(unknown)}; its classes are {listed(known)}"
+            f"{list_names(unknown)}; its classes are {list_names(known)}"
         )
     number = {name: index for index, name in enumerate(known)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
@@ -148,7 +148,7 @@ def predict(bundle: Bundle, source, target="fast", skip_bad=False, warn=remark) 
     for line in warnings_on(bundle, recordings):
         warn(line)
     spec, names = bundle.spec.with_presentation(stream_length=1), recordings.sensor.classes
-    answers = answer(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
+    answers = run_target(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
     pairs = zip(recordings.ids, answers.predictions, strict=True)
     return {name: names[prediction] for name, prediction in pairs}
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.check.results import compare_results, read_result
 from deploy.files import reporting_damage
-from deploy.tables import SIGNIFICANCE, aligned, p_text, star
+from deploy.tables import SIGNIFICANCE, align_rows, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.kinds import TRAINED_STAGES, NetworkKind, compared_with
@@ -16,7 +16,7 @@ from pipeline.kinds.diagnosis import layers_text, least_faithful
 from pipeline.progress import progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.run.folder import RunFolder
-from pipeline.stages import Opened, answer_all, convert
+from pipeline.stages import Opened, check_stages, convert
 
 # Targets whose existing results are included, but which the ladder does not run.
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
@@ -58,7 +58,7 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
     """
     run, bundle = opened.place, convert(opened)
     asked = asked or [stage for stage in ladder_stages(opened.kind) if stage not in BOARDS]
-    results = answer_all(opened, bundle, asked, jobs)
+    results = check_stages(opened, bundle, asked, jobs)
     # A board's result is included if it exists and belongs to this bundle.
     for board in map(run.check, BOARDS):
         if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
@@ -249,7 +249,10 @@ def ladder_text(ladder: dict) -> str:
         table.append(cells)
     by_stage, last = {row["stage"]: row for row in ladder["rows"]}, ladder["rows"][-1]
     first = by_stage[compared_with(by_stage)]
-    lines = [f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage", *aligned(table)]
+    lines = [
+        f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
+        *align_rows(table),
+    ]
     compared = {first["stage"]: ladder["against_reference"]}
     compared["counts"] = simplest = ladder["against_counts"]
     for stage, against in compared.items():

@@ -8,9 +8,9 @@ from pathlib import Path
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage, sha256_of
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from deploy.targets.registry import TARGETS
-from deploy.terminal import WARNING, advised
+from deploy.terminal import WARNING, command_text
 from pipeline.kinds import kind_of_network
 from pipeline.recordings.dataset import dataset_origin
 from pipeline.recordings.library import identity_of
@@ -84,7 +84,7 @@ def status_of(run: RunFolder, adapted: bool = False) -> list:
     return states + [Status(bundle_artifact(run, kind, dataset, n).state()) for n in names]
 
 
-def outdated(statuses) -> dict:
+def find_outdated(statuses) -> dict:
     """The artifacts that are outdated, with the reasons.
 
     Parameters
@@ -110,12 +110,12 @@ def remedy_text(run, names) -> str:
         The artifacts' names, as in :func:`status_of`.
     """
     targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
-    commands = [advised("check", "run", run, "--target", target) for target in targets]
+    commands = [command_text("check", "run", run, "--target", target) for target in targets]
     adapted = {name for name in names if name.startswith("adapted/")}
     if set(names) - adapted - {f"checks/{target}" for target in targets}:
-        commands.insert(0, advised("ladder", run))
+        commands.insert(0, command_text("ladder", run))
     if adapted:
-        commands.append(advised("adapt", run, "--data", "FILE"))
+        commands.append(command_text("adapt", run, "--data", "FILE"))
     return ", then ".join(commands)
 
 
@@ -138,7 +138,7 @@ def outdated_note(path) -> str | None:
         return None
     run = RunFolder(around)
     try:
-        reasons = outdated(status_of(run, adapted=True))
+        reasons = find_outdated(status_of(run, adapted=True))
     except UserError:
         return None
     name = path.relative_to(around).with_suffix("").as_posix()
@@ -155,8 +155,8 @@ def status_text(run: RunFolder, statuses) -> str:
         accuracy = "" if status.accuracy is None else f"{status.accuracy:.3f}"
         seconds = "" if status.seconds is None else f"{status.seconds:.0f}"
         rows.append([status.state.name, status.state.state, accuracy, seconds])
-    lines = aligned(rows, left=2)
-    reasons = outdated(statuses)
+    lines = align_rows(rows, left=2)
+    reasons = find_outdated(statuses)
     if reasons:
         lines.append("")
         for reason in dict.fromkeys(reasons.values()):

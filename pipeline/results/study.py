@@ -25,7 +25,7 @@ from deploy.network.decision import share_of_time
 from deploy.network.stimulus import last_steps
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
-from deploy.targets.registry import answer as answer_on_target
+from deploy.targets.registry import run_target as answer_on_target
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.kinds.kind import responses_of
 from pipeline.paper import CNN_MACS
@@ -160,7 +160,7 @@ def study(
                 if isinstance(result, Failure):
                     failures[case] = result
                 else:
-                    rows[case] = _kept(folder, case, recordings, result)
+                    rows[case] = _write_row(folder, case, recordings, result)
             advance(len(group))
     for details in dict.fromkeys(failure.details for failure in failures.values()):
         say(details)
@@ -176,7 +176,7 @@ def _measure_group(measured_by, folder, recordings, group):
     for case in group:
         result = attempt(partial(_measure_one, measured_by, networks, recordings), case)
         if not isinstance(result, Failure):
-            _kept(folder, case, recordings, result)
+            _write_row(folder, case, recordings, result)
         results.append(result)
     return results
 
@@ -195,7 +195,7 @@ def _row_file(folder, case, recordings):
     return folder / "rows" / f"{case.name}-{case.split}-{case.seed:02d}-{key}.json"
 
 
-def _kept(folder, case, recordings, row):
+def _write_row(folder, case, recordings, row):
     """Write a row, unless a worker with access to the folder has written it; return it."""
     path = _row_file(folder, case, recordings)
     if not path.exists():

@@ -16,7 +16,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import in_blocks, plain
 from deploy.targets.registry import TARGETS
-from pipeline.kinds import fitted, kind_of_network
+from pipeline.kinds import choose_settings, kind_of_network
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.dataset import dataset_origin
 from pipeline.recordings.library import recordings_of
@@ -121,14 +121,14 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     recordings = recordings_of(settings, workers.processes, say)
     fraction = settings.split.validation_fraction or VALIDATION
     divided = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
-    base = fitted(divided, recordings)
+    base = choose_settings(divided, recordings)
     split, kind = kind_of(base.split.kind, recordings), kind_of_network(base)
     said = defaultdict(list)  # the points that each line is about
     points = points_of(divided, grid or kind.grid)
     cases, unused = [], set(points[0][0])
     for number, (changes, asked) in enumerate(points):
         lines = []
-        of_point = fitted(asked, recordings, say=lines.append)
+        of_point = choose_settings(asked, recordings, say=lines.append)
         own = kind_of_network(of_point)
         own.require_fit(recordings)
         origin = dataset_origin(of_point, recordings.source.sha256, split)

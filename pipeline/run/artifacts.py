@@ -82,8 +82,8 @@ class Origin:
         values = {name: _plain(settings.value(name)) for name in names}
         merged = {PACKAGE: __version__, **(contents or {})}
         for used in uses:
-            values = _joined(used.settings, values)
-            merged = _joined(used.contents, merged)
+            values = _merge_entries(used.settings, values)
+            merged = _merge_entries(used.contents, merged)
         return cls(values, merged)
 
     @property
@@ -119,7 +119,7 @@ class Origin:
             return (Change("made by an earlier version, which did not record its settings"),)
         changes = []
         for now, before, show in (
-            (self.settings, recorded["settings"], _shown),
+            (self.settings, recorded["settings"], _value_text),
             (self.contents, recorded["contents"], "{!s:.12}".format),
         ):
             for name in dict.fromkeys([*now, *before]):
@@ -270,7 +270,7 @@ class Library:
         return self.path / name / origin.key[:16]
 
 
-def _joined(used, own):
+def _merge_entries(used, own):
     """Merge parts of two origins; common entries must be equal."""
     for name in used.keys() & own.keys():
         if used[name] != own[name]:
@@ -292,6 +292,6 @@ def _plain(value):
     return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
-def _shown(value):
+def _value_text(value):
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.errors import UserError
-from deploy.files import locked, refuse_linked_folder, remove_leftovers
-from deploy.terminal import advised
+from deploy.files import lock_file, refuse_linked_folder, remove_leftovers
+from deploy.terminal import command_text
 
 if TYPE_CHECKING:
     from pipeline.run.artifacts import Origin
@@ -138,7 +138,7 @@ class RunFolder:
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"
         )
-        with locked(self.path / LOCK, taken, "choose another RUN"):
+        with lock_file(self.path / LOCK, taken, "choose another RUN"):
             remove_leftovers(self.path)
             yield
 
@@ -207,7 +207,7 @@ def require_run(run: RunFolder):
     if not run.experiment.is_file():
         raise UserError(
             f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
-            f"with {advised('ladder', run.path)}"
+            f"with {command_text('ladder', run.path)}"
         )
 
 

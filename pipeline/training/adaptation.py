@@ -26,10 +26,10 @@ from deploy.check.bundle import Bundle
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.network.decision import choose_threshold
-from deploy.network.responses import decoded, running_sums
+from deploy.network.responses import running_sums, select_readout
 from deploy.network.spec import NetworkSpec, Rehearsal
 from deploy.network.stimulus import EventFrames, last_steps
-from deploy.tables import listed
+from deploy.tables import list_names
 from deploy.targets.fast import Emulation
 from pipeline.recordings.altering import AUGMENTATIONS, alter_recordings, choose_augmentation
 from pipeline.recordings.dataset import (
@@ -310,7 +310,7 @@ class Responder:
         ndarray, shape (some, steps, inputs)
         """
         gap = self.spec.presentation.gap
-        fed = self.spec.fed(samples)
+        fed = self.spec.flatten_samples(samples)
         for start in range(0, len(fed), AT_ONCE):
             yield self._emulation.run(fed[start : start + AT_ONCE, None]).output[:, 0, gap:]
 
@@ -486,13 +486,13 @@ def require_fit(spec: NetworkSpec, recordings: Recordings):
     source, sensor, known = recordings.source.name, recordings.sensor, classes_of(spec)
     if sensor.classes != known:
         raise UserError(
-            f"{source}: recordings of the classes {listed(sensor.classes)}; the network "
-            f"distinguishes {listed(known)}: give recordings of these classes"
+            f"{source}: recordings of the classes {list_names(sensor.classes)}; the network "
+            f"distinguishes {list_names(known)}: give recordings of these classes"
         )
     counts = np.bincount(recordings.labels, minlength=len(known))
     if not counts.all():
         missing = [known[label] for label in np.flatnonzero(counts == 0)]
-        raise UserError(f"{source}: no recording of {listed(missing)}; give one of each class")
+        raise UserError(f"{source}: no recording of {list_names(missing)}; give one of each class")
 
 
 def _with_threshold(spec, responder, recordings):
@@ -505,7 +505,9 @@ def _with_threshold(spec, responder, recordings):
         return spec
     weights, outputs, last = spec.layers[-1].weights, [], []
     for samples in responder.inputs_in_parts(recordings):
-        outputs += [decoded(spec, output @ weights.T) for output in responder.outputs(samples)]
+        outputs += [
+            select_readout(spec, output @ weights.T) for output in responder.outputs(samples)
+        ]
         last.append(last_steps(samples))
     chosen = choose_threshold(
         running_sums(spec, np.concatenate(outputs)),

@@ -10,7 +10,7 @@ import pytest
 from deploy import limits
 from deploy.errors import UserError
 from deploy.files import (
-    locked,
+    lock_file,
     read_arrays,
     read_json,
     remove_leftovers,
@@ -122,11 +122,14 @@ def test_leftovers_of_killed_processes_are_removed(tmp_path):
 
 
 def test_a_lock_has_one_owner(tmp_path):
-    with locked(tmp_path / ".lock", "taken", "mend") as file:
+    with lock_file(tmp_path / ".lock", "taken", "mend") as file:
         file.write(b"kept")
-        with pytest.raises(UserError, match="taken"), locked(tmp_path / ".lock", "taken", "mend"):
+        with (
+            pytest.raises(UserError, match="taken"),
+            lock_file(tmp_path / ".lock", "taken", "mend"),
+        ):
             pass
-    with locked(tmp_path / ".lock", "taken", "mend"):
+    with lock_file(tmp_path / ".lock", "taken", "mend"):
         assert (tmp_path / ".lock").read_bytes() == b"kept"
 
 

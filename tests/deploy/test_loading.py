@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.loading import WrongValue, between, check, limited, load, one_of
+from deploy.loading import WrongValue, between, check, limited_field, load, one_of
 
 
 @dataclass(frozen=True)
 class Inner:
-    rate: float = limited(between(0, 1000, " Hz"), 5.0)
-    kind: str = limited(one_of("a", "b"), "a")
+    rate: float = limited_field(between(0, 1000, " Hz"), 5.0)
+    kind: str = limited_field(one_of("a", "b"), "a")
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
 """Tables in plain text."""
 
-from deploy.tables import aligned, in_blocks, shortened, shortened_apart
+from deploy.tables import align_rows, in_blocks, shorten_name, shortened_apart
 
 
 def test_a_table_that_is_too_wide_is_cut_into_blocks():
     rows = [["", *(f"class {i}" for i in range(5))], ["events", *map(str, range(5))]]
-    assert in_blocks(rows, width=80) == aligned(rows)
+    assert in_blocks(rows, width=80) == align_rows(rows)
     lines = in_blocks(rows, width=25)
     assert max(map(len, lines)) <= 25
     assert [line.split() for line in lines if line.startswith("events")] == [
@@ -15,8 +15,8 @@ def test_a_table_that_is_too_wide_is_cut_into_blocks():
 
 
 def test_names_lose_their_middle_and_stay_different():
-    assert shortened("wave", 8) == "wave"
-    assert shortened("swipe from the left", 10) == "swipe …eft"
+    assert shorten_name("wave", 8) == "wave"
+    assert shorten_name("swipe from the left", 10) == "swipe …eft"
     names = [f"swipe {n} from the left to the right" for n in range(12)]
     short = shortened_apart(names, 12)
     assert len(set(short)) == 12

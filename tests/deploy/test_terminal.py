@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from deploy.terminal import printable, remark, show
 from tests.command import ROOT, environment
 from tests.pipeline.handmade import archive, good_members
@@ -17,7 +17,7 @@ def test_what_a_terminal_would_obey_is_escaped(capsys):
     show(f"one {OBEYED[:4]}\ntwo")
     remark("three \x07")
     assert capsys.readouterr() == ("one \\x1b[2J\ntwo\n", "three \\x07\n")
-    assert aligned([["name", "n"], ["a\nb\x1b", "1"]]) == ["name      n", "a\\nb\\x1b  1"]
+    assert align_rows([["name", "n"], ["a\nb\x1b", "1"]]) == ["name      n", "a\\nb\\x1b  1"]
 
 
 def run(*arguments, closed=(), **options):

@@ -18,7 +18,7 @@ from deploy import requirements as host
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.check.run import run_check
 from deploy.network.decision import Estimator
-from deploy.network.stimulus import EventFrames, thinned
+from deploy.network.stimulus import EventFrames, apply_refractory_period
 from tests.command import missing
 from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
 from tests.deploy.standin import STANDIN
@@ -128,7 +128,7 @@ def test_python_38_answers_a_bundle_of_events(tmp_path):
         stimulus=EventFrames(0.01, refractory=1),
         estimator=Estimator.from_arrays(estimator, 3),
     )
-    frames = thinned(np.moveaxis(random_frames(spec, 7, share=0.2), 1, 0), 1)
+    frames = apply_refractory_period(np.moveaxis(random_frames(spec, 7, share=0.2), 1, 0), 1)
     names = tuple(f"random/{i:03d}" for i in range(7))
     checks = CheckSet(np.moveaxis(frames, 0, 1), rng.integers(0, 3, 7), names, 0)
     bundle, expected = at_home(tmp_path / "home", spec, checks)

@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from models.integers import chosen, currents, fired, moments_of, rounded
+from models.integers import (
+    choose_integers,
+    currents,
+    moments_of,
+    round_to_integers,
+    simulate_spikes,
+)
 from models.nir.chain import from_nir
 from models.nir.graph import NirError, read_nir
 from models.nir.simulator import METHODS, simulate
@@ -26,7 +32,7 @@ def by_layers(network, inputs, step, method):
     signal, found = in_places(inputs), []
     for layer in from_nir(network, step, method):
         if layer.neuron is not None:
-            signal = fired(layer, signal)
+            signal = simulate_spikes(layer, signal)
         else:
             added, signal = signal @ layer.weights, np.zeros((*signal.shape[:2], layer.size))
             state = np.zeros(layer.size)
@@ -235,10 +241,10 @@ def test_integers_by_hand():
         (2,), ("Linear", {"weight": np.array([[1.0, -0.5]])}), ("Threshold", {"threshold": 1.0})
     )
     (layer,) = from_nir(network, 0.001)
-    found = rounded(layer)
+    found = round_to_integers(layer)
     assert found.weights.T.tolist() == [[127, -64]]
     assert (found.threshold, found.keep_u, found.keep_v, found.exponent) == (64 * 254, 1, 2, 0)
-    assert rounded(layer, 0.5).weights.T.tolist() == [[127, -127]]
+    assert round_to_integers(layer, 0.5).weights.T.tolist() == [[127, -127]]
 
 
 def test_the_scale_is_chosen_on_samples():
@@ -250,13 +256,13 @@ def test_the_scale_is_chosen_on_samples():
     (layer,) = from_nir(network, 0.001)
     inputs = spikes(rng, 8, 200, (20,), 0.3)
     inputs[:, :, 0] = 0
-    assert np.abs(rounded(layer).weights[1:]).max() < 5
-    wanted = fired(layer, inputs).sum(1).astype(int)
+    assert np.abs(round_to_integers(layer).weights[1:]).max() < 5
+    wanted = simulate_spikes(layer, inputs).sum(1).astype(int)
 
     def error(integers):
-        return np.abs(fired(layer, inputs, integers).sum(1) - wanted).sum()
+        return np.abs(simulate_spikes(layer, inputs, integers).sum(1) - wanted).sum()
 
-    assert error(chosen(layer, inputs)) < error(rounded(layer))
+    assert error(choose_integers(layer, inputs)) < error(round_to_integers(layer))
 
 
 def test_rounding_is_made_up_for_where_inputs_are_active_together():
@@ -270,8 +276,8 @@ def test_rounding_is_made_up_for_where_inputs_are_active_together():
     inputs = np.zeros((1, 80, 3))
     inputs[0, ::8] = [1, 0, 1]
     inputs[0, 4::8] = [0, 1, 0]
-    found = rounded(layer, 1.0, moments_of(layer, inputs)).weights.ravel()
-    assert rounded(layer).weights.ravel().tolist() == [0, 127, 0]
+    found = round_to_integers(layer, 1.0, moments_of(layer, inputs)).weights.ravel()
+    assert round_to_integers(layer).weights.ravel().tolist() == [0, 127, 0]
     assert sorted(found[[0, 2]]) == [0, 1]
     assert found[1] == 127
 
@@ -290,7 +296,10 @@ def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
     )
     signal = in_places(spikes(rng, 4, 100, (2, 8, 8), 0.2))
     for layer in from_nir(network, 0.001):
-        near, made_up = rounded(layer), rounded(layer, 1.0, moments_of(layer, signal))
+        near, made_up = (
+            round_to_integers(layer),
+            round_to_integers(layer, 1.0, moments_of(layer, signal)),
+        )
         unit = layer.pool**2 * 128 * 2.0**near.exponent / near.threshold
         real = currents(layer, layer.weights / layer.pool**2, signal)
 
@@ -300,7 +309,7 @@ def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
 
         assert np.abs(made_up.weights).max() == 127
         assert error(made_up) < error(near)
-        signal = fired(layer, signal)
+        signal = simulate_spikes(layer, signal)
 
 
 def test_what_cannot_be_on_the_chip_is_named():
@@ -315,7 +324,7 @@ def test_what_cannot_be_on_the_chip_is_named():
         from_nir(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001)
     nothing = ("Linear", {"weight": np.zeros((2, 3))})
     with pytest.raises(UserError, match=r"n0, n1.* 0[;,.]"):
-        rounded(from_nir(network_of((3,), nothing, lif()), 0.001)[0])
+        round_to_integers(from_nir(network_of((3,), nothing, lif()), 0.001)[0])
     huge = ("Linear", {"weight": np.full((2, 3), 1e6)})
     with pytest.raises(UserError, match=r"n0, n1.* 4\.88e\+04 "):
-        rounded(from_nir(network_of((3,), huge, lif()), 0.001)[0])
+        round_to_integers(from_nir(network_of((3,), huge, lif()), 0.001)[0])

@@ -14,7 +14,7 @@ import numpy as np
 
 from deploy.check.bundle import read_bundle
 from deploy.files import read_arrays
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from pipeline.kinds.nir.kind import Stepped, graph_inputs
@@ -56,7 +56,7 @@ def figures(graph, answers, run, target="fast"):
     outputs = outputs.reshape(theirs["outputs"].shape)
     near = np.abs(outputs - theirs["outputs"]) <= 1e-3 * np.abs(theirs["outputs"]).max()
     bundle = read_bundle(Path(run) / "bundle")
-    found = answer(bundle.spec, frames, target).predictions
+    found = run_target(bundle.spec, frames, target).predictions
     return {
         "samples": len(labels),
         "pytorch": float((theirs["predictions"] == labels).mean()),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from tests.command import ROOT
 from tests.nir_networks import compare, frames
 
@@ -50,5 +50,5 @@ def test_a_trained_network_answers_as_in_pytorch(package, options, shown, tmp_pa
     assert found["agreement"] > 0.94
     bundle = read_bundle(run / "bundle")
     some = bundle.checks.inputs[:4]
-    hashes = (answer(bundle.spec, some, target).spike_hashes for target in ("fast", "emulator"))
+    hashes = (run_target(bundle.spec, some, target).spike_hashes for target in ("fast", "emulator"))
     np.testing.assert_array_equal(*hashes)

@@ -12,7 +12,7 @@ from pipeline.kinds import kind_of_network
 from pipeline.run.artifacts import Origin
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
-from pipeline.stages import answer_all, opened_in
+from pipeline.stages import check_stages, opened_in
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at
 
@@ -28,7 +28,7 @@ def bundle(tmp_path_factory):
 def answered(folder, bundle, targets=TARGETS):
     no_data = SimpleNamespace(origin=Origin())
     opened = opened_in(RunFolder(folder), Settings(), no_data, lambda line: None)
-    return answer_all(opened, bundle, targets, jobs=2)
+    return check_stages(opened, bundle, targets, jobs=2)
 
 
 def check_of(folder, target):

@@ -243,7 +243,7 @@ class _Outputs(Mapping):
         self._kept = kept
 
     def __getitem__(self, probe):
-        return [_joined(output) for output in self._kept[probe]]
+        return [_concatenate(output) for output in self._kept[probe]]
 
     def __iter__(self):
         return iter(self._kept)
@@ -252,7 +252,7 @@ class _Outputs(Mapping):
         return len(self._kept)
 
 
-def _joined(parts):
+def _concatenate(parts):
     if len(parts) > 1:
         parts[:] = [np.concatenate(parts)]
     elif parts:

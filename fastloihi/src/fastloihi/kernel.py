@@ -87,22 +87,22 @@ def _twist(state):
     """The next 624 words."""
     # In three loops, so that each can be vectorised.
     for i in range(uint64(227)):
-        state[i] = _twisted(state[i], state[i + uint64(1)], state[i + uint64(397)])
+        state[i] = _twist_word(state[i], state[i + uint64(1)], state[i + uint64(397)])
     for i in range(uint64(227), uint64(623)):
-        state[i] = _twisted(state[i], state[i + uint64(1)], state[i - uint64(227)])
-    state[623] = _twisted(state[623], state[0], state[396])
+        state[i] = _twist_word(state[i], state[i + uint64(1)], state[i - uint64(227)])
+    state[623] = _twist_word(state[623], state[0], state[396])
     state[624] = uint32(0)
 
 
 @_jit(inline="always")
-def _twisted(this, after, far):
+def _twist_word(this, after, far):
     y = uint32((this & uint32(0x80000000)) | (after & uint32(0x7FFFFFFF)))
     odd = uint32(uint32(0) - uint32(y & uint32(1)))
     return uint32(far ^ uint32(uint32(y >> uint32(1)) ^ uint32(odd & uint32(0x9908B0DF))))
 
 
 @_jit(inline="always")
-def _tempered(y):
+def _temper(y):
     y = uint32(y ^ uint32(y >> uint32(11)))
     y = uint32(y ^ uint32(uint32(y << uint32(7)) & uint32(0x9D2C5680)))
     y = uint32(y ^ uint32(uint32(y << uint32(15)) & uint32(0xEFC60000)))
@@ -119,7 +119,7 @@ def _draw(state, n, into):
         first = uint64(state[624])
         now = min(uint64(n) - done, uint64(624) - first)
         for i in range(now):
-            into[done + i] = _tempered(state[first + i])
+            into[done + i] = _temper(state[first + i])
         done += now
         state[624] = uint32(first + now)
 
@@ -147,7 +147,7 @@ def skip_samples(state, n):
         now = min(left, uint64(624) - first)
         rejected = uint32(0)
         for i in range(now):
-            rejected += uint32(uint32(_tempered(state[first + i]) & uint32(255)) == uint32(255))
+            rejected += uint32(uint32(_temper(state[first + i]) & uint32(255)) == uint32(255))
         state[624] += uint32(now)
         left -= now - uint64(rejected)
 
@@ -159,7 +159,7 @@ def _sample(state, into):
     while done < uint64(len(into)):
         if state[624] == uint32(624):
             _twist(state)
-        word = uint32(_tempered(state[uint64(state[624])]) & uint32(255))
+        word = uint32(_temper(state[uint64(state[624])]) & uint32(255))
         state[624] += uint32(1)
         into[done] = int32(int32(word) - int32(127))
         done += uint64(word != uint32(255))
@@ -254,7 +254,7 @@ def _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
 
 
 @_jit(inline="always")
-def _decayed(x, keep):
+def _decay(x, keep):
     """sign(x) * floor(|x| * keep / 4096), without leaving 32 bits.
 
     x is 4096 times a high part (rounded down) plus a low part from 0 to 4095; adding 4095 to a
@@ -266,7 +266,7 @@ def _decayed(x, keep):
 
 
 @_jit(inline="always")
-def _wrapped(x, spare):
+def _wrap(x, spare):
     """Two's complement with ``spare`` bits less than 32."""
     return int32(int32(x << spare) >> spare)
 
@@ -285,9 +285,9 @@ def _currents(first, last, keep, shift, loaded, sums, total, current):
             sums[i] = int16(0)
     for i in range(first, last):
         q = total[i]
-        arriving = _wrapped(q, _Q)
-        u = int32(_decayed(current[i], keep) + arriving)
-        wrapped = _wrapped(u, _U)
+        arriving = _wrap(q, _Q)
+        u = int32(_decay(current[i], keep) + arriving)
+        wrapped = _wrap(u, _U)
         total[i] = arriving
         current[i] = wrapped
         over_q += int32(arriving != q)
@@ -301,8 +301,8 @@ def _voltages(first, last, keep, v_min, v_max, bias, current, voltage):
     over = int32(0)
     for i in range(first, last):
         u = int32(current[i] + bias[i])
-        wrapped = _wrapped(u, _U)
-        v = int32(_decayed(voltage[i], keep) + wrapped)
+        wrapped = _wrap(u, _U)
+        v = int32(_decay(voltage[i], keep) + wrapped)
         v = v if v > v_min else v_min
         voltage[i] = v if v < v_max else v_max
         over += int32(wrapped != u)

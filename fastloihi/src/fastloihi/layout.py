@@ -102,7 +102,7 @@ def _layout(emulator):
         np.int64,
     )
     learning = _learning(emulator.synapses, pools, integers)
-    recorded, widths, columns = _recorded(emulator.probes)
+    recorded, widths, columns = _plan_probes(emulator.probes)
     first_run, runs, narrow, wide = pools.arrays(state.dtype)
     return Layout(
         network=(
@@ -337,7 +337,7 @@ def _routes(emulator, pools):
         for part, kind in ((synapse, Synapse), (axon, Axon)):
             if type(part) is not kind:
                 raise Unsupported(f"the class {type(part).__name__}")
-        index, atom = _mapped(axon, sender.n_neurons)
+        index, atom = _map_axons(axon, sender.n_neurons)
         row, base = _rows_of(synapse, index, atom, pools)
         part = synapses.slices[synapse]
         reach = np.where(row >= 0, base + pools.reach[synapse][1][row], 0)
@@ -369,7 +369,7 @@ def _routes(emulator, pools):
     return np.array(table, np.int64).reshape(-1, 6), entries.astype(np.int32)
 
 
-def _mapped(axon, n):
+def _map_axons(axon, n):
     """Axon and atom of the spike of each neuron of a source; a negative axon means none."""
     who = np.arange(n)
     return _integers(axon.map_axon(who)), _integers(axon.map_atoms(who))
@@ -437,7 +437,7 @@ def _learning(synapses, pools, integers):
     return np.array(rules, np.int64).reshape(-1, 14), np.array(rates, float).reshape(-1, 3)
 
 
-def _recorded(probes):
+def _plan_probes(probes):
     """The runs of compartments that are probed, the width of each key, each probe's columns."""
     runs, columns, widths = [], {}, [0] * len(KEYS)
     for probe, blocks in probes.probes.items():

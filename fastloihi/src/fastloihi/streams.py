@@ -103,7 +103,7 @@ class StreamEmulator:
             current and bias: ``q0``, ``current``, ``u2`` in NengoLoihi.
         """
         n_streams, n_steps, n_inputs = inputs.shape
-        arriving = np.zeros((n_streams, n_steps, _padded(n_inputs)), np.uint8)
+        arriving = np.zeros((n_streams, n_steps, _pad_to_8(n_inputs)), np.uint8)
         arriving[:, 0, :n_inputs] = state.arriving
         arriving[:, 1:, :n_inputs] = inputs[:, :-1]
         state.arriving[:] = inputs[:, -1]
@@ -188,13 +188,13 @@ def sum_rows(spikes, matrix):
     (..., n_outputs) float64 array
     """
     n, n_outputs = matrix.shape
-    rows = np.zeros((spikes.size // max(n, 1), _padded(n)), np.uint8)
+    rows = np.zeros((spikes.size // max(n, 1), _pad_to_8(n)), np.uint8)
     rows[:, :n] = spikes.reshape(len(rows), n)
     sums = np.zeros((len(rows), n_outputs))
     kernel.sum_rows(rows.view(np.uint64), np.ascontiguousarray(matrix), sums)
     return sums.reshape(*spikes.shape[:-1], n_outputs)
 
 
-def _padded(n):
+def _pad_to_8(n):
     """The next multiple of 8, but not 0."""
     return max(8, -(-n // 8) * 8)

@@ -20,7 +20,7 @@ from pipeline.kinds.kind import (
     Reference,
     accuracy_text,
     metrics_of,
-    timed,
+    time_training,
     training_versions,
     write_network,
 )
@@ -34,7 +34,7 @@ from pipeline.recordings.splits import split_of
 from pipeline.recordings.steps import EventTable
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings, merged
+from pipeline.run.settings import Settings, merge_values
 from pipeline.training.recipe import dropout_for, hidden_for, reading_for
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
@@ -150,7 +150,7 @@ class EventsKind(NetworkKind):
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
         arguments = recipe, table, labels, indices, settings.seed
         curve = held_out[:: -(-len(held_out) // MOST_WATCHED) or 1]
-        trained, seconds = timed(
+        trained, seconds = time_training(
             *("events", recipe.epochs, events.train_events, *arguments),
             validation=curve, checkpoint=checkpoint,
         )  # fmt: skip
@@ -194,7 +194,7 @@ class EventsKind(NetworkKind):
         changes, lines = presentation_choices(settings, recordings, may_shorten=True)
         shown = settings.with_values(changes, settings.data.source)
         of_neurons, about_neurons = neuron_choices(shown)
-        changes = merged(changes, of_neurons)
+        changes = merge_values(changes, of_neurons)
         lines += about_neurons
         now, sensor, chosen = settings.events, recordings.sensor, {}
         train = None if is_handwriting(recordings) else _training(settings, recordings)
@@ -228,7 +228,7 @@ class EventsKind(NetworkKind):
                 if is_open:
                     changes["input"] = {"step": step, "refractory": reading.refractory * step}
             chosen |= {"parts": parts, "part": now.part or shown.steps * step / parts}
-        return merged(changes, {"events": chosen}), lines
+        return merge_values(changes, {"events": chosen}), lines
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings)
@@ -262,7 +262,7 @@ def spec_of_events(
     is_early = presentation.threshold < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
     stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory)
-    return chain.deployed(links, stimulus, presentation, provenance, estimator)
+    return chain.build_network_spec(links, stimulus, presentation, provenance, estimator)
 
 
 def event_samples(dataset: Dataset, seed: int) -> EventSamples:
@@ -284,16 +284,19 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
 
 
 def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
-    """Choose the confidence for early decisions on the held-out samples; see :func:`trusted`."""
+    """Choose the confidence for early decisions on the held-out samples.
+
+    See :func:`require_enough_samples`.
+    """
     table, labels, _, held_out = samples
     if not len(held_out):
         return Threshold(1.0, 0.0, 1.0)
     loss = settings.presentation.early_loss
     chosen = trained.threshold(table, labels, held_out, settings.steps, seed, loss)
-    return trusted(chosen, len(held_out))
+    return require_enough_samples(chosen, len(held_out))
 
 
-def trusted(chosen: Threshold, samples: int) -> Threshold:
+def require_enough_samples(chosen: Threshold, samples: int) -> Threshold:
     """A confidence for early decisions, or 1 if it was chosen on fewer samples than `FEWEST`.
 
     With a confidence of 1 the network decides at the end of each recording.

@@ -25,9 +25,9 @@ from pipeline.kinds.kind import (
     accuracy_text,
     imported_file,
     metrics_of,
-    timed,
+    select_curve_samples,
+    time_training,
     training_versions,
-    watched,
     write_network,
 )
 from pipeline.kinds.steps import Step
@@ -304,7 +304,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     architecture, synapse = parse(settings.cnn.architecture), settings.deployment.synapse
     links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
     provenance = {"image": asdict(settings.image), **provenance}  # for other recordings
-    return chain.deployed(links, settings.stimulus, settings.presented(), provenance)
+    return chain.build_network_spec(links, settings.stimulus, settings.presented(), provenance)
 
 
 def _train_cnn(settings, dataset, weights=None):
@@ -314,8 +314,8 @@ def _train_cnn(settings, dataset, weights=None):
     data, how = dataset.part("train"), settings.cnn.augment
     altered = dataset.altered("none" if how == "auto" else how)
     epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
-    arguments = settings, data, settings.seed, watched(dataset)
-    return timed("cnn", epochs, train_cnn, *arguments, altered=altered, weights=weights)
+    arguments = settings, data, settings.seed, select_curve_samples(dataset)
+    return time_training("cnn", epochs, train_cnn, *arguments, altered=altered, weights=weights)
 
 
 def _adopt(model, settings, dataset, say):
@@ -355,8 +355,15 @@ def _trained_further(name, function, inputs, artifact):
             how = "none" if is_handwriting(dataset.recordings) else "time"
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
     altered = dataset.altered(how)
-    arguments = settings, data, settings.seed, inputs.weights("cnn"), altered, watched(dataset)
-    trained, seconds = timed(name, epochs, function, *arguments)
+    arguments = (
+        settings,
+        data,
+        settings.seed,
+        inputs.weights("cnn"),
+        altered,
+        select_curve_samples(dataset),
+    )
+    trained, seconds = time_training(name, epochs, function, *arguments)
     write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = metrics_of(trained, dataset, seconds, training_versions())
     return trained, {**metrics, "augment": how}

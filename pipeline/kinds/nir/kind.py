@@ -17,25 +17,30 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import copy_file, sha256_of
 from deploy.network.chip import LOIHI
-from deploy.network.decision import choose_threshold, delayed
+from deploy.network.decision import choose_threshold, delay_outputs
 from deploy.network.responses import Responses, read_output
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, Stimulus, last_steps
 from models import chain
-from models.integers import in_integers, rounded
+from models.integers import in_integers, round_to_integers
 from models.nir.chain import from_nir, merges_polarities
 from models.nir.graph import NirNetwork, read_nir
 from models.nir.simulator import AT_ONCE, simulate
 from pipeline.kinds import counts
 from pipeline.kinds.architectures import suggest_sensor_size
-from pipeline.kinds.events.kind import DECIDES, confidence_of, presentation_choices, trusted
+from pipeline.kinds.events.kind import (
+    DECIDES,
+    confidence_of,
+    presentation_choices,
+    require_enough_samples,
+)
 from pipeline.kinds.kind import Imported, NetworkKind, Reference, imported_file, is_file
 from pipeline.kinds.steps import Step
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset, event_warnings, require_images_fit
 from pipeline.recordings.splits import Split
 from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings, merged, put
+from pipeline.run.settings import Settings, merge_values, put
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}
@@ -306,7 +311,7 @@ class NirKind(NetworkKind):
             return changes, []
         settings = settings.with_values(changes, settings.nir.file)
         presented, lines = presentation_choices(settings, recordings)
-        return merged(changes, presented), lines
+        return merge_values(changes, presented), lines
 
     def require_fit(self, recordings):
         nir, sensor, events = self.settings.nir, recordings.sensor, self.settings.on_events
@@ -519,7 +524,7 @@ def refuse_early(settings: Settings, strict: bool = False):
         height = area / LOIHI.dt
         for layer in (replace(first, weights=first.weights * height), *others):
             if layer.neuron is not None:
-                rounded(layer)
+                round_to_integers(layer)
     except UserError as error:
         raise UserError(f"{source}: {error}") from error
 
@@ -650,10 +655,10 @@ def _threshold(network, stepped, layers, settings, dataset):
     held_out = decided_on(dataset.split, settings.seed)
     inputs = dataset.inputs[held_out]
     outputs = outputs_of(network, stepped, inputs, settings, reset=settings.nir.reset)[0]
-    sums = delayed(np.cumsum(outputs, 1), len(layers))
+    sums = delay_outputs(np.cumsum(outputs, 1), len(layers))
     loss = settings.presentation.early_loss
     threshold = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs), loss)
-    return {**trusted(threshold, len(held_out))._asdict(), "samples": len(held_out)}
+    return {**require_enough_samples(threshold, len(held_out))._asdict(), "samples": len(held_out)}
 
 
 def decided_on(split: Split, seed: int) -> np.ndarray:
@@ -691,4 +696,4 @@ def spec_of_nir(
     links = from_nir(network, stepped.seconds, stepped.method, samples.shape[-3:], read)
     spikes = input_spikes(stimulus, samples, presentation.steps)
     links = in_integers(links, spikes, stimulus.area / LOIHI.dt)
-    return chain.deployed(links, stimulus, presentation, provenance)
+    return chain.build_network_spec(links, stimulus, presentation, provenance)

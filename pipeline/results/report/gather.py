@@ -7,7 +7,7 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage
 from deploy.preflight.plan import make_plan
-from deploy.terminal import advised
+from deploy.terminal import command_text
 from pipeline.kinds import kind_of_network
 from pipeline.kinds.kind import read_history
 from pipeline.progress import progress
@@ -15,7 +15,7 @@ from pipeline.results.elsewhere import FOLDER as OTHERS
 from pipeline.results.ladder import ladder_stages
 from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
-from pipeline.results.status import outdated, status_of
+from pipeline.results.status import find_outdated, status_of
 from pipeline.run.folder import RunFolder, require_run
 from pipeline.run.settings import read_settings
 
@@ -50,7 +50,7 @@ def gather(folder: RunFolder) -> Inputs:
     if not results:
         raise UserError(
             f"{folder.path / 'checks'}: no check result of the present bundle; "
-            f"run {advised('ladder', folder.path)} first"
+            f"run {command_text('ladder', folder.path)} first"
         )
     chosen = choose_samples(results[-1])
     with progress("replay samples", len(chosen)) as advance:
@@ -72,7 +72,7 @@ def gather(folder: RunFolder) -> Inputs:
         histories=histories,
         plan=make_plan(bundle.spec, MANY_CHIPS).to_json(),
         replays=replays,
-        outdated=outdated(status_of(folder)),
+        outdated=find_outdated(status_of(folder)),
         others=_others(folder, bundle),
     )
 

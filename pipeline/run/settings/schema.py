@@ -408,7 +408,7 @@ class Settings(Section):
             An unknown setting, or a value of the wrong kind or out of range.
         """
         try:
-            settings = load(Settings, merged(self.to_json(), changes))
+            settings = load(Settings, merge_values(self.to_json(), changes))
             if settings.data.source != SIMULATED:  # a run can be repeated from any folder
                 source = os.path.abspath(settings.data.source)
                 settings = replace(settings, data=replace(settings.data, source=source))
@@ -485,7 +485,7 @@ class Settings(Section):
         names : iterable of str
             Dotted names.  :data:`PATHS` remain readable too.
         """
-        return _narrowed(self, {*names, *PATHS}, "")
+        return _restrict(self, {*names, *PATHS}, "")
 
     def to_json(self) -> dict:
         """The settings as plain values."""
@@ -533,10 +533,10 @@ def value_in(values: dict, name: str):
     return values
 
 
-def merged(old: dict, changes: dict) -> dict:
+def merge_values(old: dict, changes: dict) -> dict:
     """Nested values with some changed."""
     return old | {
-        name: merged(old[name], value)
+        name: merge_values(old[name], value)
         if isinstance(value, dict) and isinstance(old.get(name), dict)
         else value
         for name, value in changes.items()
@@ -550,12 +550,12 @@ def _suggestion(error):
     return f" (did you mean {near[0]!r}?)" if near else ""
 
 
-def _narrowed(section, kept, prefix):
+def _restrict(section, kept, prefix):
     """A copy of a section in which only the values in ``kept`` may be read."""
     copy = object.__new__(type(section))
     for name, value in object.__getattribute__(section, "__dict__").items():
         if isinstance(value, Section):
-            value = _narrowed(value, kept, f"{prefix}{name}.")
+            value = _restrict(value, kept, f"{prefix}{name}.")
         elif prefix + name not in kept:
             value = _Access.DENIED
         object.__setattr__(copy, name, value)
@@ -592,10 +592,10 @@ def _check_relations(s: Settings):
          f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
          "with so few steps give it too, such as "
          f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
-    layers = _parsed(s.events.architecture, "events.architecture").layers
+    layers = _parse_architecture(s.events.architecture, "events.architecture").layers
     need(len(layers) > 1 and all(layer.kind != "pool" for layer in layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
-    n_spiking = len(_parsed(s.cnn.architecture, "cnn.architecture").spiking)
+    n_spiking = len(_parse_architecture(s.cnn.architecture, "cnn.architecture").spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
     for file, content in IMPORTED.items():
         given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
@@ -611,7 +611,7 @@ def _check_relations(s: Settings):
          f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
 
 
-def _parsed(architecture, name):
+def _parse_architecture(architecture, name):
     try:
         parsed = parse(architecture)
     except NotationError as error:

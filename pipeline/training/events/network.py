@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deploy.network.decision import Estimator, Threshold, choose_threshold, delayed
+from deploy.network.decision import Estimator, Threshold, choose_threshold, delay_outputs
 from deploy.network.stimulus import last_steps
 from models.architecture import parse
 from models.keras.keras2 import tf
@@ -166,7 +166,7 @@ def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
     -------
     ndarray of the same shape
     """
-    return delayed(outputs, len(parse(recipe.architecture).spiking) + 1)
+    return delay_outputs(outputs, len(parse(recipe.architecture).spiking) + 1)
 
 
 def _compile(recipe):

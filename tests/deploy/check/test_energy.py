@@ -7,7 +7,7 @@ from deploy.check.run import run_check
 from deploy.check.text import summary
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from pipeline.run.folder import checks_of
 from tests.command import call
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
@@ -55,7 +55,7 @@ def test_one_definition_of_synaptic_operations(tmp_path):
     bundle = bundle_at(tmp_path / "bundle")
     result = run_check(bundle, "emulator", tmp_path / "emulator.json")
     value = estimate_energy(bundle.spec, result)
-    found = answer(bundle.spec, bundle.checks.inputs, "emulator")
+    found = run_target(bundle.spec, bundle.checks.inputs, "emulator")
     output = 10 * found.spikes["conv2"].sum()  # each of its spikes reaches ten outputs
     assert result["synaptic_operations"]["output"] == output > 0
     total = sum(result["synaptic_operations"].values()) / len(bundle.checks)

@@ -12,7 +12,7 @@ from deploy.errors import UserError
 from deploy.files import read_arrays
 from deploy.network.nir import input_spikes, nir_graph, write_nir
 from deploy.network.spec import DT
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from tests.deploy.network.test_build import matrix_by_hand
 from tests.deploy.networks import conv, dense, paper_spec, random_checks, readout, small_spec
 from tests.nir_reader.result import responses_of
@@ -63,7 +63,7 @@ def test_input_spikes_are_the_encoders():
     images = random_checks(spec, 7).inputs
     spikes = input_spikes(spec, images)
     assert set(np.unique(spikes)) == {0, 2}  # 1 ms of an area of 1 / 500
-    counted = answer(spec, images, "nengo").spikes["input"]
+    counted = run_target(spec, images, "nengo").spikes["input"]
     np.testing.assert_array_equal(spikes.sum((1, 2, 3, 4)) / 2, counted)
 
 
@@ -110,8 +110,8 @@ def test_norse_gives_what_the_reference_gives_without_what_nir_leaves_out(tmp_pa
         read_arrays(tmp_path / "in.npz", "run the test again"),
         read_arrays(tmp_path / "out.npz", "run the test again"),
     )
-    as_deployed = answer(spec, images, "nengo")
-    as_nir_says = answer(without_what_nir_leaves_out(spec), images, "nengo")
+    as_deployed = run_target(spec, images, "nengo")
+    as_nir_says = run_target(without_what_nir_leaves_out(spec), images, "nengo")
 
     def likeness(answers):
         return np.corrcoef(norse.scores.ravel(), answers.scores.ravel())[0, 1]

@@ -5,7 +5,7 @@ import pytest
 from nengo.builder import transforms
 
 from deploy.network.build import pad, pad_only_where_needed
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from tests.deploy.networks import mixed_spec, random_checks, small_spec
 
 
@@ -21,9 +21,9 @@ def test_what_is_padded_is_numpys():
 @pytest.mark.parametrize("spec", [small_spec(), mixed_spec()], ids=["valid", "same"])
 def test_every_spike_is_that_of_nengo_as_it_is(spec, monkeypatch):
     images = random_checks(spec, 3).inputs
-    ours = answer(spec, images, "nengo")
+    ours = run_target(spec, images, "nengo")
     monkeypatch.setattr(transforms, "np", np)
-    theirs = answer(spec, images, "nengo")
+    theirs = run_target(spec, images, "nengo")
     assert ours.spikes["conv1"].sum() > 0
     np.testing.assert_array_equal(ours.spike_hashes, theirs.spike_hashes)
     np.testing.assert_array_equal(ours.scores, theirs.scores)
@@ -36,10 +36,10 @@ def test_numpy_pads_nothing_where_there_is_nothing_to_pad(monkeypatch):
     spec, unpadded = small_spec(), transforms.np
     images = random_checks(spec, 1).inputs
     monkeypatch.setattr(np, "pad", boom)
-    answer(spec, images, "nengo")
+    run_target(spec, images, "nengo")
     monkeypatch.setattr(transforms, "np", np)
     with pytest.raises(AssertionError, match="padded"):
-        answer(spec, images, "nengo")
+        run_target(spec, images, "nengo")
     pad_only_where_needed()
     assert transforms.np is not unpadded
-    answer(spec, images, "nengo")
+    run_target(spec, images, "nengo")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.responses import Responses, decoded, read_output, seconds_per_sample
+from deploy.network.responses import Responses, read_output, seconds_per_sample, select_readout
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import Feed
 from tests.deploy.networks import events_spec, small_spec
@@ -48,7 +48,7 @@ def test_each_step_is_read_with_the_weights_of_its_part():
     assert in_parts.part_of(np.arange(5)).tolist() == [0, 1, 1, 2, 2]
     spec = replace(spec, layers=(*spec.layers[:-1], in_parts))
     spikes = np.random.default_rng(0).normal(size=(2, 5, weights.shape[1]))
-    shown = decoded(spec, spikes @ weights.T)
+    shown = select_readout(spec, spikes @ weights.T)
     scale = np.array([1, 10, 10, 100, 100])[:, None]
     np.testing.assert_allclose(shown, scale * (spikes @ readout.weights.T))
     # A readout is as linear in parts: the sums of each part times its weights.

@@ -187,7 +187,7 @@ def shortest(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shortest_emulated(shortest, tmp_path_factory):
-    spikes = targets.answer(shortest.spec, shortest.checks.inputs, "emulator").spikes
+    spikes = targets.run_target(shortest.spec, shortest.checks.inputs, "emulator").spikes
     assert all(counts.all() for counts in spikes.values())  # each sample has what can be lost
     return run_check(shortest, "emulator", tmp_path_factory.mktemp("home") / "emulator.json")
 
@@ -329,7 +329,7 @@ def test_ctrl_c_disconnects_from_the_board(nxsdk, bundle, monkeypatch):
 
     monkeypatch.setattr(hardware, "respond", interrupted)
     monkeypatch.setattr(hardware, "_close", lambda sim: closed.append(sim))
-    streams = [bundle.spec.fed(bundle.checks.inputs[:3])]
+    streams = [bundle.spec.flatten_samples(bundle.checks.inputs[:3])]
     with pytest.raises(KeyboardInterrupt):
         list(targets.run_loihi(bundle.spec, streams))
     assert len(closed) == 1

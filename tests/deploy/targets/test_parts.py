@@ -8,7 +8,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.nir import nir_graph
 from deploy.network.spec import NetworkSpec
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from pipeline.training.adaptation import Responder
 from tests.deploy.networks import small_spec
 
@@ -28,13 +28,13 @@ def spec():
 
 def test_all_targets_read_the_same(spec):
     images = IMAGES
-    expected = answer(spec, images, "emulator")
-    fast = answer(spec, images, "fast")
+    expected = run_target(spec, images, "emulator")
+    fast = run_target(spec, images, "fast")
     np.testing.assert_allclose(fast.scores, expected.scores)
     np.testing.assert_array_equal(fast.decisions, expected.decisions)
     assert list(fast.spike_hashes) == list(expected.spike_hashes)
     for target in ("nengo", "simreal"):
-        found = answer(spec, images, target)
+        found = run_target(spec, images, target)
         assert found.scores.shape == expected.scores.shape
     # A spike is read once, with the weights of its step's part.
     last, before = spec.layers[-1], spec.layers[-2].name
@@ -46,7 +46,7 @@ def test_the_readout_of_responses_gives_the_scores(spec):
     images, readout = IMAGES, spec.layers[-1]
     responses = Responder(spec).responses(images)
     scores = responses @ readout.by_class.T + readout.bias
-    np.testing.assert_allclose(scores, answer(spec, images, "fast").scores, atol=1e-6)
+    np.testing.assert_allclose(scores, run_target(spec, images, "fast").scores, atol=1e-6)
 
 
 def test_nir_has_no_parts(spec):

@@ -10,7 +10,7 @@ from deploy.network.blocks import block_shapes
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from tests.deploy.networks import dense, readout
 
 
@@ -51,7 +51,7 @@ def test_spikes_come_back_one_step_later(target):
         layer = replace(spec.layers[0], neurons=neurons, recurrent=recurrent, **changes)
         frames = np.zeros((1, 40, 3, 4, 2), np.uint8)
         frames[0, 10] = 1
-        one = answer(replace(spec, layers=(layer, spec.layers[1])), frames, target)
+        one = run_target(replace(spec, layers=(layer, spec.layers[1])), frames, target)
         spikes[weight] = int(one.spikes["dense1"].sum())
     assert spikes[0.0] == 1
     assert 28 <= spikes[1.0] <= 30
@@ -75,6 +75,6 @@ def test_a_layer_too_large_for_a_core_with_its_loop_is_divided():
     (units,) = block_shapes(spec.layers)["dense1"]
     assert units < 500
     assert make_plan(spec).problems == []
-    emulated, fast = (answer(spec, frames_of(2), target) for target in ("emulator", "fast"))
+    emulated, fast = (run_target(spec, frames_of(2), target) for target in ("emulator", "fast"))
     assert emulated.spikes["dense1"].sum() > 0
     np.testing.assert_array_equal(emulated.spike_hashes, fast.spike_hashes)

@@ -15,7 +15,7 @@ from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
 from deploy.targets import NAMES
-from deploy.targets.registry import TARGETS, _loihi_simulator, answer, target_named
+from deploy.targets.registry import TARGETS, _loihi_simulator, run_target, target_named
 from tests.deploy.fast_networks import loud_spec, random_spec
 from tests.deploy.networks import conv, random_checks, readout, small_spec
 
@@ -38,15 +38,15 @@ def images():
 @pytest.mark.parametrize("target", EXACT)
 def test_in_a_stream_of_one_every_sample_is_fresh(target, images):
     fresh = small_spec(stream_length=1)
-    together = answer(fresh, images[:3], target)
-    backwards = answer(fresh, images[2::-1], target)
+    together = run_target(fresh, images[:3], target)
+    backwards = run_target(fresh, images[2::-1], target)
     assert_same(together, backwards, slice(None, None, -1))
 
 
 @pytest.mark.parametrize("target", EXACT)
 def test_a_stream_goes_on_from_the_state_that_it_is_in(target, images):
-    fresh = answer(small_spec(stream_length=1), images[:3], target)
-    stream = answer(small_spec(), images[:3], target)
+    fresh = run_target(small_spec(stream_length=1), images[:3], target)
+    stream = run_target(small_spec(), images[:3], target)
     np.testing.assert_array_equal(stream.scores[0], fresh.scores[0])
     assert (stream.scores[1:] != fresh.scores[1:]).any()
 
@@ -68,7 +68,7 @@ def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
         counts = {name: np.array(sim.data[p]) for name, p in built.spikes.items()}
     start = spec.presentation.gap + spec.presentation.readout_start
     scores = whole[:, start:].mean(1) + spec.layers[-1].bias
-    responses = answer(spec, images[:3], target)
+    responses = run_target(spec, images[:3], target)
     np.testing.assert_allclose(responses.scores, scores, atol=1e-12)
     for name, data in counts.items():
         expected = np.count_nonzero(data, axis=1).reshape(3, -1).sum(1)
@@ -79,7 +79,7 @@ def test_the_encoder_makes_the_rounded_number_of_spikes():
     spec = small_spec(steps=50, gap=0, readout_start=0)
     image = np.zeros((1, 6, 6, 1))
     image[0, 0, :5, 0] = [1.0, 0.5, 0.25, 0.1, 0.01]
-    counts = answer(spec, image, "nengo").spikes["input"]
+    counts = run_target(spec, image, "nengo").spikes["input"]
     # 500 Hz for 50 ms: 25, 12.5, 6.25, 2.5 and 0.25 spikes; rounded (a half up or down)
     assert 25 + 12 + 6 + 2 <= counts[0] <= 25 + 13 + 6 + 3
 
@@ -89,10 +89,10 @@ def test_more_than_a_spike_a_step_is_refused_and_no_less(target):
     spec = small_spec(steps=30)  # 500 Hz: a pixel of 2 spikes in each of the 30 steps
     image = np.zeros((1, 6, 6, 1))
     image[0, 0, 0, 0] = 2
-    assert answer(spec, image, target).spikes["input"][0] == 30
+    assert run_target(spec, image, target).spikes["input"][0] == 30
     image[0, 0, 0, 0] = 63  # a count of events
     with pytest.raises(UserError, match=r"pixel.* 63\b.* 500 "):
-        answer(spec, image, target)
+        run_target(spec, image, target)
 
 
 def linear_network(steps, readout_start=0, synapse=None):
@@ -114,7 +114,7 @@ def linear_network(steps, readout_start=0, synapse=None):
 
 @pytest.mark.parametrize("target", EXACT)
 def test_a_neuron_fires_at_the_rate_of_its_bias_current(target):
-    responses = answer(linear_network(2000), np.zeros((1, 2, 2, 1)), target)
+    responses = run_target(linear_network(2000), np.zeros((1, 2, 2, 1)), target)
     rate = 1 / (0.001 * np.ceil((0.001 + 0.02 * np.log1p(1 / 0.6)) / 0.001))
     assert responses.spikes["conv1"][0] == pytest.approx(2 * rate, abs=3)
     assert responses.scores[0] == pytest.approx([0.25 + 0.01 * rate, -0.5], rel=0.05)
@@ -123,7 +123,7 @@ def test_a_neuron_fires_at_the_rate_of_its_bias_current(target):
 def test_a_readout_on_the_chip(images):
     spec = small_spec(on_chip_output=True)
     for target in EXACT:
-        responses = answer(spec, images[:2], target)
+        responses = run_target(spec, images[:2], target)
         assert responses.spikes["output"].sum() > 0
         assert np.isfinite(responses.scores).all()
 
@@ -135,7 +135,7 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
     layers = (wide, wider, readout(wider.shape, rng))
     spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), ImageSpikes(), layers, Presentation())
     with pytest.raises(UserError, match=r"NengoLoihi.* exceeded max"):
-        answer(spec, np.zeros((1, 6, 6, 1)), "emulator")
+        run_target(spec, np.zeros((1, 6, 6, 1)), "emulator")
 
 
 def test_the_names_that_the_help_lists_are_those_of_the_targets():
@@ -159,7 +159,10 @@ def test_what_no_integers_can_hold_is_refused_alike(spec):
     shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
     lines = set()
     for run in (
-        *(lambda target=target: answer(spec, np.zeros((1, *shape)), target) for target in ANYWHERE),
+        *(
+            lambda target=target: run_target(spec, np.zeros((1, *shape)), target)
+            for target in ANYWHERE
+        ),
         lambda: make_plan(spec),
         lambda: require_fit(spec),  # asked before a board is looked for
     ):

@@ -6,7 +6,7 @@ import pytest
 from deploy.network.decision import Estimator, decide
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.kinds.events.kind import spec_of_events
@@ -64,7 +64,7 @@ def test_every_spike_is_that_of_the_trained_network(architecture, starts, target
         table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.refractory), 0, 1
     )
     expected = answer_frames(recipe, weights, frames)
-    found = answer(spec, frames, target)
+    found = run_target(spec, frames, target)
     for name, spikes in expected.spikes.items():
         assert spikes.sum() > 100
         np.testing.assert_array_equal(found.spikes[name], spikes.sum(1))
@@ -121,7 +121,7 @@ def test_the_estimator_decides_on_the_chip_as_in_training():
     )
     spec = spec_of_events(recipe, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
-    np.testing.assert_array_equal(answer(spec, frames, "fast").stopped_at, expected + 1)
+    np.testing.assert_array_equal(run_target(spec, frames, "fast").stopped_at, expected + 1)
 
 
 def test_a_long_silence_is_silent():
@@ -131,7 +131,7 @@ def test_a_long_silence_is_silent():
         weights[name] = np.full_like(weights[name], 5.0)
     presentation = Presentation(steps=1000, gap=0, readout_start=0, stream_length=1)
     spec = spec_of_events(recipe, weights, presentation, {})
-    found = answer(spec, np.zeros((1, 1000, 10, 10, 2), np.uint8), "emulator")
+    found = run_target(spec, np.zeros((1, 1000, 10, 10, 2), np.uint8), "emulator")
     assert {name: int(n.sum()) for name, n in found.spikes.items()} == {
         "input": 0, "conv1": 0, "dense1": 0,
     }  # fmt: skip

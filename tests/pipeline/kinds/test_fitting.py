@@ -7,7 +7,7 @@ import pytest
 
 from deploy.errors import SeveralErrors
 from models.architecture import parse
-from pipeline.kinds import fitted, kind_of_network
+from pipeline.kinds import choose_settings, kind_of_network
 from pipeline.kinds.architectures import architecture_for
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.library import load_recordings
@@ -20,7 +20,7 @@ from tests.own_sensor import CLASSES, gestures, write_folder
 
 def said_of(settings):
     lines = []
-    fitted(settings, say=lines.append)
+    choose_settings(settings, say=lines.append)
     return lines
 
 
@@ -57,11 +57,11 @@ def own(tmp_path_factory):
 
 
 def test_images_of_a_sensor_of_one_s_own(own):
-    chosen, said = fitted(settings_of(own)), said_of(settings_of(own))
+    chosen, said = choose_settings(settings_of(own)), said_of(settings_of(own))
     assert chosen.cnn.architecture == "9x12-6c4-24c3-4o"
     assert chosen.check == Settings().check  # not chosen: the recordings may grow
     assert chosen.check.drawn(12) == 12  # a fifth of sixty
-    assert fitted(chosen) == chosen
+    assert choose_settings(chosen) == chosen
     assert any("9x12-6c4-24c3-4o" in line for line in said)
 
 
@@ -76,14 +76,14 @@ def test_an_architecture_is_chosen_again_for_other_classes(tmp_path, kind, secti
         more = [(e, "more") for e, label in items if label == 0 and classes == 5]
         path.unlink(missing_ok=True)
         write_recordings(path, some + more)
-        chosen = fitted(own)
+        chosen = choose_settings(own)
         assert getattr(chosen, section).architecture.endswith(f"-{classes}o")
         run.path.mkdir(exist_ok=True)
         run.save_settings(chosen, own)
         own = run.resolve_settings(None, {})
     mine = getattr(chosen, section).architecture.replace("3o", "4o")
     with pytest.raises(SeveralErrors, match="3 classes"):
-        fitted(own.with_values({section: {"architecture": mine}}, ""))
+        choose_settings(own.with_values({section: {"architecture": mine}}, ""))
 
 
 def test_a_budget_of_the_user_s_is_kept(tmp_path):
@@ -94,11 +94,11 @@ def test_a_budget_of_the_user_s_is_kept(tmp_path):
     path = write_recordings(tmp_path / "large.zip", items, CLASSES)
     for given, kept in (({}, False), ({"events": {"budget": 0.5}}, True)):
         settings = settings_of(path, input={"kind": "events"}, **given)
-        assert (fitted(settings).events.budget == settings.events.budget) is kept
+        assert (choose_settings(settings).events.budget == settings.events.budget) is kept
 
 
 def test_events_of_a_sensor_of_one_s_own(own):
-    chosen = fitted(settings_of(own, input={"kind": "events"}))
+    chosen = choose_settings(settings_of(own, input={"kind": "events"}))
     assert chosen.events.architecture.startswith("9x12x2-")
     assert chosen.input.step == 10
     longest = load_recordings(str(own)).sensor.duration_s
@@ -107,8 +107,8 @@ def test_events_of_a_sensor_of_one_s_own(own):
 
 def test_a_number_of_parts_changes_no_other_choice(own):
     """Each part is its share of the presentation, and the refractory period is chosen as before."""
-    chosen = fitted(settings_of(own, input={"kind": "events"}))
-    parts = fitted(settings_of(own, input={"kind": "events"}, events={"parts": 4}))
+    chosen = choose_settings(settings_of(own, input={"kind": "events"}))
+    parts = choose_settings(settings_of(own, input={"kind": "events"}, events={"parts": 4}))
     assert parts.input == chosen.input
     assert parts.part_starts == tuple(round(k * chosen.steps / 4) for k in range(4))
     assert replace(parts.events, parts=0, part=0) == replace(chosen.events, parts=0, part=0)
@@ -117,28 +117,28 @@ def test_a_number_of_parts_changes_no_other_choice(own):
 def test_long_recordings_get_long_steps(tmp_path):
     slow = [((x, y, 20 * t, p), label) for (x, y, t, p), label in gestures(4)]
     source = write_recordings(tmp_path / "slow.zip", slow, CLASSES)
-    chosen = fitted(settings_of(source, input={"kind": "events"}))
+    chosen = choose_settings(settings_of(source, input={"kind": "events"}))
     assert chosen.steps <= 400
     assert chosen.steps * chosen.input.step >= 1000 * 20
     given = settings_of(source, input={"kind": "events"}, presentation={"steps": 30})
-    assert fitted(given).steps == 30
+    assert choose_settings(given).steps == 30
 
 
 def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
     wrong = settings_of(own, cnn={"architecture": "10x10-8c3-4o"}, check={"samples": 50})
     with pytest.raises(SeveralErrors) as caught:
-        fitted(wrong)
+        choose_settings(wrong)
     lines = caught.value.lines
     assert len(lines) == 2
     assert any(not missing(line, 50, 12) for line in lines)
     assert any("9x12-6c4-24c3-4o" in line for line in lines)
     right = settings_of(own, cnn={"architecture": "9x12-8c3-4o"}, check={"samples": 5})
-    assert fitted(right) == right
+    assert choose_settings(right) == right
 
 
 def test_simulated_recordings_need_nothing():
     settings = Settings().with_values({"data": {"samples_per_digit": 5}, "check": {"samples": 10}})
-    assert fitted(settings) == settings
+    assert choose_settings(settings) == settings
 
 
 @pytest.mark.parametrize(

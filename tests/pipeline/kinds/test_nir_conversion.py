@@ -14,8 +14,8 @@ from deploy.network.nir import nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import answer
-from models.integers import chosen, fired, rounded
+from deploy.targets.registry import run_target
+from models.integers import choose_integers, round_to_integers, simulate_spikes
 from models.nir.chain import from_nir
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
@@ -64,8 +64,8 @@ def test_fast_is_the_emulator_and_the_network_fits(end):
     network = events_network(rng, *end)
     frames = frames_of(rng, 4)
     spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
-    found = answer(spec, frames, "fast")
-    emulated = answer(spec, frames[:2], "emulator")
+    found = run_target(spec, frames, "fast")
+    emulated = run_target(spec, frames[:2], "emulator")
     np.testing.assert_array_equal(emulated.spike_hashes, found.spike_hashes[:2])
     for name in spec.spiking_layers:
         assert found.spikes[name].sum() > 5, name
@@ -86,11 +86,14 @@ def test_spikes_are_the_chosen_integers_one_by_one():
     )
     frames = frames_of(rng, 3, shape=(6, 6, 2))
     spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
-    found = answer(spec, frames, "emulator")
+    found = run_target(spec, frames, "emulator")
     signal = calibration = frames.reshape(3, 60, -1).astype(float)
     for delay, layer in enumerate(from_nir(network, 0.001, "euler", (6, 6, 2))[:-1], 2):
-        integers = chosen(layer, calibration)
-        signal, calibration = fired(layer, signal, integers), fired(layer, calibration)
+        integers = choose_integers(layer, calibration)
+        signal, calibration = (
+            simulate_spikes(layer, signal, integers),
+            simulate_spikes(layer, calibration),
+        )
         late = signal[:, : 60 - delay + 1].sum((1, 2))
         np.testing.assert_array_equal(found.spikes[layer.name], late)
         assert late.min() > 0
@@ -110,7 +113,7 @@ def test_biases_of_a_filtered_readout_fade_in():
     frames = np.zeros((1, 60, 2, 2, 2), np.uint8)
     spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
     graph = simulate(network, np.zeros((1, 60, 2, 2, 2)), 0.001, "euler").outputs
-    np.testing.assert_allclose(answer(spec, frames, "fast").scores, graph.mean(1), atol=1e-9)
+    np.testing.assert_allclose(run_target(spec, frames, "fast").scores, graph.mean(1), atol=1e-9)
 
 
 def test_an_image_is_held():
@@ -120,7 +123,7 @@ def test_an_image_is_held():
     images = np.array([1.0, 0.5, 0.1, 0.0]).reshape(1, 2, 2, 1)
     shown = Presentation(steps=400, gap=0, readout_start=0, stream_length=1)
     spec = spec_of_nir(network, STEPPED, ImageSpikes(), shown, images, {})
-    found = answer(spec, images, "fast").scores[0]
+    found = run_target(spec, images, "fast").scores[0]
     # a held input of 3 v passes 1 after log(1 - 1 / 3 v) / log(0.9) steps: 4, 11, never
     np.testing.assert_allclose(found[:2], [1 / 4, 1 / 11], rtol=0.35)
     assert found[2] == found[3] == 0
@@ -139,7 +142,7 @@ def test_an_exported_network_on_events_has_the_same_weights_again():
             np.testing.assert_allclose(link.weights, weights)
             continue
         whole = np.rint(127 * weights / np.abs(weights).max())
-        assert np.abs(rounded(link).weights - whole).max() <= 1
+        assert np.abs(round_to_integers(link).weights - whole).max() <= 1
 
 
 def test_the_export_of_a_bundle_on_images_is_imported(tmp_path):
@@ -152,7 +155,7 @@ def test_the_export_of_a_bundle_on_images_is_imported(tmp_path):
     network = read_nir(tmp_path / "n.nir")
     stepped = Stepped.of(Settings().with_values(changes), network)
     again = spec_of_nir(network, stepped, spec.stimulus, spec.presentation, images, {})
-    one, other = (answer(s, images, "fast").scores for s in (spec, again))
+    one, other = (run_target(s, images, "fast").scores for s in (spec, again))
     assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.9
 
 
@@ -199,12 +202,12 @@ def test_a_recurrent_graph_with_one_input_for_both_polarities():
     assert make_plan(spec).problems == []
     reference = simulate(network, graph_inputs(network, frames, 60), 1e-4, "euler")
     (link, _) = from_nir(network, 1e-4, "euler", (10, 10, 2))
-    signal = fired(link, frames.reshape(3, 60, -1))
+    signal = simulate_spikes(link, frames.reshape(3, 60, -1))
     np.testing.assert_array_equal(signal, reference.spikes["lif"])
-    integers = chosen(link, frames.reshape(3, 60, -1))
-    late = fired(link, frames.reshape(3, 60, -1), integers)[:, :59]
+    integers = choose_integers(link, frames.reshape(3, 60, -1))
+    late = simulate_spikes(link, frames.reshape(3, 60, -1), integers)[:, :59]
     for target in ("emulator", "fast"):
-        found = answer(spec, frames, target)
+        found = run_target(spec, frames, target)
         np.testing.assert_array_equal(found.spikes["dense1"], late.sum((1, 2)))
     assert late.sum() > 100
 

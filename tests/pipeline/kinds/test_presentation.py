@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.network.spec import Presentation
-from pipeline.kinds import fitted
+from pipeline.kinds import choose_settings
 from pipeline.kinds.presentation import (
     MAX_SHARE_LEFT,
     MAX_STEPS,
@@ -49,7 +49,7 @@ def choose_for(source, **changes):
     values = {"data": {"source": source, "time_unit": "s"}, "input": {"kind": "events"}}
     for section, section_values in changes.items():
         values[section] = values.get(section, {}) | section_values
-    return fitted(Settings().with_values(values))
+    return choose_settings(Settings().with_values(values))
 
 
 @pytest.mark.parametrize("step", [None, 0.1])
@@ -73,7 +73,7 @@ def test_long_time_constants_get_a_long_gap_unless_it_is_given(short):
 def test_the_defaults_stay():
     for kind in ("events", "image"):
         settings = Settings().with_values({"input": {"kind": kind}})
-        chosen = fitted(settings.with_values({"data": {"samples_per_digit": 25}}))
+        chosen = choose_settings(settings.with_values({"data": {"samples_per_digit": 25}}))
         assert chosen.presentation == settings.presentation
         assert chosen.events.tau_u_ms == settings.events.tau_u_ms
 

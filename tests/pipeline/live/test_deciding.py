@@ -9,7 +9,7 @@ import pytest
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.network.decision import confidence
 from deploy.network.stimulus import EventFrames
-from deploy.targets.registry import answer as answers_of
+from deploy.targets.registry import run_target as answers_of
 from pipeline.live.deciding import Curve, EventDecider, decider_of
 from pipeline.recordings.dataset import inputs_of
 from pipeline.recordings.events import Events, Sensor

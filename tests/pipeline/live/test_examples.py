@@ -10,7 +10,7 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from pipeline.live.deciding import decider_of
 from pipeline.live.examples import Example, Examples, Replayed, check_examples
 from pipeline.live.network import SHIPPED
@@ -31,7 +31,7 @@ def test_a_bundle_on_events_has_examples_that_are_answered_as_in_its_check():
     assert len(tests) == len(bundle.checks)
     some = range(0, len(tests), 25)
     spec = bundle.spec.with_presentation(stream_length=1)
-    expected = answer(spec, bundle.checks.inputs[some], "fast")
+    expected = run_target(spec, bundle.checks.inputs[some], "fast")
     decider = decider_of(bundle, Sensor())
     for place, index in enumerate(some):
         assert tests[index].events.time_ns[0] == round(START_S * 1e9)

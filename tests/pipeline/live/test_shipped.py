@@ -7,7 +7,7 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from pipeline.live.network import SHIPPED, sensor_of
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.library import identity_of
@@ -41,7 +41,7 @@ def test_it_is_small_and_has_all_that_the_page_needs(bundle):
 
 
 def test_its_accuracy_is_that_of_the_readme(bundle):
-    predictions = answer(bundle.spec, bundle.checks.inputs, "fast").predictions
+    predictions = run_target(bundle.spec, bundle.checks.inputs, "fast").predictions
     accuracy = np.mean(predictions == bundle.checks.labels)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     told = re.search(r"(0\.\d{3}) on (\d+)\s+simulated samples", readme)

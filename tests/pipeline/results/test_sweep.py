@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.kinds import EventsKind, ImageKind, fitted
+from pipeline.kinds import EventsKind, ImageKind, choose_settings
 from pipeline.recordings.library import load_recordings
 from pipeline.results import sweep
 from pipeline.run.settings import Settings, read_settings
@@ -39,7 +39,7 @@ def test_what_is_open_is_chosen_for_each_point(tmp_path):
     recordings = load_recordings(source, jobs=1)
 
     def points_of(base, grid):
-        return [fitted(point, recordings) for _, point in sweep.points_of(base, grid)]
+        return [choose_settings(point, recordings) for _, point in sweep.points_of(base, grid)]
 
     own = Settings().with_values({"data": {"source": source}, "input": {"kind": "events"}}, "")
     fine, coarse = points_of(own, ["input.step=5,10"])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
 from pipeline.kinds.image.kind import deployed, to_spec
@@ -128,7 +128,7 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(architectur
     rates = training.TrainedRates(chosen, weights).logits(images())
     spec = to_spec(chosen, weights, {})
     assert NetworkSpec.from_json(spec.to_json(), spec.arrays()) == spec
-    scores = answer(spec, images(), "fast").scores
+    scores = run_target(spec, images(), "fast").scores
     assert np.corrcoef(scores.ravel(), rates.ravel())[0, 1] > 0.97
     assert make_plan(spec).problems == []
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.network.responses import join
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.cnn import gain_for
 from models.keras.keras2 import tf
@@ -85,7 +85,7 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(images, wei
     settings = settings_of(recipe, steps=900, gap=0, readout_start=100, stream_length=1)
     images = images[:4]
     rates = training.TrainedRates(settings, weights).logits(images)
-    responses = answer(to_spec(settings, weights, {}), images, "nengo")
+    responses = run_target(to_spec(settings, weights, {}), images, "nengo")
     tolerance = 0.15 if recipe == "loihi" else 0.35  # the paper's rates know no whole steps
     assert np.abs(responses.scores - rates).mean() < tolerance * rates.std()
     assert np.corrcoef(responses.scores.ravel(), rates.ravel())[0, 1] > 0.97
@@ -94,7 +94,9 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(images, wei
 def test_on_the_emulator_it_is_near_too(images, weights):
     settings = settings_of("loihi", steps=300, readout_start=50, stream_length=1)
     rates = training.TrainedRates(settings, weights).logits(images)
-    parts = [answer(to_spec(settings, weights, {}), images[i : i + 2], "emulator") for i in (0, 2)]
+    parts = [
+        run_target(to_spec(settings, weights, {}), images[i : i + 2], "emulator") for i in (0, 2)
+    ]
     scores = join(parts).scores
     assert np.corrcoef(scores.ravel(), rates[:4].ravel())[0, 1] > 0.95
 

@@ -7,7 +7,7 @@ from PIL import Image
 
 from deploy.check.bundle import Bundle
 from deploy.files import replacing, require_ending
-from deploy.tables import shortened
+from deploy.tables import shorten_name
 from pipeline.look import colour
 from pipeline.recordings.dataset import classes_of, positions_of
 from pipeline.results.report.figures import SHADES
@@ -70,7 +70,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     picture.set_title("input spikes so far" if len(growing) > 1 else "events of each taxel")
     said.set_axis_off()
     middle = {"x": 0.5, "ha": "center", "va": "center"}
-    names = [shortened(name, 16) for name in classes]
+    names = [shorten_name(name, 16) for name in classes]
     size = min(48, 400 / max(map(len, names)))
     answered = said.text(y=0.7, s="…", size=size, color=colour("soft"), weight="bold", **middle)
     verdict = said.text(y=0.15, s="", size=14, **middle)
@@ -104,7 +104,9 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     speed = f"{speed:.2g} times faster" if speed > 1 else f"{1 / speed:.2g} times slower"
     scores.set(ylim=(0, 106), xlabel=f"milliseconds, shown {speed}", ylabel=probability)
     lines = {
-        c: scores.plot([], [], colour(f"s{n}"), ls=ls, label=shortened(classes[c], LONGEST_NAME))[0]
+        c: scores.plot(
+            [], [], colour(f"s{n}"), ls=ls, label=shorten_name(classes[c], LONGEST_NAME)
+        )[0]
         for n, (c, ls) in enumerate(zip(played.shown(label), STYLES, strict=False), 1)
     }
     scores.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from deploy.tables import shortened, shortened_apart
+from deploy.tables import shorten_name, shortened_apart
 from pipeline.look import colour
 from pipeline.recordings.events import DIGITS, Recordings
 from pipeline.recordings.images import tactile_images
@@ -186,9 +186,9 @@ def _source(recordings):
 def _title(recordings, index):
     name, classes = recordings.ids[index], recordings.sensor.classes
     of = classes[recordings.labels[index]]
-    sample = f"sample {plain(shortened(name, 60))} ({_source(recordings)})"
+    sample = f"sample {plain(shorten_name(name, 60))} ({_source(recordings)})"
     if classes == DIGITS:
         return f"digit {of}, {sample}"
     if name.startswith(f"{of}/"):  # which names the class
         return sample
-    return f"class {plain(shortened(of, 60))}, {sample}"
+    return f"class {plain(shorten_name(of, 60))}, {sample}"

@@ -15,7 +15,7 @@ from PIL import Image
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import answer
+from deploy.targets.registry import run_target
 from pipeline.results.report import page as report
 from pipeline.results.report.figures import animation
 from pipeline.results.report.gather import gather
@@ -145,7 +145,7 @@ def test_the_most_frequent_mistakes_are_shown_first():
 def test_a_replay_has_the_spikes_that_the_check_counted(tiny_run):
     bundle = read_bundle(tiny_run / "bundle")
     spec = bundle.spec.with_presentation(steps=12, gap=0, readout_start=3, stream_length=2)
-    counted = answer(spec, bundle.checks.inputs[:4], "emulator").spikes
+    counted = run_target(spec, bundle.checks.inputs[:4], "emulator").spikes
     played = replay(replace(bundle, spec=spec), [3, 2])
     assert list(played) == [3, 2]
     for index, sample in played.items():
