@@ -4,7 +4,7 @@
 current.  Tables and figures come from the files in ``results/``:
 
 - ``<!-- NAME: made by experiments/document.py -->`` begins a table of ``results/NAME``,
-  or ``commands`` or ``settings``; ``<!-- end of NAME -->`` ends it;
+  or ``commands``, ``licences`` or ``settings``; ``<!-- end of NAME -->`` ends it;
 - ``<!-- figure: FILE PATH FORMAT -->0.891<!-- /figure -->`` has one value of a file: each word of
   the path (in quotes, if it has blanks) is a key of an object, or the name of an entry of a list
   (``name``, ``a``, ``network``); the format is Python's, with ``100*`` before it for points.
@@ -23,7 +23,7 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
-from experiments import adapt, speed, stream, studies, tables
+from experiments import adapt, licences, speed, stream, studies, tables
 from pipeline.results.sweep import sweep_text
 from pipeline.run.settings import Settings, describe
 
@@ -86,6 +86,8 @@ def part(name: str) -> str:
     UserError
         There is no such result.
     """
+    if name == "licences":
+        return markdown(licences.cells())
     if name in ("commands", "settings"):
         return globals()[name]()
     if name.endswith("brief"):
