@@ -68,7 +68,8 @@ class Events:
     taxel : ndarray of uint16, shape (n,)
         Row index in ``spiketrain``, which is the taxel address minus one, 0 to 99.
     polarity : ndarray of int8, shape (n,)
-        1 for ON (pressure rises), -1 for OFF (pressure falls).
+        1 for ON (pressure rises), -1 for OFF (pressure falls); ST-MNIST's files have the opposite
+        signs, see :mod:`pipeline.recordings.formats.mat`.
     columns : ndarray of uint16, shape (n,)
         Number of columns of ``spiketrain`` of the event, at least 1.
     """

@@ -25,9 +25,9 @@ def recordings(*samples, labels=None, taxels=None, parts=()):
 
 
 def spiketrain(n=6):
-    """Events on taxels 0, 1, ..., one each 1 ms, ON and OFF in turn."""
+    """Events on taxels 0, 1, ..., one each 1 ms, ON (-1) and OFF (1) in turn."""
     array = np.zeros((101, n))
-    array[np.arange(n), np.arange(n)] = np.where(np.arange(n) % 2, -1, 1)
+    array[np.arange(n), np.arange(n)] = np.where(np.arange(n) % 2, 1, -1)
     array[100] = 0.1 + 0.001 * np.arange(n)
     return array
 

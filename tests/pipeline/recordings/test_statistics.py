@@ -47,8 +47,8 @@ def test_the_one_real_recording(real_recording):
     recording = read_recording(real_recording.read_bytes())
     recordings = collect([recording.events], [0], ["real"], [-1], SOURCE)
     measures = {name: values[0] for name, values in statistics.per_sample(recordings).items()}
-    assert (measures["on"], measures["off"]) == (1601, 745)
-    assert (measures["on_physical"], measures["off_physical"]) == (359, 306)
+    assert (measures["on"], measures["off"]) == (745, 1601)
+    assert (measures["on_physical"], measures["off_physical"]) == (306, 359)
     # From the array itself, without merging bursts.
     rows, _ = np.nonzero(loadmat(real_recording)["spiketrain"][:100])
     assert measures["x_mean"] == pytest.approx((rows % 10 + 1).mean())
