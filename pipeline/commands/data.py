@@ -104,15 +104,14 @@ def stats(
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
-    """Print the paper's Table 1 for any recordings.
+    """Print the paper's Table 1 for any recordings, the order of polarities and hot taxels.
 
-    Events are counted as the paper does, one for each column of a file; physical events count each
-    burst of columns once.
+    Columns of ST-MNIST's files are counted as in the paper; an event is a burst of columns.
     """
-    from pipeline.recordings.statistics import table1_json, table1_text
+    from pipeline.recordings.statistics import statistics_json, statistics_text
 
     recordings = _recordings(data, reading, jobs, simulation_seed=seed)
-    options.tell(table1_json(recordings), lambda _: table1_text(recordings), as_json)
+    options.tell(statistics_json(recordings), lambda _: statistics_text(recordings), as_json)
 
 
 FIGURES = ("recording", "sheet")

@@ -10,6 +10,12 @@ from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
 from deploy.tables import in_blocks, list_names, shortened_apart
 from deploy.terminal import printable
+from pipeline.recordings.activity import (
+    activity_json,
+    activity_text,
+    measure_polarity_order,
+    polarity_text,
+)
 from pipeline.recordings.events import (
     N_TAXELS,
     TICK_NS,
@@ -218,10 +224,10 @@ def _mean_sd(values):
 
 
 LABELS = {
-    "on": "ON events",
-    "off": "OFF events",
-    "on_physical": "physical ON",
-    "off_physical": "physical OFF",
+    "on": "ON columns (-1)",
+    "off": "OFF columns (1)",
+    "on_physical": "ON events",
+    "off_physical": "OFF events",
     "x_mean": "X mean",
     "y_mean": "Y mean",
     "x_range": "X range",
@@ -231,20 +237,44 @@ LABELS = {
 
 # The table of recordings other than digits, whose positions are not the paper's X and Y.
 OWN_LABELS = {
-    name: label.replace("X", "row").replace("Y", "column").replace("physical ", "")
+    name: label.replace("X", "row").replace("Y", "column")
     for name, label in LABELS.items()
     if name not in ("on", "off")
+}
+
+# Names of the measures in JSON, where X is the row and Y the column.
+JSON_NAMES = {
+    "x_mean": "row_mean",
+    "y_mean": "column_mean",
+    "x_range": "row_range",
+    "y_range": "column_range",
 }
 
 # Characters of a class's name above its column.
 LONGEST_HEAD = 20
 
 
-def table1_json(recordings) -> dict:
-    """The table as plain values."""
+def statistics_json(recordings) -> dict:
+    """The table by class, the order of the polarities and the activity of the taxels."""
     names = recordings.sensor.classes
-    digits = {names[digit]: _plain(row) for digit, row in table(recordings).items()}
-    return {"simulated": recordings.source.simulated, "samples": len(recordings), "digits": digits}
+    return {
+        "simulated": recordings.source.simulated,
+        "samples": len(recordings),
+        "classes": {names[label]: _plain(row) for label, row in table(recordings).items()},
+        "polarity_order": measure_polarity_order(recordings),
+        "taxels": activity_json(recordings),
+    }
+
+
+def statistics_text(recordings) -> str:
+    """The table, the order of the polarities and the activity of the taxels as text."""
+    return "\n".join(
+        [
+            table1_text(recordings),
+            polarity_text(measure_polarity_order(recordings)),
+            activity_text(recordings),
+        ]
+    )
 
 
 def table1_text(recordings) -> str:
@@ -256,7 +286,8 @@ def table1_text(recordings) -> str:
     sensor = recordings.sensor
     written = is_written(sensor.rows, sensor.columns, sensor.classes)
     rows = [["", *shortened_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
-    for measure, label in (LABELS if written else OWN_LABELS).items():
+    has_bursts = bool((recordings.events.columns > 1).any())
+    for measure, label in (LABELS if written and has_bursts else OWN_LABELS).items():
         form = ("{:.2f} ({:.2f})" if measure[0] in "xy" else "{:.0f} ({:.0f})").format
         rows.append([label, *(form(*row[measure]) for row in ours.values())])
     rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
@@ -265,6 +296,8 @@ def table1_text(recordings) -> str:
 
 def _plain(row):
     return {
-        name: [None if math.isnan(v) else v for v in value] if isinstance(value, tuple) else value
+        JSON_NAMES.get(name, name): (
+            [None if math.isnan(v) else v for v in value] if isinstance(value, tuple) else value
+        )
         for name, value in row.items()
     }

@@ -36,8 +36,8 @@ def test_simulated_zip_is_read_back_and_counted(archive, capsys):
     stats = json.loads(capsys.readouterr().out)
     assert stats["simulated"] is True
     assert stats["samples"] == 30
-    assert list(stats["digits"]) == [str(digit) for digit in range(10)]
-    row = stats["digits"]["4"]
+    assert list(stats["classes"]) == [str(digit) for digit in range(10)]
+    row = stats["classes"]["4"]
     assert row["samples"] == 3
     events = recordings.events
     on = [
@@ -46,7 +46,9 @@ def test_simulated_zip_is_read_back_and_counted(archive, capsys):
         for part in [slice(recordings.offsets[index], recordings.offsets[index + 1])]
     ]
     assert row["on"] == pytest.approx([np.mean(on), np.std(on, ddof=1)])
-    assert {"off", "x_mean", "y_mean", "x_range", "y_range"} < set(row)
+    assert {"off", "row_mean", "column_mean", "row_range", "column_range"} < set(row)
+    assert len(stats["taxels"]["each"]) == 100
+    assert stats["polarity_order"]["rise_first"] > 0.9
 
 
 def test_files_that_cannot_be_read_are_left_out_of_statistics_and_figures(tmp_path, capsys):

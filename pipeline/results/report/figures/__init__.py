@@ -4,11 +4,13 @@ import io
 import warnings
 from pathlib import Path
 
+from matplotlib import font_manager
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.text import Text
 
 from deploy.errors import UserError
 from deploy.files import replacing
-from deploy.terminal import printable
+from deploy.terminal import WARNING, printable, remark
 from pipeline.look import colour
 
 FORMATS = ("png", "svg", "pdf")
@@ -36,6 +38,40 @@ def plain(name: str) -> str:
     return printable(name).replace("$", r"\$")
 
 
+def add_fonts(figure):
+    """Give the texts of a figure an installed font for the characters that the usual one lacks."""
+    texts = [text for text in figure.findobj(Text) if not text.get_text().isascii()]
+    lacking = find_lacking(
+        "".join(text.get_text() for text in texts), font_manager.findfont("sans")
+    )
+    families = []
+    # Matplotlib's font of last resort has a box for every character.
+    fonts = [e for e in font_manager.fontManager.ttflist if not e.name.startswith("Last Resort")]
+    for entry in fonts if lacking else ():
+        still = find_lacking(lacking, entry.fname)
+        if len(still) < len(lacking):
+            families.append(entry.name)
+            lacking = still
+        if not lacking:
+            break
+    for text in texts if families else ():
+        text.set_fontfamily([*text.get_fontfamily(), *families])
+    if lacking:
+        remark(
+            f"{WARNING}no installed font has {' '.join(sorted(lacking)[:8])}; they are drawn as "
+            "boxes: install a font of that script, such as one of the Noto fonts"
+        )
+
+
+def find_lacking(characters, file) -> set:
+    """The characters that a font does not have; all, if it cannot be read."""
+    try:
+        font = font_manager.get_font(file)
+    except (OSError, RuntimeError):
+        return set(characters)
+    return {c for c in characters if c.isprintable() and not font.get_char_index(ord(c))}
+
+
 def save(figure, path: Path, dpi: int = 120):
     """Write a figure in the format of its file's name.
 
@@ -52,8 +88,9 @@ def save(figure, path: Path, dpi: int = 120):
         The format is not supported, or the file cannot be written.
     """
     buffer = io.BytesIO()
+    add_fonts(figure)
     with warnings.catch_warnings():
-        # A class may have a name in any script; what the font lacks is drawn as a box.
+        # A class may have a name in any script; what no font has is drawn as a box.
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
         figure.savefig(buffer, format=format_of(path), dpi=dpi)
     with replacing(path) as file:

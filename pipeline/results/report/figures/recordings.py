@@ -59,9 +59,18 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
     for polarity, name in ((1, "on"), (-1, "off")):  # the upper and lower half of a taxel's row
         chosen = events.polarity == polarity
         middle = place[events.taxel[chosen]]
-        meaning = f": pressure {'rises' if polarity > 0 else 'falls'}" * recordings.source.simulated
-        marks = {"colors": colour(name), "linewidths": 2, "label": name.upper() + meaning}
-        axes.vlines(seconds[chosen], middle, middle - 0.45 * polarity, snap=False, **marks)
+        label = f"{name.upper()}: pressure {'rises' if polarity > 0 else 'falls'}"
+        axes.vlines(
+            seconds[chosen],
+            middle,
+            middle - 0.45 * polarity,
+            snap=False,
+            clip_on=False,  # the first and last events are at the borders
+            zorder=3,  # above the frame
+            colors=colour(name),
+            linewidths=2,
+            label=label,
+        )
     axes.set(xlim=(0, duration_s), ylim=(place.max() + 0.5, -1))
     axes.set_xlabel("time from the first event (s)", loc="left")
     axes.set_ylabel("taxel (ON above OFF)" + ", row by row" * is_grid)

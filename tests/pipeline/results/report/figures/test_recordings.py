@@ -4,10 +4,13 @@ import io
 
 import numpy as np
 import pytest
+from matplotlib import font_manager
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 
 from pipeline.look import colour
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.results.report import figures
 from pipeline.results.report.figures import recordings as data_figures
 
 
@@ -82,3 +85,21 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
         image = np.asarray(first.images[0].get_array())
         assert [list(place) for place in np.argwhere(image)] == [[0, 0], [2, 36]]
         assert len(panels) == 1
+
+
+def test_characters_that_no_font_has_are_said_and_others_get_a_font(monkeypatch, capsys):
+    usual = font_manager.findfont("sans")
+    assert figures.find_lacking("círcle 3", usual) == set()
+    assert figures.find_lacking("a\U0001f9ea", usual) == {"\U0001f9ea"}
+    monkeypatch.setattr(font_manager.fontManager, "ttflist", [])
+    figure = Figure()
+    figure.text(0, 0, "class \U0001f9ea")
+    figures.add_fonts(figure)
+    assert "no installed font" in capsys.readouterr().err
+
+
+def test_events_at_the_borders_are_whole(recordings):
+    *_, raster, _ = data_figures.draw_recording(recordings, 0).get_axes()
+    lines = raster.collections
+    assert lines
+    assert not any(each.get_clip_on() for each in lines)
