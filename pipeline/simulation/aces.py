@@ -6,11 +6,11 @@ taxel sends a few short pulses at delays that identify it, without synchronisati
 overlap on the wire.  The decoder samples the wire on a 16 ns grid and correlates it with each
 taxel's signature at every tick.
 
-Unpublished properties are inferred from the one available recording: its events come as bursts of 4
-or 5 ticks (ON) or 2 or 3 (OFF), with nearly equal frequencies.  A correlator reports such bursts if
-the pulses of an ON event are about 71 ns wide and those of an OFF event about 39 ns.  The width
-thus encodes the polarity, and the length of a burst depends on the time of the event relative to
-the grid.
+Unpublished properties are inferred from one real recording: its events come as bursts of 2 or 3
+ticks when the pressure rises (-1 in the files) and of 4 or 5 when it falls (+1), with nearly equal
+frequencies.  A correlator reports such bursts if the pulses of a rise are about 39 ns wide and
+those of a fall about 71 ns.  The width thus encodes the polarity, and the length of a burst depends
+on the time of the event relative to the grid.
 """
 
 import numpy as np
@@ -76,7 +76,7 @@ class Decoder:
 
 def _ticks(time_ns, polarity, p):
     """First tick and number of ticks at which a pulse sent at ``time_ns`` is high."""
-    width = np.where(np.asarray(polarity) > 0, p.on_ns, p.off_ns)
+    width = np.where(np.asarray(polarity) > 0, p.rise_ns, p.fall_ns)
     first = np.ceil(np.asarray(time_ns) / TICK_NS).astype(np.int64)
     return first, np.ceil((time_ns + width) / TICK_NS).astype(np.int64) - first
 

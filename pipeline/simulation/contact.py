@@ -1,8 +1,7 @@
 """The signal of each taxel under a moving pen (contact, film, gain, vibration, noise), its events.
 
-:func:`press` computes a complete recording at once.  For a pen that is being used, the same
-equations are computed step by step (:func:`pressure`, :func:`landings`, :class:`Shaking`).
-:class:`Creep` and :func:`scrape` follow in both cases.
+:func:`press` computes the pressure of a complete recording at once, :func:`spread_force` that of a
+pen that is being used.  :class:`Creep` and :func:`add_vibration` follow in both cases.
 
 :class:`Receptors` are fast-adapting: a taxel fires only when its pressure has changed.  After an
 event it is inactive while its pulse signature is sent (the refractory period).  Then it compares
@@ -14,19 +13,13 @@ import numpy as np
 
 from pipeline.recordings.events import GRID, TaxelMap
 
-# Share of the greatest force at which the pen counts as on the skin.
-LANDED = 0.1
 
-# Half of float32's smallest number, which has no effect when it is added.
-NOTHING = 2.0**-150
-
-
-def press(motion, gain, least, rng, p, size=(GRID, GRID)):
+def press(motion, gain, least, p, size=(GRID, GRID)):
     """The pressure of a pen on the taxels that it reaches, before the film creeps.
 
     The force of the tip (0.5 mm, half a taxel) spreads in the film and its cover; over the taxels
-    it falls off as a Gaussian of standard deviation ``p.spread``.  When the pen lands or lifts,
-    the whole skin shakes.  The next steps are :class:`Creep` and then :func:`scrape`.
+    it falls off as a Gaussian of standard deviation ``p.spread``.  The next steps are
+    :class:`Creep` and then :func:`add_vibration`.
 
     Parameters
     ----------
@@ -35,8 +28,7 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
         Gain of each taxel.
     least : float
         Taxels whose pressure is always lower are left out.
-    rng : numpy.random.Generator
-    p : section ``[skin]`` of ``parameters.toml``
+    p : section ``[skin]`` of the parameters
     size : (int, int)
         Rows and columns of taxels.
 
@@ -49,57 +41,13 @@ def press(motion, gain, least, rng, p, size=(GRID, GRID)):
     """
     step = motion.time_s[1] - motion.time_s[0]
     places = TaxelMap.grid(*size)
-    rows, columns = _spread(motion.down, motion.right, motion.force, p, size)
-    lands = landings(motion.force, LANDED * motion.force.max())
-    jolts = strength(rng, p) * jolt(rng, len(lands), len(places))
-    reach = (
-        rows.max(axis=0)[places.row] * columns.max(axis=0)[places.column]
-        + jolts.max(axis=0, initial=0.0)
-    ) * gain
+    rows, columns = _profiles(motion.down, motion.right, motion.force, p, size)
+    reach = rows.max(axis=0)[places.row] * columns.max(axis=0)[places.column] * gain
     taxels = np.flatnonzero(reach > least)
     felt = rows[:, places.row[taxels]] * columns[:, places.column[taxels]]
-    Shaking(gain[taxels], step, p).advance(felt, zip(lands, jolts[:, taxels], strict=True))
+    felt *= gain[taxels].astype(np.float32)
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
     return taxels, felt, speed
-
-
-class Shaking:
-    """The jolts that have not decayed yet, and the gain of the taxels.
-
-    Parameters
-    ----------
-    gain : ndarray of float, shape (n_taxels,)
-    step_s : float
-    p : section ``[skin]`` of ``parameters.toml``
-    """
-
-    def __init__(self, gain, step_s, p):
-        self._gain, self._step_s, self._p = gain.astype(np.float32), step_s, p
-        self._jolts = []  # (rows since the landing, signal of each taxel)
-
-    def advance(self, pressure, jolts):
-        """Convert the pressure of some steps to the signal of the taxels, in place.
-
-        Parameters
-        ----------
-        pressure : ndarray of float32, shape (n_times, n_taxels)
-            See :func:`pressure`.
-        jolts : iterable of (int, ndarray of float, shape (n_taxels,))
-            Row at which the pen lands or lifts, and the signal of each taxel.
-        """
-        p = self._p
-        shaking = [(0, age, felt) for age, felt in self._jolts]
-        shaking += [(row, 0, felt) for row, felt in jolts]
-        for row, age, felt in shaking:
-            # Values below half of float32's smallest number do not change a sum.
-            lasts = p.jolt_s / self._step_s * np.log(max(felt.max(), NOTHING) / NOTHING)
-            rows = slice(row, row + max(int(lasts) + 1 - age, 0))
-            decay = np.exp(-np.arange(age, age + len(pressure[rows])) * self._step_s / p.jolt_s)
-            pressure[rows] += np.outer(decay, felt)
-        # After 20 time constants a jolt is too small to change a float32 pressure.
-        ages = [(age + len(pressure) - row, felt) for row, age, felt in shaking]
-        self._jolts = [jolt for jolt in ages if jolt[0] * self._step_s < 20 * p.jolt_s]
-        pressure *= self._gain
 
 
 class Creep:
@@ -112,7 +60,7 @@ class Creep:
     ----------
     n_taxels : int
     step_s : float
-    p : section ``[skin]`` of ``parameters.toml``
+    p : section ``[skin]`` of the parameters
     """
 
     def __init__(self, n_taxels, step_s, p):
@@ -136,7 +84,7 @@ class Creep:
             now += np.multiply(change, self._share, out=change)
 
 
-def scrape(signal, speed, rng, p):
+def add_vibration(signal, speed, rng, p):
     """Add vibration and noise to the film's response, in place.
 
     A sliding tip scrapes: each taxel's pressure vibrates in proportion to itself and to the speed,
@@ -148,26 +96,26 @@ def scrape(signal, speed, rng, p):
     speed : ndarray of float, shape (n_times,)
         Speed of the tip, in taxels per second.
     rng : numpy.random.Generator
-    p : section ``[skin]`` of ``parameters.toml``
+    p : section ``[skin]`` of the parameters
     """
     rough = (p.scrape * np.minimum(speed / p.scrape_speed, 1)).astype(np.float32)
-    # Two independent noises are one with the root of the sum of their squares: np.hypot to the last
-    # bit, in half its time.
-    restless = np.square(rough[:, None] * signal, dtype=np.float64)
-    restless += np.float64(np.float32(p.noise)) ** 2
-    restless = np.sqrt(restless, out=restless).astype(np.float32)
-    restless *= rng.standard_normal(signal.shape, np.float32)
-    signal += restless
+    # Two independent noises are one with the root of the sum of their squares.
+    deviation = rough[:, None] * signal
+    deviation *= deviation
+    deviation += np.float32(p.noise**2)
+    np.sqrt(deviation, out=deviation)
+    deviation *= rng.standard_normal(signal.shape, np.float32)
+    signal += deviation
 
 
-def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
+def spread_force(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     """Force of the tip, spread over all taxels.
 
     Parameters
     ----------
     down, right, force : ndarrays of float, shape (n_times,)
         As in :class:`pipeline.simulation.handwriting.Motion`.
-    p : section ``[skin]`` of ``parameters.toml``
+    p : section ``[skin]`` of the parameters
     size : (int, int)
         Rows and columns of taxels.
 
@@ -175,33 +123,18 @@ def pressure(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     -------
     ndarray of float32, shape (n_times, n_taxels)
     """
-    rows, columns = _spread(down, right, force, p, size)
+    rows, columns = _profiles(down, right, force, p, size)
     places = TaxelMap.grid(*size)
     return rows[:, places.row] * columns[:, places.column]
 
 
-def _spread(down, right, force, p, size):
+def _profiles(down, right, force, p, size):
     """The two factors of the pressure: over the rows, with the force, and over the columns."""
     high, wide = map(np.arange, size)
     rows = np.exp(-0.5 * ((down[:, None] - high) / p.spread) ** 2).astype(np.float32)
     columns = np.exp(-0.5 * ((right[:, None] - wide) / p.spread) ** 2).astype(np.float32)
     rows *= force[:, None].astype(np.float32)
     return rows, columns
-
-
-def landings(force, least) -> np.ndarray:
-    """Rows, from 1, at which a force crosses ``least`` upwards or downwards."""
-    return np.flatnonzero(np.diff((force > least).astype(int))) + 1
-
-
-def strength(rng, p) -> float:
-    """Strength of the transients when the pen lands or lifts, in one recording."""
-    return p.jolt * np.exp(p.jolt_spread * rng.standard_normal())
-
-
-def jolt(rng, n, n_taxels) -> np.ndarray:
-    """The signal of each taxel for ``n`` landings of unit strength, shape (n, n_taxels)."""
-    return rng.standard_exponential((n, n_taxels))
 
 
 class Receptors:

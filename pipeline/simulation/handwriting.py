@@ -8,12 +8,13 @@ along each stroke.
 
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.special import expit, ndtr, ndtri
+from scipy.special import expit
 
-from pipeline.simulation.shape_model import ShapeModel, boxed, evened
+from pipeline.simulation.shape_model import DIGITS, ShapeModel, boxed, even_out
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,12 @@ class Writer:
     ----------
     allographs : tuple of int
         For each digit, the index of this person's habitual way of writing it.
-    offsets : tuple of tuple of ndarray
-        For each digit and each way of writing it, this person's standard normal draws; see
+    offsets : ndarray, shape (10, n_ways, rank)
+        For each digit and way of writing it, this person's standard normal draws; see
         :meth:`pipeline.simulation.shape_model.Allograph.strokes`.
+    backwards : ndarray of float, shape (10,)
+        From 0 to 1: a digit is drawn from its end to its beginning if this is less than the share
+        of the people who do so (:class:`pipeline.simulation.parameters.Form`).
     slant : float
         Shear to the right, as its tangent.
     width : float
@@ -80,10 +84,14 @@ class Writer:
         Factor on the variation of place and size from one digit to the next.
     even : float
         Share, from 0 to 1, by which this person evens out the speed.
+    session : float
+        From 0 to 1: when this person writes, which determines the hot taxels
+        (:mod:`pipeline.simulation.faults`).
     """
 
     allographs: tuple = ()
-    offsets: tuple = ()
+    offsets: np.ndarray = ()
+    backwards: np.ndarray = (1.0,) * DIGITS
     slant: float = 0.0
     width: float = 0.0
     size: float = 0.0
@@ -94,106 +102,105 @@ class Writer:
     scrape: float = 0.0
     sloppiness: float = 1.0
     even: float = 0.0
+    session: float = 0.0
 
 
 # A writer without any traits, for recorded handwriting.
 NOBODY = Writer()
 
 
-def writers(rng, p, shapes: ShapeModel) -> tuple:
-    """Draw the people of an experiment.
-
-    Each trait takes as many equally likely values as there are people, assigned at random, so that
-    the groups of all seeds are similar on average.
+def draw_writer(rng, p) -> Writer:
+    """Draw a person.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-    p : section ``[writers]`` of ``parameters.toml``
-    shapes : ShapeModel
-
-    Returns
-    -------
-    tuple of Writer
+    p : pipeline.simulation.parameters.Parameters
     """
-    deal = _Deal(rng, p.count)
-    choices = np.array([deal.choices(_shares(ways)) for ways in shapes.allographs])
-    spreads = {
-        "slant": shapes.slant,
-        "width": shapes.width,
-        "size": p.size,
-        "tempo": shapes.tempo,
-        "force": p.force,
-        "scrape": p.scrape,
-    }
-    traits = {name: spread * deal.normal() for name, spread in spreads.items()}
-    down, right, sloppiness = (deal.normal() for _ in range(3))
-    # Drawn only if it is used: the paper's people stay as they are.
-    traits["even"] = shapes.evenness * ndtr(deal.normal()) if shapes.evenness else np.zeros(p.count)
-    return tuple(
-        Writer(
-            allographs=tuple(int(choice) for choice in choices[:, who]),
-            offsets=tuple(
-                tuple(rng.standard_normal(way.rank) for way in ways) for ways in shapes.allographs
-            ),
-            **{name: float(values[who]) for name, values in traits.items()},
-            down=float(p.place[0] * down[who]),
-            right=float(p.place[1] * right[who]),
-            sloppiness=float(np.exp(p.sloppiness * sloppiness[who])),
-        )
-        for who in range(p.count)
+    ways, spread, trials = p.shapes.allographs, p.writers, p.trials
+    size = DIGITS, max(map(len, ways)), max(way.rank for mine in ways for way in mine)
+    slant, width, larger, lower, righter, faster, harder, rougher, sloppier = rng.standard_normal(9)
+    return Writer(
+        allographs=tuple(draw_way(rng, mine) for mine in ways),
+        offsets=rng.standard_normal(size),
+        backwards=rng.random(DIGITS),
+        slant=p.shapes.slant * slant,
+        width=p.shapes.width * width,
+        size=spread.habit * trials.height * larger,
+        down=spread.habit * trials.place[0] * lower,
+        right=spread.habit * trials.place[1] * righter,
+        tempo=p.shapes.tempo * faster,
+        force=spread.habit * trials.force * harder,
+        scrape=spread.habit * trials.scrape * rougher,
+        sloppiness=np.exp(spread.sloppiness * sloppier),
+        even=rng.random(),
+        session=rng.random(),
     )
 
 
-def _shares(ways):
-    shares = np.array([way.share for way in ways])
-    return shares / shares.sum()
+def draw_way(rng, ways) -> int:
+    """Draw the index of a way of writing with the shares of the ways."""
+    shares = np.cumsum([way.share for way in ways])
+    return int(np.searchsorted(shares, rng.random() * shares[-1], "right"))
 
 
-class _Deal:
-    """Stratified draws for a group: quantiles in random order."""
+class Shape(NamedTuple):
+    """What is drawn of a digit's shape.
 
-    def __init__(self, rng, count):
-        self.rng, self.count = rng, count
+    Attributes
+    ----------
+    way : int
+        Index of the way of writing.
+    along : ndarray, shape (k,)
+        Deviation from the way's mean, in units of its components.
+    """
 
-    def normal(self):
-        """Standard normal quantiles, in random order."""
-        return ndtri((self.rng.permutation(self.count) + 0.5) / self.count)
-
-    def choices(self, shares):
-        """Indices with frequencies according to their shares, in random order."""
-        level = (np.arange(self.count) + self.rng.random()) / self.count
-        chosen = np.searchsorted(np.cumsum(shares), level)
-        return self.rng.permutation(np.minimum(chosen, len(shares) - 1))
+    way: int
+    along: np.ndarray
 
 
-def write(digit: int, who: Writer, rng, shapes: ShapeModel) -> tuple:
-    """The strokes of one digit as one person writes it this time.
+def draw_shape(digit: int, who: Writer, rng, shapes: ShapeModel) -> Shape:
+    """Draw the shape of one digit as one person writes it this time."""
+    ways, choice = shapes.allographs[digit], who.allographs[digit]
+    if rng.random() >= shapes.loyalty[digit]:
+        choice = draw_way(rng, ways)
+    way = ways[choice]
+    person, trial = who.offsets[digit, choice, : way.rank], rng.standard_normal(way.rank)
+    return Shape(choice, way.between @ person + way.within @ trial)
+
+
+def write(digit: int, shape: Shape, who: Writer, shapes: ShapeModel, form) -> tuple:
+    """The strokes of one digit.
+
+    Parameters
+    ----------
+    digit : int
+    shape : Shape
+    who : Writer
+    shapes : ShapeModel
+    form : pipeline.simulation.parameters.Form
 
     Returns
     -------
     tuple of ndarray, shape (n, 2)
         As in a :class:`Trace`.
     """
-    ways, choice = shapes.allographs[digit], who.allographs[digit]
-    if rng.random() >= shapes.loyalty[digit]:
-        choice = int(rng.choice(len(ways), p=_shares(ways)))
-    way = ways[choice]
-    strokes = way.strokes(who.offsets[digit][choice], rng.standard_normal(way.rank))
-    leaning = np.array([[1.0, -who.slant], [0.0, np.exp(who.width)]])
-    if who.even:
-        strokes = (evened(stroke, who.even) for stroke in strokes)
-    return boxed(stroke @ leaning for stroke in strokes)
+    strokes = shapes.allographs[digit][shape.way].strokes(shape.along)
+    leaning = np.array([[1.0, -who.slant - form.shear], [0.0, np.exp(who.width)]])
+    strokes = boxed(even_out(stroke, who.even) @ leaning for stroke in strokes)
+    if who.backwards[digit] < form.backwards:
+        return tuple(stroke[::-1] for stroke in strokes[::-1])
+    return strokes
 
 
-def placing(who: Writer, rng, p, form, width):
-    """The position and size of a digit's box on the skin in one trial.
+def draw_placing(who: Writer, rng, p, form, width):
+    """Draw the position and size of a digit's box on the skin in one trial.
 
     Parameters
     ----------
     who : Writer
     rng : numpy.random.Generator
-    p : section ``[trials]`` of ``parameters.toml``
+    p : section ``[trials]`` of the parameters
     form : pipeline.simulation.parameters.Form
         Usual height and place of the digit.
     width : float
@@ -205,8 +212,9 @@ def placing(who: Writer, rng, p, form, width):
     callable
         Function from points of shape (n, 2), in a box of height 1 around 0, to points in taxels.
     """
-    larger, lower, righter = who.sloppiness * rng.standard_normal(3)
-    scale = np.exp(who.size + p.size * larger) * np.array([form.height, width])
+    higher, wider, lower, righter = who.sloppiness * rng.standard_normal(4)
+    size = np.array([form.height, width])
+    scale = size * np.exp(who.size + np.array([p.height * higher, p.width * wider]))
     centre = (
         form.down + who.down + p.place[0] * lower,
         form.right + who.right + p.place[1] * righter,

@@ -1,4 +1,9 @@
-"""Settings of the simulated rig, read from ``parameters.toml`` and ``calibration.json``."""
+"""Parameters of the simulation: those that were assumed, and those that were fitted.
+
+``parameters.toml`` has the assumed ones, with the reason for each.  ``fitted.json`` has those that
+``python -m experiments calibrate`` estimated from real recordings, with their source.
+``handwriting.npz`` has the model of handwriting (:mod:`pipeline.simulation.shape_model`).
+"""
 
 import dataclasses
 import functools
@@ -6,42 +11,46 @@ import hashlib
 import json
 import tomllib
 from dataclasses import dataclass
-from math import fsum
 from pathlib import Path
 from typing import Any
 
 from pipeline.simulation import shape_model
 from pipeline.simulation.shape_model import ShapeModel
 
+ASSUMED = Path(__file__).with_name("parameters.toml")
+FITTED = Path(__file__).with_name("fitted.json")
+
+# Simulated people, so many that a network does not learn single ones.
+PEOPLE = 1000
+
 
 @dataclass(frozen=True)
 class Form:
-    """Parameters that were fitted for one digit.
+    """How one digit is usually written on the sensor.
 
     Attributes
     ----------
     height : float
         Usual height of the digit, in taxels.
     width : float
-        Width in taxels of a shape that is as wide as high; if it is equal to the height, the digit
-        keeps its proportions.
+        Width in taxels of a shape that is as wide as high.
     down, right : float
         Usual centre of the digit's box, in taxels from the centre of the first taxel.
+    shear : float
+        Usual slant to the right, as its tangent, in addition to that of the model of handwriting.
     force : float
         Logarithm of the usual force.
-    spread : float
-        Factor on the variation of force and tempo between samples.
-    off : float
-        Logarithm of the ratio of the OFF to the ON threshold.
+    backwards : float
+        Share of the people who draw the digit's line from its end to its beginning.
     """
 
     height: float
     width: float
     down: float
     right: float
+    shear: float
     force: float
-    spread: float
-    off: float
+    backwards: float
 
 
 @dataclass(frozen=True)
@@ -50,13 +59,15 @@ class Parameters:
 
     Attributes
     ----------
-    writers, trials, kinematics, skin, receptor, aces : dataclass
-        Parameters that were set by hand: the sections of ``parameters.toml``, where each has its
-        meaning and unit.
+    writers, trials, kinematics, skin, receptor, aces, faults : dataclass
+        The sections of ``parameters.toml`` and ``fitted.json``; their comments and
+        :data:`experiments.calibration` have the meanings and units.
     forms : tuple of Form
-        Parameters of each digit that were fitted to Table 1.
+        One for each digit.
     shapes : ShapeModel
-        Model that was estimated from people's handwriting.
+        Model of handwriting.
+    people : int
+        Number of writers.
     """
 
     writers: Any
@@ -65,56 +76,65 @@ class Parameters:
     skin: Any
     receptor: Any
     aces: Any
+    faults: Any
     forms: tuple
     shapes: ShapeModel
+    people: int = PEOPLE
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over every value."""
-        values = {name: value for name, value in vars(self).items() if name != "shapes"}
-        plain = {name: _plain(value) for name, value in values.items()}
-        text = json.dumps([plain, self.shapes.fingerprint()], sort_keys=True)
+        values = {
+            field.name: _plain(getattr(self, field.name))
+            for field in dataclasses.fields(self)
+            if field.name != "shapes"
+        }
+        text = json.dumps([values, self.shapes.fingerprint()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-# File of the fitted parameters; ``parameters.toml`` has those that were set by hand.
-CALIBRATION = Path(__file__).with_name("calibration.json")
-
-
-# People in general: their spread of size and place, and size and place of each digit.
-PEOPLE = {"size": 0.12, "place": [0.4, 0.4]}
-ANY_DIGIT = {"height": 8.2, "width": 8.2, "down": 4.5, "right": 4.5}
-
-
 @functools.cache
-def load(writers: int = 0) -> Parameters:
-    """The built-in settings; with a number of people, those of people in general.
+def load(people: int = PEOPLE) -> Parameters:
+    """The built-in parameters, with a number of writers."""
+    return from_fit(json.loads(FITTED.read_text("utf-8")), people)
 
-    In the paper's recordings, digits differ in place, size and force (Table 1).  People in general
-    write all digits alike in these, around the middle of the skin, and differ more; some of them
-    write a 1 as a straight line, and half a 5 and a 7 in one stroke.
+
+def from_fit(fit: dict, people: int = PEOPLE) -> Parameters:
+    """The assumed parameters together with fitted ones.
+
+    Parameters
+    ----------
+    fit : dict
+        Content of ``fitted.json``: the sections, each with its fitted parameters; ``digits``, for
+        each digit its :class:`Form`; ``ways``, for each digit and way of writing it the values of
+        :meth:`pipeline.simulation.shape_model.ShapeModel.adapted`.
+    people : int
+        Number of writers.
     """
-    values = tomllib.loads(CALIBRATION.with_name("parameters.toml").read_text("utf-8"))
-    fitted = json.loads(CALIBRATION.read_text("utf-8"))["forms"]
-    forms = tuple(Form(**fitted[str(digit)]) for digit in range(10))
-    shapes = shape_model.load()
-    if writers:
-        # fsum rounds alike on every Python; sum does not since 3.12.
-        means = {n: fsum(getattr(form, n) for form in forms) / len(forms) for n in vars(forms[0])}
-        forms = (Form(**{**means, **ANY_DIGIT}),) * 10
-        values["writers"] |= {"count": writers, **PEOPLE}
-        shapes = shape_model.in_general(shapes)
-    sections = {name: _section(name, entries) for name, entries in values.items()}
-    return Parameters(**sections, forms=forms, shapes=shapes)
+    assumed = tomllib.loads(ASSUMED.read_text("utf-8"))
+    sections = {
+        name: _section(name, {**entries, **fit["sections"].get(name, {})})
+        for name, entries in assumed.items()
+    }
+    return Parameters(
+        **sections,
+        forms=tuple(Form(**values) for values in fit["digits"]),
+        shapes=shape_model.load().adapted(fit["ways"]),
+        people=people,
+    )
 
 
 def _section(name, values):
-    """A section of the file as a dataclass."""
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    """A section as a dataclass."""
+    values = {key: _frozen(value) for key, value in values.items()}
     return dataclasses.make_dataclass(name, values, frozen=True)(**values)
 
 
+def _frozen(value):
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+
+
 def _plain(value):
-    """A section or the forms as plain values."""
+    """A section, the forms or a number as plain values."""
     if isinstance(value, tuple):
         return [dataclasses.asdict(form) for form in value]
-    return dataclasses.asdict(value)
+    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value

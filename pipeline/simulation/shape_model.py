@@ -25,7 +25,6 @@ import functools
 import hashlib
 import json
 from dataclasses import dataclass, replace
-from math import fsum
 from pathlib import Path
 
 import numpy as np
@@ -74,20 +73,30 @@ class Allograph:
         """Number of components."""
         return len(self.components)
 
-    def strokes(self, person, trial) -> tuple:
+    def adapted(self, share, shift, spread) -> Allograph:
+        """This way with another share, mean and variation; see :meth:`ShapeModel.adapted`."""
+        spread = np.asarray(spread)[:, None]
+        return replace(
+            self,
+            share=share,
+            mean=self.mean + np.asarray(shift) @ self.components,
+            between=spread * self.between,
+            within=spread * self.within,
+        )
+
+    def strokes(self, along) -> tuple:
         """The strokes of one digit.
 
         Parameters
         ----------
-        person, trial : ndarray, shape (k,)
-            Standard normal draws: a person's, and this digit's own.
+        along : ndarray, shape (k,)
+            Deviation from the mean, in units of the components.
 
         Returns
         -------
         tuple of ndarray, shape (n, 2)
             (down, right) along each stroke, evenly spaced in time, in a box of height 1 around 0.
         """
-        along = self.between @ person + self.within @ trial
         drawn = self.mean + along @ self.components
         strokes = np.split(drawn[: 2 * POINTS].reshape(POINTS, 2), np.cumsum(self.points)[:-1])
         ratio = np.exp(np.concatenate([[0.0], np.clip(drawn[2 * POINTS :], -3, 3)]))
@@ -118,8 +127,6 @@ class ShapeModel:
     about : dict
         Source of the model's data: ``source``, ``licence``, ``sha256`` of the file,
         ``writers``, ``digits``.
-    evenness : float
-        Largest share to which a person evens out the speed along a stroke, see :func:`evened`.
     """
 
     allographs: tuple
@@ -129,7 +136,6 @@ class ShapeModel:
     tempo: float
     trial_tempo: float
     about: dict
-    evenness: float = 0.0
 
     def arrays(self) -> dict:
         """The parameters as arrays, for a file; the inverse of :meth:`from_arrays`."""
@@ -137,7 +143,7 @@ class ShapeModel:
         arrays = {
             "about": np.array(json.dumps(self.about, sort_keys=True)),
             "loyalty": np.array(self.loyalty),
-            "traits": np.array(traits + [self.evenness] * bool(self.evenness)),
+            "traits": np.array(traits),
         }
         for digit, ways in enumerate(self.allographs):
             arrays |= {f"{digit}.{part}": array for part, array in _packed(ways).items()}
@@ -151,7 +157,22 @@ class ShapeModel:
             for digit in range(DIGITS)
         )
         loyalty, traits = (arrays[name].astype(float).tolist() for name in ("loyalty", "traits"))
-        return cls(ways, tuple(loyalty), *traits[:4], json.loads(str(arrays["about"])), *traits[4:])
+        return cls(ways, tuple(loyalty), *traits, json.loads(str(arrays["about"])))
+
+    def adapted(self, ways) -> ShapeModel:
+        """The model for other people: other shares of the ways, means and variations.
+
+        Parameters
+        ----------
+        ways : sequence of sequences of dict
+            For each digit and way: ``share``; ``shift``, the change of the mean in units of each
+            component; ``spread``, the factor on the standard deviation along each component.
+        """
+        allographs = tuple(
+            tuple(way.adapted(**change) for way, change in zip(mine, changes, strict=True))
+            for mine, changes in zip(self.allographs, ways, strict=True)
+        )
+        return replace(self, allographs=allographs)
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over the parameters as they are stored."""
@@ -218,7 +239,7 @@ def resampled(stroke, count: int) -> np.ndarray:
     return np.stack([np.interp(at, np.arange(len(stroke)), axis) for axis in stroke.T], 1)
 
 
-def evened(stroke, share: float) -> np.ndarray:
+def even_out(stroke, share: float) -> np.ndarray:
     """A stroke whose times are evenly spaced along its path, by a share from 0 to 1."""
     steps = np.hypot(*np.diff(stroke, axis=0).T)
     path = np.concatenate([[0.0], np.cumsum(steps)]) / max(steps.sum(), 1e-9)
@@ -230,33 +251,6 @@ def evened(stroke, share: float) -> np.ndarray:
 def load() -> ShapeModel:
     """The built-in model."""
     return read(MODEL)
-
-
-def in_general(model: ShapeModel) -> ShapeModel:
-    """The model with ways of writing that are usual elsewhere than where it was estimated.
-
-    Hardly anyone of the measured people wrote a 1 as one straight stroke downwards; a third of the
-    people get it: its share is half of that of all other ways together.  Its components are the
-    change of the speed along the stroke, its slant and its bow.  Most of the measured people wrote
-    a 5 and a 7 in two strokes; half of the people write them in one.  All slowed down at corners
-    and ends; people do so to different extents.
-    """
-    even = np.linspace(-0.5, 0.5, POINTS)
-    eased, nowhere = 1.5 * even - 2 * even**3, np.zeros(POINTS)
-    bow = 0.04 * (1 - (2 * even) ** 2)
-    parts = ((even + eased) / 2, nowhere), ((even - eased) / 2, nowhere), (nowhere, 0.2 * even)
-    mean, *rows = (np.stack(part, 1).ravel() for part in (*parts, (nowhere, bow)))
-    half = np.sqrt(0.5) * np.eye(len(rows))
-    plain = Allograph(0.5, (POINTS,), mean, np.array(rows), half, half)
-    ways = list(model.allographs)
-    ways[1] = (*ways[1], plain)
-    for digit in (5, 7):
-        single = fsum(way.share for way in ways[digit] if len(way.points) == 1)
-        ways[digit] = tuple(
-            replace(way, share=way.share / 2 / (single if len(way.points) == 1 else 1 - single))
-            for way in ways[digit]
-        )
-    return replace(model, allographs=tuple(ways), evenness=1.0)
 
 
 def read(path) -> ShapeModel:

@@ -1,4 +1,4 @@
-"""Simulate a data set on the skin: writers, contact, receptors, ACES read-out."""
+"""Simulate a data set on the skin: writers, contact, receptors, faults, ACES read-out."""
 
 import hashlib
 import itertools
@@ -9,24 +9,22 @@ import numpy as np
 from joblib import delayed
 
 from deploy.errors import UserError
+from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.jobs import results_of
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation import parameters as settings
-from pipeline.simulation.contact import Creep, Receptors, press, scrape
+from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
+from pipeline.simulation.faults import draw_faults
 
 # Part of the hash of the recordings; increase it with any change of the simulation.
-VERSION = 6
+VERSION = 7
 
 # Rows and columns of the paper's array.
 SIZE = (GRID, GRID)
 
 # Time step of motion and contact; events have a finer grid.
 STEP_S = 3.27e-3 / 3
-
-# Seed of the taxels' gains: as in the paper, one array records every data set.
-ARRAY_SEED = 2020
 
 # Recordings whose film and receptors are simulated together. Fixed, so that the bytes do not depend
 # on the processes.
@@ -60,10 +58,10 @@ class Touch:
     felt : ndarray of float32, shape (n_times, n)
     speed : ndarray of float, shape (n_times,)
         Speed of the tip, in taxels per second.
-    skin : section ``[skin]`` of ``parameters.toml``
+    skin : section ``[skin]`` of the parameters
         Parameters of the skin, with the roughness of this recording.
-    off : float
-        Logarithm of the ratio of the digit's OFF threshold to its ON threshold.
+    session : float
+        Session of the recording, see :class:`pipeline.simulation.handwriting.Writer`.
     rng : numpy.random.Generator
         Generator in the state after the pen's movement.
     """
@@ -73,7 +71,7 @@ class Touch:
     felt: np.ndarray
     speed: np.ndarray
     skin: object
-    off: float
+    session: float
     rng: np.random.Generator
 
 
@@ -115,7 +113,7 @@ def simulate(
     """
     parameters = parameters or settings.load()
     counts = _counts(samples_per_digit)
-    samples = _samples(seed, counts, parameters.writers.count, traces)
+    samples = _samples(seed, counts, parameters.people, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_batch)(seed, batch, parameters, size) for batch in batches)
@@ -147,8 +145,8 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size
         for stroke in trace.strokes:
             digest.update(np.ascontiguousarray(stroke).tobytes())
     name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
-    if not traces and vars(parameters.writers) != vars(settings.load().writers):
-        name += f", {parameters.writers.count} people"
+    if not traces and parameters.people != settings.PEOPLE:
+        name += f", {parameters.people} people"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)
 
@@ -161,10 +159,12 @@ def _counts(samples_per_digit):
     return counts
 
 
-def _samples(seed, counts, n_writers, traces):
+def _samples(seed, counts, people, traces):
     if traces is None:
+        # A small set has as many people as a large one: the recordings of a digit are shared out
+        # among all of them.
         return [
-            Sample(digit, index, index * n_writers // count)
+            Sample(digit, index, index * people // count)
             for digit, count in enumerate(counts)
             for index in range(count)
         ]
@@ -185,26 +185,34 @@ def _samples(seed, counts, n_writers, traces):
 
 def _batch(seed, samples, p, size):
     """Events of some recordings; runs in a process of its own."""
-    people = handwriting.writers(np.random.default_rng([seed, 1]), p.writers, p.shapes)
-    gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin, size)
-    touches = []
-    for sample in samples:
-        rng = np.random.default_rng([seed, 2, sample.digit, sample.index])
-        who = people[sample.writer] if sample.trace is None else handwriting.NOBODY
-        touches.append(_touch(sample, who, gain, rng, p, size))
-    return _receive(touches, p)
+    gain = array_gain(p.skin, size)
+    touches = [_touch(sample, *begin_sample(seed, sample, p), gain, p, size) for sample in samples]
+    return _receive(touches, p, size)
 
 
-def array_gain(rng, p, size=SIZE):
-    """Gain of each taxel of an array, shape (n_taxels,): random for each taxel, and a gradient."""
+def begin_sample(seed, sample, p):
+    """The writer of a sample, and the generator of all that differs between recordings."""
+    rng = np.random.default_rng([seed, 2, sample.digit, sample.index])
+    if sample.trace is None:
+        who = handwriting.draw_writer(np.random.default_rng([seed, 1, sample.writer]), p)
+    else:
+        session = np.random.default_rng([seed, 1, sample.writer + 1]).random()
+        who = replace(handwriting.NOBODY, session=session)
+    return who, rng
+
+
+def array_gain(p, size=SIZE) -> np.ndarray:
+    """Gain of each taxel, shape (n_taxels,): that of the real array, repeated on a larger skin.
+
+    Parameters
+    ----------
+    p : section ``[skin]`` of the parameters
+    size : (int, int)
+        Rows and columns of the skin.
+    """
     taxels = TaxelMap.grid(*size)
-    # The gradient from edge to edge is that of the paper's array.
-    down, right = (
-        GRID / n * (at - (n - 1) / 2)
-        for at, n in zip((taxels.row, taxels.column), size, strict=True)
-    )
-    lean = p.lean[0] * down + p.lean[1] * right
-    return np.exp(lean + p.gain * rng.standard_normal(len(taxels)))
+    gain = np.reshape(p.gain, SIZE)  # by columns and rows
+    return np.exp(gain[taxels.column % GRID, taxels.row % GRID])
 
 
 def stretched(moved, size):
@@ -237,16 +245,18 @@ def motion(sample, who, rng, p):
     pipeline.simulation.handwriting.Motion
     """
     form, kinematics = p.forms[sample.digit], p.kinematics
+    if sample.trace is None:
+        shape = handwriting.draw_shape(sample.digit, who, rng, p.shapes)
+        strokes = handwriting.write(sample.digit, shape, who, p.shapes, form)
+        width = form.width
+    else:  # keeps its proportions
+        strokes, width = sample.trace.strokes, form.height
     start = rng.uniform(*kinematics.onset_s)
     # Limits the deviations to plausible ones.
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
-    tempo = np.exp(form.spread * (who.tempo + p.shapes.trial_tempo * faster))
-    force = form.force + form.spread * (who.force + p.trials.force * harder)
-    if sample.trace is None:
-        strokes, width = handwriting.write(sample.digit, who, rng, p.shapes), form.width
-    else:  # keeps its proportions
-        strokes, width = sample.trace.strokes, form.height
-    place = handwriting.placing(who, rng, p.trials, form, width)
+    tempo = np.exp(who.tempo + p.shapes.trial_tempo * faster)
+    force = form.force + who.force + p.trials.force * harder
+    place = handwriting.draw_placing(who, rng, p.trials, form, width)
     strokes = [place(stroke) for stroke in strokes]
     length = handwriting.length_s(strokes, kinematics)
     # The writing must end within the recording.
@@ -262,17 +272,25 @@ def _waver(motion, rng, p):
     return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
 
 
-def _touch(sample, who, gain, rng, p, size):
-    form = p.forms[sample.digit]
+def _touch(sample, who, rng, gain, p, size):
     moved = stretched(motion(sample, who, rng, p), size)
-    rough = np.exp(who.scrape + p.trials.scrape * rng.standard_normal())
-    skin = replace(p.skin, scrape=p.skin.scrape * rough)
+    skin = draw_skin(who, rng, p)
     gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(len(gain)))
-    taxels, felt, speed = press(moved, gain, p.receptor.threshold / 2, rng, skin, size)
-    return Touch(moved.time_s[0], taxels, felt, speed, skin, form.off, rng)
+    taxels, felt, speed = press(moved, gain, p.receptor.threshold / 2, skin, size)
+    return Touch(moved.time_s[0], taxels, felt, speed, skin, who.session, rng)
 
 
-def _receive(touches, p):
+def draw_skin(who, rng, p):
+    """Section ``[skin]`` with the width of the contact and the roughness of one recording."""
+    wider, rougher = np.clip(rng.standard_normal(2), -2.5, 2.5)
+    return replace(
+        p.skin,
+        spread=p.skin.spread * np.exp(p.skin.spread_spread * wider),
+        scrape=p.skin.scrape * np.exp(who.scrape + p.trials.scrape * rougher),
+    )
+
+
+def _receive(touches, p, size):
     """Film and receptors of a batch of recordings in parallel, then the read-out of each recording.
 
     The recordings are sorted by decreasing length, so that the columns of those that have not ended
@@ -295,8 +313,8 @@ def _receive(touches, p):
     off, clock = np.empty((2, first[-1]))
     for touch, end, own in zip(touches, ends, columns, strict=True):
         rng = touch.rng
-        scrape(signal[1:end, own], touch.speed, rng, touch.skin)
-        off[own] = np.exp(touch.off + p.receptor.off_spread * rng.standard_normal())
+        add_vibration(signal[1:end, own], touch.speed, rng, touch.skin)
+        off[own] = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
         clock[own] = np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
     receptors = Receptors(
         signal[0],
@@ -314,9 +332,22 @@ def _receive(touches, p):
     events = [None] * len(touches)
     for index, touch, start, part in zip(order, touches, first, parts, strict=False):
         seconds = time[part] + touch.start_s - STEP_S
-        taxel = touch.taxels[channel[part] - start]
-        events[index] = aces.bursts(1e9 * seconds, taxel, polarity[part], p.aces)
+        written = seconds, touch.taxels[channel[part] - start], polarity[part]
+        events[index] = _read_out(written, touch, p, size)
     return events
+
+
+def _read_out(written, touch, p, size):
+    """The decoder's reports of what the pen and the faults have caused."""
+    parts = [written]
+    if len(written[0]):
+        begin, end = written[0].min(), written[0].max()
+        refractory_s = p.receptor.refractory_s
+        parts.append(
+            draw_faults(touch.rng, touch.session, begin, end, refractory_s, p.faults, size)
+        )
+    seconds, taxel, polarity = map(np.concatenate, zip(*parts, strict=True))
+    return aces.bursts(1e9 * seconds, taxel, polarity, p.aces)
 
 
 def _stretches(ends, first):

@@ -3,13 +3,10 @@
 The motion of a simulated writer is known completely before the skin is simulated.  Here the points
 of the pen arrive one by one.  Between two of them the tip moves in a straight line, after the last
 one it rests, and it lands and lifts like a simulated writer's
-(:func:`pipeline.simulation.handwriting.on_skin`).  Contact, film, receptors and read-out are
-those of the
-simulation (:mod:`pipeline.simulation.contact`, :mod:`~pipeline.simulation.contact`,
-:mod:`~pipeline.simulation.aces`).
+(:func:`pipeline.simulation.handwriting.on_skin`).  Contact, film, receptors and read-out are those of the
+simulation (:mod:`pipeline.simulation.contact`, :mod:`~pipeline.simulation.aces`); the skin has no faults.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +14,8 @@ import numpy as np
 from pipeline.recordings.events import Events
 from pipeline.simulation import aces, contact
 from pipeline.simulation.contact import Receptors
-from pipeline.simulation.handwriting import on_skin
-from pipeline.simulation.simulate import ARRAY_SEED, SIZE, STEP_S, array_gain
+from pipeline.simulation.handwriting import NOBODY, on_skin
+from pipeline.simulation.simulate import SIZE, STEP_S, array_gain, draw_skin
 
 # Time at which the pen first touches the skin; 0.197 s in the one available real recording.
 START_S = 0.2
@@ -72,18 +69,16 @@ class Writing:
 
     def __init__(self, seed, p, size=SIZE, polarities=2):
         rng = np.random.default_rng(seed)
-        gain = array_gain(np.random.default_rng(ARRAY_SEED), p.skin, size)
+        gain = array_gain(p.skin, size)
         n_taxels = len(gain)
         gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(n_taxels))
-        off = np.mean([form.off for form in p.forms])
-        off = p.receptor.threshold * np.exp(off + p.receptor.off_spread * rng.standard_normal())
+        off = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
+        off *= p.receptor.threshold
         clock = np.exp(p.receptor.clock * np.abs(rng.standard_normal(n_taxels)))
         self._p, self._rng, self._size, self._polarities = p, rng, size, polarities
         self._usual = np.exp(np.mean([form.force for form in p.forms]))
-        rough = np.exp(p.trials.scrape * rng.standard_normal())
-        self._skin = replace(p.skin, scrape=p.skin.scrape * rough)
-        self._strength = contact.strength(rng, p.skin)
-        self._shaking = contact.Shaking(gain, STEP_S, p.skin)
+        self._gain = gain.astype(np.float32)
+        self._skin = draw_skin(NOBODY, rng, p)
         self._film = contact.Creep(n_taxels, STEP_S, p.skin)
         self._receptors = Receptors(
             np.zeros(n_taxels, np.float32),
@@ -169,13 +164,10 @@ class Writing:
         speed = np.hypot(
             np.diff(down, prepend=self._last[0]), np.diff(right, prepend=self._last[1])
         )
-        felt = np.concatenate([[self._last[2]], force])
-        lands = contact.landings(felt, contact.LANDED * self._usual) - 1
-        jolts = self._strength * contact.jolt(self._rng, len(lands), self._size[0] * self._size[1])
-        signal = contact.pressure(down, right, force, self._skin, self._size)
-        self._shaking.advance(signal, zip(lands, jolts, strict=True))
+        signal = contact.spread_force(down, right, force, self._skin, self._size)
+        signal *= self._gain
         self._film.advance(signal)
-        contact.scrape(signal, speed / STEP_S, self._rng, self._skin)
+        contact.add_vibration(signal, speed / STEP_S, self._rng, self._skin)
         seconds, taxel, polarity = self._receptors.advance(signal)
         if self._polarities == 1:
             seconds, taxel, polarity = (a[polarity > 0] for a in (seconds, taxel, polarity))

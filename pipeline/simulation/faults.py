@@ -1,0 +1,63 @@
+"""Events that no pen has caused: hot taxels of a session, and strays.
+
+In the real recordings some taxels report events, in bouts, through a whole recording: always the
+same ones, and not in all sessions.  Other taxels, mostly at the edge, report single events.
+"""
+
+import numpy as np
+
+
+
+def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s: float, p, size):
+    """Draw the events of a recording that no pen has caused.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    session : float
+        From 0 to 1: the session in which it was recorded.
+    start_s, end_s : float
+        First and last moment of the recording.
+    refractory_s : float
+        Shortest interval between two events of a taxel.
+    p : section ``[faults]`` of the parameters
+    size : (int, int)
+        Rows and columns of the skin.
+
+    Returns
+    -------
+    time_s : ndarray of float, shape (n,)
+    taxel : ndarray of int, shape (n,)
+    polarity : ndarray of int, shape (n,)
+    """
+    rows, columns = size
+    times, taxels = [], []
+    for row, column in _hot_taxels(session, p):
+        rate = p.hot_rate * np.exp(p.hot_rate_spread * rng.standard_normal())
+        if rng.random() < p.hot_share and row < rows and column < columns:
+            fired = _bouts(rng, start_s, end_s, rate, refractory_s, p.bout_s)
+            times.append(fired)
+            taxels.append(np.full(len(fired), rows * column + row))
+    strays = rng.poisson(p.strays * np.exp(p.strays_spread * rng.standard_normal()))
+    times.append(rng.uniform(start_s, end_s, strays))
+    taxels.append(rng.integers(0, rows * columns, strays))
+    time, taxel = np.concatenate(times), np.concatenate(taxels).astype(int)
+    return time, taxel, np.where(rng.random(len(time)) < p.rise, 1, -1)
+
+
+def _hot_taxels(session, p):
+    """(row, column) of each hot taxel of a session."""
+    for share, taxels in p.sessions:
+        if session < share:
+            return taxels
+        session -= share
+    return ()
+
+
+def _bouts(rng, start_s, end_s, rate, refractory_s, bout_s):
+    """Times of a taxel that fires at a rate during bouts, which alternate with equal pauses."""
+    count = int(2 * rate * (end_s - start_s)) + 10
+    time = start_s + np.cumsum(refractory_s + rng.exponential(1 / rate, count))
+    edges = start_s + np.cumsum(rng.exponential(bout_s, int(4 * (end_s - start_s) / bout_s) + 10))
+    active = (np.searchsorted(edges, time) + rng.integers(2)) % 2 == 0
+    return time[active & (time < end_s)]
