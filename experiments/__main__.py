@@ -12,7 +12,7 @@ OTHERS = {
     "speed": ("speed", "fast and FastSimulator beside NengoLoihi's emulator", "5 min"),
     "stream": ("stream", "Latency of a running sensor's decisions, highest event rate", "4 min"),
     "recurrent": ("recurrent", "A recurrent network from snnTorch on the emulator", "15 min"),
-    "calibration": ("calibration", "Fit the simulation to the paper's Table 1", "10 min"),
+    "calibrate": ("calibration", "Fit the simulation to real recordings", "10 min"),
     "handwriting": ("handwriting", "Estimate the model of handwriting", "1 min"),
     "tutorials": ("tutorials", "Execute the notebooks of the tutorials", "5 min"),
     "pictures": ("pictures", "Make the pictures of the documents", "1 min"),

@@ -48,7 +48,7 @@ class People:
     parameters: parameters.Parameters
 
 
-def people_of(pen: Path, fold: int, writers: int = 0) -> People:
+def people_of(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> People:
     """Every third person of a file.
 
     Parameters
@@ -56,7 +56,7 @@ def people_of(pen: Path, fold: int, writers: int = 0) -> People:
     pen : Path
     fold : int
     writers : int
-        Number of simulated people; 0 for the published number.
+        Number of simulated people.
 
     Raises
     ------

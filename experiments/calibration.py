@@ -1,269 +1,491 @@
-"""The fit of the simulated recordings to the paper's Table 1.
+"""The fit of the simulation to real recordings, in the representation in which they are published.
 
-Each digit has seven parameters (:class:`pipeline.simulation.parameters.Form`).  Each of them is
-adjusted
-by the one cell, or pair of cells, of Table 1 on which it has the largest effect:
+The published arrays keep the order of events and not their time (:mod:`experiments.fidelity`), so
+nothing that depends on time alone is fitted.  The parameters are fitted one group after another,
+and the order is repeated:
 
-==========  =====================================================  ===============================
-parameter   adjusted by                                            affects
-==========  =====================================================  ===============================
-force       mean of ON events                                      all counts
-off         mean of OFF over mean of ON events                     OFF events
-spread      SD over mean of ON and of OFF events                   SDs of the counts
-down        X mean                                                 X mean, X range
-right       Y mean                                                 Y mean, Y range
-height      X range                                                X range
-width       Y range                                                Y range
-==========  =====================================================  ===============================
+==================  =====================================================  =====================
+group               from                                                   function
+==================  =====================================================  =====================
+hot taxels          taxels that are active far from the digit              :func:`find_sessions`,
+                                                                           :func:`step_faults`
+place of a digit    means and second moments of the taxels of each digit   :func:`step_forms`
+ways of writing     nearest simulated recordings of each real one          :func:`adapt_ways`
+contact, receptors  quantiles of the summaries of all recordings           :func:`fit_sections`
+gain of a taxel     mean number of its events when it is active            :func:`step_gain`
+==================  =====================================================  =====================
 
-A round simulates the whole data set with the same seed, so that only the parameters change between
-rounds.  It changes every parameter by a damped step towards its cell, within bounds that keep the
-digits on the array.  Steps become smaller from round to round, because the SDs depend on a few long
-recordings and vary strongly.  The result is the round with the best worst cell.  The CNN is not
-used: the difficulty of the recordings follows from ``parameters.toml``, which was set once.
-
-``python -m experiments calibration`` fits; with ``--check`` it compares the fit with Table 1.
+``python -m experiments calibrate --data stmnist-train.zip`` fits and writes
+``pipeline/simulation/fitted.json``.
 """
 
-from dataclasses import dataclass, replace
+import copy
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import typer
+from scipy.optimize import least_squares
 
-from deploy.errors import CheckFailed
+from deploy.errors import UserError
 from deploy.files import read_json, write_json
-from deploy.tables import align_rows
+from deploy.tables import aligned
 from deploy.terminal import show
+from experiments.fidelity import (
+    FEWEST_BITS,
+    chunk_recordings,
+    count_neighbours,
+    measure_moments,
+    summarise_recordings,
+    weigh_taxels,
+)
 from pipeline.commands import options
-from pipeline.commands.data import SimulationSeed
-from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
-from pipeline.recordings import statistics
-from pipeline.simulation.parameters import CALIBRATION, Form, Parameters, load
-from pipeline.simulation.simulate import simulate, source_of
+from pipeline.recordings.events import GRID, N_TAXELS, are_digits
+from pipeline.recordings.library import load_recordings
+from pipeline.simulation import handwriting
+from pipeline.simulation.parameters import FITTED, Parameters, from_fit
+from pipeline.simulation.simulate import begin_sample, list_samples, simulate
 
-# The paper's Table 1: for each digit a pair (mean, SD) of each measure of
-# :func:`pipeline.recordings.statistics.per_sample`, and the number of samples.
-TABLE1 = {
-    int(digit): row
-    for digit, row in read_json(Path(__file__).with_name("table1.json"), "restore it").items()
-}
+# Recordings of each digit that are needed at least.
+FEWEST_OF_A_DIGIT = 100
 
-# Limits of the errors of mean and SD: relative for counts, in taxels for places and ranges.
-LIMITS = {
-    "on": (0.10, 0.25),
-    "off": (0.10, 0.25),
-    "x_mean": (0.3, None),
-    "y_mean": (0.3, None),
-    "x_range": (0.5, None),
-    "y_range": (0.5, None),
-}
+# Simulated recordings of each digit in a step of a fit, and for the ways of writing.
+STEP_SAMPLES = 40
+WAY_SAMPLES = 250
 
-# Cells that are not fitted. An SD of 1403 OFF events at a mean of 810 (paper, Table 1, digit 3),
-# where the ON events have 673 at 1053, can only come from one or two faulty recordings.
-LEFT_OUT = frozenset({(3, "off", "sd")})
+# Quantiles of the summaries that are compared.
+QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 
-# Bounds of the parameters: a digit must be on the array, and the others must not diverge.
+# Fitted parameters of the sections, each with its bounds.
 BOUNDS = {
-    "height": (6.5, 9.0),
-    "width": (6.0, 13.0),
-    "down": (3.2, 5.5),
-    "right": (3.7, 6.2),
-    "force": (-2.0, 1.0),
-    "spread": (0.3, 3.0),
-    "off": (-1.2, 0.5),
+    ("skin", "spread"): (0.2, 0.8),
+    ("skin", "spread_spread"): (0.05, 0.6),
+    ("skin", "scrape"): (0.1, 2.5),
+    ("skin", "noise"): (0.001, 0.05),
+    ("skin", "gain_drift"): (0.05, 0.6),
+    ("trials", "force"): (0.05, 0.8),
+    ("trials", "scrape"): (0.0, 0.8),
+    ("receptor", "off"): (-0.5, 1.5),
+    ("faults", "strays"): (0.0, 5.0),
 }
 
+# Bounds of the parameters of a digit: it must be on the array.
+FORM_BOUNDS = {
+    "height": (4.0, 10.0),
+    "width": (2.0, 16.0),
+    "down": (3.0, 6.5),
+    "right": (3.0, 6.5),
+    "shear": (-0.5, 0.5),
+    "force": (-2.0, 2.0),
+}
 
-@dataclass(frozen=True)
-class Cell:
-    """One cell of Table 1, simulated and published.
+# A taxel is hot if it has so many bits in so large a share of the recordings whose digit is
+# elsewhere.
+HOT_BITS = 10
+HOT_SHARE = 0.15
 
-    Attributes
-    ----------
-    digit : int
-    measure : str
-        One of the measures of :func:`pipeline.recordings.statistics.per_sample`.
-    part : str
-        ``"mean"`` or ``"sd"``.
-    simulated, paper : float
-    limit : float
-        Allowed error: relative for the counts, in taxels for the rest.
-    """
+# Order in which the groups of parameters are fitted.
+GROUPS = ("forms", "forms", "sections", "ways", "forms", "sections", "ways", "forms", "forms")
 
-    digit: int
-    measure: str
-    part: str
-    simulated: float
-    paper: float
-    limit: float
+# Steps of a least-squares fit.
+LEAST_SQUARES_ROUNDS = 3
 
-    @property
-    def error(self) -> float:
-        """Relative for the counts, in taxels for the rest."""
-        difference = self.simulated - self.paper
-        return difference / self.paper if self.measure in ("on", "off") else difference
+# Digits that are drawn in one line from either end.
+EITHER_WAY = (0, 8)
 
-    @property
-    def strain(self) -> float:
-        """Error over its limit; 1 or less is within."""
-        return abs(self.error) / self.limit
+# Share of the people that each way of writing, and each direction, has at least: recordings of few
+# people need not show all that others do.
+SMALLEST_SHARE = 0.02
 
+# Slices of a recording's chunks in which shapes are compared.
+SLICES = 10
 
-def cells(table) -> list:
-    """The fitted cells, the worst first."""
-    found = [
-        Cell(digit, measure, part, row[measure][index], paper[measure][index], limit)
-        for digit, paper in TABLE1.items()
-        if (row := table.get(digit)) is not None
-        for measure, limits in LIMITS.items()
-        for index, (part, limit) in enumerate(zip(("mean", "sd"), limits, strict=True))
-        if limit is not None and (digit, measure, part) not in LEFT_OUT
-    ]
-    return sorted(found, key=lambda cell: -cell.strain)
+# Nearest simulated recordings that stand for a real one.
+NEAREST = 5
 
 
-def cells_text(cells: list) -> str:
-    """The cells as a table, each with its error relative to its limit."""
-    rows = [["digit", "measure", "part", "simulated", "paper", "of the limit"]]
-    rows += [
-        [
-            *(str(cell.digit), cell.measure, cell.part),
-            *(f"{value:.2f}" for value in (cell.simulated, cell.paper, cell.strain)),
-        ]
-        for cell in cells
-    ]
-    return "\n".join(align_rows(rows, left=3))
-
-
-def step(form: Form, row, paper, damping) -> Form:
-    """Move one digit's parameters towards its column of Table 1.
+class Target:
+    """The real recordings of a fit, and what is compared of them.
 
     Parameters
     ----------
-    form : Form
-    row, paper : dict
-        Values of this digit, as in :func:`pipeline.recordings.statistics.table`.
-    damping : float
-        Part of the step to take.
+    bits : ndarray of bool, shape (n, 100, 2, 100)
+        See :func:`experiments.fidelity.chunk_recordings`.
+    labels : ndarray of int, shape (n,)
     """
 
-    def ratio(measure, part=0):
-        return np.log(paper[measure][part] / row[measure][part])
-
-    def excess(measure):
-        return ratio(measure, 1) - ratio(measure, 0)
-
-    def gap(measure):
-        return paper[measure][0] - row[measure][0]
-
-    fitted = [m for m in ("on", "off") if paper[m][1] < 1.5 * paper[m][0]]
-    steps = {
-        "force": 0.7 * ratio("on"),
-        "off": -0.8 * (ratio("off") - ratio("on")),
-        "spread": form.spread * np.expm1(np.mean([excess(measure) for measure in fitted])),
-        "down": gap("x_mean"),
-        "right": gap("y_mean"),
-        "height": gap("x_range"),
-        "width": gap("y_range"),
-    }
-    return replace(
-        form,
-        **{
-            name: float(np.clip(getattr(form, name) + damping * by, *BOUNDS[name]))
-            for name, by in steps.items()
-        },
-    )
+    def __init__(self, bits, labels):
+        self.bits = bits
+        self.labels = labels
+        self.sessions = find_sessions(bits, labels)
+        self.hot = [GRID * column + row for _, taxels in self.sessions for row, column in taxels]
+        self.moments = measure_moments(bits, self.hot)
+        self.summaries = summarise_recordings(bits)
 
 
-def calibrate(parameters: Parameters, rounds=12, seed=0, jobs=2, counts=None, advance=None):
-    """Fit every digit's parameters to Table 1.
+def find_sessions(bits, labels) -> list:
+    """Hot taxels, in groups that are active together.
+
+    They are sought in the recordings of the digit with the fewest taxels, a 1, which covers them
+    least.  A taxel is judged by those recordings in which no taxel around it is active.
 
     Parameters
     ----------
-    parameters : Parameters
-        Initial parameters.
-    rounds, seed, jobs : int
-    counts : sequence of 10 int, optional
-        Samples per digit; default as published.
-    advance : callable, optional
-        ``advance(n, note)``: n more recordings are finished; ``note`` has the worst cell so far.
+    bits : ndarray of bool, shape (n, 100, 2, 100)
+    labels : ndarray of int, shape (n,)
 
     Returns
     -------
-    parameters : Parameters
-        Parameters of the best round, rounded to 4 digits as in the file.
-    worst : Cell
-        The worst cell of that round.
+    list of [float, list of [int, int]]
+        Sessions: share of the recordings, and (row, column) of the hot taxels.
     """
-    best = None
-    for number in range(rounds):
-        parameters = replace(parameters, forms=tuple(map(rounded, parameters.forms)))
-        recordings = simulate(seed, counts, jobs, advance, parameters)
-        table = statistics.table(recordings)
-        worst = cells(table)[0]
-        if best is None or worst.strain < best[1].strain:
-            best = parameters, worst
-        if advance:
-            advance(0, f"round {number + 1}, worst cell {worst.strain:.2f} of its limit")
-        parameters = replace(
-            parameters,
-            forms=tuple(
-                step(form, table[digit], TABLE1[digit], 0.8 / (1 + number / 3))
-                for digit, form in enumerate(parameters.forms)
-            ),
-        )
-    return best
+    total = bits.sum((2, 3))
+    slimmest = min(range(10), key=lambda digit: (total[labels == digit] > 0).mean())
+    total = total[labels == slimmest]
+    alone = count_neighbours(total > FEWEST_BITS) == 0
+    is_hot = (total >= HOT_BITS) & alone
+    share = is_hot.sum(0) / np.maximum(alone.sum(0), 1)
+    groups = []
+    for taxel in np.argsort(-share)[: (share > HOT_SHARE).sum()]:
+        for group in groups:
+            both = alone[:, taxel] & alone[:, group[0]]
+            together = (is_hot[both, taxel] & is_hot[both, group[0]]).mean()
+            if together > is_hot[both, taxel].mean() * is_hot[both, group[0]].mean():
+                group.append(taxel)
+                break
+        else:
+            groups.append([taxel])
+    sessions = []
+    for group in groups:
+        seen = is_hot[alone[:, group].all(1)][:, group]
+        sessions.append([round(float(seen.any(1).mean()), 3), [_place(taxel) for taxel in group]])
+    return sessions
 
 
-def rounded(form: Form) -> Form:
-    """The values, rounded as in the file."""
-    return Form(**{name: round(value, 4) for name, value in vars(form).items()})
+def measure_hot(bits, hot) -> np.ndarray:
+    """What hot taxels report, from recordings whose digit is elsewhere.
+
+    Returns
+    -------
+    ndarray of float, shape (3,)
+        Mean and standard deviation of the logarithm of the number of bits, and share of rises.
+    """
+    total = bits.sum((2, 3))
+    is_hot = (total >= HOT_BITS) & (count_neighbours(total > FEWEST_BITS) == 0)
+    logs = np.concatenate([np.log(total[is_hot[:, taxel], taxel]) for taxel in hot])
+    rises = sum(bits[is_hot[:, taxel], taxel, 0].sum() for taxel in hot)
+    every = sum(total[is_hot[:, taxel], taxel].sum() for taxel in hot)
+    return np.array([logs.mean(), logs.std(), rises / every])
 
 
-def write_calibration(path, parameters: Parameters, about: dict):
-    """Write the fitted parameters with a description of the fit.
+def step_faults(fit: dict, target: Target, bits) -> dict:
+    """Move the rate of the hot taxels, its variation and the share of rises to the real ones."""
+    fit = copy.deepcopy(fit)
+    faults = fit["sections"]["faults"]
+    real, mine = measure_hot(target.bits, target.hot), measure_hot(bits, target.hot)
+    faults["hot_rate"] = round(float(faults["hot_rate"] * np.exp(1.2 * (real[0] - mine[0]))), 2)
+    spread = faults["hot_rate_spread"] * real[1] / mine[1]
+    faults["hot_rate_spread"] = round(float(np.clip(spread, 0.1, 1.5)), 3)
+    faults["rise"] = round(float(np.clip(faults["rise"] + real[2] - mine[2], 0.1, 0.9)), 3)
+    return fit
+
+
+def _place(taxel):
+    return [int(taxel) % GRID, int(taxel) // GRID]
+
+
+def simulate_fit(fit: dict, each: int, seed: int, jobs: int, people: int = 1000):
+    """Bits and labels of recordings that are simulated with a fit."""
+    parameters = from_fit(fit, people)
+    recordings = simulate(seed, [each] * 10, jobs, parameters=parameters)
+    return chunk_recordings(recordings), recordings.labels
+
+
+def step_forms(fit: dict, target: Target, bits, labels, damping: float = 0.9) -> dict:
+    """Move place, size, slant and force of each digit towards the real ones.
+
+    Also the variation of place and size, which is the same for all digits.
+    """
+    fit = copy.deepcopy(fit)
+    moments = measure_moments(bits, target.hot)
+    perceived = np.log(summarise_recordings(bits)["bits per taxel"])
+    wanted = np.log(target.summaries["bits per taxel"])
+    deviations = []
+    for digit, form in enumerate(fit["digits"]):
+        real, mine = target.labels == digit, labels == digit
+        usual = np.median(target.moments[real], axis=0)
+        present = np.median(moments[mine], axis=0)
+        form["down"] += damping * (usual[0] - present[0])
+        form["right"] += damping * (usual[1] - present[1])
+        form["height"] *= (usual[2] / present[2]) ** damping
+        form["width"] *= (usual[3] / max(present[3], 0.2)) ** damping
+        form["shear"] -= damping * (usual[4] - present[4]) * form["height"] / form["width"]
+        form["force"] += 0.7 * damping * (wanted[real].mean() - perceived[mine].mean())
+        for name, (low, high) in FORM_BOUNDS.items():
+            form[name] = round(float(np.clip(form[name], low, high)), 4)
+        deviations.append((_spread(target.moments[real]), _spread(moments[mine])))
+    real, mine = np.mean(deviations, axis=0)
+    factor = np.clip((real / mine) ** damping, 0.5, 2)
+    trials = fit["sections"]["trials"]
+    trials["place"] = [round(float(p * f), 4) for p, f in zip(trials["place"], factor, strict=False)]
+    trials["height"] = round(float(np.clip(trials["height"] * factor[2], 0.02, 0.3)), 4)
+    trials["width"] = round(float(np.clip(trials["width"] * factor[3], 0.02, 0.4)), 4)
+    return fit
+
+
+def _spread(moments):
+    """Robust standard deviations of place, and of the logarithm of size."""
+    values = np.column_stack([moments[:, :2], np.log(np.maximum(moments[:, 2:4], 0.2))])
+    return np.diff(np.quantile(values, [0.16, 0.84], axis=0), axis=0)[0] / 2
+
+
+def adapt_ways(fit: dict, target: Target, seed: int, jobs: int) -> dict:
+    """Shares, means and variations of the ways of writing, from nearest simulated recordings.
+
+    Recordings are simulated in all ways with equal shares and more variation.  Those that are
+    nearest to real ones, after place, size and slant have been removed, show how people write.
+    This is approximate Bayesian computation (M. A. Beaumont et al., "Approximate Bayesian
+    computation in population genetics", Genetics 162, 2002), with one posterior for all people.
+    """
+    trial = copy.deepcopy(fit)
+    for digit, ways in enumerate(trial["ways"]):
+        for way in ways:
+            way["share"] = 1.0
+            way["spread"] = [1.25 * value for value in way["spread"]]
+        if digit in EITHER_WAY:
+            trial["digits"][digit]["backwards"] = 0.5
+    parameters = from_fit(trial)
+    bits, labels = simulate_fit(trial, WAY_SAMPLES, seed, jobs)
+    drawn = draw_again(parameters, seed, WAY_SAMPLES)
+    real = describe_shapes(target.bits, target.hot)
+    simulated = describe_shapes(bits, target.hot)
+    fit = copy.deepcopy(fit)
+    for digit, ways in enumerate(fit["ways"]):
+        mine = np.flatnonzero(labels == digit)
+        likeness = real[target.labels == digit] @ simulated[mine].T
+        nearest = mine[np.argsort(-likeness, axis=1)[:, :NEAREST]].ravel()
+        votes = np.bincount(nearest, minlength=len(labels))
+        chosen = np.array([drawn[index].way for index in mine])
+        for number, way in enumerate(ways):
+            of_way = mine[chosen == number]
+            if len(of_way) > 2:
+                along = np.array([drawn[index].along for index in of_way])
+                _adapt_way(way, along, votes[of_way], trial["ways"][digit][number]["spread"])
+            share = votes[of_way].sum() / max(len(of_way), 1)
+            way["share"] = share
+        total = sum(way["share"] for way in ways)
+        for way in ways:
+            way["share"] = round(max(way["share"] / total, SMALLEST_SHARE), 4)
+        if digit in EITHER_WAY:
+            reverse = np.array([drawn[index].backwards for index in nearest])
+            share = float(np.clip(reverse.mean(), 2 * SMALLEST_SHARE, 1 - 2 * SMALLEST_SHARE))
+            fit["digits"][digit]["backwards"] = round(share, 3)
+    return fit
+
+
+def _adapt_way(way, along, votes, spread):
+    """Move mean and variation of one way towards the simulated recordings with votes."""
+    count = votes.sum() / NEAREST
+    trust = count / (count + 10)
+    if not count:
+        return
+    mean = np.average(along, axis=0, weights=votes)
+    variance = np.average((along - mean) ** 2, axis=0, weights=votes)
+    ratio = np.sqrt(variance / along.var(axis=0))
+    shift = np.array(way["shift"]) + trust * (mean - along.mean(axis=0))
+    spread = np.array(way["spread"]) * np.clip(1.25 * ratio, 0.6, 1.5) ** trust
+    way["shift"] = np.round(np.clip(shift, -3, 3), 3).tolist()
+    way["spread"] = np.round(np.clip(spread, 0.4, 2.0), 3).tolist()
+
+
+class Drawn(NamedTuple):
+    """What was drawn for a simulated recording.
+
+    Attributes
+    ----------
+    way : int
+    along : ndarray
+        As in :class:`pipeline.simulation.handwriting.Shape`.
+    backwards : bool
+        True if it is drawn from its end to its beginning.
+    """
+
+    way: int
+    along: np.ndarray
+    backwards: bool
+
+
+def draw_again(parameters: Parameters, seed: int, each: int) -> list:
+    """The shapes of the recordings that :func:`simulate_fit` makes."""
+    drawn = []
+    for sample in list_samples(seed, [each] * 10, parameters.people):
+        who, rng = begin_sample(seed, sample, parameters)
+        shape = handwriting.draw_shape(sample.digit, who, rng, parameters.shapes)
+        backwards = who.backwards[sample.digit] < parameters.forms[sample.digit].backwards
+        drawn.append(Drawn(*shape, backwards))
+    return drawn
+
+
+def describe_shapes(bits, left_out) -> np.ndarray:
+    """The shape and the order of each recording, without its place, size and slant.
+
+    Returns
+    -------
+    ndarray of float32, shape (n, n_features)
+        Square roots of the bits in slices of time, on a grid that moves with the digit; of length 1.
+    """
+    slices = bits.sum(2, dtype=np.int16).reshape(len(bits), N_TAXELS, SLICES, -1).sum(-1)
+    weight = np.sqrt(np.minimum(slices, 6))
+    weight = weight * (weigh_taxels(bits, left_out) > 0)[:, :, None]
+    rows, columns, heights, widths, slope = measure_moments(bits, left_out).T[:, :, None]
+    taxels = np.arange(N_TAXELS)
+    down = taxels % GRID - rows
+    right = (taxels // GRID - columns - slope * down) / np.maximum(widths, 1.0)
+    down = down / np.maximum(heights, 1.0)
+    knots = np.linspace(-2.1, 2.1, 8)
+    over = np.exp(-(((down[..., None] - knots) / 0.45) ** 2))
+    across = np.exp(-(((right[..., None] - knots) / 0.45) ** 2))
+    features = np.einsum("ntk,nti,ntj->nkij", weight, over, across, optimize=True)
+    features = np.sqrt(features).reshape(len(bits), -1).astype(np.float32)
+    return features / np.maximum(np.linalg.norm(features, axis=1, keepdims=True), 1e-6)
+
+
+def fit_sections(fit: dict, target: Target, seed: int, jobs: int, rounds: int) -> dict:
+    """Fit contact, receptors and faults to the quantiles of the summaries (least squares)."""
+    names = list(BOUNDS)
+    low, high = np.array([BOUNDS[name] for name in names]).T
+    start = np.array([fit["sections"][section][name] for section, name in names])
+    wanted = {name: np.quantile(values, QUANTILES) for name, values in target.summaries.items()}
+    scale = {name: values.std() for name, values in target.summaries.items()}
+
+    def place(values):
+        changed = copy.deepcopy(fit)
+        for (section, name), value in zip(names, low + (high - low) * values, strict=True):
+            changed["sections"][section][name] = round(float(value), 5)
+        return changed
+
+    def compare(values):
+        bits, _ = simulate_fit(place(values), STEP_SAMPLES, seed, jobs)
+        found = summarise_recordings(bits)
+        differences = [
+            (np.quantile(found[name], QUANTILES) - wanted[name]) / scale[name] for name in wanted
+        ]
+        return np.concatenate(differences)
+
+    inside = np.clip((start - low) / (high - low), 0.01, 0.99)
+    best = least_squares(
+        compare, inside, bounds=(0, 1), diff_step=0.08, x_scale=0.1, max_nfev=rounds
+    )
+    return place(best.x)
+
+
+def step_gain(fit: dict, target: Target, bits, damping: float = 0.5) -> dict:
+    """Move the gain of each taxel towards the real mean number of its bits when it is active."""
+    fit = copy.deepcopy(fit)
+    real, mine = _usual_bits(target.bits), _usual_bits(bits)
+    change = np.log(real / mine)
+    change[target.hot] = 0
+    gain = np.array(fit["sections"]["skin"]["gain"]) + damping * (change - change.mean())
+    fit["sections"]["skin"]["gain"] = np.round(np.clip(gain, -1, 1), 3).tolist()
+    return fit
+
+
+def _usual_bits(bits):
+    """Mean of the square root of the bits of each taxel when it is active, squared."""
+    total = bits.sum((2, 3))
+    roots = np.sqrt(total).sum(0) / np.maximum((total > 0).sum(0), 1)
+    return np.maximum(roots, 0.5) ** 2
+
+
+def calibrate(fit: dict, target: Target, seed: int = 0, jobs: int = 1, advance=None) -> dict:
+    """Fit all parameters.
 
     Parameters
     ----------
-    path : path-like
-    parameters : Parameters
-    about : dict
-        How the fit was made.
+    fit : dict
+        Initial parameters: content of ``fitted.json``.
+    target : Target
+    seed, jobs : int
+    advance : callable, optional
+        ``advance(1, group)``: a group of parameters is fitted.
+
+    Returns
+    -------
+    dict
+        Sections, digits and ways, as in ``fitted.json``.
     """
-    forms = {str(digit): vars(form) for digit, form in enumerate(parameters.forms)}
-    write_json(path, {"fit": about, "forms": forms})
+    fit = copy.deepcopy(fit)
+    fit["sections"]["faults"]["sessions"] = target.sessions
+    for number, group in enumerate(GROUPS):
+        own = 1000 * seed + number
+        if group == "ways":
+            fit = adapt_ways(fit, target, own, jobs)
+        elif group == "sections":
+            fit = fit_sections(fit, target, own, jobs, LEAST_SQUARES_ROUNDS)
+        else:
+            bits, labels = simulate_fit(fit, STEP_SAMPLES, own, jobs)
+            fit = step_forms(fit, target, bits, labels)
+            fit = step_faults(fit, target, bits)
+            fit = step_gain(fit, target, bits)
+        if advance:
+            advance(1, group)
+    return fit
+
+
+def read_target(source: Path, jobs: int) -> tuple:
+    """The recordings of a fit, and facts about them for the file.
+
+    Raises
+    ------
+    UserError
+        They are not of the paper's sensor, their classes are not the ten digits, they are
+        simulated, or too few of a digit.
+    """
+    recordings = load_recordings(str(source), jobs=jobs)
+    if not are_digits(recordings.sensor.classes):
+        raise UserError(f"{source}: its classes are not the ten digits; give recordings of digits")
+    if recordings.source.simulated:
+        raise UserError(f"{source}: simulated recordings; give real ones")
+    kept = np.flatnonzero([part != "test" for part in recordings.parts])
+    recordings = recordings.part(kept)
+    counts = np.bincount(recordings.labels, minlength=10)
+    if counts.min() < FEWEST_OF_A_DIGIT:
+        raise UserError(
+            f"{source}: {counts.min()} recordings of a {counts.argmin()}; give at least "
+            f"{FEWEST_OF_A_DIGIT} of each digit"
+        )
+    about = {
+        "source": recordings.source.name,
+        "sha256": recordings.source.sha256,
+        "recordings": len(recordings),
+    }
+    return Target(chunk_recordings(recordings), recordings.labels), about
 
 
 def main(
-    rounds: Annotated[int, typer.Option(help="Rounds of the fit.", min=1)] = 8,
-    seed: SimulationSeed = 0,
-    check: Annotated[
-        bool, typer.Option("--check", help="Do not fit; exit 1 if a cell exceeds its limit.")
-    ] = False,
+    data: Annotated[Path, typer.Option(help="Zip or folder of real recordings of digits.")],
+    seed: Annotated[int, typer.Option(help="Seed of the fit.", min=0, max=2**20)] = 0,
     out: Annotated[
         Path, typer.Option(help="File for the fit.", show_default="the one that is read")
-    ] = CALIBRATION,
+    ] = FITTED,
     jobs: options.Jobs = 2,
 ):
-    """Fit the simulated recordings to the paper's Table 1, or check the fit.
+    """Fit the simulated recordings to real ones.
 
-    The simulation reads the file that is written by default.
+    The test part of a published split is not used.  The simulation reads the file that is written
+    by default.
     """
-    fitted = load()
-    if not check:
-        with progress("calibrate", rounds * sum(SAMPLES_PER_DIGIT)) as advance:
-            fitted, _ = calibrate(fitted, rounds, seed, jobs, advance=advance)
-        content = source_of(seed, parameters=fitted).sha256
-        about = {"seed": seed, "rounds": rounds, "recordings_sha256": content}
-        write_calibration(out, fitted, about)
-    with progress("simulate", sum(SAMPLES_PER_DIGIT)) as advance:
-        recordings = simulate(seed, jobs=jobs, advance=advance, parameters=fitted)
-    found = cells(statistics.table(recordings))
-    past = [cell for cell in found if cell.strain > 1]
-    show(cells_text(found[:8]))
-    show(f"seed {seed}: {len(found) - len(past)} of {len(found)} cells within their limits")
-    if past:
-        raise CheckFailed(f"{len(past)} cells of Table 1 are past their limits")
+    target, about = read_target(data, jobs)
+    fit = read_json(FITTED, "install the package again")
+    with progress("calibrate", len(GROUPS)) as advance:
+        fit = calibrate(fit, target, seed, jobs, advance)
+    write_json(out, {**fit, "source": {**about, "seed": seed}}, indent=1)
+    bits, _ = simulate_fit(fit, STEP_SAMPLES, 1000 * seed + len(GROUPS), jobs)
+    rows = [["summary", "real", "SD", "simulated", "SD"]]
+    for name, values in summarise_recordings(bits).items():
+        real = target.summaries[name]
+        figures = (real.mean(), real.std(), values.mean(), values.std())
+        rows.append([name, *(f"{figure:.2f}" for figure in figures)])
+    show("\n".join(aligned(rows, left=1)))
+    show(f"{out}: fitted to {about['recordings']} recordings of {about['source']}")

@@ -93,7 +93,7 @@ def summarise_recordings(bits) -> dict:
     active, some = total > 0, np.maximum(total.sum(1), 1)
     n_active = np.maximum(active.sum(1), 1)
     row, column = np.arange(N_TAXELS) % GRID, np.arange(N_TAXELS) // GRID
-    neighbours = _count_neighbours(active)
+    neighbours = count_neighbours(active)
     any_bit = bits.any(2)
     first = any_bit.argmax(-1)
     last = CHUNKS - 1 - any_bit[..., ::-1].argmax(-1)
@@ -121,7 +121,7 @@ def summarise_recordings(bits) -> dict:
     }
 
 
-def _count_neighbours(active):
+def count_neighbours(active):
     """Number of active taxels around each."""
     grid = np.pad(active.reshape(-1, GRID, GRID), ((0, 0), (1, 1), (1, 1))).astype(np.int32)
     shifted = (grid[:, i : i + GRID, j : j + GRID] for i in range(3) for j in range(3))

@@ -1,6 +1,7 @@
 """Estimating the model of handwriting (:mod:`.shape_model`) from pen trajectories."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -79,10 +80,29 @@ def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
         loyalty.append(share)
     tempo, trial_tempo = _tempo(traces, digits, writers)
     known = {"writers": len(set(writers.tolist())), "digits": len(traces), **(about or {})}
-    return ShapeModel(
+    model = ShapeModel(
         tuple(allographs), tuple(loyalty), _spread(slants), _spread(widths), tempo, trial_tempo,
         known,
     )  # fmt: skip
+    return add_straight_one(model)
+
+
+def add_straight_one(model: ShapeModel) -> ShapeModel:
+    """The model with a 1 as one straight stroke downwards, which few of the measured people write.
+
+    Its components are the change of the speed along the stroke, its slant and its bow.
+    """
+    even = np.linspace(-0.5, 0.5, POINTS)
+    eased, nowhere = 1.5 * even - 2 * even**3, np.zeros(POINTS)
+    bow = 0.04 * (1 - (2 * even) ** 2)
+    pace = ((even - eased) / 2, nowhere)
+    parts = (((even + eased) / 2, nowhere), pace, (nowhere, 0.2 * even), (nowhere, bow))
+    mean, *rows = (np.stack(part, 1).ravel() for part in parts)
+    half = np.sqrt(0.5) * np.eye(len(rows))
+    straight = Allograph(0.5, (POINTS,), mean, np.array(rows), half, half)
+    ways = list(model.allographs)
+    ways[1] = (*ways[1], straight)
+    return replace(model, allographs=tuple(ways))
 
 
 def _spread(of_writer):

@@ -46,7 +46,7 @@ def stamps() -> dict:
 def _hand():
     """A simulated hand's 8 in 1.2 s: milliseconds, and shares of the width and height."""
     p, rng = parameters.load(), np.random.default_rng(0)
-    who = handwriting.writers(rng, p.writers, p.shapes)[0]
+    who = handwriting.draw_writer(rng, p)
     motion = simulate.motion(simulate.Sample(8, 0, 0), who, rng, p)
     first, last = np.flatnonzero(motion.force > 0.3 * motion.force.max())[[0, -1]]
     at = np.linspace(first, last, 120).astype(int)

@@ -28,12 +28,12 @@ LEANING = np.array([[1.0, 0.7], [0.0, 1.0]])
 def strange_hand(each, seed=5):
     """Recordings of somebody whose digits lean far to the left."""
     p, rng = parameters.load(), np.random.default_rng(seed)
-    who = handwriting.writers(rng, p.writers, p.shapes)[0]
-    traces = [
-        Trace(digit, 7, boxed(s @ LEANING for s in handwriting.write(digit, who, rng, p.shapes)))
-        for digit in range(10)
-        for _ in range(each)
-    ]
+    who = handwriting.draw_writer(rng, p)
+    traces = []
+    for digit in np.repeat(np.arange(10), each):
+        shape = handwriting.draw_shape(digit, who, rng, p.shapes)
+        strokes = handwriting.write(digit, shape, who, p.shapes, p.forms[digit])
+        traces.append(Trace(int(digit), 7, boxed(stroke @ LEANING for stroke in strokes)))
     return simulate(seed, [each] * 10, 1, traces=traces)
 
 

@@ -49,7 +49,7 @@ def load_recordings(
     jobs: int = 2,
     warn=None,
     reading: ReadingOptions = AS_FOUND,
-    writers: int = 0,
+    writers: int = parameters.PEOPLE,
 ) -> Recordings:
     """Recordings of a source, which are simulated or imported on first use and cached.
 
@@ -70,7 +70,7 @@ def load_recordings(
     reading : pipeline.recordings.sensor.ReadingOptions
         Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
     writers : int
-        Number of simulated people; 0 for the published number, 23.
+        Number of simulated people.
 
     Returns
     -------

@@ -130,11 +130,12 @@ def spread_force(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
 
 def _profiles(down, right, force, p, size):
     """The two factors of the pressure: over the rows, with the force, and over the columns."""
-    high, wide = map(np.arange, size)
-    rows = np.exp(-0.5 * ((down[:, None] - high) / p.spread) ** 2).astype(np.float32)
-    columns = np.exp(-0.5 * ((right[:, None] - wide) / p.spread) ** 2).astype(np.float32)
-    rows *= force[:, None].astype(np.float32)
-    return rows, columns
+    rows, columns = (
+        np.exp(-0.5 * (np.abs(along[:, None] - np.arange(n)) / p.spread) ** p.falloff)
+        for along, n in zip((down, right), size, strict=True)
+    )
+    rows *= force[:, None]
+    return rows.astype(np.float32), columns.astype(np.float32)
 
 
 class Receptors:

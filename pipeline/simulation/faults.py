@@ -34,15 +34,17 @@ def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s:
     times, taxels = [], []
     for row, column in _hot_taxels(session, p):
         rate = p.hot_rate * np.exp(p.hot_rate_spread * rng.standard_normal())
-        if rng.random() < p.hot_share and row < rows and column < columns:
-            fired = _bouts(rng, start_s, end_s, rate, refractory_s, p.bout_s)
-            times.append(fired)
-            taxels.append(np.full(len(fired), rows * column + row))
+        if row < rows and column < columns:
+            times.append(_draw_bouts(rng, start_s, end_s, rate, refractory_s, p.bout_s))
+            taxels.append(np.full(len(times[-1]), rows * column + row))
+    hot = sum(map(len, times))
     strays = rng.poisson(p.strays * np.exp(p.strays_spread * rng.standard_normal()))
     times.append(rng.uniform(start_s, end_s, strays))
     taxels.append(rng.integers(0, rows * columns, strays))
     time, taxel = np.concatenate(times), np.concatenate(taxels).astype(int)
-    return time, taxel, np.where(rng.random(len(time)) < p.rise, 1, -1)
+    # A stray is a rise: the taxel does not come back to the threshold of a fall.
+    is_rise = (np.arange(len(time)) >= hot) | (rng.random(len(time)) < p.rise)
+    return time, taxel, np.where(is_rise, 1, -1)
 
 
 def _hot_taxels(session, p):
@@ -54,7 +56,7 @@ def _hot_taxels(session, p):
     return ()
 
 
-def _bouts(rng, start_s, end_s, rate, refractory_s, bout_s):
+def _draw_bouts(rng, start_s, end_s, rate, refractory_s, bout_s):
     """Times of a taxel that fires at a rate during bouts, which alternate with equal pauses."""
     count = int(2 * rate * (end_s - start_s)) + 10
     time = start_s + np.cumsum(refractory_s + rng.exponential(1 / rate, count))

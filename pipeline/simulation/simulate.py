@@ -113,7 +113,7 @@ def simulate(
     """
     parameters = parameters or settings.load()
     counts = _counts(samples_per_digit)
-    samples = _samples(seed, counts, parameters.people, traces)
+    samples = list_samples(seed, counts, parameters.people, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_batch)(seed, batch, parameters, size) for batch in batches)
@@ -159,10 +159,28 @@ def _counts(samples_per_digit):
     return counts
 
 
-def _samples(seed, counts, people, traces):
+def list_samples(seed, counts, people, traces=None) -> list:
+    """The samples of a data set.
+
+    Parameters
+    ----------
+    seed : int
+    counts : sequence of 10 int
+        Samples of each digit, which are shared out among all people.
+    people : int
+    traces : sequence of pipeline.simulation.handwriting.Trace, optional
+        Recorded handwriting; each is used once, in random order, before any is used again.
+
+    Returns
+    -------
+    list of Sample
+
+    Raises
+    ------
+    UserError
+        A digit is requested that no trace has.
+    """
     if traces is None:
-        # A small set has as many people as a large one: the recordings of a digit are shared out
-        # among all of them.
         return [
             Sample(digit, index, index * people // count)
             for digit, count in enumerate(counts)
@@ -173,7 +191,6 @@ def _samples(seed, counts, people, traces):
         pool = [trace for trace in traces if trace.digit == digit]
         if count and not pool:
             raise UserError(f"the recorded handwriting has no {digit}; ask for none of it")
-        # Each trace is used once, in random order, before any is used again.
         deal = np.random.default_rng([seed, 3, digit])
         rounds = [deal.permutation(len(pool)) for _ in range(-(-count // max(len(pool), 1)))]
         chosen = np.concatenate([np.empty(0, int), *rounds])[:count]

@@ -1,5 +1,7 @@
 """ACES: what goes onto the wire comes off it again."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ from pipeline.simulation import aces, parameters
 from pipeline.simulation.simulate import simulate
 from tests.pipeline.simulation import wire as wire_of
 
-P = parameters.load().aces
+P = SimpleNamespace(**vars(parameters.load().aces), **wire_of.WIRE)
 SIGNATURE_NS = P.signature_s * 1e9
 
 sent = st.lists(
@@ -41,16 +43,16 @@ def test_burst_lengths_are_those_of_the_real_recording():
     time_ns = np.random.default_rng(0).uniform(0, 1e12, 40_000)
     polarity = np.repeat([1, -1], 20_000)
     events = aces.bursts(time_ns, np.zeros(40_000, int), polarity, P)
-    on, off = (events.columns[events.polarity == sign] for sign in (1, -1))
-    assert set(on) == {4, 5}
-    assert set(off) == {2, 3}
-    assert np.mean(on == 5) == pytest.approx(165 / 359, abs=0.02)
-    assert np.mean(off == 3) == pytest.approx(133 / 306, abs=0.02)
+    rises, falls = (events.columns[events.polarity == sign] for sign in (1, -1))
+    assert set(falls) == {4, 5}
+    assert set(rises) == {2, 3}
+    assert np.mean(falls == 5) == pytest.approx(165 / 359, abs=0.02)
+    assert np.mean(rises == 3) == pytest.approx(133 / 306, abs=0.02)
 
 
 def test_encode_by_hand():
     # 100 ns is in tick 7 (112 ns); a pulse of 71.4 ns is still high at ticks 8 to 10 (160 ns).
-    wire = wire_of.encode([100.0], [5], [1], P, 0, 70_000)
+    wire = wire_of.encode([100.0], [5], [-1], P, 0, 70_000)
     delays = wire_of.signatures(P.pulses, P.signature_s, P.most_shared)[5]
     expected = np.zeros(70_000)
     for delay in delays:

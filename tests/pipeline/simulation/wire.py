@@ -13,6 +13,18 @@ SIGNATURE_SEED = 2020
 # Ticks after which a taxel's reports can no longer belong to the same event.
 LONGEST_BURST = 6
 
+# The wire, for which nothing is published: pulses of a signature, its duration, pulses that may
+# coincide in two signatures, pulses from which the decoder reports an event, ticks below which a
+# burst is noise, and the noise of the wire in heights of a pulse.
+WIRE = {
+    "pulses": 10,
+    "signature_s": 1.0e-3,
+    "most_shared": 2,
+    "level": 7.5,
+    "shortest": 2,
+    "noise": 0.1,
+}
+
 # Number of pulses that are correlated at every tick; the others only where these are found.
 FIRST_LOOK = 4
 
@@ -64,7 +76,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
     ----------
     time_ns, taxel, polarity
         As in :func:`pipeline.simulation.aces.bursts`.
-    p : section ``[aces]`` of ``parameters.toml``
+    p : section ``[aces]`` of the parameters, and :data:`WIRE`
     start_ns : int
         Time of the first sample, on the grid.
     n_ticks : int
@@ -88,12 +100,12 @@ def decode(wire, p, start_ns) -> Events:
 
     Each sample is limited to a pulse's height, so that overlapping signatures do not cause false
     events; then the wire is correlated with every signature at every tick.  Consecutive
-    ticks with at least ``p.level`` pulses are one event, whose length determines ON or OFF.
+    ticks with at least ``p.level`` pulses are one event, whose length determines rise or fall.
 
     Parameters
     ----------
     wire : ndarray of float32, shape (n_ticks,)
-    p : section ``[aces]`` of ``parameters.toml``
+    p : section ``[aces]`` of the parameters, and :data:`WIRE`
     start_ns : int
         Time of the first sample, on the grid.
 
@@ -120,5 +132,5 @@ def decode(wire, p, start_ns) -> Events:
     if not found:
         return in_turn(*(np.empty(0, int),) * 4)
     begin, taxel, length = (np.concatenate(column) for column in zip(*found, strict=True))
-    polarity = np.where(length * TICK_NS > (p.on_ns + p.off_ns) / 2, 1, -1)
+    polarity = np.where(length * TICK_NS < (p.rise_ns + p.fall_ns) / 2, 1, -1)
     return in_turn(begin + start_ns // TICK_NS, taxel, polarity, length)

@@ -1,0 +1,64 @@
+"""Recordings in the published representation."""
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from experiments.fidelity import chunk_recordings, summarise_recordings
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.library import load_recordings
+
+
+def recordings_of(events, **how):
+    return collect([events], [0], ["0/0"], [-1], Source("by hand", "", True), **how)
+
+
+def test_chunks_by_hand():
+    # 250 columns: the first fifty chunks have three of them, the others two.
+    columns = np.array([150, 100])
+    bits = chunk_recordings(recordings_of(Events([0, 16 * 200], [3, 40], [1, -1], columns)))
+    assert bits.shape == (1, 100, 2, 100)
+    np.testing.assert_array_equal(bits[0, 3, 0], np.arange(100) < 50)
+    np.testing.assert_array_equal(bits[0, 40, 1], np.arange(100) >= 50)
+    assert bits.sum() == 100
+
+
+def test_recordings_that_are_chunks_stay_what_they_are():
+    events = Events([0, 20_000_000, 1_980_000_000], [3, 3, 99], [1, -1, 1], [1, 1, 1])
+    bits = chunk_recordings(recordings_of(events))
+    assert bits.sum() == 3
+    assert bits[0, 3, 0, 0]
+    assert bits[0, 3, 1, 1]
+    assert bits[0, 99, 0, 99]
+
+
+def test_summaries_by_hand():
+    bits = np.zeros((1, 100, 2, 100), bool)
+    bits[0, 23, 0, [4, 5, 9]] = True  # row 3, column 2
+    bits[0, 33, 1, 7] = True  # row 3, column 3
+    found = {name: value[0] for name, value in summarise_recordings(bits).items()}
+    assert found["bits"] == 4
+    assert found["active"] == 2
+    assert found["neighbours"] == 1
+    assert found["runs"] == pytest.approx(3 / 2)
+    assert found["run length"] == pytest.approx(4 / 3)
+    assert found["one bit"] == 0.5
+    assert found["rise over fall"] == 3
+    assert (found["row"], found["column"]) == (4, 3.5)
+    assert (found["height"], found["width"]) == (1, 1)
+
+
+def test_another_sensor_is_refused():
+    events = Events([0], [3], [1], [1])
+    other = {"sensor": Sensor(8, 8), "taxels": TaxelMap.grid(8, 8)}
+    with pytest.raises(UserError, match="10x10"):
+        chunk_recordings(recordings_of(events, **other))
+
+
+def test_the_published_arrays_are_chunks_of_the_files(shared_data):
+    """One published file is also known as it was recorded: not one bit differs."""
+    published = load_recordings(str(shared_data / "stmnist-train.zip"), jobs=1)
+    index = published.ids.index(next(name for name in published.ids if name.endswith("/5153")))
+    raw = load_recordings(str(shared_data / "sample_stmnist.mat"), jobs=1)
+    bits = chunk_recordings(published.part([index]))
+    np.testing.assert_array_equal(chunk_recordings(raw), bits)
