@@ -78,6 +78,7 @@ FORM_BOUNDS = {
     "right": (3.0, 6.5),
     "shear": (-0.5, 0.5),
     "force": (-2.0, 2.0),
+    "contact": (-0.7, 0.7),
 }
 
 # A taxel is hot if it has so many bits in so large a share of the recordings whose digit is
@@ -203,14 +204,13 @@ def simulate_fit(fit: dict, each: int, seed: int, jobs: int, people: int = 1000)
 
 
 def step_forms(fit: dict, target: Target, bits, labels, damping: float = 0.9) -> dict:
-    """Move place, size, slant and force of each digit towards the real ones.
+    """Move place, size, slant, force and contact of each digit towards the real ones.
 
     Also the variation of place and size, which is the same for all digits.
     """
     fit = copy.deepcopy(fit)
     moments = measure_moments(bits, target.hot)
-    perceived = np.log(summarise_recordings(bits)["bits per taxel"])
-    wanted = np.log(target.summaries["bits per taxel"])
+    found = summarise_recordings(bits)
     deviations = []
     for digit, form in enumerate(fit["digits"]):
         real, mine = target.labels == digit, labels == digit
@@ -221,14 +221,21 @@ def step_forms(fit: dict, target: Target, bits, labels, damping: float = 0.9) ->
         form["height"] *= (usual[2] / present[2]) ** damping
         form["width"] *= (usual[3] / max(present[3], 0.2)) ** damping
         form["shear"] -= damping * (usual[4] - present[4]) * form["height"] / form["width"]
-        form["force"] += 0.7 * damping * (wanted[real].mean() - perceived[mine].mean())
+        more = {
+            name: np.log(target.summaries[name][real].mean() / found[name][mine].mean())
+            for name in ("bits per taxel", "active")
+        }
+        form["force"] += 0.7 * damping * (more["bits per taxel"] - more["active"] / 2)
+        form["contact"] += 0.7 * damping * more["active"]
         for name, (low, high) in FORM_BOUNDS.items():
             form[name] = round(float(np.clip(form[name], low, high)), 4)
         deviations.append((_spread(target.moments[real]), _spread(moments[mine])))
     real, mine = np.mean(deviations, axis=0)
     factor = np.clip((real / mine) ** damping, 0.5, 2)
     trials = fit["sections"]["trials"]
-    trials["place"] = [round(float(p * f), 4) for p, f in zip(trials["place"], factor, strict=False)]
+    trials["place"] = [
+        round(float(p * f), 4) for p, f in zip(trials["place"], factor, strict=False)
+    ]
     trials["height"] = round(float(np.clip(trials["height"] * factor[2], 0.02, 0.3)), 4)
     trials["width"] = round(float(np.clip(trials["width"] * factor[3], 0.02, 0.4)), 4)
     return fit
@@ -439,14 +446,12 @@ def read_target(source: Path, jobs: int) -> tuple:
     Raises
     ------
     UserError
-        They are not of the paper's sensor, their classes are not the ten digits, they are
-        simulated, or too few of a digit.
+        They are not of the paper's sensor, their classes are not the ten digits, or there are too
+        few of a digit.
     """
     recordings = load_recordings(str(source), jobs=jobs)
     if not are_digits(recordings.sensor.classes):
         raise UserError(f"{source}: its classes are not the ten digits; give recordings of digits")
-    if recordings.source.simulated:
-        raise UserError(f"{source}: simulated recordings; give real ones")
     kept = np.flatnonzero([part != "test" for part in recordings.parts])
     recordings = recordings.part(kept)
     counts = np.bincount(recordings.labels, minlength=10)
@@ -480,7 +485,7 @@ def main(
     fit = read_json(FITTED, "install the package again")
     with progress("calibrate", len(GROUPS)) as advance:
         fit = calibrate(fit, target, seed, jobs, advance)
-    write_json(out, {**fit, "source": {**about, "seed": seed}}, indent=1)
+    write_json(out, {**fit, "source": {**about, "seed": seed}}, indent=None)
     bits, _ = simulate_fit(fit, STEP_SAMPLES, 1000 * seed + len(GROUPS), jobs)
     rows = [["summary", "real", "SD", "simulated", "SD"]]
     for name, values in summarise_recordings(bits).items():

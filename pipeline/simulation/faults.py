@@ -7,7 +7,6 @@ same ones, and not in all sessions.  Other taxels, mostly at the edge, report si
 import numpy as np
 
 
-
 def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s: float, p, size):
     """Draw the events of a recording that no pen has caused.
 

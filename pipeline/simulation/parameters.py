@@ -40,6 +40,8 @@ class Form:
         Usual slant to the right, as its tangent, in addition to that of the model of handwriting.
     force : float
         Logarithm of the usual force.
+    contact : float
+        Logarithm of the factor on the width of the contact.
     backwards : float
         Share of the people who draw the digit's line from its end to its beginning.
     """
@@ -50,6 +52,7 @@ class Form:
     right: float
     shear: float
     force: float
+    contact: float
     backwards: float
 
 

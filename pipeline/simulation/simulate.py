@@ -291,18 +291,27 @@ def _waver(motion, rng, p):
 
 def _touch(sample, who, rng, gain, p, size):
     moved = stretched(motion(sample, who, rng, p), size)
-    skin = draw_skin(who, rng, p)
+    skin = draw_skin(who, rng, p, p.forms[sample.digit].contact)
     gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(len(gain)))
     taxels, felt, speed = press(moved, gain, p.receptor.threshold / 2, skin, size)
     return Touch(moved.time_s[0], taxels, felt, speed, skin, who.session, rng)
 
 
-def draw_skin(who, rng, p):
-    """Section ``[skin]`` with the width of the contact and the roughness of one recording."""
+def draw_skin(who, rng, p, contact=0.0):
+    """Section ``[skin]`` with the width of the contact and the roughness of one recording.
+
+    Parameters
+    ----------
+    who : pipeline.simulation.handwriting.Writer
+    rng : numpy.random.Generator
+    p : Parameters
+    contact : float
+        Logarithm of the digit's factor on the width of the contact.
+    """
     wider, rougher = np.clip(rng.standard_normal(2), -2.5, 2.5)
     return replace(
         p.skin,
-        spread=p.skin.spread * np.exp(p.skin.spread_spread * wider),
+        spread=p.skin.spread * np.exp(contact + p.skin.spread_spread * wider),
         scrape=p.skin.scrape * np.exp(who.scrape + p.trials.scrape * rougher),
     )
 

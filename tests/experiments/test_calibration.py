@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from deploy.files import read_json
 from experiments import calibration
 from experiments.calibration import Target, adapt_ways, find_sessions, simulate_fit, step_forms
-from pipeline.recordings.source import write_zip
+from pipeline.recordings.writing import write_zip
 from pipeline.simulation import parameters
 from pipeline.simulation.simulate import simulate, source_of
 
@@ -26,7 +26,7 @@ def changed_fit(**values):
     return fit
 
 
-def target_of(fit, each=25, seed=5):
+def target_of(fit, each=15, seed=5):
     return Target(*simulate_fit(fit, each, seed, 1))
 
 
@@ -41,22 +41,24 @@ def test_the_built_in_fit_has_its_source_and_no_recording():
     assert parameters.FITTED.stat().st_size < 200_000
 
 
-@pytest.mark.parametrize(("name", "by"), [("down", 0.8), ("right", -0.8), ("height", -2.0)])
-def test_a_step_moves_digits_towards_the_recordings(name, by):
+def test_a_step_moves_digits_towards_the_recordings():
+    moves = {"down": 0.8, "right": -0.8, "height": -2.0}
     here = changed_fit(shear=0.0, down=4.5, right=4.5, height=7.0, width=7.0)
     there = copy.deepcopy(here)
     for form in there["digits"]:
-        form[name] += by
-    moved = step_forms(here, target_of(there), *simulate_fit(here, 25, 5, 1))
-    found = np.mean([form[name] for form in moved["digits"]]) - here["digits"][0][name]
-    assert found == pytest.approx(by, rel=0.4)
+        for name, by in moves.items():
+            form[name] += by
+    moved = step_forms(here, target_of(there), *simulate_fit(here, 15, 5, 1))
+    for name, by in moves.items():
+        found = np.mean([form[name] for form in moved["digits"]]) - here["digits"][0][name]
+        assert 0.4 < found / by < 1.6
 
 
 def test_hot_taxels_are_found_with_their_sessions():
     fit = changed_fit(down=4.5, right=4.5, width=4.0)
     sessions = [[0.4, [[8, 1], [2, 0]]], [0.4, [[9, 8]]]]
     fit["sections"]["faults"]["sessions"] = sessions
-    found = find_sessions(*simulate_fit(fit, 100, 5, 1))
+    found = find_sessions(*simulate_fit(fit, 60, 5, 1))
     assert {frozenset(map(tuple, taxels)) for _, taxels in found} == {
         frozenset({(8, 1), (2, 0)}),
         frozenset({(9, 8)}),
@@ -66,7 +68,7 @@ def test_hot_taxels_are_found_with_their_sessions():
 
 
 def test_ways_that_people_use_get_larger_shares(monkeypatch):
-    monkeypatch.setattr(calibration, "WAY_SAMPLES", 40)
+    monkeypatch.setattr(calibration, "WAY_SAMPLES", 30)
     here = changed_fit()
     there = copy.deepcopy(here)
     for ways in (here["ways"][2], there["ways"][2]):
@@ -77,7 +79,7 @@ def test_ways_that_people_use_get_larger_shares(monkeypatch):
     found = adapt_ways(here, target_of(there), 3, 1)
     shares = [way["share"] for way in found["ways"][2]]
     assert shares[0] == max(shares)
-    assert shares[0] > 2 / len(shares)
+    assert shares[0] > 1.5 / len(shares)
 
 
 def test_recordings_that_cannot_be_fitted_to(tmp_path):
@@ -99,8 +101,8 @@ def test_the_command_writes_one_file(tmp_path, monkeypatch):
     monkeypatch.setattr(calibration, "GROUPS", ("forms",))
     monkeypatch.setattr(calibration, "FEWEST_OF_A_DIGIT", 20)
     recordings, out = tmp_path / "real.zip", tmp_path / "fit.json"
-    write_zip(recordings, simulate(0, [30] * 10, 1))
+    write_zip(recordings, simulate(0, [20] * 10, 1))
     calibration.main(data=recordings, out=out, jobs=1)
     written = json.loads(out.read_text())
-    assert written["source"]["recordings"] == 300
+    assert written["source"]["recordings"] == 200
     assert parameters.from_fit(written).fingerprint() != parameters.load().fingerprint()

@@ -49,9 +49,7 @@ def test_it_is_what_people_do():
     assert model.slant == pytest.approx(0.3, rel=0.25)
     rng = np.random.default_rng(1)
     way = max(model.allographs[4], key=lambda way: way.share)
-    drawn = [
-        way.strokes(way.within @ rng.standard_normal(way.rank)) for _ in range(500)
-    ]
+    drawn = [way.strokes(way.within @ rng.standard_normal(way.rank)) for _ in range(500)]
     ends = [strokes[0][-1, 1] - strokes[0][0, 1] for strokes in drawn]
     assert np.std(ends) < 0.15
 
