@@ -9,9 +9,9 @@ import numpy as np
 from joblib import delayed
 
 from deploy.errors import UserError
-from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.jobs import results_of
 from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation import parameters as settings
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press

@@ -3,8 +3,9 @@
 The motion of a simulated writer is known completely before the skin is simulated.  Here the points
 of the pen arrive one by one.  Between two of them the tip moves in a straight line, after the last
 one it rests, and it lands and lifts like a simulated writer's
-(:func:`pipeline.simulation.handwriting.on_skin`).  Contact, film, receptors and read-out are those of the
-simulation (:mod:`pipeline.simulation.contact`, :mod:`~pipeline.simulation.aces`); the skin has no faults.
+(:func:`pipeline.simulation.handwriting.on_skin`).  Contact, film, receptors and read-out are those
+of the simulation (:mod:`pipeline.simulation.contact`, :mod:`~pipeline.simulation.aces`); the skin
+has no faults.
 """
 
 from typing import NamedTuple
