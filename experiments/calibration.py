@@ -340,7 +340,8 @@ def describe_shapes(bits, left_out) -> np.ndarray:
     Returns
     -------
     ndarray of float32, shape (n, n_features)
-        Square roots of the bits in slices of time, on a grid that moves with the digit; of length 1.
+        Square roots of the bits in slices of time, on a grid that moves with the digit; of unit
+        length.
     """
     slices = bits.sum(2, dtype=np.int16).reshape(len(bits), N_TAXELS, SLICES, -1).sum(-1)
     weight = np.sqrt(np.minimum(slices, 6))
