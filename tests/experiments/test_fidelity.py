@@ -6,8 +6,6 @@ import pytest
 from deploy.errors import UserError
 from experiments.fidelity import chunk_recordings, summarise_recordings
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.recordings.formats.mat import read_recording
-from pipeline.recordings.library import load_recordings
 
 
 def recordings_of(events, **how):
@@ -54,12 +52,3 @@ def test_another_sensor_is_refused():
     other = {"sensor": Sensor(8, 8), "taxels": TaxelMap.grid(8, 8)}
     with pytest.raises(UserError, match="10x10"):
         chunk_recordings(recordings_of(events, **other))
-
-
-def test_the_published_arrays_are_chunks_of_the_files(shared_data):
-    """One published recording is also known as it was recorded: not one bit differs."""
-    published = load_recordings(str(shared_data / "stmnist-train.zip"), jobs=1)
-    index = published.ids.index("0/5153")
-    raw = read_recording((shared_data / "sample_stmnist.mat").read_bytes()).events
-    bits = chunk_recordings(published.part([index]))
-    np.testing.assert_array_equal(chunk_recordings(recordings_of(raw)), bits)
