@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
-from deploy.tables import aligned
+from deploy.tables import align_rows
 from deploy.terminal import show
 from experiments.fidelity import (
     FEWEST_BITS,
@@ -493,5 +493,5 @@ def main(
         real = target.summaries[name]
         figures = (real.mean(), real.std(), values.mean(), values.std())
         rows.append([name, *(f"{figure:.2f}" for figure in figures)])
-    show("\n".join(aligned(rows, left=1)))
+    show("\n".join(align_rows(rows, left=1)))
     show(f"{out}: fitted to {about['recordings']} recordings of {about['source']}")
