@@ -9,8 +9,9 @@
 or the class is in the name of each file, ``<name>_label_<class>.npy``, without folders of classes.
 
 There may be any number of folders around everything, as ``data_submission`` in ST-MNIST's archive.
-Hidden files, ``README*``, ``LICENSE*``, ``*.txt`` and ``*.md`` are ignored; anything else is
-refused by name.  A zip is read without being unpacked to disk.
+Hidden files, ``README*``, ``LICENSE*``, ``*.txt`` and ``*.md`` are ignored, unless all files are
+``*.txt``, which then are the recordings; anything else is refused by name.  A zip is read without
+being unpacked to disk.
 """
 
 import functools
@@ -37,12 +38,15 @@ from pipeline.progress import ignore_progress
 from pipeline.recordings import sensor
 from pipeline.recordings.events import Recordings, Source, collect
 from pipeline.recordings.formats import READERS, read_file
+from pipeline.recordings.formats.column_order import ORDERS, settle_orders
 from pipeline.recordings.formats.mat import read_lookup_table
 from pipeline.recordings.formats.recording import MAX_FILE_BYTES, BadRecording, read_limited
 from pipeline.recordings.taxels import read_positions
 
 LOOKUP_TABLE, POSITIONS = "lut.mat", "taxels.csv"
-IGNORED = ("readme*", "license*", "*.txt", "*.md")
+IGNORED = ("readme*", "license*", "*.md")
+# Recordings if there are no others, and ignored otherwise.
+TEXT_SUFFIX = ".txt"
 # Subset of a published split, by the name of a folder in lower case.
 SUBSETS = {"train": "train", "training": "train", "test": "test", "testing": "test"}
 
@@ -167,6 +171,8 @@ def _sort_files(path, files):
         member = PurePosixPath(name)
         if not _is_ignored(member):
             tables.get(member.name.lower(), members).append(member)
+    if any(member.suffix.lower() != TEXT_SUFFIX for member in members):
+        members = [member for member in members if member.suffix.lower() != TEXT_SUFFIX]
     for name, several in tables.items():
         if len(several) > 1:
             listed = " and ".join(_shorten(member) for member in several[:2])
@@ -450,6 +456,7 @@ def read_source(
     if not read:
         raise SeveralErrors(_refusals(path, refused, listing.total, False))
     parts = [entry.part for entry in entries]
+    read, order = _settle_orders(path, read)
     found = sensor.interpret(path, read, parts, lookup, positions, reading)
     refused += [(entries[index].member, why) for index, why in found.refused.items()]
     if refused and not skip_bad:
@@ -474,12 +481,27 @@ def read_source(
             time_unit=found.time_unit,
             bin_ms=found.bin_ms,
             rise=found.rise,
-            remarks=found.remarks,
+            remarks=(*_order_remarks(order), *found.remarks),
         ),
         taxels=found.taxels,
         sensor=the_sensor,
         parts=[entry.part for entry in entries],
     )
+
+
+def _settle_orders(path, read):
+    """Recordings with columns in one order, and that order if they have no names."""
+    try:
+        return settle_orders(read)
+    except BadRecording as error:
+        raise UserError(f"{path}: {error}") from error
+
+
+def _order_remarks(order):
+    """A line about an order of columns without names that is not the documented one."""
+    if order in ("", ORDERS[0]):
+        return ()
+    return (f"columns without names are read as {', '.join(order)}",)
 
 
 def _tables_of(listing):

@@ -7,7 +7,7 @@ To add a format, write a function ``read(content, name)`` that gives an
 
 from pathlib import PurePosixPath
 
-from pipeline.recordings.formats import camera, csv
+from pipeline.recordings.formats import atis, camera, csv, hdf5
 from pipeline.recordings.formats.mat import read_mat
 from pipeline.recordings.formats.npz import read_npy, read_npz
 from pipeline.recordings.formats.recording import BadRecording
@@ -19,6 +19,8 @@ READERS = {
     ".npy": read_npy,
     **dict.fromkeys(csv.SUFFIXES, csv.read_csv),
     **dict.fromkeys(camera.SUFFIXES, camera.read_camera),
+    **dict.fromkeys(atis.SUFFIXES, atis.read_bin),
+    **dict.fromkeys(hdf5.SUFFIXES, hdf5.read_hdf5),
 }
 
 

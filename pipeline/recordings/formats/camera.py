@@ -1,6 +1,7 @@
 """Files of event cameras: iniVation's ``.aedat4``, Prophesee's ``.raw`` and ``.dat``.
 
-They are read with faery (https://github.com/aestream/faery, LGPL 3), which is optional.
+They are read with faery (https://github.com/aestream/faery, LGPL 3), which is optional.  It does
+not read ``.dat`` files with events of type 0, which :mod:`pipeline.recordings.formats.atis` does.
 """
 
 import tempfile
@@ -9,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from pipeline.recordings.formats.atis import is_old_dat, read_old_dat
 from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
     BadRecording,
@@ -28,6 +30,8 @@ def read_camera(content: bytes, name: str) -> EventRecording:
         faery is not installed; or the file is damaged, has too many events or none.
     """
     suffix = PurePosixPath(name).suffix.lower()
+    if suffix == ".dat" and is_old_dat(content):
+        return read_old_dat(content)
     try:
         import faery
     except ImportError as error:
@@ -52,7 +56,11 @@ def read_camera(content: bytes, name: str) -> EventRecording:
             # A damaged file may end in a panic of faery's Rust, which is no Exception.
             if isinstance(error, (KeyboardInterrupt, SystemExit, MemoryError)):
                 raise
-            raise BadRecording(f"is damaged, or not a {suffix} file") from error
+            reason = " ".join(str(error).replace(str(path), name).split())[:120]
+            raise BadRecording(
+                f"cannot be read by faery ({reason}); it is damaged, or not a {suffix} file that "
+                "faery supports: convert it to .npz with arrays x, y, t and p"
+            ) from error
     events = np.concatenate(parts) if parts else np.empty(0, faery.EVENTS_DTYPE)
     recording = make_recording({"t_us": events["t"], **{name: events[name] for name in "xyp"}})
     return replace(recording, size=(int(rows), int(columns)))

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 
+from pipeline.recordings.formats.column_order import make_array_recording
 from pipeline.recordings.formats.recording import (
     COLUMN_NAMES,
     MAX_EVENTS,
@@ -13,7 +14,7 @@ from pipeline.recordings.formats.recording import (
     make_recording,
 )
 
-SUFFIXES = (".csv",)
+SUFFIXES = (".csv", ".txt")
 
 _BOOLEAN = re.compile(r"\b(true|false)\b", re.IGNORECASE)
 
@@ -25,7 +26,8 @@ def read_csv(content: bytes, name: str = "") -> EventRecording:
     ------
     BadRecording
     """
-    return make_recording(_read_columns(content))
+    columns = _read_columns(content)
+    return make_recording(columns) if isinstance(columns, dict) else make_array_recording(columns)
 
 
 def _read_columns(content):

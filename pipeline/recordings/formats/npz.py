@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.recordings.formats.bins import make_binned_recording
+from pipeline.recordings.formats.column_order import make_array_recording
 from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
     BadRecording,
@@ -55,7 +56,7 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
     about = {name: arrays.pop(name) for name in about}
     writer = about.get("writer", np.empty(0))
     return replace(
-        make_recording(arrays if len(arrays) > 1 else next(iter(arrays.values()))),
+        make_recording(arrays) if len(arrays) > 1 else make_array_recording(*arrays.values()),
         simulated=bool(np.any(about.get("simulated", False))),
         writer=parse_writer(writer.item() if writer.size == 1 else None),
     )
@@ -73,7 +74,7 @@ def read_npy(content: bytes, name: str = "") -> EventRecording:
     """
     array = read_array(content, "the array", max_dimensions=np.inf)
     has_counts = array.ndim > 2 and array.dtype.names is None
-    return make_binned_recording(array) if has_counts else make_recording(array)
+    return make_binned_recording(array) if has_counts else make_array_recording(array)
 
 
 def read_array(content: bytes, name: str, max_dimensions: float = 2) -> np.ndarray:

@@ -95,6 +95,11 @@ class EventRecording:
         if there is one entry for each event.
     bins : (int, int) or None
         Channels and bins of an array of counts (:mod:`pipeline.recordings.formats.bins`).
+    orders : tuple of str
+        Orders of columns without names that fit the values, the one that was read first; empty if
+        columns have names (:mod:`pipeline.recordings.formats.column_order`).
+    table : ndarray or None
+        Those columns, for another order.
     """
 
     x: np.ndarray
@@ -109,6 +114,8 @@ class EventRecording:
     n_taxels: int = 0
     columns: np.ndarray | None = None
     bins: tuple | None = None
+    orders: tuple = ()
+    table: np.ndarray | None = None
 
     def __len__(self):
         return len(self.polarity)

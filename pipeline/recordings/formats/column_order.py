@@ -1,0 +1,111 @@
+"""The order of columns without names: x, y, t, p; or t, x, y, p; or x, y, p, t.
+
+Times rise from line to line, coordinates are whole numbers, and polarities have two values.  In a
+short recording the numbers may fit several orders; then the other recordings of the source decide.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.recordings.formats.recording import (
+    MAX_PLACE,
+    BadRecording,
+    EventRecording,
+    make_recording,
+)
+
+# The documented order is the first.
+ORDERS = ("xytp", "txyp", "xypt")
+
+NAME_THEM = "write the names of the columns in the first line, such as t,x,y,p"
+
+
+def make_array_recording(array: np.ndarray) -> EventRecording:
+    """Turn an array of a file into a recording; its columns may have no names.
+
+    Parameters
+    ----------
+    array : ndarray
+        Structured, or of shape (n_events, 4) in one of :data:`ORDERS`.
+
+    Returns
+    -------
+    EventRecording
+        With ``orders`` if the columns have no names, and ``table`` if there are several.
+
+    Raises
+    ------
+    BadRecording
+        See :func:`pipeline.recordings.formats.recording.make_recording`; or the columns fit none of
+        the orders.
+    """
+    if array.dtype.names or array.ndim != 2 or array.shape[1] != len(ORDERS[0]) or not len(array):
+        return make_recording(array)
+    orders = _find_orders(array)
+    if not orders:
+        try:
+            make_recording(array)  # refuses values that are wrong in the documented order
+        except BadRecording as error:
+            raise BadRecording(f"{error}; or, as columns have no names, {NAME_THEM}") from error
+        raise BadRecording(
+            "has four columns without names, and times that rise in none of the orders "
+            f"{', '.join(ORDERS)}; {NAME_THEM}"
+        )
+    table = array if len(orders) > 1 else None
+    return replace(_make_table_recording(array, orders[0]), orders=orders, table=table)
+
+
+def settle_orders(recordings) -> tuple:
+    """Read the recordings of a source whose columns have no names in an order that all can have.
+
+    Parameters
+    ----------
+    recordings : sequence of EventRecording
+        From :func:`make_array_recording` and other functions.
+
+    Returns
+    -------
+    list of EventRecording, str
+        The recordings, without tables, and their order; an empty text if all columns have names.
+
+    Raises
+    ------
+    BadRecording
+        No order fits all recordings.
+    """
+    tables = [recording for recording in recordings if recording.orders]
+    if not tables:
+        return list(recordings), ""
+    common = [o for o in ORDERS if all(o in recording.orders for recording in tables)]
+    if not common:
+        raise BadRecording(
+            f"recordings have four columns without names, and not all in one order; {NAME_THEM}"
+        )
+    order = common[0]
+    return [_in_order(recording, order) for recording in recordings], order
+
+
+def _in_order(recording, order):
+    if not recording.orders:
+        return recording
+    if recording.orders[0] == order:
+        return replace(recording, orders=(), table=None)
+    return _make_table_recording(recording.table, order)
+
+
+def _make_table_recording(table, order):
+    return make_recording(dict(zip(order, table.T, strict=True)))
+
+
+def _find_orders(table) -> tuple:
+    """The orders that a table of four columns can have."""
+    if not np.isfinite(table).all():
+        return ()
+    is_time = (np.diff(table, axis=0) >= 0).all(axis=0)
+    is_place = ((table >= 0) & (table <= MAX_PLACE) & (table == np.floor(table))).all(axis=0)
+    is_polarity = np.isin(table, (-1, 0, 1)).all(axis=0)
+    fits = {"t": is_time, "x": is_place, "y": is_place, "p": is_polarity}
+    return tuple(
+        order for order in ORDERS if all(fits[name][index] for index, name in enumerate(order))
+    )

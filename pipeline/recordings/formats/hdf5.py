@@ -1,0 +1,188 @@
+"""HDF5 files with one table of events, or with a group of columns.
+
+A table is a data set of records with fields named as in
+:data:`~pipeline.recordings.formats.recording.COLUMN_NAMES`, or of rows of four numbers.  Columns
+are data sets in one group, such as ``events/x``, ``events/y``, ``events/t`` and ``events/p``.
+
+STEMNIST, the successor of ST-MNIST, has the data set ``spikes`` with the fields ``timestamp``,
+``polarity`` and ``taxel_id``, in files named ``<person>_<class>_<number>_spikes.h5``.  Its 16 x 16
+taxels are numbered row by row from 1.
+
+Files come from elsewhere: links to other files are refused, and nothing is read before its declared
+size is known to be small enough.
+"""
+
+import io
+import math
+import re
+import zlib
+from dataclasses import replace
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from pipeline.recordings.formats.column_order import make_array_recording
+from pipeline.recordings.formats.recording import (
+    COLUMN_NAMES,
+    MAX_EVENTS,
+    BadRecording,
+    EventRecording,
+    find_columns,
+    make_recording,
+)
+
+SUFFIXES = (".h5", ".hdf5")
+
+# Rows and columns of STEMNIST's sensor.
+STEMNIST_SIDE = 16
+
+STEMNIST_NAME = re.compile(r"(?P<person>[^_]+)_.+_\d+_spikes")
+
+# Objects of a file, and bytes of an event in a table: eight fields of eight bytes.
+MAX_OBJECTS = 10_000
+MAX_EVENT_BYTES = 64
+
+
+def read_hdf5(content: bytes, name: str) -> EventRecording:
+    """Read the events of a file.
+
+    Parameters
+    ----------
+    content : bytes
+    name : str
+        Path of the file, which has the person in STEMNIST.
+
+    Raises
+    ------
+    BadRecording
+        The file is damaged, refers to others, or does not have exactly one table of events or
+        group of columns; or these are no events.
+    """
+    import h5py
+
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            tables, groups = _find_events(file)
+            found = tables or groups
+            if len(found) != 1:
+                listed = f": {', '.join(sorted(found)[:4])}" if found else ""
+                raise BadRecording(
+                    f"has {len(found)} tables of events{listed}; expected one data set with the "
+                    "fields x, y, t and p, or one group of data sets with these names"
+                )
+            (entry,) = found.values()
+            if tables:
+                events = _read_dataset(entry)
+            else:
+                events = {column: _read_dataset(entry[column]) for column in _columns_of(entry)}
+    except (BadRecording, MemoryError):
+        raise
+    except Exception as error:  # h5py fails in many ways on damaged files
+        reason = " ".join(str(error).split())[:120]
+        raise BadRecording(f"is damaged, or not an HDF5 file ({reason})") from error
+    if isinstance(events, np.ndarray) and "taxel_id" in (events.dtype.names or ()):
+        return _make_stemnist_recording(events, name)
+    if isinstance(events, np.ndarray):
+        return make_array_recording(events)
+    return make_recording(events)
+
+
+def _find_events(file):
+    """Tables of events, and groups of columns, by their names."""
+    import h5py
+
+    tables, groups, number = {}, {}, 0
+    waiting = [("", file)]
+    while waiting:
+        path, group = waiting.pop()
+        if _columns_of(group):
+            groups[path or "/"] = group
+        for name in group:
+            number += 1
+            if number > MAX_OBJECTS:
+                raise BadRecording(f"has more than {MAX_OBJECTS} objects")
+            where = f"{path}/{name}"
+            link = group.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                raise BadRecording(f"has a link, {where!r}, which may lead out of the file")
+            entry = group[name]
+            if isinstance(entry, h5py.Group):
+                waiting.append((where, entry))
+            elif isinstance(entry, h5py.Dataset) and _is_table(entry):
+                tables[where] = entry
+    return tables, groups
+
+
+def _is_table(dataset) -> bool:
+    """True for records with the fields of events, and for rows of four numbers."""
+    if dataset.dtype.names is None:
+        return dataset.ndim == 2 and dataset.shape[1] == 4 and dataset.dtype.kind in "fiu"
+    names = {name.lower() for name in dataset.dtype.names}
+    has_place = "taxel_id" in names or all(names & set(COLUMN_NAMES[axis]) for axis in "xy")
+    return dataset.ndim == 1 and has_place and all(names & set(COLUMN_NAMES[key]) for key in "tp")
+
+
+def _columns_of(group) -> list:
+    """Names of a group's data sets x, y, t and p; an empty list if one is missing."""
+    import h5py
+
+    links = {name: group.get(name, getlink=True, default=None) for name in group}
+    own = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
+    try:
+        columns = list(find_columns(own).values())
+    except BadRecording:
+        return []
+    is_column = [
+        isinstance(group[name], h5py.Dataset) and group[name].ndim == 1 for name in columns
+    ]
+    return columns if all(is_column) else []
+
+
+def _read_dataset(dataset) -> np.ndarray:
+    """The values of a data set, after a look at the sizes that it declares."""
+    if dataset.external or dataset.is_virtual:
+        raise BadRecording(f"{dataset.name!r} refers to another file")
+    fields = dataset.dtype.names
+    dtypes = [dataset.dtype[name] for name in fields] if fields else [dataset.dtype]
+    kinds = {dtype.kind for dtype in dtypes}
+    if not kinds <= set("fiub") or dataset.dtype.itemsize > MAX_EVENT_BYTES:
+        raise BadRecording(f"{dataset.name!r} has other values than numbers")
+    if dataset.shape[0] > MAX_EVENTS:
+        raise BadRecording(f"has {dataset.shape[0]} events, more than {MAX_EVENTS}")
+    chunk = math.prod(dataset.chunks or (1,))
+    if chunk > 4 * MAX_EVENTS:
+        raise BadRecording(f"{dataset.name!r} has chunks of {chunk} values, more than its events")
+    return dataset[()]
+
+
+def _make_stemnist_recording(events, name) -> EventRecording:
+    """A recording of STEMNIST's sensor, of the person in the name of the file."""
+    taxel = events["taxel_id"].astype(np.int64) - 1
+    outside = (taxel < 0) | (taxel >= STEMNIST_SIDE**2)
+    if outside.any():
+        raise BadRecording(
+            f"taxel_id has {taxel[outside][0] + 1}, not 1 to {STEMNIST_SIDE**2} as in STEMNIST"
+        )
+    columns = find_columns([*events.dtype.names, "x", "y"])
+    recording = make_recording(
+        {
+            "x": taxel % STEMNIST_SIDE,
+            "y": taxel // STEMNIST_SIDE,
+            columns["t"]: events[columns["t"]],
+            "p": events[columns["p"]],
+        }
+    )
+    return replace(recording, size=(STEMNIST_SIDE,) * 2, writer=_writer_in(name))
+
+
+def _writer_in(name) -> int:
+    """Number of the person in the name of a file of STEMNIST, or -1.
+
+    A name without a number gets one from its characters, the same in every file.
+    """
+    match = STEMNIST_NAME.fullmatch(PurePosixPath(name).stem)
+    if match is None:
+        return -1
+    person = match["person"]
+    digits = re.findall(r"\d{1,9}", person)
+    return int(digits[-1]) if digits else zlib.crc32(person.encode()) & 0x7FFFFFFF

@@ -1,0 +1,75 @@
+"""Columns without names: the order is recognised by the times, the same in all files."""
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from pipeline.recordings.formats import read_file
+from pipeline.recordings.formats.recording import BadRecording
+from pipeline.recordings.source import read_source
+
+X, Y, T, P = [7, 3, 9, 3], [0, 4, 2, 1], [10, 20, 35, 80], [1, 0, 0, 1]
+BY_NAME = {"x": X, "y": Y, "t": T, "p": P}
+
+
+def lines(order, separator=",", **changed):
+    columns = [{**BY_NAME, **changed}[name] for name in order]
+    return "\n".join(separator.join(map(str, row)) for row in zip(*columns, strict=True)).encode()
+
+
+@pytest.mark.parametrize("order", ["xytp", "txyp", "xypt"])
+@pytest.mark.parametrize(("separator", "suffix"), [(",", "csv"), (" ", "txt")])
+def test_the_column_of_times_rises(order, separator, suffix):
+    recording = read_file(lines(order, separator), f"a/1.{suffix}")
+    assert recording.x.tolist() == X
+    assert recording.y.tolist() == Y
+    assert recording.time.tolist() == T
+    assert recording.polarity.tolist() == [1, -1, -1, 1]
+
+
+def test_an_array_of_rows(tmp_path):
+    np.save(tmp_path / "rows.npy", np.stack([T, X, Y, P], axis=1))
+    recording = read_file((tmp_path / "rows.npy").read_bytes(), "a/rows.npy")
+    assert recording.time.tolist() == T
+
+
+@pytest.mark.parametrize("order", ["ptxy", "tpxy"])
+def test_another_order_is_refused(order):
+    with pytest.raises(BadRecording, match=r"without names.*t,x,y,p"):
+        read_file(lines(order), "a/1.csv")
+
+
+def test_times_that_do_not_rise_are_refused():
+    with pytest.raises(BadRecording, match="without names"):
+        read_file(lines("xytp", t=[10, 80, 35, 20]), "a/1.csv")
+
+
+def write_source(folder, files):
+    for name, content in files.items():
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def test_a_recording_that_fits_several_orders_follows_the_others(tmp_path):
+    """A touch that moves to the right has x in order, too."""
+    swipe = lines("txyp", x=[0, 1, 2, 3], y=[5, 5, 6, 6])
+    files = {f"{of_class}/{n}.csv": lines("txyp") for of_class in "ab" for n in (1, 2)}
+    recordings = read_source(write_source(tmp_path, {**files, "a/0.csv": swipe}))
+    assert (recordings.sensor.rows, recordings.sensor.columns) == (7, 10)
+    assert recordings.source.remarks == ("columns without names are read as t, x, y, p",)
+
+
+def test_files_in_two_orders_are_refused(tmp_path):
+    files = {"a/1.csv": lines("txyp"), "a/2.csv": lines("xytp"), "b/1.csv": lines("txyp")}
+    with pytest.raises(UserError, match="not all in one order"):
+        read_source(write_source(tmp_path, files))
+
+
+def test_text_files_are_recordings_where_nothing_else_is(tmp_path):
+    """A line for each event, t x y p, as in the event camera data sets of Zurich."""
+    files = {f"{of_class}/{n}.txt": lines("txyp", " ") for of_class in "ab" for n in (1, 2)}
+    folder = write_source(tmp_path / "text", {**files, "README.txt": b"about"})
+    assert len(read_source(folder)) == 4
+    files = {**files, "a/1.csv": lines("txyp"), "b/1.csv": lines("txyp")}
+    assert len(read_source(write_source(tmp_path / "both", files))) == 2
