@@ -35,7 +35,7 @@ def test_an_array_of_rows(tmp_path):
 
 @pytest.mark.parametrize("order", ["ptxy", "tpxy"])
 def test_another_order_is_refused(order):
-    with pytest.raises(BadRecording, match=r"without names.*t,x,y,p"):
+    with pytest.raises(BadRecording, match=r"no names.*t,x,y,p"):
         read_file(lines(order), "a/1.csv")
 
 
