@@ -46,7 +46,8 @@ class Convolution:
         Number of filters and side length of each.
     stride : int
     padding : str
-        ``"valid"`` or ``"same"``, as in TensorFlow.
+        ``"valid"`` or ``"same"``, as in TensorFlow; of an imported network also a number of zeros
+        on each side.
     """
 
     filters: int
@@ -58,8 +59,8 @@ class Convolution:
     def __post_init__(self):
         if min(self.filters, self.kernel, self.stride) < 1:
             raise ValueError(f"{self}: filters, kernel and stride must be at least 1")
-        if self.padding not in ("valid", "same"):
-            raise ValueError(f"{self}: padding is neither 'valid' nor 'same'")
+        if self.padding not in ("valid", "same") and not self.padding.isdecimal():
+            raise ValueError(f"{self}: padding is neither 'valid' nor 'same' nor a number")
 
     def pads(self, input_shape) -> tuple:
         """Numbers of zeros padded to rows and columns: ((before, after), (before, after))."""
@@ -94,7 +95,8 @@ class Convolution:
 
     def __str__(self):
         stride = f"s{self.stride}" if self.stride > 1 else ""
-        return f"{self.filters}c{self.kernel}{stride}{'p' * (self.padding == 'same')}"
+        padding = {"valid": "", "same": "p"}.get(self.padding, f"p{self.padding}")
+        return f"{self.filters}c{self.kernel}{stride}{padding}"
 
 
 @dataclass(frozen=True)

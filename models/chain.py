@@ -65,7 +65,7 @@ class Link:
         Time constant in seconds of the low-pass on the input; None for none.
     stride : int
     padding : str
-        ``"valid"`` or ``"same"``.
+        ``"valid"``, ``"same"`` or a number of zeros on each side, such as ``"1"``.
     pool : int
         Side length of the windows that are averaged before the map; 1 for none.
     loop : ndarray, shape (units, units), or None

@@ -18,7 +18,7 @@ from typing import Dict, List, NamedTuple, Optional, Tuple
 import numpy as np
 
 from .chip import LOIHI
-from .geometry import windows
+from .geometry import padded_kernel, windows
 
 # Maximum number of synapses of one list.
 LIST = 64
@@ -144,9 +144,12 @@ def _lines(layer) -> List[_Line]:
     lines, pool = [], layer.pool
     for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
         count, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
-        size = layer.kernel * pool, layer.stride * pool, before * pool
+        kernel = layer.kernel
+        if layer.padding not in ("valid", "same"):  # the network is built with zeros at the end
+            kernel = padded_kernel(read, kernel, layer.stride, layer.padding)
+        size = kernel * pool, layer.stride * pool, before * pool
         # With padding a window would reach values outside of complete pooling windows.
-        lines.append(_Line(read * pool if layer.padding == "same" else n, count, *size))
+        lines.append(_Line(n if layer.padding == "valid" else read * pool, count, *size))
     return lines
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from nengo.builder import transforms
 
 from .blocks import block_shapes
-from .geometry import unpool, windows
+from .convolution import PaddedConvolution
+from .geometry import padded_kernel, unpool, windows
 from .loihi_import import nengo_loihi
 from .spec import Layer, NetworkSpec
 from .stimulus import EventFrames, Feed
@@ -234,33 +235,43 @@ def _transform(layer: Layer):
             weights = np.moveaxis(by_place, -1, 0).reshape(-1, before)
         return nengo.Dense((len(weights), before), init=weights), None
     kernel, input_shape, inputs = layer.weights, layer.input_shape, None
+    if layer.padding not in ("valid", "same"):
+        sizes = [
+            padded_kernel(n, layer.kernel, layer.stride, layer.padding)
+            for n in layer.read_shape[:2]
+        ]
+        edges = [(0, size - layer.kernel) for size in sizes]
+        kernel = np.pad(kernel, (*edges, (0, 0), (0, 0)))
     if layer.pool > 1:
-        kernel, input_shape = _pooled_kernel(layer)
+        kernel, input_shape = _pooled_kernel(layer, kernel)
         if input_shape != layer.input_shape:  # values outside of complete windows are not read
             places = np.arange(np.prod(layer.input_shape)).reshape(layer.input_shape)
             inputs = places[: input_shape[0], : input_shape[1]].ravel().tolist()
-    transform = nengo.Convolution(
-        n_filters=layer.shape[-1],
-        input_shape=input_shape,
-        kernel_size=kernel.shape[:2],
-        strides=(layer.stride * layer.pool,) * 2,
-        padding=layer.padding,
-        init=kernel,
-    )
-    return transform, inputs
+    shapes = {
+        "n_filters": layer.shape[-1],
+        "input_shape": input_shape,
+        "kernel_size": kernel.shape[:2],
+        "strides": (layer.stride * layer.pool,) * 2,
+    }
+    if layer.padding in ("valid", "same"):
+        return nengo.Convolution(padding=layer.padding, init=kernel, **shapes), inputs
+    zeros = int(layer.padding) * layer.pool
+    return PaddedConvolution(zeros, init=kernel, **shapes), inputs
 
 
-def _pooled_kernel(layer):
+def _pooled_kernel(layer, kernel):
     """A kernel that includes average pooling, and the shape of its input.
 
     With padding it may need zeros: Nengo puts half of the padding, rounded down, before the values,
     whereas half of the padding of pooled values is a whole number of windows.
     """
     pool, stride = layer.pool, layer.stride * layer.pool
-    kernel = layer.weights.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2
+    kernel = kernel.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2
     if layer.padding == "valid":
         return kernel, layer.input_shape
     cut = tuple(n * pool for n in layer.read_shape[:2])
+    if layer.padding != "same":
+        return kernel, (*cut, layer.input_shape[2])
     wanted = [
         pool * windows(n, layer.kernel, layer.stride, "same")[1] for n in layer.read_shape[:2]
     ]

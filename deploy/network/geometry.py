@@ -14,9 +14,9 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
         Number of values along the dimension.
     kernel, stride : int
     padding : str
-        ``"valid"``, or ``"same"``: ceil(n / stride) windows, which takes max((ceil(n / stride) - 1)
+        ``"valid"``; ``"same"``: ceil(n / stride) windows, which takes max((ceil(n / stride) - 1)
         stride + kernel - n, 0) zeros, half of them before the values, rounded down (as TensorFlow
-        and Nengo have it).
+        and Nengo have it); or a number of zeros before and after the values, such as ``"1"``.
 
     Returns
     -------
@@ -26,7 +26,15 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     zeros = 0
     if padding == "same":
         zeros = max((-(-n // stride) - 1) * stride + kernel - n, 0)
+    elif padding != "valid":
+        zeros = 2 * int(padding)
     return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2
+
+
+def padded_kernel(n: int, kernel: int, stride: int, zeros: str) -> int:
+    """Size of a kernel with zeros at its end, whose last window ends with the padded values."""
+    count = windows(n, kernel, stride, zeros)[0]
+    return n + 2 * int(zeros) - (count - 1) * stride
 
 
 def count_windows(n: int, count: int, kernel: int, stride: int, before: int) -> np.ndarray:

@@ -150,8 +150,8 @@ def _padded_evenly(layer):
 
     If one more zero is needed after the values than before, the kernel gets a zero in front.
     """
-    if layer.padding == "valid":
-        return layer.weights, 0
+    if layer.padding != "same":
+        return layer.weights, 0 if layer.padding == "valid" else int(layer.padding)
     pads = [windows(n, layer.kernel, layer.stride, "same")[1:] for n in layer.read_shape[:2]]
     front = [(after - before, 0) for before, after in pads]
     return np.pad(layer.weights, (*front, (0, 0), (0, 0))), tuple(after for _, after in pads)

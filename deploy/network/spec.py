@@ -30,6 +30,10 @@ SHAPE = Limit(
     lambda shape: all(side >= 1 for side in shape) and math.prod(shape) <= limits.NEURONS,
     f"sides of at least 1, with a product of at most {limits.NEURONS}",
 )
+PADDING = Limit(
+    lambda value: value in ("valid", "same") or (value.isdecimal() and 1 <= int(value) <= 1000),
+    "'valid', 'same' or a number from 1 to 1000",
+)
 RISING = Limit(
     lambda starts: (
         starts[:1] == (0,)
@@ -96,7 +100,8 @@ class Layer:
     stride : int
         Stride of the convolution.
     padding : str
-        ``"valid"``, or ``"same"`` as in :func:`deploy.network.geometry.windows`.
+        ``"valid"``, ``"same"`` or a number of zeros on each side, such as ``"1"``, as in
+        :func:`deploy.network.geometry.windows`.
     pool : int
         Side length of the average pooling windows before the weights; 1 for no pooling.  Values
         outside of complete windows are not read.  The chip cannot average: pooling is folded into
@@ -121,7 +126,7 @@ class Layer:
     weights: np.ndarray = field(repr=False, compare=False)
     bias: np.ndarray = field(repr=False, compare=False)
     stride: int = limited_field(AT_LEAST_1, 1)
-    padding: str = limited_field(one_of("valid", "same"), "valid")
+    padding: str = limited_field(PADDING, "valid")
     pool: int = limited_field(AT_LEAST_1, 1)
     starts: Tuple[int, ...] = limited_field(RISING, (0,))
     recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)

@@ -13,7 +13,6 @@ Parameters of neurons may be one value, or one value for each neuron.
 from __future__ import annotations
 
 import functools
-import io
 import itertools
 import math
 from dataclasses import dataclass, field, replace
@@ -22,8 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from deploy import limits
-from deploy.errors import UserError
 from deploy.files import reporting_os_errors
+from models.nir.conventions import Convention, recognise
+from models.nir.errors import NirError, shown
 
 # Nodes whose output is spikes.
 SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
@@ -31,22 +31,8 @@ SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
 # Nodes with a state whose output is not spikes.
 FILTERS = ("LI", "CubaLI")
 
-# Maximum number of dimensions of an input that are read; more than 4 cannot be used.
+# Maximum number of dimensions of an input that are read; the last three at most are used.
 MAX_DIMENSIONS = 7
-
-# Time step in seconds for which snnTorch's exporter writes time constants, independently of the
-# training.
-SNNTORCH_STEP = 1e-4
-
-
-class NirError(UserError):
-    """A file or graph is not NIR, or has parts that cannot be used; the message is one line."""
-
-
-def shown(text) -> str:
-    """Text from a file for a message: quoted, on one line, and shortened."""
-    text = repr(str(text)[:60])
-    return text if len(text) <= 80 else text[:77] + "...'"
 
 
 @dataclass(frozen=True)
@@ -105,31 +91,10 @@ class NirNetwork:
         """Number of output values."""
         return math.prod(self.nodes[-1].shape)
 
-    @property
-    def step(self) -> float | None:
-        """Seconds of the graph's time in a step, if the graph says so; None otherwise.
-
-        Graphs that this project exports have it in their metadata, as ``dt``.
-        """
-        if self.written_by_snntorch:
-            return SNNTORCH_STEP
-        step = np.asarray(self.metadata.get("dt"))
-        return float(step) if step.dtype.kind == "f" and step.size == 1 and step > 0 else None
-
-    @property
-    def written_by_snntorch(self) -> bool:
-        """True if the neurons' parameters have the form that snnTorch's exporter writes.
-
-        snnTorch has no time unit: a share beta of a neuron's potential remains after each step.
-        Its exporter writes tau = h / (1 - beta) and r = tau / h with h = 0.1 ms, so that a forward
-        Euler step of h is identical to the network's own step.
-        """
-        neurons = [node for node in self.nodes if node.kind in ("LIF", "CubaLIF")]
-        pairs = [(node["r"], node["tau" if node.kind == "LIF" else "tau_mem"]) for node in neurons]
-        pairs += [(node["w_in"], node["tau_syn"]) for node in neurons if node.kind == "CubaLIF"]
-        return bool(pairs) and all(
-            np.allclose(gain * SNNTORCH_STEP, tau, rtol=1e-3, atol=0) for gain, tau in pairs
-        )
+    @functools.cached_property
+    def convention(self) -> Convention:
+        """How its numbers are read, and which framework wrote them."""
+        return recognise(self.nodes, self.metadata)
 
 
 def read_nir(source) -> NirNetwork:
@@ -153,36 +118,49 @@ def read_nir(source) -> NirNetwork:
         The file cannot be read.
     """
     if hasattr(source, "to_dict"):
-        return _network(source.to_dict())
+        return _make_network(source.to_dict())
     with reporting_os_errors(source, "cannot read", "check the path"):
         content = Path(source).read_bytes()
     try:
-        return _parsed(content)
+        return _parse(content)
     except NirError as error:
         raise NirError(f"{source}: {error}") from error
 
 
 @functools.lru_cache(maxsize=2)
-def _parsed(content: bytes) -> NirNetwork:
+def _parse(content: bytes) -> NirNetwork:
     """The network of a file's content, which a command parses once though it is asked for often."""
-    import nir  # imports h5py
+    from models.nir.file import read_tree  # imports h5py
 
-    try:
-        tree = nir.read(io.BytesIO(content), type_check=False).to_dict()
-    except Exception as error:  # nir and h5py fail in many ways on other files and invalid nodes
-        reason = " ".join(str(error).split())[:200]
-        raise NirError(
-            f"not a NIR graph, or a damaged one ({reason}); write it with nir.write(path, graph)"
-        ) from error
-    return _network(tree)
+    return _make_network(read_tree(content))
 
 
-def _network(tree) -> NirNetwork:
+def _make_network(tree) -> NirNetwork:
     nodes, edges = _flat(tree)
     loops = _loops(nodes, edges)
     first, order = _chain(nodes, edges)
-    input_shape = shape = _input_shape(first, nodes[first], [nodes[name] for name in order])
-    chain = []
+    problems = []
+    for shape in _input_shapes(first, nodes[first], nodes[order[0]]):
+        chain = []
+        try:
+            _extend_chain(chain, nodes, order, loops, shape)
+        except NirError as error:
+            problems.append((-len(chain), len(problems), error))
+            continue
+        break
+    else:  # the problem of the shape with which most nodes can be read
+        raise min(problems, key=lambda problem: problem[:2])[2]
+    if not any(node.kind in SPIKING for node in chain):
+        raise NirError(
+            "has no neurons that spike, which is what the chip has; put a LIF, CubaLIF or IF "
+            "between its layers"
+        )
+    metadata = tree.get("metadata")
+    return NirNetwork(shape, tuple(chain), metadata if isinstance(metadata, dict) else {})
+
+
+def _extend_chain(chain, nodes, order, loops, shape):
+    """Append the nodes in order, for an input of a shape."""
     for name in order:
         node = _node(name, nodes[name], shape)
         if name in loops:
@@ -194,13 +172,6 @@ def _network(tree) -> NirNetwork:
             node = replace(node, loop=loop)
         chain.append(node)
         shape = node.shape
-    if not any(node.kind in SPIKING for node in chain):
-        raise NirError(
-            "has no neurons that spike, which is what the chip has; put a LIF, CubaLIF or IF "
-            "between its layers"
-        )
-    metadata = tree.get("metadata")
-    return NirNetwork(input_shape, tuple(chain), metadata if isinstance(metadata, dict) else {})
 
 
 def _node(name, values, shape) -> Node:
@@ -320,8 +291,11 @@ def _kind(node) -> str:
     return _text(node.get("type", "nothing"))
 
 
-def _input_shape(name, node, later) -> tuple:
-    """The shape of an input; a leading dimension of 1, that of samples, is left out."""
+def _input_shapes(name, node, following) -> list:
+    """The shapes that an input may have: as declared, and without leading dimensions.
+
+    Those are time and samples, which some exporters do not leave out.
+    """
     shape = node.get("shape")
     if shape is None and isinstance(node.get("input_type"), dict):
         shape = node["input_type"].get("input")
@@ -329,16 +303,23 @@ def _input_shape(name, node, later) -> tuple:
         shape = tuple(int(n) for n in np.asarray(shape).ravel()[:MAX_DIMENSIONS])
     except (TypeError, ValueError, OverflowError):  # no numbers, NaN, infinity
         shape = ()
-    flat = _kind(later[0]) in ("Affine", "Linear") if later else False
-    if shape[:1] == (1,) and (len(shape) == 4 or (len(shape) == 2 and flat)):
-        shape = shape[1:]
-    if not 1 <= len(shape) <= 3 or min(shape) < 1 or math.prod(shape) > limits.NEURONS:
+    shapes = [shape[start:] for start in range(max(len(shape), 1))]
+    if shape[:1] == (1,) and len(shape) == 4:
+        shapes = shapes[1:]
+    if _kind(following) in ("Affine", "Linear") and set(shape[:-1]) == {1}:
+        shapes = shapes[-1:]  # samples and time of 1
+    usable = [
+        each
+        for each in shapes
+        if 1 <= len(each) <= 3 and min(each) >= 1 and math.prod(each) <= limits.NEURONS
+    ]
+    if not usable or min(shape) < 1:
         sizes = "x".join(map(str, shape[:6])) or "nothing"
         raise NirError(
             f"node {shown(name)} (Input): a shape of {sizes}; write the graph with a sample of "
-            "shape (channels, rows, columns) or (values,), without a dimension for samples"
+            "shape (channels, rows, columns) or (values,), without dimensions for time and samples"
         )
-    return shape
+    return usable
 
 
 # --- the nodes ------------------------------------------------------------------------------------
@@ -511,6 +492,28 @@ def _flatten(values, shape):
     return (*shape[:first], math.prod(shape[first : last + 1]), *shape[last + 1 :]), {}
 
 
+def _reshape(values, shape):
+    """A node that is not in NIR's paper; some exporters write it between layers."""
+    names = ("shape", "output_shape", "output_type")
+    wanted = next((values.values[n] for n in names if values.values.get(n) is not None), None)
+    if isinstance(wanted, dict):
+        wanted = wanted.get("output")
+    if wanted is None:
+        return shape, {}
+    sizes = np.asarray(wanted).ravel()
+    if sizes.dtype.kind not in "iu" or not 1 <= sizes.size <= MAX_DIMENSIONS:
+        values.refuse("its shape is not a list of whole numbers; write it again")
+    sizes = [int(n) for n in sizes]
+    if sizes.count(-1) == 1:
+        rest = math.prod(n for n in sizes if n != -1)
+        sizes[sizes.index(-1)] = math.prod(shape) // rest if rest > 0 else 0
+    while len(sizes) > 1 and sizes[0] == 1 and len(sizes) > len(shape):
+        sizes = sizes[1:]  # a dimension for samples
+    if min(sizes) < 1 or math.prod(sizes) != math.prod(shape) or len(sizes) > 3:
+        values.refuse(f"gives its input of {shape} the shape {tuple(sizes)}; use a Flatten")
+    return tuple(sizes), {}
+
+
 def _scale(values, shape):
     return shape, {"scale": values.spread("scale", shape)}
 
@@ -548,6 +551,8 @@ _HANDLERS = {
     "SumPool2d": _pool,
     "AvgPool2d": _pool,
     "Flatten": _flatten,
+    "Reshape": _reshape,
+    "Identity": lambda values, shape: (shape, {}),
     "Scale": _scale,
     "Threshold": _threshold,
     "IF": _neurons((), spikes=True, leak=False),

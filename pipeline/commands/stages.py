@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from deploy.errors import UserError
+from deploy.terminal import remark
 from pipeline.commands import options
 from pipeline.run.folder import RunFolder, refuse_other_folders
 
@@ -73,6 +74,8 @@ def convert(
         changes, examine = stages.settings_of_model(model, retrain, before), _require_model
     if nir is not None:
         changes = stages.settings_of_nir(nir, step, requested.input, before)
+        if step is not None and changes["input"]["kind"] == "image":
+            remark(f"--step {step:g} is not used: images have no steps of a recording")
         examine = functools.partial(stages.refuse_early, strict=strict)
     with options.open_locked_run(run, requested, jobs, changes, examine=examine) as opened:
         bundle = stages.convert(opened)

@@ -16,8 +16,10 @@ from models.integers import (
     simulate_spikes,
 )
 from models.nir.chain import from_nir
-from models.nir.graph import NirError, read_nir
-from models.nir.simulator import METHODS, simulate
+from models.nir.equations import METHODS
+from models.nir.errors import NirError
+from models.nir.graph import read_nir
+from models.nir.simulator import simulate
 from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, spikes, tree_of
 
 
@@ -47,7 +49,7 @@ def by_layers(network, inputs, step, method):
 
 def compare(network, inputs, step=0.001, method="exact"):
     """Identical spikes in every layer; the readout within 1e-6."""
-    reference = simulate(network, inputs, step, method)
+    reference = simulate(network, inputs, step, method, "value")
     wanted = [in_places(values) for values in reference.spikes.values()]
     got = by_layers(network, inputs, step, method)
     n = len(wanted)
@@ -146,13 +148,15 @@ WINDOWS = {
         ("Scale", {"scale": np.array([0.5, 2.0]).reshape(2, 1, 1)}),
         conv(np.random.default_rng(0), 4, 2, 3),
     ],
+    "other padding": [conv(np.random.default_rng(0), 4, 2, 5, padding=1)],
+    "other padding and stride": [conv(np.random.default_rng(0), 4, 2, 5, padding=1, stride=2)],
+    "wide padding": [conv(np.random.default_rng(0), 4, 2, 3, padding=2, stride=3)],
     "averaging alone": [("AvgPool2d", {"kernel_size": 2, "stride": 2, "padding": 0})],
     "nothing": [],
 }
 AS_MATRIX = {
     "rectangular": [conv(np.random.default_rng(0), 4, 2, (2, 3))],
     "two strides": [conv(np.random.default_rng(0), 4, 2, 3, stride=(1, 2))],
-    "other padding": [conv(np.random.default_rng(0), 4, 2, 5, padding=1)],
     "overlapping": [
         ("AvgPool2d", {"kernel_size": 3, "stride": 2, "padding": 1}),
         conv(np.random.default_rng(0), 4, 2, 2),
@@ -321,7 +325,7 @@ def test_what_cannot_be_on_the_chip_is_named():
     with pytest.raises(NirError, match=r"'n0' \(LI\).*filter"):
         from_nir(network_of((3,), li, affine(rng, 2, 3), cuba_lif()), 0.001)
     with pytest.raises(NirError, match=r"'n1' \(LIF\).* 0.0005 s .* 0.001 s"):
-        from_nir(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001)
+        from_nir(network_of((3,), affine(rng, 2, 3), lif(0.0005)), 0.001, "euler")
     nothing = ("Linear", {"weight": np.zeros((2, 3))})
     with pytest.raises(UserError, match=r"n0, n1.* 0[;,.]"):
         round_to_integers(from_nir(network_of((3,), nothing, lif()), 0.001)[0])

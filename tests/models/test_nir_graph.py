@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from models.nir.graph import NirError, read_nir
+from models.nir.errors import NirError
+from models.nir.graph import read_nir
 from tests.command import missing
-from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, tree_of
+from tests.models.nir_graphs import Graph, affine, conv, lif, network_of, tree_of
 
 nir = pytest.importorskip("nir")
 
@@ -61,15 +62,6 @@ def test_a_dimension_for_samples_is_left_out():
     rng = np.random.default_rng(0)
     assert network_of((1, 4), affine(rng, 3, 4), lif()).input_shape == (4,)
     assert network_of((1, 2, 5, 5), conv(rng, 3, 2, 3), lif()).input_shape == (2, 5, 5)
-
-
-def test_snntorchs_exporter_is_recognised():
-    """A share of 0.9 that is kept: tau = 1e-4 / 0.1 and r = tau / 1e-4."""
-    rng = np.random.default_rng(0)
-    assert network_of((4,), affine(rng, 3, 4), lif(1e-3, 10.0)).written_by_snntorch
-    assert not network_of((4,), affine(rng, 3, 4), lif(1e-3, 1.0)).written_by_snntorch
-    synaptic = cuba_lif(5e-4, 1e-3, 10.0, w_in=5.0)
-    assert network_of((4,), affine(rng, 3, 4), synaptic).written_by_snntorch
 
 
 def edited(change):

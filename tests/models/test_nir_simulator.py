@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from models.nir.graph import NirError, read_nir
+from models.nir.errors import NirError
+from models.nir.graph import read_nir
 from models.nir.simulator import RESETS, run_node, simulate
 from tests.models.nir_graphs import Graph, conv, lif, network_of, tree_of
 
@@ -47,7 +48,7 @@ def test_steps_by_hand():
     """b = 1/2: v = 0.6, 0.9, 1.05 spikes and resets to 0.1, 0.65."""
     tau = H / math.log(2)
     network = network_of((1,), lif(tau, 1.2, v_threshold=1.0, v_reset=0.1))
-    found = simulate(network, np.ones((1, 4, 1)), H)
+    found = simulate(network, np.ones((1, 4, 1)), H, "exact", "value")
     assert found.outputs[0, :, 0].tolist() == [0, 0, 1, 0]
     assert found.spikes["n0"].dtype == bool
     # Euler with the same share: tau = 2 h
@@ -120,10 +121,10 @@ def test_pools_by_hand(kind):
     assert got.shape == (2, 3, 3)
 
 
-def test_a_step_longer_than_a_time_constant_is_refused():
+def test_an_euler_step_longer_than_a_time_constant_is_refused():
     network = network_of((1,), lif(0.001))
     with pytest.raises(NirError, match=r"'n0' \(LIF\): .*tau .* 0.001 s .* 0.002 s"):
-        simulate(network, np.ones((1, 2, 1)), H)
+        simulate(network, np.ones((1, 2, 1)), H, "euler")
 
 
 @pytest.mark.parametrize("kind", ["Linear", "Affine"])

@@ -6,7 +6,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from models.nir.graph import SNNTORCH_STEP, SPIKING, read_nir
+from models.nir.conventions import EXPORTED_STEP
+from models.nir.graph import SPIKING, read_nir
 from models.nir.simulator import simulate
 from tests.command import ROOT
 
@@ -15,10 +16,10 @@ PYTHON = ROOT / ".venv-nir" / "bin" / "python"
 STEP = 2.0**-9
 
 CASES = {
-    "snntorch-leaky": ("Affine LIF Linear LIF", SNNTORCH_STEP),
-    "snntorch-synaptic": ("Linear CubaLIF Affine LIF", SNNTORCH_STEP),
-    "snntorch-images": ("Conv2d LIF AvgPool2d Conv2d LIF Flatten Affine LIF", SNNTORCH_STEP),
-    "snntorch-recurrent": ("Affine LIF Linear CubaLIF", SNNTORCH_STEP),
+    "snntorch-leaky": ("Affine LIF Linear LIF", EXPORTED_STEP),
+    "snntorch-synaptic": ("Linear CubaLIF Affine LIF", EXPORTED_STEP),
+    "snntorch-images": ("Conv2d LIF AvgPool2d Conv2d LIF Flatten Affine LIF", EXPORTED_STEP),
+    "snntorch-recurrent": ("Affine LIF Linear CubaLIF", EXPORTED_STEP),
     "norse-writes": ("Affine LIF Affine LI", STEP),
     "norse-reads": ("Affine CubaLIF Affine LIF", STEP),
     # Norse adds the whole input to IF at each step, as a step of 1 s does
@@ -47,7 +48,7 @@ def test_every_step_is_the_packages(name, folder):
     kinds, step = CASES[name]
     network = read_nir(folder / f"{name}.nir")
     assert [node.kind for node in network.nodes] == kinds.split()
-    assert network.written_by_snntorch == name.startswith("snntorch")
+    assert (network.convention.framework == "snnTorch") == name.startswith("snntorch")
     with np.load(folder / f"{name}.npz") as file:
         inputs, wanted = file["inputs"], file["outputs"]
     reset = "subtract-late" if name == "snntorch-recurrent" else "value"

@@ -21,11 +21,12 @@ from deploy.network.decision import choose_threshold, delay_outputs
 from deploy.network.responses import Responses, read_output
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, Stimulus, last_steps
+from deploy.terminal import WARNING
 from models import chain
 from models.integers import in_integers, round_to_integers
 from models.nir.chain import from_nir, merges_polarities
 from models.nir.graph import NirNetwork, read_nir
-from models.nir.simulator import AT_ONCE, simulate
+from models.nir.simulator import SAMPLES_AT_ONCE, simulate
 from pipeline.kinds import counts
 from pipeline.kinds.architectures import suggest_sensor_size
 from pipeline.kinds.events.kind import (
@@ -51,36 +52,47 @@ GRAPH = "network.nir"
 
 @dataclass(frozen=True)
 class Stepped:
-    """Division of a graph's time into the chip's steps.
+    """How a graph is run: the chip's steps in the graph's time, the equations, the reset.
 
     Attributes
     ----------
     seconds : float
         Seconds of the graph's time per step.
     method : str
-        One of :data:`models.nir.simulator.METHODS`.
+        One of :data:`models.nir.equations.METHODS`.
+    reset : str
+        One of :data:`models.nir.simulator.RESETS`, with which the graph was trained.
     """
 
     seconds: float
     method: str
+    reset: str = "value"
 
     @classmethod
     def of(cls, settings: Settings, network: NirNetwork) -> Stepped:
-        """The values of the settings, or those of the graph where the settings have none."""
-        nir, by_snntorch = settings.nir, network.written_by_snntorch
+        """The values of the settings, or those of the graph's convention where they have none."""
+        nir, convention = settings.nir, network.convention
         seconds = settings.input.step / 1000 if settings.on_events else LOIHI.dt
         if nir.step:
             seconds = nir.step / 1000
-        elif network.step is not None:
-            seconds = network.step
-        method = nir.method
-        if method == "auto":
-            method = "euler" if by_snntorch else "exact"
-        return cls(seconds, method)
+        elif convention.step is not None:
+            seconds = convention.step
+        method = convention.method if nir.method == "auto" else nir.method
+        reset = convention.reset if nir.reset == "auto" else nir.reset
+        return cls(seconds, method, reset)
 
-    def __str__(self):
-        how = "Euler steps" if self.method == "euler" else "exact steps"
-        return f"{how} of {1000 * self.seconds:g} ms of the graph's time"
+
+def record_convention(network: NirNetwork, stepped: Stepped) -> dict:
+    """What a graph was recognised as and how it is run, for the bundle's provenance."""
+    found = network.convention
+    return {
+        "framework": found.framework,
+        "recognised_by": found.evidence,
+        "equation": found.equation if stepped.method == found.method else stepped.method,
+        "method": stepped.method,
+        "step_seconds": stepped.seconds,
+        "reset": stepped.reset,
+    }
 
 
 def graph_in(folder: Path, settings: Settings) -> NirNetwork:
@@ -98,7 +110,7 @@ def graph_in(folder: Path, settings: Settings) -> NirNetwork:
     return network
 
 
-def outputs_of(network, stepped, inputs, settings, advance=None, reset="value"):
+def simulate_samples(network, stepped, inputs, settings, advance=None):
     """Simulate the graph on samples of a run.
 
     Parameters
@@ -110,8 +122,6 @@ def outputs_of(network, stepped, inputs, settings, advance=None, reset="value"):
     settings : Settings
     advance : callable, optional
         Called with the number of samples done since the last call.
-    reset : str
-        As in :func:`models.nir.simulator.simulate`.
 
     Returns
     -------
@@ -120,15 +130,15 @@ def outputs_of(network, stepped, inputs, settings, advance=None, reset="value"):
         Number of spikes of each neuron, by the name of its node.
     """
     outputs, counts = [], []
-    for start in range(0, len(inputs), AT_ONCE):
-        part = inputs[start : start + AT_ONCE]
-        presented = graph_inputs(network, part, settings.steps)
-        answer = simulate(network, presented, stepped.seconds, stepped.method, reset)
-        outputs.append(answer.outputs.reshape(*answer.outputs.shape[:2], -1))
-        counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in answer.spikes.items()})
+    for start in range(0, len(inputs), SAMPLES_AT_ONCE):
+        batch = inputs[start : start + SAMPLES_AT_ONCE]
+        presented = graph_inputs(network, batch, settings.steps)
+        found = simulate(network, presented, stepped.seconds, stepped.method, stepped.reset)
+        outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
+        counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
         if advance is not None:
-            advance(len(part))
-    joined = {name: np.concatenate([part[name] for part in counts]) for name in counts[0]}
+            advance(len(batch))
+    joined = {name: np.concatenate([batch[name] for batch in counts]) for name in counts[0]}
     return np.concatenate(outputs), joined
 
 
@@ -194,8 +204,8 @@ def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=No
         Called with the number of samples done since the last call.
     """
     network, inputs, spec = graph_in(folder, settings), bundle.checks.inputs, bundle.spec
-    stepped, reset = Stepped.of(settings, network), settings.nir.reset
-    outputs, counts = outputs_of(network, stepped, inputs, settings, advance, reset)
+    stepped = Stepped.of(settings, network)
+    outputs, counts = simulate_samples(network, stepped, inputs, settings, advance)
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds
@@ -235,8 +245,7 @@ def _compute_logits(stage, inputs, samples, advance):
     settings = inputs.settings
     network = graph_in(inputs.artifact("nir").folder, settings)
     stepped = Stepped.of(settings, network)
-    reset = settings.nir.reset
-    return outputs_of(network, stepped, samples.inputs, settings, advance, reset)[0]
+    return simulate_samples(network, stepped, samples.inputs, settings, advance)[0]
 
 
 def _respond(inputs, bundle, advance):
@@ -300,6 +309,7 @@ class NirKind(NetworkKind):
         rng = np.random.default_rng([settings.seed, 0x41B])
         samples = dataset.inputs[np.sort(rng.permutation(dataset.split.train)[:CALIBRATED_ON])]
         stepped = Stepped.of(settings, network)
+        provenance = {**provenance, "nir": record_convention(network, stepped)}
         return spec_of_nir(network, stepped, settings.stimulus, shown, samples, provenance)
 
     def choices(self, recordings):
@@ -343,7 +353,7 @@ def settings_of_nir(
     ----------
     path : path-like
     step : float, optional
-        Milliseconds that a step of the chip represents.
+        Milliseconds of the recording in a step of the chip; of events only.
     kind : str, optional
         ``"image"`` or ``"events"``; default: from the number of channels of the graph's input, two
         for events and one for images.
@@ -369,8 +379,8 @@ def settings_of_nir(
     changes = {"input": {"kind": kind}, "nir": nir}
     if not (was_graph and before.input.kind == kind):
         nir["step"] = 0.0
-    if step is not None:
-        changes["input" if kind == "events" else "nir"]["step"] = step
+    if step is not None and kind == "events":  # images have no step of the recording
+        changes["input"]["step"] = step
     return changes
 
 
@@ -421,9 +431,9 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     source, network = graph_for(folder, settings, dataset)
     stepped = Stepped.of(settings, network)
     layers, cost = from_nir(network, stepped.seconds, stepped.method, _fed_shape(dataset)), None
-    for line in notes(network, layers, stepped):
+    for line in conversion_notes(network, layers, stepped, settings):
         say(f"nir: {line}")
-    if settings.nir.reset != "value":
+    if stepped.reset != "value":
         cost = reset_cost(network, stepped, settings, dataset)
         say(
             "nir: neurons reset to v_reset on the chip, not by subtraction: an accuracy of "
@@ -433,10 +443,10 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     part = "test" if len(dataset.split.test) else "validation"
     index = getattr(dataset.split, part)
     with progress("simulate nir", len(index)) as advance:
-        inputs, reset = dataset.inputs[index], settings.nir.reset
-        answers, spikes = outputs_of(network, stepped, inputs, settings, advance, reset)
+        inputs = dataset.inputs[index]
+        outputs, spikes = simulate_samples(network, stepped, inputs, settings, advance)
     _refuse_runaway(network, spikes, settings.steps)
-    right = predictions_of(answers, settings) == dataset.labels[index]
+    right = predictions_of(outputs, settings) == dataset.labels[index]
     accuracy, interval = float(right.mean()), wilson_interval(int(right.sum()), len(right))
     metrics = {
         "simulated": dataset.recordings.source.simulated,
@@ -444,8 +454,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
         f"{part}_accuracy_ci95": list(interval),
         f"n_{part}": len(index),
         "epochs": 0,
-        "step_seconds": stepped.seconds,
-        "method": stepped.method,
+        "convention": record_convention(network, stepped),
         "reset": cost,
         "decides_by_itself": _threshold(network, stepped, layers, settings, dataset),
         "versions": NUMPY,
@@ -463,7 +472,9 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> 
     if interval[0] <= likeliest:
         say(
             "nir: hardly better than chance; was the graph trained on inputs in this order (ON, "
-            "OFF, rows, columns), with this --step, input.refractory and order of the classes?"
+            "OFF, rows, columns), with this --step, input.refractory and order of the classes, and "
+            "with the step, equation and reset that are printed above ('nir.step', 'nir.method', "
+            "'nir.reset')?"
         )
     return metrics
 
@@ -513,12 +524,12 @@ def refuse_early(settings: Settings, strict: bool = False):
     """
     source = settings.nir.file
     network = read_nir(source)
-    if strict and settings.nir.reset != "value":
+    stepped, area = Stepped.of(settings, network), settings.stimulus.area
+    if strict and stepped.reset != "value":
         raise UserError(
             f"{source}: trained with a reset by subtraction ('nir.reset'), and the chip resets to "
             "v_reset; train it with a reset to zero, or convert it without --strict"
         )
-    stepped, area = Stepped.of(settings, network), settings.stimulus.area
     try:
         first, *others = from_nir(network, stepped.seconds, stepped.method)
         height = area / LOIHI.dt
@@ -569,8 +580,8 @@ def _fed_shape(dataset):
     return dataset.inputs.shape[-3:]
 
 
-def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
-    """Yield what the conversion of a graph changes or may misread, one line each.
+def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, settings: Settings):
+    """Yield how a graph is read, what its conversion changes and what may be wrong.
 
     Parameters
     ----------
@@ -578,32 +589,54 @@ def notes(network: NirNetwork, layers: tuple, stepped: Stepped):
     layers : tuple of Link
         As :func:`models.nir.chain.from_nir` gives them.
     stepped : Stepped
+    settings : Settings
     """
-    by_snntorch = network.written_by_snntorch
-    yield str(stepped) + (", as snnTorch's exporter writes it" if by_snntorch else "")
+    found, record = network.convention, record_convention(network, stepped)
+    yield (
+        f"read as {found.framework}, by {found.evidence}: {record['equation']}; a step is "
+        f"{1000 * stepped.seconds:g} ms of the graph's time, reset: {stepped.reset}"
+    )
+    is_as_recognised = (settings.nir.step, settings.nir.method) == (0, "auto")
+    if found.doubt and is_as_recognised and settings.nir.reset == "auto":
+        yield f"{WARNING}{found.doubt}"
+    for node in network.nodes:
+        yield from _doubtful_times(node, stepped.seconds, settings.steps)
     for layer in layers:
         windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
         is_matrix = layer.neuron is not None and layer.kind == "dense"
         if is_matrix and windows and len(windows[0].input_shape) > 1:
             yield (
                 f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
-                "(square kernels, equal strides, no padding or 'same') or its neurons' parameters "
-                "differ within a channel"
+                "(square kernels, equal strides and paddings) or its neurons' parameters differ "
+                "within a channel"
             )
     for node in network.nodes:
         if node.kind == "IF":
             yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
-            if stepped.seconds < 1 and (node["r"] == 1).all():
-                yield (
-                    f"{node}: its input is multiplied by the step, as NIR says; Norse and others "
-                    "add the whole of it at each step: then give --set nir.step=1000"
-                )
         if node.kind == "CubaLI":
             yield f"{node}: only its longer time constant is kept"
 
 
+def _doubtful_times(node, step, steps):
+    """Yield a warning for time constants that no network is trained with."""
+    for name in ("tau", "tau_syn", "tau_mem"):
+        if name not in node.parameters:
+            continue
+        shortest = float(node[name].min())
+        problem = ""
+        if shortest > step * steps:
+            problem = f"longer than a whole sample, {steps} steps of {1000 * step:g} ms"
+        elif shortest < step * (1 - 1e-6):
+            problem = f"shorter than a step of {1000 * step:g} ms"
+        if problem:
+            yield (
+                f"{WARNING}{node}: a {name} of {1000 * shortest:g} ms is {problem}; if it is "
+                "counted in other units, give --set nir.step (the graph's time per step, in ms)"
+            )
+
+
 def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
-    """Effect of the chip's reset on the answers of a graph that was trained with another.
+    """Effect of the chip's reset on the predictions of a graph that was trained with another.
 
     Returns
     -------
@@ -615,8 +648,8 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
     some = np.sort(rng.permutation(dataset.split.train)[:RESET_ON])
     inputs, labels = dataset.inputs[some], dataset.labels[some]
     chip, trained = (
-        predictions_of(outputs_of(network, stepped, inputs, settings, reset=reset)[0], settings)
-        for reset in ("value", settings.nir.reset)
+        predictions_of(simulate_samples(network, run, inputs, settings)[0], settings)
+        for run in (replace(stepped, reset="value"), stepped)
     )
     return {
         "samples": len(some),
@@ -654,7 +687,7 @@ def _threshold(network, stepped, layers, settings, dataset):
         return None
     held_out = decided_on(dataset.split, settings.seed)
     inputs = dataset.inputs[held_out]
-    outputs = outputs_of(network, stepped, inputs, settings, reset=settings.nir.reset)[0]
+    outputs = simulate_samples(network, stepped, inputs, settings)[0]
     sums = delay_outputs(np.cumsum(outputs, 1), len(layers))
     loss = settings.presentation.early_loss
     threshold = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs), loss)

@@ -261,17 +261,18 @@ class NIR(Section):
     file: str = ""
     #: SHA-256 of that file's content.
     sha256: str = ""
-    #: Milliseconds of the graph's time in a step of the chip; 0: as the graph has it (0.1 if
-    #: snnTorch's exporter wrote it), otherwise the value of ``input.step``, or 1 with images.
+    #: Milliseconds of the graph's time in a step of the chip; 0: that of the framework that wrote
+    #: the graph, if it is recognised, otherwise the value of ``input.step``, or 1 with images.
     step: Annotated[float, STEP_OR_NONE] = 0.0
-    #: Integration of the graph's equations: ``exact``, their exact solution; ``euler``, forward
-    #: Euler steps, as Norse and snnTorch train; ``auto``, ``euler`` if snnTorch's exporter wrote
-    #: the graph, otherwise ``exact``.
-    method: Annotated[str, one_of("auto", "exact", "euler")] = "auto"
+    #: Step of the graph's equations: ``exact``, their exact solution; ``euler``, forward Euler
+    #: steps; ``norse``, ``rockpool``, ``spyx``, those of these frameworks; ``auto``, that of the
+    #: framework that wrote the graph, ``exact`` if none is recognised.
+    method: Annotated[str, one_of("auto", "exact", "euler", "norse", "rockpool", "spyx")] = "auto"
     #: The reset with which the graph was trained, which NIR does not record: ``value``, to
     #: ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
-    #: step, as snnTorch does unless ``reset_delay=False``.
-    reset: Annotated[str, one_of("value", "subtract", "subtract-late")] = "value"
+    #: step, as snnTorch does unless ``reset_delay=False``; ``auto``, ``subtract`` if Rockpool or
+    #: Spyx wrote the graph, otherwise ``value``.
+    reset: Annotated[str, one_of("auto", "value", "subtract", "subtract-late")] = "auto"
 
 
 @dataclass(frozen=True)

@@ -72,21 +72,33 @@ def test_fast_is_the_emulator_and_the_network_fits(end):
     assert make_plan(spec).problems == []
 
 
-def test_spikes_are_the_chosen_integers_one_by_one():
+@pytest.mark.parametrize("padded", [False, True])
+@pytest.mark.parametrize("target", ["emulator", "fast", "nengo"])
+def test_spikes_are_the_chosen_integers_one_by_one(padded, target):
     """Without biases the chip's spikes are those of the integers, a step later for each layer."""
     rng = np.random.default_rng(4)
+    first = conv(rng, 5, 2, 3)
+    if padded:  # a padding that Nengo does not know; the sixth row is outside of the pairs
+        pairs = ("SumPool2d", {"kernel_size": 2, "stride": 2, "padding": 0})
+        between = conv(rng, 3, 5, 3, padding=2, stride=2)
+        first, size = conv(rng, 5, 2, 4, padding=1), 3 * 2 * 2
+        middle = [lif(0.01, 10.0), pairs, between, lif(0.01, 10.0)]
+    else:
+        size, middle = 80, [lif(0.01, 10.0)]
     network = network_of(
         (2, 6, 6),
-        conv(rng, 5, 2, 3),
-        lif(0.01, 10.0),
+        first,
+        *middle,
         ("Flatten", {}),
-        affine(rng, 7, 80),
+        affine(rng, 7, size),
         cuba_lif(0.005, 0.02, 30.0),
         affine(rng, 3, 7),
     )
     frames = frames_of(rng, 3, shape=(6, 6, 2))
     spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
-    found = run_target(spec, frames, "emulator")
+    if padded:
+        assert [layer.padding for layer in spec.layers[:2]] == ["1", "2"]
+    found = run_target(spec, frames, target)
     signal = calibration = frames.reshape(3, 60, -1).astype(float)
     for delay, layer in enumerate(from_nir(network, 0.001, "euler", (6, 6, 2))[:-1], 2):
         integers = choose_integers(layer, calibration)
@@ -95,7 +107,10 @@ def test_spikes_are_the_chosen_integers_one_by_one():
             simulate_spikes(layer, calibration),
         )
         late = signal[:, : 60 - delay + 1].sum((1, 2))
-        np.testing.assert_array_equal(found.spikes[layer.name], late)
+        if target == "nengo":  # in real numbers
+            np.testing.assert_allclose(found.spikes[layer.name], late, rtol=0.1, atol=3)
+        else:
+            np.testing.assert_array_equal(found.spikes[layer.name], late)
         assert late.min() > 0
 
 
@@ -135,7 +150,7 @@ def test_an_exported_network_on_events_has_the_same_weights_again():
     frames = frames_of(rng, 3)
     spec = spec_of_nir(events_network(rng), STEPPED, EventFrames(0.02, 0), FRESH, frames, {})
     graph = read_nir(nir_graph(spec))
-    assert graph.step == 0.001
+    assert graph.convention.step == 0.001
     for link, layer in zip(from_nir(graph, 0.001, "exact", (8, 8, 2)), spec.layers, strict=True):
         weights = layer.weights if layer.kind == "conv" else layer.weights.T
         if layer.neurons is None:
@@ -291,7 +306,10 @@ BAD = [
     (["--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--retrain"], ["--retrain", "--model"]),
     (["--nir", "small.nir", "--step", "5000"], ["'input.step'"]),
-    (["--nir", "small.nir", "--step", "200"], ["tau", " 0.1 s", " 0.2 s", "--step"]),
+    (
+        ["--nir", "small.nir", "--step", "200", "--set", "nir.method=euler"],
+        ["tau", " 0.1 s", " 0.2 s", "nir.step"],
+    ),
     (["--nir", "small.nir", "--input", "image"], ["2 x 10 x 10"]),
     (["--nir", "small.nir", "--set", "skin.rows=12", "--set", "skin.columns=12"], ["2 x 12 x 12"]),
     (["--nir", "nine.nir"], ["nine.nir: ", " 9 values", " 10 "]),

@@ -1,0 +1,285 @@
+"""Which framework wrote a graph, told from its numbers, and what its numbers mean.
+
+NIR's equations have seconds, but frameworks have steps.  Each writes its time constants and gains
+in its own way; the functions ``recognise_...`` know one way each, and :func:`recognise` asks them
+in order.  A framework is recognised if all neurons and filters of the graph fit.  The table in
+``docs/nir.md`` has the same rules in words.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import lambertw
+
+from models.nir.equations import voltage_time
+
+# Relative tolerance of numbers that were computed in 32 bits.
+TOLERANCE = 1e-3
+
+# The step that snnTorch's and SpikingJelly's exporters write, whatever the training had; Norse's.
+EXPORTED_STEP, NORSE_STEP = 1e-4, 1e-3
+
+# Time constants, in seconds, below which a graph with gains of 1 cannot be in seconds: Norse's
+# exporter multiplies them with its step, SpikingJelly's has multiples of 0.1 ms.
+SHORTEST_SPIKINGJELLY, SHORTEST_IN_SECONDS = 1e-4, 5e-3
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How a graph's numbers are read.
+
+    Attributes
+    ----------
+    framework : str
+        Name of the framework, or of the rule.
+    method : str
+        One of :data:`models.nir.equations.METHODS`.
+    step : float or None
+        Seconds of the graph's time in a step; None if the graph has seconds and no step.
+    evidence : str
+        What the framework was recognised by.
+    equation : str
+        The step in one line.
+    reset : str
+        One of :data:`models.nir.simulator.RESETS`.
+    doubt : str
+        What may be wrong, and the setting that corrects it; empty for nothing.
+    at_threshold : bool
+        A neuron spikes when it reaches its threshold, not only above it.
+    """
+
+    framework: str
+    method: str
+    step: float | None
+    evidence: str
+    equation: str
+    reset: str = "value"
+    doubt: str = ""
+    at_threshold: bool = False
+
+
+def recognise(nodes, metadata: dict) -> Convention:
+    """The convention of a graph.
+
+    Parameters
+    ----------
+    nodes : sequence of models.nir.graph.Node
+    metadata : dict
+        Of the graph.
+    """
+    states = [node for node in nodes if "r" in node.parameters]
+    for rule in RULES:
+        found = rule(states, metadata)
+        if found is not None:
+            return found
+    leaky = any(node.kind != "IF" for node in states)
+    return Convention(
+        "NIR", "exact", None, "no framework's numbers", "NIR's own, solved exactly",
+        doubt="no framework is recognised, so its time constants are taken as seconds; "
+        "'nir.step', 'nir.method' and 'nir.reset' say otherwise" if leaky else "",
+    )  # fmt: skip
+
+
+def recognise_metadata(nodes, metadata):
+    """This project's own exports, which have their step in the metadata."""
+    step = np.asarray(metadata.get("dt"))
+    if step.dtype.kind != "f" or step.size != 1 or not step > 0:
+        return None
+    return Convention(
+        "NIR with a step", "exact", float(step), "'dt' in the metadata", "NIR's own, solved exactly"
+    )
+
+
+def recognise_snntorch(nodes, _):
+    """snnTorch, and SpikingJelly without a decaying input: r h = tau and w_in h = tau_syn.
+
+    ``Leaky`` and ``Synaptic`` have no time; a share beta remains after a step.  The exporter writes
+    tau = h / (1 - beta) with h = 0.1 ms.  With another h, 1 ms or 1 s, it is the same equation.
+    """
+    if not nodes or any(node.kind not in ("LIF", "CubaLIF") for node in nodes):
+        return None
+    steps = [node[voltage_time(node)] / _nonzero(node["r"]) for node in nodes]
+    steps += [node["tau_syn"] / _nonzero(node["w_in"]) for node in nodes if node.kind == "CubaLIF"]
+    for h in (EXPORTED_STEP, 1e-3, 1.0):
+        if all(_all_near(step, h) for step in steps):
+            has_current = any(node.kind == "CubaLIF" for node in nodes)
+            return Convention(
+                "snnTorch", "euler", h, f"r = tau / {_time(h)}" + ", w_in too" * has_current,
+                "v <- beta v + I",
+                doubt="snnTorch subtracts the threshold by default, a step later: if it was "
+                "trained so, give --set nir.reset=subtract-late",
+            )  # fmt: skip
+    return None
+
+
+def recognise_rockpool(nodes, _):
+    """Rockpool: r = tau exp(-h / tau) / h and no w_in, with one h for all neurons.
+
+    h / tau is Lambert's W(1 / r).  A gain of any kind gives some h, so it must be a round number,
+    or the time constants must differ.
+    """
+    if not nodes or any(node.kind not in ("LIF", "LI", "CubaLIF") for node in nodes):
+        return None
+    if not all((node["r"] > 0).all() and _has_no_w_in(node) for node in nodes):
+        return None
+    taus = np.concatenate([node[voltage_time(node)].ravel() for node in nodes])
+    gains = np.concatenate([node["r"].ravel() for node in nodes])
+    steps = taus * lambertw(1 / gains).real
+    h = float(np.median(steps))
+    is_round = abs(float(f"{h:.1e}") / h - 1) < 1e-4
+    differ = not _all_near(taus, taus[0], 0.01)
+    if not _all_near(steps, h, 1e-4) or not (is_round or differ) or (gains == 1).all():
+        return None
+    h = float(f"{h:.1e}") if is_round else h
+    return Convention(
+        "Rockpool", "rockpool", h, f"r = tau exp(-h / tau) / h with h = {_time(h)}, no w_in",
+        "I <- a (I + S), v <- b v + I", "subtract", at_threshold=True,
+        doubt="Rockpool does not export the biases of its neurons, which may spike several times "
+        "in a step there and once here",
+    )  # fmt: skip
+
+
+def recognise_spyx(nodes, _):
+    """Spyx: r = 1 - h / tau, the share that remains, and no w_in; IF have r = 1."""
+    leaky = [node for node in nodes if node.kind != "IF"]
+    if not leaky or not all(_has_no_w_in(node) for node in leaky):
+        return None
+    if not all((node["r"] < 1 - TOLERANCE).all() for node in leaky):
+        return None
+    steps = [node[voltage_time(node)] * (1 - node["r"]) for node in leaky]
+    for h in (1.0, 1e-3, EXPORTED_STEP):
+        if all(_all_near(step, h) for step in steps):
+            return Convention(
+                "Spyx", "spyx", h, f"r = 1 - {_time(h)} / tau, no w_in",
+                "I <- a I + S, v <- b v + I", "subtract",
+            )  # fmt: skip
+    return None
+
+
+def recognise_norse_currents(nodes, _):
+    """Norse's LIFCell: CubaLIF with r = 1 and no w_in."""
+    currents = [node for node in nodes if node.kind == "CubaLIF"]
+    if not currents or not _gains_are_one(nodes):
+        return None
+    h = _norse_step(nodes)
+    return Convention(
+        "Norse", "norse", h, "CubaLIF with r = 1 and no w_in",
+        "I <- I + S, v <- b v + (1 - b) (v_leak + I), I <- a I",
+        doubt=f"its step is not in the graph; {_time(h)} is that of Norse's defaults, others need "
+        "--set nir.step (in ms); if its current is NIR's own, give --set nir.method=exact",
+    )  # fmt: skip
+
+
+def recognise_spikingjelly(nodes, _):
+    """SpikingJelly: IF have r = 1 / h; LIF have r = 1, or r h = tau, and tau in multiples of h.
+
+    The exporter's h is 0.1 ms.  Without IF only small time constants tell.
+    """
+    if not nodes or any(node.kind not in ("LIF", "IF") for node in nodes):
+        return None
+    integrators = [node for node in nodes if node.kind == "IF"]
+    leaky = [node for node in nodes if node.kind == "LIF"]
+    doubt = ""
+    if integrators:
+        h = float(1 / _nonzero(integrators[0]["r"]).flat[0])
+        exponent = np.log10(h) if h > 0 else 0
+        if not -6.1 < exponent < -1.9 or not _all_near(h, 10.0 ** round(exponent)):
+            return None
+        h = 10.0 ** round(exponent)
+        if not all(_all_near(node["r"], 1 / h) for node in integrators):
+            return None
+        evidence = f"IF with r = 1 / {_time(h)}"
+    else:
+        h, evidence = EXPORTED_STEP, "LIF with r = 1 and time constants of some tenths of a ms"
+        taus = np.concatenate([node["tau"].ravel() for node in leaky])
+        is_short = (taus >= SHORTEST_SPIKINGJELLY * (1 - TOLERANCE)) & (taus < SHORTEST_IN_SECONDS)
+        if not is_short.all() or not _gains_are_one(leaky):
+            return None
+        doubt = "if these are seconds, or its exporter had another dt, give --set nir.step (in ms)"
+    gains = [(node["r"], node["tau"] / h) for node in leaky]
+    if not all(_all_near(r, 1.0) or _all_near(r, whole) for r, whole in gains):
+        return None
+    if any((node["tau"] < h * (1 - TOLERANCE)).any() for node in leaky):
+        return None
+    return Convention(
+        "SpikingJelly", "euler", h, evidence,
+        "v <- v + S" if not leaky else "v <- v + (S - (v - v_leak)) / tau, tau in steps",
+        doubt=doubt, at_threshold=True,
+    )  # fmt: skip
+
+
+def recognise_norse_boxes(nodes, _):
+    """Norse's LIFBoxCell and LIBoxCell as its exporter writes them by default: times times 1 ms."""
+    times = [node["tau"].max() for node in nodes if node.kind in ("LIF", "LI")]
+    if not times or max(times) >= SHORTEST_SPIKINGJELLY or not _gains_are_one(nodes):
+        return None
+    h = _norse_step(nodes)
+    return Convention(
+        "Norse", "euler", h, "r = 1 and time constants of some microseconds",
+        "v <- b v + (1 - b) (v_leak + S)",
+        doubt="its step is not in the graph; this is that of Norse's defaults, others need --set "
+        "nir.step (in ms)",
+    )  # fmt: skip
+
+
+def recognise_steps(nodes, _):
+    """sinabs and graphs by hand: r = 1, time constants counted in steps, IF that add their input.
+
+    sinabs' LIF has alpha = exp(-1 / tau) and v <- alpha v + (1 - alpha) S.
+    """
+    if not nodes or not _gains_are_one(nodes):
+        return None
+    leaky = [node for node in nodes if node.kind != "IF"]
+    if any((node[voltage_time(node)] < 1).any() for node in leaky):
+        return None
+    return Convention(
+        "time in steps (sinabs, Norse's IAFCell, graphs by hand)", "exact", 1.0,
+        "r = 1" + " and time constants of 1 or more" * bool(leaky),
+        "v <- alpha v + (1 - alpha) S, alpha = exp(-1 / tau)" if leaky else "v <- v + S",
+        doubt="sinabs subtracts the threshold by default: if it was trained so, give --set "
+        "nir.reset=subtract",
+    )  # fmt: skip
+
+
+RULES = (
+    recognise_metadata,
+    recognise_snntorch,
+    recognise_norse_currents,
+    recognise_rockpool,
+    recognise_spyx,
+    recognise_spikingjelly,
+    recognise_norse_boxes,
+    recognise_steps,
+)
+
+
+def _nonzero(values):
+    return np.where(values == 0, np.nan, values)
+
+
+def _all_near(values, wanted, tolerance=TOLERANCE) -> bool:
+    return bool(np.allclose(values, wanted, rtol=tolerance, atol=0))
+
+
+def _has_no_w_in(node):
+    return "w_in" not in node.parameters or _all_near(node["w_in"], 1.0)
+
+
+def _gains_are_one(nodes):
+    return all(_all_near(node["r"], 1.0) and _has_no_w_in(node) for node in nodes)
+
+
+def _norse_step(nodes):
+    """Norse's step in the graph's time, by the size of its time constants.
+
+    Its exporter writes tau dt with its own dt, 1 ms by default, or tau itself (dt = 1); tau of 1
+    and more are counted in steps.
+    """
+    longest = max(node[voltage_time(node)].max() for node in nodes if node.kind != "IF")
+    if longest < SHORTEST_IN_SECONDS / 5:
+        return NORSE_STEP**2
+    return NORSE_STEP if longest < 1 else 1.0
+
+
+def _time(seconds):
+    return f"{1000 * seconds:g} ms" if seconds < 1 else f"{seconds:g} s"
