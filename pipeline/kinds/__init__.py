@@ -2,10 +2,9 @@
 
 :func:`choose_settings` chooses the settings that the user has left open, for the recordings.  The
 defaults are the paper's: its network, 200 samples, two seconds.  If recordings of another sensor
-need other
-values and the user has not set them, the kind of the network chooses them.  What is chosen depends
-only on the user's settings and the recordings.  A value that the user has set and that does not fit
-is an error; all errors are reported together before anything is trained.
+need other values and the user has not set them, the kind of the network chooses them.  What is
+chosen depends only on the user's settings and the recordings.  A value that the user has set and
+that does not fit is an error; all errors are reported together before anything is trained.
 """
 
 from deploy.errors import SeveralErrors, UserError
@@ -19,11 +18,11 @@ from pipeline.recordings.library import recordings_of
 from pipeline.recordings.splits import PUBLISHED, WRITERS, kind_of, split_of, split_problem
 from pipeline.run.settings import Settings
 
-KINDS = (ImageKind, EventsKind, NirKind)
+# The first of them that the settings describe is the kind of a run.
+KINDS = [NirKind, EventsKind, ImageKind]
 
 # Title and note of the reference stages of all kinds.
 REFERENCES = {stage: texts for kind in KINDS for stage, texts in kind.references.items()}
-
 
 # The reference stages whose networks become bundles; later losses are caused by the conversion.
 TRAINED_STAGES = tuple(kind.deployed_stage for kind in KINDS)
@@ -45,9 +44,7 @@ def compared_with(stages) -> str:
 
 def kind_of_network(settings: Settings) -> NetworkKind:
     """The kind of a run's network; the only place that decides it."""
-    if settings.nir.file:
-        return NirKind(settings)
-    return EventsKind(settings) if settings.on_events else ImageKind(settings)
+    return next(kind for kind in KINDS if kind.describes(settings))(settings)
 
 
 def choose_settings(

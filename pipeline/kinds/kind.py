@@ -173,6 +173,11 @@ class NetworkKind:
     def __init__(self, settings: Settings):
         self.settings = settings
 
+    @classmethod
+    def describes(cls, settings: Settings) -> bool:
+        """True if these settings are those of a network of this kind."""
+        raise NotImplementedError
+
     @property
     def architecture(self) -> str:
         """The architecture of the network in the notation; empty if it has its own."""

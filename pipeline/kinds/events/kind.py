@@ -114,6 +114,10 @@ class EventsKind(NetworkKind):
     channels = 2
     grid = ("events.budget=0.6,0.9", "events.early=0.3,1")
 
+    @classmethod
+    def describes(cls, settings):
+        return settings.on_events
+
     @property
     def steps(self):
         training = ("training.json", "weights.npz")

@@ -117,6 +117,10 @@ class ImageKind(NetworkKind):
         "snn.spike_penalty=0,0.05",
     )
 
+    @classmethod
+    def describes(cls, settings):
+        return not settings.on_events
+
     @property
     def reference_stages(self):
         settings = self.settings

@@ -271,6 +271,10 @@ class NirKind(NetworkKind):
     deployed = "nir"
     deployed_stage = "nir"
 
+    @classmethod
+    def describes(cls, settings):
+        return bool(settings.nir.file)
+
     @property
     def channels(self):
         return 2 if self.settings.on_events else self.settings.image.channels
