@@ -20,7 +20,7 @@ from pipeline import look
 from pipeline.kinds import COMPARED_WITH, REFERENCES
 from pipeline.recordings.dataset import positions_of
 from pipeline.results.ladder import confusion_matrix, ladder_rows
-from pipeline.results.report import charts
+from pipeline.results.report import charts, prose
 from pipeline.run.settings import PATHS, Settings
 from pipeline.stages import settings_read
 
@@ -97,10 +97,13 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     )
     environment.filters["p"] = p_text
     environment.filters["percent"] = charts.percent
+    environment.filters["interval"] = prose.interval
     package = resources.files("pipeline.results.report")
     spec, result = inputs.bundle.spec, inputs.results[-1]
     provenance = spec.provenance
     estimate = estimate_energy(spec, result) if result["spikes"] else None
+    layers = layer_table(inputs.bundle, inputs.plan, result, estimate)
+    groups = _groups(inputs)
     return environment.get_template("report.html.j2").render(
         vars(inputs),
         style=look.STYLE + package.joinpath("report.css").read_text(encoding="utf-8"),
@@ -115,11 +118,14 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         time=_over_time(inputs),
         per_class=class_table(inputs),
         matrix=_matrix(inputs),
-        groups=_groups(inputs),
+        groups=groups,
+        frequent_mistake=_frequent_mistake(groups, inputs),
         over_time=over_time(spec),
-        stories=_stories(inputs),
+        stories=_stories(inputs, groups),
+        prose=prose,
         curves=_learning_curves(inputs.histories),
-        layers=layer_table(inputs.bundle, inputs.plan, inputs.results[-1], estimate),
+        layers=layers,
+        neurons_on_chip=sum(row["neurons"] or 0 for row in layers if row["name"] != "input"),
         energy=estimate and _energy(estimate),
     )
 
@@ -202,7 +208,7 @@ def class_table(inputs: Inputs) -> list:
 def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list:
     """Each layer: kind, output shape, weights, neurons, place, activity per sample.
 
-    ``rate`` is in spikes per second and neuron, ``energy`` an estimate for the chip in joules;
+    ``rate`` is in spikes per second and neuron, ``microjoules`` an estimate for the chip;
     values that do not exist are None.
 
     Parameters
@@ -229,7 +235,7 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
             "spikes": None if spikes is None else spikes / n,
             "rate": None if spikes is None else spikes / n / neurons / seconds,
             "operations": None if operations is None else operations / n,
-            "energy": energy.get(name),
+            "microjoules": 1e6 * energy[name] if name in energy else None,
         }
 
     rows = [row("input", "input", spec.input_shape, None, int(np.prod(spec.input_shape)))]
@@ -355,8 +361,24 @@ def _groups(inputs):
     ]
 
 
-def _stories(inputs):
+def _frequent_mistake(groups, inputs):
+    """The most frequent mistake, if it occurs more than twice; otherwise None."""
+    first = groups[0]  # wrong predictions come first, the most frequent before the others
+    if first["right"] or len(first["samples"]) <= 2:
+        return None
+    is_number = first["shown"].isdigit() and len(inputs.classes) > 10
+    word = "class " if is_number else ""
+    return {
+        "n": len(first["samples"]),
+        "of": int(_confusion(inputs).sum(1)[inputs.classes.index(first["shown"])]),
+        "shown": word + first["shown"],
+        "answered": word + first["answered"],
+    }
+
+
+def _stories(inputs, groups):
     """Samples one by one: events, spikes of the layers and probabilities on one time axis."""
+    pictures = {s["index"]: s["picture"] for group in groups for s in group["samples"]}
     result, classes = inputs.results[-1], inputs.classes
     spec = inputs.bundle.spec
     step_ms, limit = 1000 * spec.stimulus.step_seconds, spec.presentation.threshold
@@ -390,6 +412,7 @@ def _stories(inputs):
             {
                 "index": index,
                 "id": sample["id"],
+                "picture": pictures[index],
                 "right": sample["label"] == answered,
                 "shown": classes[sample["label"]],
                 "answered": classes[answered],

@@ -1,0 +1,184 @@
+"""Sentences of the report whose words depend on the results."""
+
+from markupsafe import Markup, escape
+
+from deploy.tables import p_text
+from deploy.targets.registry import TARGETS
+from pipeline.kinds import REFERENCES
+from pipeline.results.report.charts import percent
+
+# Highest probability that is printed: none is certain.
+MAX_PROBABILITY = 0.999
+
+
+def plural(number: int, noun: str) -> str:
+    """A number and its noun, such as ``"3 cores"``."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def points(change: float) -> str:
+    """A difference of accuracies in points, with its sign, such as ``"−0.5"``."""
+    return f"{100 * change + 0.0:+.1f}".replace("-", "−")
+
+
+def p_value(p: float) -> Markup:
+    """The p value of a test, such as ``"p = 0.03"`` or ``"p < 0.001"``, without a line break."""
+    sign = "=&nbsp;" if p >= 0.001 else ""
+    return Markup(f"p&nbsp;{sign}") + escape(p_text(p))
+
+
+def interval(bounds) -> str:
+    """A 95 % interval in percent."""
+    low, high = bounds
+    return f"{percent(low)} to {percent(high)}"
+
+
+def stage_note(stage: str) -> str:
+    """What a stage of the ladder is, in a few words."""
+    described = REFERENCES.get(stage) or TARGETS[stage]
+    return described.note or described.title
+
+
+def verdict_text(verdict: dict, result: dict, plan: dict, simulated: bool) -> Markup:
+    """The accuracy of the deployed network, compared with its references."""
+    what = "simulated test samples" if simulated else "test samples"
+    sentences = [
+        escape(
+            f"{verdict['title']}: {percent(result['accuracy'])} of {result['n_samples']} {what} "
+            "are right."
+        )
+    ]
+    for other in verdict["against"]:
+        difference = "no significant difference"
+        if other["significant"]:
+            difference = f"significantly {'less' if other['change'] > 0 else 'more'}"
+        begin = f"{other['title']}: {percent(other['accuracy'])}, {difference} ("
+        sentences.append(escape(begin) + p_value(other["p"]) + ").")
+    if not plan["fits"]:
+        sentences.append("It does not fit on the chip.")
+    return Markup(" ").join(sentences)
+
+
+def losses_text(verdict: dict) -> Markup:
+    """The loss from each reference to the deployed network."""
+    return Markup(" ").join(
+        escape(f"From {other['title']} to {verdict['title']}: {points(other['change'])} points, ")
+        + p_value(other["p"])
+        + "."
+        for other in verdict["against"]
+    )
+
+
+def ladder_text(ladder: dict) -> str:
+    """What the rows and columns of the ladder are."""
+    baseline = ""
+    if ladder["rows"][0]["stage"] == "counts":
+        baseline = f" {ladder['rows'][0]['title']} is the simplest baseline."
+    return f"Each stage predicts the same {ladder['n']} test samples.{baseline}"
+
+
+def stories_text(groups: list, stories: list, time: dict | None, has_estimator: bool) -> str:
+    """Which samples are shown over time, and what their panels are."""
+    n_wrong = sum(len(group["samples"]) for group in groups if not group["right"])
+    n_shown = sum(not story["right"] for story in stories)
+    sentences = []
+    if n_wrong:
+        which = "All" if n_shown == n_wrong else f"{n_shown} of the"
+        sentences.append(f"{which} {n_wrong} mistakes, then right ones.")
+    colours = " (ON blue, OFF orange)" if time and time["on_events"] else ""
+    outputs = "the softmax of the outputs, which only suggests probabilities"
+    if has_estimator:
+        outputs = "the probabilities of the most likely classes, estimated at each step"
+    early = "; the network decides when one reaches the dotted line"
+    sentences += [
+        "Right or wrong is the prediction at the end.",
+        "All panels of a sample have the same time axis: the spikes of the input"
+        f"{colours} and of each layer on the emulated chip, and {outputs}"
+        f"{early if time and time['early'] else ''}.",
+    ]
+    return " ".join(sentences)
+
+
+def story_text(story: dict, n_classes: int) -> str:
+    """A sample's name, its probability at the end, and its early decision."""
+    chance = "no better than a guess"
+    if story["probability"] * n_classes >= 1.01:
+        chance = percent(min(story["probability"], MAX_PROBABILITY))
+    text = f"{story['id']}, {chance} at the end"
+    if not story["early"]:
+        return text
+    at_ms, prediction, probability = story["early"]
+    is_right = "right" if prediction == story["shown"] else "wrong"
+    return (
+        f"{text}; early decision after {at_ms:.0f} ms (line): {prediction}, {is_right}, "
+        f"{percent(min(probability, MAX_PROBABILITY))}"
+    )
+
+
+def time_text(time: dict, accuracy: float) -> str:
+    """How accurate early decisions are, and what half of a recording tells."""
+    sentences, early = [], time["early"]
+    if early:
+        sentences.append(
+            f"{time['name']} decides early when its confidence reaches "
+            f"{percent(early['confidence'])}: after {percent(early['share_of_writing_mean'])} of "
+            f"the recording on average, {percent(early['accuracy'])} right "
+            f"({interval(early['accuracy_ci95'])})."
+        )
+    if time["half"] is not None:
+        whole = "recording" if time["on_events"] else "presentation"
+        sentences.append(
+            f"If the prediction were read after half of the {whole}, {percent(time['half'])} would "
+            f"be right; at the end of the presentation it is {percent(accuracy)}."
+        )
+    if time["on_events"]:
+        sentences.append("At 100 %, the last event, some spikes have not reached the output.")
+    else:
+        sentences.append("An image is presented when its recording has ended.")
+    return " ".join(sentences)
+
+
+def time_caption(time: dict, has_counts: bool) -> str:
+    """What the curve, the dots and the dashed line of accuracy over time are."""
+    dots = "Dot: end of the presentation"
+    if time["early"]:
+        dots = "Dots: end of the presentation, and early decisions at their mean time"
+    dashed = "; dashed: logistic regression on all event counts" if has_counts else ""
+    return (
+        "Accuracy if the prediction were read at this time, with 95 % intervals (Wilson). "
+        f"{dots}{dashed}."
+    )
+
+
+def other_text(result: dict) -> Markup:
+    """The target, the interval and the warnings of a check on other recordings."""
+    text = escape(f"{result['target']}, {interval(result['accuracy_ci95'])}")
+    if result["simulated"]:
+        text += "; simulated recordings"
+    data = result["data"]
+    warnings = list(data.get("warnings", []))
+    if data.get("trained_on"):
+        warnings.insert(
+            0,
+            f"{data['trained_on']} of these samples were used to make the network, and its "
+            "accuracy on them says little about others",
+        )
+    for line in warnings:
+        text += Markup("; <strong>{}</strong>").format(line)
+    return text
+
+
+def energy_text(energy: dict) -> Markup:
+    """The estimate of energy, and what it is made of."""
+    return Markup(
+        "Energy is an <strong>estimate</strong> from published energies per operation: "
+        "{loihi} for one inference on Loihi, {share} of it for neuron updates (Davies et al. 2018, "
+        "simulated circuits); {cpu} on a CPU and {gpu} on a GPU for the same network without "
+        "spikes (Degnan et al. 2016). The readout counts as if it were on the chip. Idle power, "
+        "the host, spikes to and from the chip and memory traffic are left out."
+    ).format(
+        loihi=energy["loihi"].replace("u", "µ"),
+        share=percent(energy["share_of_updates"]),
+        cpu=energy["cpu"].replace("u", "µ"),
+        gpu=energy["gpu"].replace("u", "µ"),
+    )
