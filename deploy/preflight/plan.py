@@ -280,6 +280,19 @@ def _warnings(core):
         yield f"{where}: the current can wrap around ({core.worst_current / CURRENT_LIMIT:.1f} x)"
 
 
+# What the columns of a plan are.
+LEGEND = (
+    "- at: number of the chip and of the core on it",
+    "- pop: how spikes name the synapses that they go to (type of the input axons)",
+    "- compartments: neurons",
+    "- axons: connections for spikes into the core and out of it; AxonCfg: registers of the latter",
+    "- input, current: the largest that can occur, in percent of the value at which the chip's",
+    "  integers wrap around",
+    "- threshold: in percent of the largest voltage",
+    "- all other percentages: of what a core has",
+)
+
+
 def plan_text(plan: Plan) -> str:
     """Format a plan as a table and a few lines."""
     rows = [["layer", "at", "pop", *COLUMNS, "input", "current", "threshold"]]
@@ -297,13 +310,8 @@ def plan_text(plan: Plan) -> str:
         ]
         rows.append(cells)
     lines = in_blocks(rows, left=3)
-    lines.append(
-        f"cores: {len(plan.cores)}, chips: {plan.chips}; percentages are of a core's limits;\n"
-        "'at': chip.core; 'pop': type of the input axons; a compartment is a neuron, an axon\n"
-        "a spike's way in or out, an AxonCfg register the place of a way out; 'input',\n"
-        "'current': worst case, of the value at which the integers wrap around;\n"
-        "'threshold': of the highest voltage"
-    )
+    lines.append(f"cores: {len(plan.cores)}, chips: {plan.chips}")
+    lines += LEGEND
     lines += [f"warning: {line}" for line in plan.warnings]
     lines += [f"does not fit: {line}" for line in plan.problems]
     return "\n".join(lines)

@@ -33,7 +33,7 @@ from pathlib import Path
 
 from deploy import __version__
 from deploy.files import read_json, write_json
-from pipeline.run.settings import Settings, names_in
+from pipeline.run.settings import AUTOMATIC_AT_0, Settings, names_in
 
 # States of an artifact.
 CURRENT, OUTDATED, MISSING = "current", "outdated", "missing"
@@ -124,11 +124,18 @@ class Origin:
         ):
             for name in dict.fromkeys([*now, *before]):
                 if now.get(name) != before.get(name) or (name in now) != (name in before):
-                    values = (
-                        show(part[name]) if name in part else "unused" for part in (before, now)
-                    )
+                    values = (_describe(name, part, show) for part in (before, now))
                     changes.append(Change(name, *values))
         return tuple(changes)
+
+
+def _describe(name, part, show):
+    """A value of an origin for a message."""
+    if name not in part:
+        return "unused"
+    if part[name] == 0 and name in AUTOMATIC_AT_0:
+        return "automatic (0)"
+    return show(part[name])
 
 
 @dataclass(frozen=True)

@@ -452,7 +452,7 @@ def _learning_curves(histories):
             if f"{part}accuracy" in rows[0]
         ]
         if series:
-            chart = charts.line_chart(series, "epoch", "accuracy, %", f"Learning curve: {name}", 0)
+            chart = charts.line_chart(series, "epoch", "accuracy, %", f"Learning curve: {name}")
             legend = charts.legend([s.name for s in series])
             curves.append({"title": name, "chart": chart, "legend": legend})
     return curves

@@ -3,6 +3,7 @@
 from pipeline.run.settings.schema import (
     AGGREGATIONS,
     AUGMENTATIONS,
+    AUTOMATIC_AT_0,
     CNN,
     IMPORTED,
     NIR,
@@ -34,6 +35,7 @@ from pipeline.run.settings.toml import read_own_settings, read_settings, write_s
 __all__ = [
     "AGGREGATIONS",
     "AUGMENTATIONS",
+    "AUTOMATIC_AT_0",
     "CNN",
     "IMPORTED",
     "NIR",

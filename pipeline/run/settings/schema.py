@@ -46,6 +46,12 @@ class _Access(enum.Enum):
 # Settings with the path of a file. The origin of an artifact has a hash of the file's content
 # instead of the path, so that every artifact may read these settings.
 PATHS = ("data.source", "cnn.model", "nir.file")
+# Settings whose 0 stands for a number that is chosen.
+AUTOMATIC_AT_0 = {
+    *("data.samples_per_digit", "skin.rows", "skin.columns", "image.duration"),
+    *("cnn.epochs", "snn.epochs", "snn.batch_size", "snn.learning_rate", "nir.step"),
+    *("events.epochs", "events.parts", "events.part", "presentation.steps"),
+}
 # Files of imported networks, and the settings with their hashes.
 IMPORTED = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
 
