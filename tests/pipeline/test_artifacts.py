@@ -36,7 +36,7 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     state = replace(artifact, origin=later).state()
     assert (state.state, state.to_json()["because"]) == (
         "outdated",
-        ["cnn.epochs changed from 0 to 2"],
+        ["cnn.epochs changed from automatic (0) to 2"],
     )
     state.announce("training", (said := []).append)
     assert "cnn.epochs" in said[0]
@@ -48,7 +48,7 @@ def test_contents_settings_that_come_and_settings_that_go_are_told():
     told = [str(change) for change in now.changes_since(before.to_json())]
     assert told == [
         'cnn.model_sha256 changed from unused to ""',
-        "cnn.epochs changed from 0 to unused",
+        "cnn.epochs changed from automatic (0) to unused",
         "recordings changed from aaaaaaaaaaaa to bbbbbbbbbbbb",
     ]
 
