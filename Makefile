@@ -1,7 +1,7 @@
 # Thin: every target calls the command `stmnist`, which offers the same and more (stmnist --help).
 #
-# Variables: DATA (ST-MNIST zip or folder; default: simulated), INPUT (image, the default, or
-# events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100
+# Variables: DATA (ST-MNIST zip or folder; default: simulated), INPUT (image, the default, slices
+# or events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100
 # of 1 ms, or with events 200 of 10 ms of skin time), JOBS (default 2),
 # TARGET (of make check; default emulator), BOARD, PARTITION and CHIPS (of make loihi-hardware),
 # SET (other settings, such as SET="cnn.epochs=5 snn.max_rates=[150, 100]"),

@@ -95,7 +95,10 @@ Data = Annotated[
     typer.Option(help="Zip or folder of recordings, or 'simulated' (default: as in the settings)."),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of split, training and samples.")]
-Input = Annotated[str | None, typer.Option("--input", help="Input of the chip: image or events.")]
+Input = Annotated[
+    str | None,
+    typer.Option("--input", help="Input of the chip: image, slices or events."),
+]
 Samples = Annotated[
     int | None, typer.Option(help="Number of samples of the check; 0 for the whole test set.")
 ]

@@ -167,6 +167,8 @@ class NetworkKind:
     section: ClassVar[str] = ""
     # Channels of its input.
     channels: ClassVar[int]
+    # What to try if the network is less accurate than ``counts``.
+    remedy: ClassVar[str] = "the other --input, a wider architecture or more epochs"
     # Values of settings that a sweep tries unless the user names others.
     grid: ClassVar[tuple] = ()
 

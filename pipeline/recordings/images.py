@@ -12,13 +12,18 @@ slices
     number of equal slices of time, each with channels of its own: with 4 slices and two polarities
     an image has 8 channels.  It is still presented as one image, all channels at once.
 normalisation
-    ``max``      divided by the image's largest magnitude (default)
-    ``sum``      divided by the sum of magnitudes
-    ``sqrt-max`` square root of the magnitude, then as ``max``; reduces the effect of very active
-                 taxels
-    ``none``     unchanged; counts would spike too often for the chip, except at a low
-                 ``deployment.input_rate``
+    ``max``       divided by the image's largest magnitude, as a reader of the paper would
+    ``sum``       divided by the sum of magnitudes
+    ``sqrt-max``  square root of the magnitude, then as ``max``; reduces the effect of very active
+                  taxels
+    ``sqrt-clip`` square root of the magnitude, divided by the largest one among all taxels but
+                  the :data:`IGNORED_SHARE` with the largest, which are clipped at 1 (default).  A
+                  hot taxel, which spikes all the time, does not make the others dark
+    ``none``      unchanged; counts would spike too often for the chip, except at a low
+                  ``deployment.input_rate``
 """
+
+import math
 
 import numpy as np
 
@@ -27,6 +32,9 @@ from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import draw_faults
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Image
+
+# Share of the taxels that are ignored by ``sqrt-clip``, and may be hot; two of 100 taxels.
+IGNORED_SHARE = 0.02
 
 
 def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
@@ -42,15 +50,28 @@ def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
     -------
     ndarray of float, same shape
         An image without events stays zero.
-
     """
     if normalisation == "none":
         return images.astype(float)
-    if normalisation == "sqrt-max":
+    if normalisation.startswith("sqrt"):
         images = np.sign(images) * np.sqrt(np.abs(images))
-    reduce = np.sum if normalisation == "sum" else np.max
-    scale = reduce(np.abs(images), axis=tuple(range(1, images.ndim)), keepdims=True)
-    return images / np.where(scale > 0, scale, 1.0)
+    scale = _find_scales(np.abs(images), normalisation)
+    scale = scale.reshape(-1, *[1] * (images.ndim - 1))
+    images = images / np.where(scale > 0, scale, 1.0)
+    return np.clip(images, -1.0, 1.0) if normalisation == "sqrt-clip" else images
+
+
+def _find_scales(magnitudes, normalisation):
+    """The divisor of each image, shape (n_samples,)."""
+    if normalisation == "sum":
+        return magnitudes.reshape(len(magnitudes), -1).sum(1)
+    of_taxels = magnitudes.reshape(len(magnitudes), math.prod(magnitudes.shape[1:3]), -1).max(2)
+    if normalisation != "sqrt-clip":
+        return of_taxels.max(1)
+    ignored = round(IGNORED_SHARE * of_taxels.shape[1])
+    scales = np.partition(of_taxels, -1 - ignored, axis=1)[:, -1 - ignored]
+    # Where only the ignored taxels have events they are all that the image shows.
+    return np.where(scales > 0, scales, of_taxels.max(1))
 
 
 def tactile_images(recordings: Recordings, image: Image | None = None) -> np.ndarray:

@@ -75,7 +75,7 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
     with progress("compare layers", len(bundle.checks)) as advance:
         layers = opened.kind.fidelity(inputs, bundle, advance)
     classes = opened.dataset.recordings.sensor.classes
-    return artifact.write(ladder_json(results, layers, classes))
+    return artifact.write(ladder_json(results, layers, classes, opened.kind.remedy))
 
 
 def ladder_artifact(run: RunFolder, results) -> Artifact:
@@ -146,7 +146,7 @@ def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
     return matrix
 
 
-def ladder_json(results, layers=None, classes=None) -> dict:
+def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
     """The ladder as plain values.
 
     Parameters
@@ -157,6 +157,8 @@ def ladder_json(results, layers=None, classes=None) -> dict:
         From :func:`pipeline.kinds.diagnosis.layers_json`.
     classes : sequence of str, optional
         Class names in the order of the scores; default: numbers from 0.
+    remedy : str
+        What to try if the network is less accurate than ``counts``.
     """
     first = results[0]
     if classes is None:
@@ -175,6 +177,7 @@ def ladder_json(results, layers=None, classes=None) -> dict:
         "against_reference": _against(reference, results[-1]),
         "against_counts": _against(by_stage.get("counts"), results[-1]),
         "while_written": results[-1].get("while_written"),
+        "remedy": remedy,
         "layers": layers,
         "least_faithful_layer": layers and least_faithful(layers),
     }
@@ -273,12 +276,9 @@ def ladder_text(ladder: dict) -> str:
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
     if simplest and simplest["difference"] < 0 and simplest["mcnemar_p"] < SIGNIFICANCE:
-        remedy = "the other --input, a wider architecture or more epochs"
-        if "nir" in by_stage:
-            remedy = "a longer training of the graph; check the order of classes, step and reset"
         lines.append(
             f"{WARNING}{last['stage']} is less accurate than the logistic regression on event "
-            f"counts; try {remedy}"
+            f"counts; try {ladder.get('remedy') or 'more epochs'}"
         )
     return "\n".join(lines)
 

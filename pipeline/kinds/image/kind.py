@@ -1,6 +1,5 @@
 """The kind of networks on tactile images: the paper's CNN, or a user's Keras model in its place."""
 
-import math
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from models import chain
 from models.architecture import parse
 from models.keras.reader import original_network, read_keras
 from pipeline.kinds import counts
-from pipeline.kinds.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
 from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
+from pipeline.kinds.image.choices import choose_settings
 from pipeline.kinds.kind import (
     Imported,
     NetworkKind,
@@ -33,15 +32,7 @@ from pipeline.kinds.kind import (
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
 from pipeline.recordings.events import is_handwriting
-from pipeline.recordings.steps import EventTable
-from pipeline.run.settings import Image, Settings, names_in
-
-# Slices of time, neurons and dropout of a network for a sensor that is too small for convolutions:
-# chosen by cross-validation within the training sets of two published data sets of real touch,
-# with 39 and 80 taxels. Its image has the square roots of the counts of each polarity and slice.
-SLICES, WIDTH, DROPOUT = 8, 256, 0.5
-# Spikes per second of its largest pixel: as accurate there as 500, an eighth of the operations.
-INPUT_RATE = 60.0
+from pipeline.run.settings import Settings, put
 
 
 def _compute_logits(stage, inputs, samples, advance):
@@ -120,6 +111,13 @@ class ImageKind(NetworkKind):
     @classmethod
     def describes(cls, settings):
         return not settings.on_events
+
+    @property
+    def remedy(self):
+        """Time and polarity, which one image lacks, are what most recordings need."""
+        if self.settings.image.channels == 1:
+            return "--input slices, or --input events"
+        return "--input events, a wider architecture or more epochs"
 
     @property
     def reference_stages(self):
@@ -226,45 +224,12 @@ class ImageKind(NetworkKind):
         return layers_json(spec, rates, activations)
 
     def choices(self, recordings):
-        settings = self.settings
-        sensor, cnn = recordings.sensor, settings.cnn
-        own = cnn.model or not settings.is_open("cnn.architecture")
         changes, lines = {}, []
-        image = settings.image
-        is_small = min(sensor.rows, sensor.columns) < SMALLEST_GRID
-        # The user's own network has these images if it is for as many channels.
-        sliced = not own or parse(cnn.architecture).input_shape[2] == 2 * SLICES
-        if is_small and sliced and all(map(settings.is_open, names_in("image"))):
-            duration = float(math.ceil(EventTable.of(recordings).typical_duration_ms))
-            image = Image("polarities", SLICES, duration, "sqrt-max")
-            changes["image"] = asdict(image)
-            lines.append(
-                f"{image.channels} channels: square roots of ON and OFF events in {SLICES} slices "
-                f"of {duration / SLICES:.0f} ms (another image: --set image.slices=... and others)"
-            )
-            if not cnn.model and settings.is_open("snn.dropout"):
-                changes["snn"] = {"dropout": DROPOUT}
-                lines.append(f"dropout {DROPOUT:g} (another: --set snn.dropout=...)")
-            if settings.is_open("deployment.input_rate"):
-                changes["deployment"] = {"input_rate": INPUT_RATE}
-                lines.append(
-                    f"at most {INPUT_RATE:g} input spikes per second of a pixel (another: --set "
-                    "deployment.input_rate=...)"
-                )
-        elif is_for(cnn.architecture, sensor, image.channels):
-            return {}, []
-        if own:
-            return changes, lines
-        chosen = architecture_for(sensor, False, WIDTH, image.channels)
-        rates, layers = settings.snn.max_rates, len(parse(chosen).spiking)
-        if len(rates) > layers:  # the user's, since the default is one rate
-            raise UserError(
-                f"'snn.max_rates' has {len(rates)} rates, and {chosen}, chosen for the recordings, "
-                f"has {layers} layer{'' if layers == 1 else 's'} of neurons; give as many rates or "
-                "one, or choose cnn.architecture"
-            )
-        changes["cnn"] = {"architecture": chosen}
-        return changes, [chosen_text("cnn", chosen, sensor), *lines]
+        for choice in choose_settings(self.settings, recordings):
+            put(changes, choice.setting, choice.value, "choices")
+            if choice.reason:
+                lines.append(choice.reason)
+        return changes, lines
 
     def require_presentable(self, dataset):
         require_images_fit(dataset.inputs, self.settings)

@@ -257,6 +257,7 @@ class NirKind(NetworkKind):
     """A NIR graph, on images or on events."""
 
     name = "nir"
+    remedy = "a longer training of the graph; check the order of classes, step and reset"
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "nir": Reference(
@@ -377,7 +378,7 @@ def settings_of_nir(
     was_graph = is_known or before.nir.file == nir["file"]
     if kind is None:
         shape = network.input_shape
-        is_image = before.input.kind == "image" and shape[0] == before.image.channels
+        is_image = before.input.kind != "events" and shape[0] == before.image.channels
         is_known |= was_graph and (len(shape) == 1 or is_image)
         kind = before.input.kind if is_known else _kind_of(path, shape)
     changes = {"input": {"kind": kind}, "nir": nir}

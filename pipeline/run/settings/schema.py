@@ -26,7 +26,7 @@ AUGMENTATIONS = ("auto", "time", "space", "none")
 RECIPES = ("loihi", "paper", "as-is")
 # The name of the built-in recordings.
 SIMULATED = "simulated"
-NORMALISATIONS = ("max", "sum", "sqrt-max", "none")
+NORMALISATIONS = ("max", "sum", "sqrt-max", "sqrt-clip", "none")
 
 
 class UndeclaredSetting(Exception):
@@ -122,9 +122,10 @@ class Data(Section):
 class Input(Section):
     """The input of the network on the chip."""
 
-    #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``events``:
-    #: the sensor's events.
-    kind: Annotated[str, one_of("image", "events")] = "image"
+    #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``slices``:
+    #: the same with an image for each of several slices of time and each polarity, all at once,
+    #: which tells the order of events; ``events``: the sensor's events.
+    kind: Annotated[str, one_of("image", "slices", "events")] = "image"
     #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
     step: Annotated[float, STEP] = 10.0
     #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
@@ -163,9 +164,10 @@ class Image(Section):
     #: counted in the last slice.  0 for two seconds.
     duration: Annotated[float, between(0, 1e7, " milliseconds")] = 0.0
     #: Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
-    #: ``sqrt-max``, as ``max`` after the square root of each magnitude; ``none``, undivided
-    #: counts, which need a low ``deployment.input_rate``.
-    normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
+    #: ``sqrt-max``, as ``max`` after the square root of each magnitude; ``sqrt-clip``, as
+    #: ``sqrt-max`` without regard to the 2 % of the taxels with the largest magnitudes, which are
+    #: clipped at 1; ``none``, undivided counts, which need a low ``deployment.input_rate``.
+    normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "sqrt-clip"
 
     @property
     def channels(self) -> int:
@@ -603,6 +605,11 @@ def _check_relations(s: Settings):
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
     n_spiking = len(_parse_architecture(s.cnn.architecture, "cnn.architecture").spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
+    need(
+        s.input.kind != "slices" or not s.nir.file,
+        "input.kind",
+        "'image' for a NIR graph, with image.slices and image.aggregation as it was trained",
+    )
     for file, content in IMPORTED.items():
         given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
         need(s.value(content) or not s.value(file), file, given)

@@ -1,0 +1,175 @@
+"""Settings of a network on images that are chosen for the recordings.
+
+The rules were cross-validated within training sets only: those of ST-MNIST, of two published data
+sets of real touch with 39 and 80 taxels in a strip, and of the simulation.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from deploy.errors import UserError
+from models.architecture import parse
+from pipeline.kinds.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
+from pipeline.recordings.events import Recordings, Sensor
+from pipeline.recordings.steps import EventTable
+from pipeline.run.settings import Settings, names_in
+
+# Rows and columns of the first convolution's output on slices of time, on average.
+SLICES_MAP = 5
+
+
+class Choice(NamedTuple):
+    """A setting that is chosen for the recordings.
+
+    Attributes
+    ----------
+    setting : str
+        Its dotted name.
+    value
+    reason : str
+        A line for the user; empty if the line of another choice says it too.
+    """
+
+    setting: str
+    value: Any
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class SlicedRecipe:
+    """What a network on several slices of time has on a kind of sensor.
+
+    Attributes
+    ----------
+    slices : int
+        Slices of time, each with a channel for either polarity.
+    hidden : int
+        Neurons of its hidden dense layer.
+    dropout : float
+        Share of the neurons that are left out in training.
+    input_rate : float
+        Spikes per second of its largest pixel.
+    """
+
+    slices: int
+    hidden: int
+    dropout: float
+    input_rate: float
+
+
+# For a grid of taxels: 0.97 on ST-MNIST, with a convolution of stride 2 before the hidden layer.
+# The same convolutions as on one image need three times its operations and are less accurate.
+GRID = SlicedRecipe(slices=4, hidden=128, dropout=0.1, input_rate=100.0)
+
+# For a sensor that is too small for convolutions: as accurate with 60 input spikes per second as
+# with 500, for an eighth of the operations.
+STRIP = SlicedRecipe(slices=8, hidden=256, dropout=0.5, input_rate=60.0)
+
+
+def choose_settings(settings: Settings, recordings: Recordings) -> list:
+    """Choose settings of a network on images that have their defaults.
+
+    Parameters
+    ----------
+    settings : Settings
+        What the user has set.
+    recordings : Recordings
+
+    Returns
+    -------
+    list of Choice
+
+    Raises
+    ------
+    UserError
+        The user's other settings do not fit what is chosen.
+    """
+    sensor, cnn = recordings.sensor, settings.cnn
+    is_strip = min(sensor.rows, sensor.columns) < SMALLEST_GRID
+    recipe = STRIP if is_strip else GRID
+    is_own = bool(cnn.model) or not settings.is_open("cnn.architecture")
+    own_channels = parse(cnn.architecture).input_shape[2] if is_own else None
+    is_sliced = settings.input.kind == "slices" or (
+        # One image of a strip has hardly any shapes, so that time is needed to tell classes apart.
+        is_strip
+        and all(map(settings.is_open, names_in("image")))
+        and own_channels in (None, 2 * recipe.slices)
+    )
+    choices, channels = [], settings.image.channels
+    if is_sliced:
+        slices = _choose_slices(settings, recipe, own_channels)
+        choices, channels = _choose_image(settings, slices, EventTable.of(recordings))
+        choices += _choose_training(settings, recipe)
+    if is_own or (not is_sliced and is_for(cnn.architecture, sensor, channels)):
+        return choices
+    if is_sliced:
+        architecture = _architecture_of_slices(sensor, recipe, channels)
+    else:
+        architecture = architecture_for(sensor, False, recipe.hidden, channels)
+    _require_rates_fit(settings, architecture)
+    chosen = chosen_text("cnn", architecture, sensor)
+    return [Choice("cnn.architecture", architecture, chosen), *choices]
+
+
+def _choose_slices(settings, recipe, own_channels):
+    """The number of slices: the user's, that of the user's network, or the recipe's."""
+    if not settings.is_open("image.slices"):
+        return settings.image.slices
+    if own_channels is not None and own_channels % 2 == 0:
+        return own_channels // 2
+    return recipe.slices
+
+
+def _choose_image(settings, slices, table):
+    """The choices of a sliced image, and its number of channels."""
+    duration_ms = float(math.ceil(table.typical_duration_ms))
+    wanted = {"aggregation": "polarities", "slices": slices, "duration": duration_ms}
+    chosen = {name: value for name, value in wanted.items() if settings.is_open(f"image.{name}")}
+    image = settings.with_values({"image": chosen}).image
+    if not chosen:
+        return [], image.channels
+    what = "ON and OFF events" if image.aggregation == "polarities" else image.aggregation
+    reason = (
+        f"{image.channels} channels: {what} in {image.slices} slices of "
+        f"{image.duration_ms / image.slices:.0f} ms (another image: --set image.slices=... and "
+        "others)"
+    )
+    first, *others = (Choice(f"image.{name}", value) for name, value in chosen.items())
+    return [first._replace(reason=reason), *others], image.channels
+
+
+def _choose_training(settings, recipe):
+    """The dropout of a network that is trained here, and the rate of its input."""
+    choices = []
+    if not settings.cnn.model and settings.is_open("snn.dropout"):
+        reason = f"dropout {recipe.dropout:g} (another: --set snn.dropout=...)"
+        choices.append(Choice("snn.dropout", recipe.dropout, reason))
+    if settings.is_open("deployment.input_rate"):
+        reason = (
+            f"at most {recipe.input_rate:g} input spikes per second of a pixel (another: --set "
+            "deployment.input_rate=...)"
+        )
+        choices.append(Choice("deployment.input_rate", recipe.input_rate, reason))
+    return choices
+
+
+def _architecture_of_slices(sensor: Sensor, recipe: SlicedRecipe, channels: int) -> str:
+    """A convolution with a stride, then a dense layer; on a strip only the latter."""
+    rows, columns = sensor.rows, sensor.columns
+    stride = max(2, math.floor(math.sqrt(rows * columns) / SLICES_MAP))
+    layers = [f"{rows}x{columns}x{channels}"]
+    if min(rows, columns) >= max(SMALLEST_GRID, stride + 2):
+        layers.append(f"32c{stride + 2}s{stride}")
+    return "-".join([*layers, f"{recipe.hidden}", f"{len(sensor.classes)}o"])
+
+
+def _require_rates_fit(settings, architecture):
+    """Refuse more of the user's rates than the chosen network has layers of neurons."""
+    rates, layers = settings.snn.max_rates, len(parse(architecture).spiking)
+    if len(rates) > layers:
+        raise UserError(
+            f"'snn.max_rates' has {len(rates)} rates, and {architecture}, chosen for the "
+            f"recordings, has {layers} layer{'' if layers == 1 else 's'} of neurons; give as many "
+            "rates or one, or choose cnn.architecture"
+        )
