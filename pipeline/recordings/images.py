@@ -24,6 +24,7 @@ normalisation
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +36,11 @@ from pipeline.run.settings import Image
 
 # Share of the taxels that are ignored by ``sqrt-clip``, and may be hot; two of 100 taxels.
 IGNORED_SHARE = 0.02
+
+
+# Alterations in space, and their strength on images: whole taxels move, with all of their events.
+IN_SPACE = ("turn", "shift", "scale", "shear")
+SPACE_STRENGTH = 0.5
 
 
 def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
@@ -111,10 +117,11 @@ def _counts(recordings, image):
 class AlteredImages:
     """Images of training samples whose events are altered anew for each epoch.
 
-    The alterations are those of :mod:`pipeline.recordings.altering`: the events of a taxel all
-    move to the same place, so that their counts are moved, and of the counts a random share is
-    dropped.  Times are not stretched.  The counts of a taxel that is dead from some time on are
-    reduced to the share of the recording before it, and the spikes of hot taxels are counted.
+    The alterations are those of :mod:`pipeline.recordings.altering`, in space at half the strength:
+    the events of a taxel all move to the same place, so that their counts are moved, and of the
+    counts a random share is dropped.  Times are not stretched.  The counts of a taxel that is dead
+    from some time on are reduced to the share of the recording before it, and the spikes of hot
+    taxels are counted.
 
     Parameters
     ----------
@@ -128,7 +135,9 @@ class AlteredImages:
     def __init__(self, recordings: Recordings, image: Image, how: str):
         self._counts, self._image = _counts(recordings, image), image
         self._durations_ms = EventTable.of(recordings).duration_ms
-        self._how = AUGMENTATIONS[how]
+        how = AUGMENTATIONS[how]
+        in_space = {name: SPACE_STRENGTH * getattr(how, name) for name in IN_SPACE}
+        self._how = replace(how, **in_space)
 
     def __call__(self, rng, indices) -> np.ndarray:
         """Altered images of some samples, shape (n, rows, columns, channels), float32."""

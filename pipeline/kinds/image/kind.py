@@ -15,7 +15,7 @@ from models.architecture import parse
 from models.keras.reader import original_network, read_keras
 from pipeline.kinds import counts
 from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
-from pipeline.kinds.image.choices import choose_settings
+from pipeline.kinds.image.choices import choose_augmentation, choose_settings
 from pipeline.kinds.kind import (
     Imported,
     NetworkKind,
@@ -31,7 +31,6 @@ from pipeline.kinds.kind import (
 )
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
-from pipeline.recordings.events import is_handwriting
 from pipeline.run.settings import Settings, put
 
 
@@ -319,9 +318,7 @@ def _trained_further(name, function, inputs, artifact):
     if settings.snn.recipe == "loihi":
         how = settings.cnn.augment
         if how == "auto":
-            # On validation samples of handwriting, alterations in space help the CNN (by 0.2 and
-            # 1.8 points) and not the spiking network (by 0.5 points).
-            how = "none" if is_handwriting(dataset.recordings) else "time"
+            how = choose_augmentation(dataset.recordings)
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
     altered = dataset.altered(how)
     arguments = (

@@ -209,9 +209,9 @@ class CNN(Section):
     #: Learning rate of RMSProp.  Not given in the paper; Keras's default.
     learning_rate: Annotated[float, ABOVE_0] = 0.001
     #: Alterations of the events of training samples, before the image is made: ``time``, dropped
-    #: events; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels;
-    #: ``none``; ``auto``, ``none`` for the paper's CNN and for handwriting on the simulated sensor
-    #: or ST-MNIST's, and ``time`` in the spiking network's training on other recordings.
+    #: events, and hot and dead taxels; ``space``, also rotated, shifted, scaled and sheared on the
+    #: grid of taxels; ``none``; ``auto``, ``none`` for the paper's CNN, and in the training of the
+    #: spiking network ``space`` for digits on a grid of taxels and ``time`` for other recordings.
     augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
     #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.
     model: str = ""
