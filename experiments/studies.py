@@ -8,7 +8,7 @@ import datetime
 import os
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -18,14 +18,17 @@ import typer
 from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import align_rows
-from experiments import tables
+from experiments import classifiers, readings, tables
+from experiments.styles import STYLES, hold_out_styles
 from experiments.variants import VARIANTS, varied
+from pipeline import paper
 from pipeline.commands import options
 from pipeline.kinds import choose_settings
 from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
+from pipeline.run.settings import Settings
 
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"
@@ -48,9 +51,11 @@ class Line:
     input : str
         ``input.kind`` of its network.
     alter : str
-        One of :data:`experiments.variants.VARIANTS`.
+        One of :data:`experiments.variants.VARIANTS` or :data:`experiments.readings.READINGS`.
     on_request : bool
         True if the row is only measured if ``--only`` names it.
+    styles : bool
+        True to measure it also on splits that hold out whole styles, where writers are not known.
     """
 
     name: str
@@ -60,6 +65,7 @@ class Line:
     input: str = "image"
     alter: str = ""
     on_request: bool = False
+    styles: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,8 @@ class Experiment:
     seeds : int
         Default number of seeds, each with its own split.
     writers : bool
-        True to measure also on splits with new writers, where the writers are known.
+        True to measure also on splits with new writers, or, where the writers are not known, with
+        new styles (:mod:`experiments.styles`).
     validation : float
         Share of validation samples on which the lines are tested, instead of the test samples, if
         the experiment chooses something; otherwise 0.
@@ -154,21 +161,35 @@ CNN_AUGMENTED = Line(
     "CNN, longer training with augmentation",
     "cnn-matched",
     {"cnn": {"augment": "space"}},
+    on_request=True,
 )
 
-COUNTS = Line("counts", "logistic regression on event counts", "counts")
+COUNTS = Line("counts", "logistic regression on event counts", "counts", styles=True)
+
+# What the paper's words allow, see the experiment ``readings``.
+PAPER_IMAGE = {"image": {"normalisation": "sqrt-clip"}}
+PAPER_CNN = Line("cnn", "CNN, the paper's recipe", "cnn", PAPER_IMAGE)
+PAPER_SNN = {**PAPER, **PAPER_IMAGE}
 
 # The experiments, by which ``python -m experiments`` finds them.
 EXPERIMENTS = (
     Experiment(
         "table2",
         "The paper's Table 2",
-        "40 min; SLAYER 20 h, events 80 min",
+        "2 h; SLAYER 20 h",
         (
             COUNTS,
-            Line("cnn", "CNN, the paper's recipe", "cnn"),
-            Line("ann-snn", "ANN-SNN (NengoDL)", "spiking-lif", PAPER),
-            *_chip("loihi", "ANN-SNN", PAPER),
+            Line("kernel", "Gaussian kernel on square roots of counts", "kernel", styles=True),
+            Line("nearest", "nearest training sample", "nearest", styles=True),
+            PAPER_CNN,
+            Line("ann-snn", "ANN-SNN (NengoDL)", "spiking-lif", PAPER_SNN),
+            *_chip("loihi", "ANN-SNN", PAPER_SNN),
+            Line(
+                "loihi-200",
+                "ANN-SNN, the paper's 200 samples, emulated Loihi, readout on host",
+                "fast-200",
+                PAPER_SNN,
+            ),
             Line("slayer", "SNN-SLAYER", "slayer", on_request=True),
             Line(
                 "slayer-small",
@@ -179,14 +200,16 @@ EXPERIMENTS = (
             Line("cnn-matched", "CNN, longer training", "cnn-matched"),
             CNN_AUGMENTED,
             Line("own-ann-snn", "ANN-SNN (NengoDL), longer training", "spiking-lif", OWN),
-            *_chip("own-loihi", "ANN-SNN, longer training", OWN),
-            *_on_events("events", "events-loihi", on_request=True),
+            *_chip("own-loihi", "ANN-SNN, longer training", OWN, styles=True),
+            *_chip("slices", "SNN on slices of time", input="slices", styles=True),
+            *_on_events("events", "events-loihi", styles=True),
         ),
         (
             *(("ann-snn", "cnn"), ("loihi", "cnn"), ("loihi", "ann-snn"), ("slayer", "cnn")),
             *(("cnn-matched", "cnn"), ("own-ann-snn", "cnn-matched"), ("own-loihi", "cnn-matched")),
             *(("cnn-augmented", "cnn-matched"), ("own-loihi-chip", "own-loihi")),
             *(("events-loihi", "events"), ("events-loihi", "cnn-augmented")),
+            *(("slices", "own-loihi"), ("events-loihi", "slices"), ("slices", "kernel")),
         ),
         writers=True,
         note=f"{INPUT_NOTE} {EMULATED_NOTE}",
@@ -263,6 +286,16 @@ EXPERIMENTS = (
         note=EMULATED_NOTE,
     ),
     Experiment(
+        "readings",
+        "The paper's CNN on images that the paper's words allow",
+        "15 min",
+        tuple(
+            Line(name, reading.title, readings.STAGE, alter=name)
+            for name, reading in readings.READINGS.items()
+        ),
+        tuple((name, "max") for name in readings.READINGS if name != "max"),
+    ),
+    Experiment(
         "difficulty",
         "The paper's CNN with the paper's protocol",
         "5 min",
@@ -273,13 +306,31 @@ EXPERIMENTS = (
 
 
 def measure(case: Case, networks: Library) -> dict:
-    """As :func:`pipeline.results.study.measure`, also for stages that only experiments have."""
-    dataset = study.dataset_of(case)
-    if case.alter:
+    """As :func:`pipeline.results.study.measure`, also what only experiments have.
+
+    These are stages, and splits that hold out styles.
+    """
+    if case.split == STYLES:
+        case = replace(case, split="random")
+        row = _measure_on(hold_out_styles(study.dataset_of(case), case.seed), case, networks)
+        return {**row, "split": STYLES}
+    return _measure_on(study.dataset_of(case), case, networks)
+
+
+def _measure_on(dataset, case, networks):
+    if case.alter in VARIANTS:
         dataset = varied(dataset, case.alter, case.seed)
+    index = getattr(dataset.split, case.part)
+    if case.stage == readings.STAGE:
+        predictions = readings.predict_test_samples(dataset, index, case.alter, case.resolved)
+        return study.row_of(case, dataset, index, predictions)
+    if case.stage in classifiers.STAGES:
+        predictions = classifiers.predict_test_samples(dataset, index, case.stage)
+        return study.row_of(case, dataset, index, predictions)
+    if case.stage == "fast-200":
+        return _draw_check_samples(measure(replace(case, stage="fast"), networks), dataset, case)
     if case.stage not in ("slayer", "slayer-small"):
         return study.measure(case, networks, dataset)
-    index = getattr(dataset.split, case.part)
     from experiments.slayer import predictions_of
 
     scale = 10.0 if case.stage == "slayer-small" else 100.0
@@ -288,29 +339,70 @@ def measure(case: Case, networks: Library) -> dict:
     return study.row_of(case, dataset, index, predictions, history=history)
 
 
-def cases_of(experiment: Experiment, lines, by_input: dict, seeds, splits) -> list:
+def _draw_check_samples(row, dataset, case):
+    """A row of all test samples, reduced to those of a check, as many as the paper has."""
+    drawn = dataset.split.check_samples(paper.CHECK_SAMPLES, case.seed).tolist()
+    at = {sample: place for place, sample in enumerate(row["samples"])}
+    places = [at[sample] for sample in drawn]
+    fewer = {name: [row[name][k] for k in places] for name in ("predictions", "right")}
+    accuracy = sum(fewer["right"]) / len(drawn)
+    return {**row, **fewer, "samples": drawn, "stage": case.stage, "accuracy": accuracy}
+
+
+def wanted_settings(experiment: Experiment, lines, settings: Settings) -> dict:
+    """The settings of each line by its name, without what is chosen for the recordings."""
+    always = {"split": {"validation_fraction": experiment.validation}}
+    wanted = {}
+    for line in lines:
+        of_kind = settings.with_values({"input": {"kind": line.input}, **always}, line.name)
+        wanted[line.name] = of_kind.with_values(line.changes, line.name)
+    return wanted
+
+
+def fit_settings(wanted: dict, recordings, say) -> dict:
+    """The settings of each line with what is chosen for the recordings.
+
+    Parameters
+    ----------
+    wanted : dict of str to Settings
+    recordings : Recordings
+    say : callable
+        Called once with each message about a choice.
+    """
+    complete, by_line, said = {}, {}, set()
+
+    def say_once(text):
+        if text not in said:
+            said.add(text)
+            say(text)
+
+    for name, settings in wanted.items():
+        key = settings, settings.given
+        if key not in complete:
+            complete[key] = choose_settings(settings, recordings, say=say_once)
+        by_line[name] = complete[key]
+    return by_line
+
+
+def cases_of(experiment: Experiment, lines, settings: dict, seeds, splits) -> list:
     """The cases of an experiment.
 
     Parameters
     ----------
     experiment : Experiment
     lines : sequence of Line
-    by_input : dict of str to Settings
-        The settings of each ``input.kind``.
+    settings : dict of str to Settings
+        The settings of each line, see :func:`fit_settings`.
     seeds, splits : iterable
         Seeds, and kinds of splits.
     """
     part = "validation" if experiment.validation else "test"
-    always = {"split": {"validation_fraction": experiment.validation}}
-    settings = {
-        line.name: by_input[line.input].with_values({**always, **line.changes}, line.name)
-        for line in lines
-    }
     return [
         Case(line.name, settings[line.name], line.stage, seed, split, part, line.alter)
         for split in splits
         for seed in seeds
         for line in lines
+        if split != STYLES or line.styles
     ]
 
 
@@ -329,15 +421,11 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
     """
     lines = chosen(experiment, only)
     recordings = recordings_of(settings, workers.processes, say)
-    by_input = {}
-    for kind in dict.fromkeys(line.input for line in lines):
-        of_kind = settings.with_values({"input": {"kind": kind}}, "experiment")
-        by_input[kind] = choose_settings(of_kind, recordings, say=say)
+    of_lines = fit_settings(wanted_settings(experiment, lines, settings), recordings, say)
     splits = splits_of(experiment, settings, recordings)
     folder.save_settings(settings)
-    cases = cases_of(
-        experiment, lines, by_input, range(settings.seed, settings.seed + seeds), splits
-    )
+    seeds = range(settings.seed, settings.seed + seeds)
+    cases = cases_of(experiment, lines, of_lines, seeds, splits)
     sha256 = recordings.source.sha256
     rows, failed = study.study(cases, folder.path, sha256, workers, say, measure)
     result = {"experiment": experiment.name, **tables.table(rows, against=experiment.pairs)}
@@ -358,12 +446,13 @@ def measured() -> dict:
 
 def splits_of(experiment: Experiment, settings, recordings) -> tuple:
     """The kinds of splits: those of the settings, or random and, where it is asked, by writer."""
-    if settings.split.kind != "auto":
-        return (settings.split.kind,)
-    if recordings.is_split:
-        return ("published",)
-    known = experiment.writers and recordings.writers.min(initial=0) >= 0
-    return ("random", "writers") if known else ("random",)
+    kind = settings.split.kind
+    if kind == "auto":
+        kind = "published" if recordings.is_split else "random"
+    if kind != "random" or not experiment.writers:
+        return (kind,)
+    are_known = recordings.writers.min(initial=0) >= 0
+    return (kind, "writers" if are_known else STYLES)
 
 
 def chosen(experiment: Experiment, only: str) -> list:
@@ -465,7 +554,13 @@ def command_of(experiment: Experiment) -> Callable:
     def command(
         out: Out = Path("runs") / experiment.name,
         seeds: Annotated[
-            int, typer.Option(help="Number of seeds, from that of the settings on.", min=1)
+            int,
+            typer.Option(
+                "--seeds",
+                "--splits",
+                help="Number of splits, each with a seed, from that of the settings on.",
+                min=1,
+            ),
         ] = experiment.seeds,
         only: Annotated[str, typer.Option(help="Rows, separated by commas.")] = "",
         *,

@@ -9,6 +9,9 @@ ROWS = COLUMNS = 10
 # Number of classes, the ten digits.
 CLASSES = 10
 
+# People who wrote the digits (Section 2.2).
+WRITERS = 23
+
 # Length of a recording in seconds (Section 2.2).
 DURATION_S = 2.0
 

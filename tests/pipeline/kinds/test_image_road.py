@@ -1,6 +1,7 @@
 """What the kind of images chooses, and which stages its ladder has."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.kinds import compared_with, kind_of_network
+from pipeline.kinds.image.choices import choose_augmentation
 from pipeline.kinds.kind import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
@@ -32,13 +34,60 @@ def recordings(rows, columns, duration_ms=400):
 def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
     changes, lines = kind_of_network(settings()).choices(recordings(1, 30))
     assert changes["cnn"] == {"architecture": "1x30x16-256-3o"}
-    image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
-    assert changes["image"] == {**image, "normalisation": "sqrt-max"}
+    assert changes["image"] == {"aggregation": "polarities", "slices": 8, "duration": 400.0}
     assert changes["snn"] == {"dropout": 0.5}
     assert changes["deployment"] == {"input_rate": 60.0}
     assert len(lines) == 4
     chosen = kind_of_network(settings(**changes))
     assert chosen.channels == 16
+
+
+SLICES = {"input": {"kind": "slices"}}
+
+
+def test_slices_of_time_on_a_grid_have_a_convolution_with_a_stride():
+    changes, lines = kind_of_network(settings(**SLICES)).choices(recordings(10, 10))
+    assert changes["cnn"] == {"architecture": "10x10x16-32c4s2-128-3o"}
+    assert changes["image"] == {"aggregation": "polarities", "slices": 8, "duration": 400.0}
+    assert (changes["snn"], changes["deployment"]) == ({"dropout": 0.1}, {"input_rate": 60.0})
+    assert len(lines) == 4
+    chosen = settings(**SLICES).with_values(changes)
+    assert kind_of_network(chosen).channels == 16
+    assert not kind_of_network(settings()).choices(recordings(10, 10))[1]
+
+
+def test_what_the_user_sets_of_slices_is_kept():
+    grid = recordings(10, 10)
+    own = settings(**SLICES, image={"slices": 3, "aggregation": "on"}, snn={"dropout": 0.3})
+    changes, _ = kind_of_network(own).choices(grid)
+    assert changes["image"] == {"duration": 400.0}
+    assert changes["cnn"] == {"architecture": "10x10x3-32c4s2-128-3o"}
+    assert "snn" not in changes
+    mine = settings(**SLICES, cnn={"architecture": "10x10x8-16c4-3o"})
+    changes, _ = kind_of_network(mine).choices(grid)
+    assert changes["image"]["slices"] == 4
+    assert "cnn" not in changes
+
+
+def test_a_larger_grid_has_a_larger_stride():
+    changes, _ = kind_of_network(settings(**SLICES)).choices(recordings(40, 30))
+    assert changes["cnn"]["architecture"] == "40x30x16-32c8s6-128-3o"
+    changes, _ = kind_of_network(settings(**SLICES)).choices(recordings(2, 30))
+    assert changes["cnn"]["architecture"] == "2x30x16-256-3o"
+
+
+def test_a_graph_has_no_slices():
+    graph = {"file": "net.nir", "sha256": "a"}
+    with pytest.raises(UserError, match=r"input\.kind.*image\.slices"):
+        settings(**SLICES, nir=graph)
+
+
+def test_digits_on_a_grid_are_altered_in_space():
+    digits = replace(recordings(10, 10), sensor=Sensor(10, 10, classes=tuple("0123456789")))
+    assert choose_augmentation(digits) == "space"
+    assert choose_augmentation(recordings(10, 10)) == "time"
+    strip = replace(recordings(1, 30), sensor=Sensor(1, 30, classes=tuple("0123456789")))
+    assert choose_augmentation(strip) == "time"
 
 
 def test_what_the_user_sets_is_kept():

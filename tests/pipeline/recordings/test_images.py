@@ -49,9 +49,37 @@ def test_normalisations_by_hand(normalisation, expected):
     assert not normalise(np.zeros((1, 2, 2)), normalisation).any()
 
 
+def test_a_hot_taxel_does_not_darken_the_image():
+    image = np.zeros((1, 10, 10))
+    image[0, 2, :5] = [4, 9, 16, 16, 1]
+    alone = normalise(image, "sqrt-clip")
+    np.testing.assert_allclose(alone[0, 2, :5], [2 / 3, 1, 1, 1, 1 / 3])
+    hot = image.copy()
+    hot[0, 9, 9] = 1000
+    seen = normalise(hot, "sqrt-clip")
+    assert seen[0, 9, 9] == 1
+    np.testing.assert_allclose(seen[0, 2, :5], [0.5, 0.75, 1, 1, 0.25])
+    assert normalise(hot, "sqrt-max")[0, 2, 3] < 0.2
+
+
+def test_few_active_taxels_are_normalised_by_the_largest():
+    image = np.zeros((1, 10, 10, 2))
+    image[0, 2, 3] = [9, 36]
+    found = normalise(image, "sqrt-clip")
+    np.testing.assert_allclose(found[0, 2, 3], [0.5, 1])
+
+
+def test_channels_of_a_taxel_count_once():
+    image = np.zeros((1, 10, 10, 16))
+    image[0, :4, 0, 3] = [100, 64, 16, 4]
+    image[0, 0, 0] = 100
+    found = normalise(image, "sqrt-clip")
+    np.testing.assert_allclose(found[0, :4, 0, 3], [1, 1, 1, 0.5])
+
+
 @given(
     images=hnp.arrays(float, (3, 4, 4), elements=st.integers(-50, 50).map(float)),
-    normalisation=st.sampled_from(["max", "sum", "sqrt-max"]),
+    normalisation=st.sampled_from(["max", "sum", "sqrt-max", "sqrt-clip"]),
 )
 def test_each_image_is_normalised_by_itself(images, normalisation):
     result = normalise(images, normalisation)
