@@ -181,6 +181,10 @@ def move_places(how: Alteration, rng, samples: int, sample, place, size) -> np.n
     stretched = np.exp(rng.normal(0, how.scale, (samples, 2)))[:, :, None]
     matrix = stretched * (turned @ slanted)
     centre = (np.array(size) - 1) / 2
-    place = np.einsum("nij,nj->ni", matrix[sample], place - centre)
-    place += centre + rng.normal(0, how.shift, (samples, 2))[sample]
-    return np.floor(place + 0.5).astype(np.int64)
+    row, column = (place - centre).T
+    to_rows, to_columns = matrix.transpose(1, 2, 0)
+    shift = centre[:, None] + rng.normal(0, how.shift, (samples, 2)).T
+    moved_rows = to_rows[0][sample] * row + to_rows[1][sample] * column
+    moved_columns = to_columns[0][sample] * row + to_columns[1][sample] * column
+    moved = np.stack([moved_rows + shift[0][sample], moved_columns + shift[1][sample]], -1)
+    return np.floor(moved + 0.5).astype(np.int64)

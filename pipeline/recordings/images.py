@@ -23,8 +23,11 @@ normalisation
                   ``deployment.input_rate``
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +44,10 @@ IGNORED_SHARE = 0.02
 # Alterations in space, and their strength on images: whole taxels move, with all of their events.
 IN_SPACE = ("turn", "shift", "scale", "shear")
 SPACE_STRENGTH = 0.5
+
+
+# Samples that are altered at once, so that their images fit into the processor's cache.
+ALTERED_AT_ONCE = 256
 
 
 def normalise(images: np.ndarray, normalisation: str = "max") -> np.ndarray:
@@ -114,26 +121,76 @@ def _counts(recordings, image):
     return EventTable.of(recordings).sliced_counts(image.slices, image.duration_ms, weights)
 
 
+class TaxelCounts(NamedTuple):
+    """The counts above 0 of some samples, one row for each: an altered image is made of these.
+
+    Attributes
+    ----------
+    sample, part, row, column, polarity : ndarray of int, shape (n_counts,)
+        Sample, slice of time, place, and 0 for ON or 1 for OFF.
+    count : ndarray, shape (n_counts,)
+    """
+
+    sample: np.ndarray
+    part: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    polarity: np.ndarray
+    count: np.ndarray
+
+    @classmethod
+    def of(cls, counts) -> TaxelCounts:
+        """From an array of shape (n_samples, slices, rows, columns, 2), in the order of samples."""
+        where = np.nonzero(counts)
+        return cls(*where, counts[where].astype(np.int64))
+
+    def select(self, chosen) -> TaxelCounts:
+        """Some of the rows."""
+        return TaxelCounts(*(values[chosen] for values in self))
+
+    def pick(self, offsets, indices) -> TaxelCounts:
+        """The counts of some samples, which are numbered from 0 in the order of ``indices``.
+
+        Parameters
+        ----------
+        offsets : ndarray of int, shape (n_samples + 1,)
+            The rows of sample i are those from ``offsets[i]`` to ``offsets[i + 1]``.
+        indices : ndarray of int
+        """
+        first = offsets[indices]
+        number = offsets[indices + 1] - first
+        sample = np.repeat(np.arange(len(indices)), number)
+        chosen = np.arange(len(sample)) + np.repeat(first - (np.cumsum(number) - number), number)
+        return self.select(chosen)._replace(sample=sample)
+
+    def join(self, others: TaxelCounts) -> TaxelCounts:
+        """These rows and others."""
+        return TaxelCounts(*map(np.concatenate, zip(self, others, strict=True)))
+
+
 class AlteredImages:
     """Images of training samples whose events are altered anew for each epoch.
 
     The alterations are those of :mod:`pipeline.recordings.altering`, in space at half the strength:
     the events of a taxel all move to the same place, so that their counts are moved, and of the
     counts a random share is dropped.  Times are not stretched.  The counts of a taxel that is dead
-    from some time on are reduced to the share of the recording before it, and the spikes of hot
-    taxels are counted.
+    from some time on are reduced to the share of the slice before it, and the spikes of hot taxels
+    are counted.
 
     Parameters
     ----------
     recordings : Recordings
         The training samples.
-    image : pipeline.run.settings.schema.Image
+    image : pipeline.run.settings.Image
     how : str
         A key of :data:`pipeline.recordings.altering.AUGMENTATIONS`.
     """
 
     def __init__(self, recordings: Recordings, image: Image, how: str):
-        self._counts, self._image = _counts(recordings, image), image
+        counts = _counts(recordings, image)
+        self._counts = TaxelCounts.of(counts)
+        self._offsets = np.searchsorted(self._counts.sample, np.arange(len(counts) + 1))
+        self._size, self._image = counts.shape[2:4], image
         self._durations_ms = EventTable.of(recordings).duration_ms
         how = AUGMENTATIONS[how]
         in_space = {name: SPACE_STRENGTH * getattr(how, name) for name in IN_SPACE}
@@ -141,37 +198,38 @@ class AlteredImages:
 
     def __call__(self, rng, indices) -> np.ndarray:
         """Altered images of some samples, shape (n, rows, columns, channels), float32."""
-        counts = self._counts[indices]
-        kept = np.broadcast_to(
-            1 - rng.uniform(0, self._how.drop, len(counts))[:, None, None, None, None], counts.shape
-        )
-        some = counts > 0
-        counts[some] = rng.binomial(counts[some].astype(np.int64), kept[some])
-        if self._how.is_spatial:
-            counts = self._moved(rng, counts)
-        if self._how.hot or self._how.dead:
-            self._add_faults(rng, counts, self._durations_ms[indices])
-        return _as_images(counts, self._image)
+        indices = np.asarray(indices)
+        parts = np.split(indices, range(ALTERED_AT_ONCE, len(indices), ALTERED_AT_ONCE))
+        return np.concatenate([self._alter_some(rng, part) for part in parts])
+
+    def _alter_some(self, rng, indices):
+        how, n = self._how, len(indices)
+        counts = self._counts.pick(self._offsets, indices)
+        kept_share = 1 - rng.uniform(0, how.drop, n)
+        counts = counts._replace(count=rng.binomial(counts.count, kept_share[counts.sample]))
+        if how.is_spatial:
+            counts = self._move(rng, counts, n)
+        if how.hot or how.dead:
+            counts = self._add_faults(rng, counts, self._durations_ms[indices])
+        shape = n, self._image.slices, *self._size, 2
+        cell = np.ravel_multi_index(counts[:-1], shape)
+        dense = np.bincount(cell, counts.count, minlength=math.prod(shape))
+        return _as_images(dense.reshape(shape).astype(np.float32), self._image)
+
+    def _move(self, rng, counts, n):
+        place = np.stack([counts.row, counts.column], -1)
+        place = move_places(self._how, rng, n, counts.sample, place, self._size)
+        inside = ((place >= 0) & (place < self._size)).all(1)
+        return counts._replace(row=place[:, 0], column=place[:, 1]).select(inside)
 
     def _add_faults(self, rng, counts, durations_ms):
-        slices, rows, columns = counts.shape[1:4]
-        faults = draw_faults(self._how.hot, self._how.dead, rng, durations_ms, (rows, columns))
-        share = faults.silent_from_ms / np.maximum(durations_ms, 1)[:, None, None]
-        counts *= np.minimum(share, 1)[:, None, :, :, None]
+        faults = draw_faults(self._how.hot, self._how.dead, rng, durations_ms, self._size)
+        slice_ms = self._image.duration_ms / self._image.slices
+        silent_from_ms = faults.silent_from_ms[counts.sample, counts.row, counts.column]
+        before = np.clip(silent_from_ms / slice_ms - counts.part, 0, 1)
         hot = faults.hot_events()
-        part = (hot.time_ms * slices / self._image.duration_ms).astype(np.int64)
-        where = hot.sample, np.minimum(part, slices - 1), hot.row, hot.column, hot.polarity
-        np.add.at(counts, where, 1)
-
-    def _moved(self, rng, counts):
-        n, slices, rows, columns, _ = counts.shape
-        places = np.indices((rows, columns)).reshape(2, -1).T
-        sample = np.repeat(np.arange(n), len(places))
-        to = move_places(self._how, rng, n, sample, np.tile(places, (n, 1)), (rows, columns))
-        inside = ((to >= 0) & (to < (rows, columns))).all(1)
-        cell = ((sample * rows + to[:, 0]) * columns + to[:, 1])[inside]
-        values = np.moveaxis(counts, 1, 3).reshape(len(sample), -1)[inside]
-        summed = np.stack(
-            [np.bincount(cell, part, minlength=n * rows * columns) for part in values.T], axis=-1
+        part = np.minimum((hot.time_ms / slice_ms).astype(np.int64), self._image.slices - 1)
+        spikes = TaxelCounts(
+            hot.sample, part, hot.row, hot.column, hot.polarity, np.ones(len(part))
         )
-        return np.moveaxis(summed.reshape(n, rows, columns, slices, 2), 3, 1)
+        return counts._replace(count=counts.count * before).join(spikes)
