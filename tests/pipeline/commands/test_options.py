@@ -36,7 +36,7 @@ def test_an_option_and_another_value_of_its_setting_are_refused(option, given, a
 @pytest.mark.parametrize(
     ("words", "facts"),
     [
-        ("ladder runs/x --input frames", ["input.kind", "image, events"]),
+        ("ladder runs/x --input frames", ["input.kind", "image, slices, events"]),
         ("ladder runs/x --samples many", ["--samples"]),
         ("ladder runs/x --jobs 0", ["--jobs", "1"]),
         ("ladder runs/x --set cnn.epoch=5", ["cnn.epochs"]),
