@@ -241,7 +241,7 @@ class SNN(Section):
     dropout: Annotated[float, FROM_0_BELOW_1] = 0.0
     #: Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps,
     #: in multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only.
-    spike_penalty: Annotated[float, AT_LEAST_0] = 0.05
+    spike_penalty: Annotated[float, AT_LEAST_0] = 0.01
     #: Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
     #: the last entry also applies to all layers after it.
     max_rates: tuple[float, ...] = (150.0,)
