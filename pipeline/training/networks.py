@@ -89,7 +89,7 @@ class Recipe:
 # Defaults of the networks, where a setting is 0.
 RECIPES = {
     "paper": Recipe(epochs=20, batch_size=32, learning_rate=0.001),
-    "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.002, annealed=True),
+    "loihi": Recipe(epochs=60, batch_size=64, learning_rate=0.004, annealed=True),
     "as-is": Recipe(epochs=0, batch_size=0, learning_rate=0.0),
 }
 

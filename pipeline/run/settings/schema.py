@@ -236,7 +236,7 @@ class SNN(Section):
     learning_rate: Annotated[float, AT_LEAST_0] = 0.0
     #: Standard deviation of the noise on each neuron's input while training, relative to the
     #: activation at ``max_rates``; recipe ``loihi`` only.
-    noise: Annotated[float, AT_LEAST_0] = 0.1
+    noise: Annotated[float, AT_LEAST_0] = 0.05
     #: Share of the neurons that are left out at random while training; recipe ``loihi`` only.
     dropout: Annotated[float, FROM_0_BELOW_1] = 0.0
     #: Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps,
