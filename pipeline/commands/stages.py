@@ -1,6 +1,7 @@
 """``stmnist train``, ``convert`` and ``ladder``: the stages of a run."""
 
 import functools
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -72,6 +73,8 @@ def convert(
         before = RunFolder(run).resolve_settings(requested.settings, {})
     if model is not None:
         changes, examine = stages.settings_of_model(model, retrain, before), _require_model
+        if requested.settings is None:
+            changes |= _images_of(RunFolder(run))
     if nir is not None:
         changes = stages.settings_of_nir(nir, step, requested.input, before)
         if step is not None and changes["input"]["kind"] == "image":
@@ -82,6 +85,18 @@ def convert(
         for stage in opened.kind.deployed_stages:
             stages.check_stage(opened, bundle, stage)
     options.suggest("ladder", run)
+
+
+def _images_of(run):
+    """The images of a run that exists: a model for it was trained on them."""
+    from pipeline.run.settings import read_settings
+
+    if not run.experiment.exists():
+        return {}
+    settings = read_settings(run.experiment)
+    if settings.on_events or settings.nir.file:
+        return {}
+    return {"image": asdict(settings.image)}
 
 
 def _require_model(settings):

@@ -12,13 +12,14 @@ slices
     number of equal slices of time, each with channels of its own: with 4 slices and two polarities
     an image has 8 channels.  It is still presented as one image, all channels at once.
 normalisation
-    ``max``       divided by the image's largest magnitude, as a reader of the paper would
+    ``max``       divided by the image's largest magnitude (default)
     ``sum``       divided by the sum of magnitudes
     ``sqrt-max``  square root of the magnitude, then as ``max``; reduces the effect of very active
                   taxels
     ``sqrt-clip`` square root of the magnitude, divided by the largest one among all taxels but
-                  the :data:`IGNORED_SHARE` with the largest, which are clipped at 1 (default).  A
-                  hot taxel, which spikes all the time, does not make the others dark
+                  the :data:`IGNORED_SHARE` with the largest, which are clipped at 1; chosen for
+                  networks that are trained here.  A hot taxel, which spikes all the time, does not
+                  make the others dark
     ``none``      unchanged; counts would spike too often for the chip, except at a low
                   ``deployment.input_rate``
 """

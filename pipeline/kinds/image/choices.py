@@ -110,11 +110,11 @@ def choose_settings(settings: Settings, recordings: Recordings) -> list:
         and all(map(settings.is_open, names_in("image")))
         and own_channels in (None, 2 * recipe.slices)
     )
-    choices, channels = [], settings.image.channels
+    choices, channels = _choose_normalisation(settings), settings.image.channels
     if is_sliced:
         slices = _choose_slices(settings, recipe, own_channels)
-        choices, channels = _choose_image(settings, slices, EventTable.of(recordings))
-        choices += _choose_training(settings, recipe)
+        of_image, channels = _choose_image(settings, slices, EventTable.of(recordings))
+        choices += of_image + _choose_training(settings, recipe)
     if is_own or (not is_sliced and is_for(cnn.architecture, sensor, channels)):
         return choices
     if is_sliced:
@@ -124,6 +124,17 @@ def choose_settings(settings: Settings, recordings: Recordings) -> list:
     _require_rates_fit(settings, architecture)
     chosen = chosen_text("cnn", architecture, sensor)
     return [Choice("cnn.architecture", architecture, chosen), *choices]
+
+
+def _choose_normalisation(settings):
+    """The normalisation of images, unless the network was trained elsewhere."""
+    if settings.cnn.model or not settings.is_open("image.normalisation"):
+        return []
+    reason = (
+        "image of the square roots of counts, on which one hot taxel has no effect (the paper may "
+        "mean: --set image.normalisation=max)"
+    )
+    return [Choice("image.normalisation", "sqrt-clip", reason)]
 
 
 def _choose_slices(settings, recipe, own_channels):

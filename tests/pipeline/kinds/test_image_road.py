@@ -34,10 +34,11 @@ def recordings(rows, columns, duration_ms=400):
 def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
     changes, lines = kind_of_network(settings()).choices(recordings(1, 30))
     assert changes["cnn"] == {"architecture": "1x30x16-256-3o"}
-    assert changes["image"] == {"aggregation": "polarities", "slices": 8, "duration": 400.0}
+    image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
+    assert changes["image"] == {**image, "normalisation": "sqrt-clip"}
     assert changes["snn"] == {"dropout": 0.5}
     assert changes["deployment"] == {"input_rate": 60.0}
-    assert len(lines) == 4
+    assert len(lines) == 5
     chosen = kind_of_network(settings(**changes))
     assert chosen.channels == 16
 
@@ -48,9 +49,10 @@ SLICES = {"input": {"kind": "slices"}}
 def test_slices_of_time_on_a_grid_have_a_convolution_with_a_stride():
     changes, lines = kind_of_network(settings(**SLICES)).choices(recordings(10, 10))
     assert changes["cnn"] == {"architecture": "10x10x16-32c4s2-128-3o"}
-    assert changes["image"] == {"aggregation": "polarities", "slices": 8, "duration": 400.0}
+    image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
+    assert changes["image"] == {**image, "normalisation": "sqrt-clip"}
     assert (changes["snn"], changes["deployment"]) == ({"dropout": 0.1}, {"input_rate": 60.0})
-    assert len(lines) == 4
+    assert len(lines) == 5
     chosen = settings(**SLICES).with_values(changes)
     assert kind_of_network(chosen).channels == 16
 
@@ -59,7 +61,7 @@ def test_what_the_user_sets_of_slices_is_kept():
     grid = recordings(10, 10)
     own = settings(**SLICES, image={"slices": 3, "aggregation": "on"}, snn={"dropout": 0.3})
     changes, _ = kind_of_network(own).choices(grid)
-    assert changes["image"] == {"duration": 400.0}
+    assert changes["image"] == {"duration": 400.0, "normalisation": "sqrt-clip"}
     assert changes["cnn"] == {"architecture": "10x10x3-32c4s2-128-3o"}
     assert "snn" not in changes
     mine = settings(**SLICES, cnn={"architecture": "10x10x8-16c4-3o"})
@@ -96,7 +98,13 @@ def test_what_the_user_sets_is_kept():
     own = {"snn": {"dropout": 0.1}, "deployment": {"input_rate": 90.0}}
     changes, _ = kind_of_network(settings(**own)).choices(strip)
     assert not {"snn", "deployment"} & changes.keys()
-    assert kind_of_network(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip) == ({}, [])
+    changes, _ = kind_of_network(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip)
+    assert changes == {"image": {"normalisation": "sqrt-clip"}}
+
+
+def test_a_model_of_one_s_own_keeps_the_images_that_it_is_for():
+    cnn = {"model": "m.keras", "model_sha256": "a", "architecture": "10x10-6c4-3o"}
+    assert kind_of_network(settings(cnn=cnn)).choices(recordings(10, 10)) == ({}, [])
 
 
 @pytest.mark.parametrize(
@@ -123,7 +131,8 @@ def test_a_default_that_the_user_gives_is_kept(tmp_path):
     assert not {"snn", "deployment"} & changes.keys()
     assert "image" in changes
     image = {"slices": default.image.slices}
-    assert "image" not in kind_of_network(settings(image=image)).choices(recordings(1, 30))[0]
+    changed, _ = kind_of_network(settings(image=image)).choices(recordings(1, 30))
+    assert changed["image"] == {"normalisation": "sqrt-clip"}
     own = given.with_values({"seed": 3})
     run = RunFolder(tmp_path)
     run.save_settings(own.with_values(changes), own)

@@ -98,7 +98,7 @@ def test_what_the_networks_see():
     assert images.shape == (2, 10, 10, 1)
     assert images.dtype == np.float32
     assert images[0, 7, 3, 0] == 1
-    assert images[0, 0, 9, 0] == pytest.approx(np.sqrt(1 / 3))
+    assert images[0, 0, 9, 0] == pytest.approx(1 / 3)
 
 
 def test_channels_are_slices_of_time_and_polarities():

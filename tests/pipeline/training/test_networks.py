@@ -191,12 +191,12 @@ def test_dropout_keeps_the_mean():
 
 
 def test_small_data_sets_get_more_epochs():
-    """A recipe has a number of updates at least; a number of epochs that is set is kept."""
+    """A recipe shows a number of samples at least; a number of epochs that is set is kept."""
     default = Settings()
     assert training.cnn_recipe(default.cnn, 5562).epochs == 20  # the paper's
-    assert training.cnn_recipe(default.cnn, 518).epochs == 148  # 17 batches: 2,500 updates
+    assert training.cnn_recipe(default.cnn, 518).epochs == 155  # 80,000 samples
     assert training.snn_recipe(default.snn, 5562).epochs == 60
-    assert training.snn_recipe(default.snn, 518).epochs == 278
+    assert training.snn_recipe(default.snn, 518).epochs == 309
     assert training.cnn_recipe(settings().cnn, 518).epochs == 6
 
 
