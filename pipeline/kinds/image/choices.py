@@ -81,7 +81,7 @@ def choose_augmentation(recordings: Recordings) -> str:
     return "space" if is_grid and are_digits(sensor.classes) else "time"
 
 
-def choose_settings(settings: Settings, recordings: Recordings) -> list:
+def choose_image_settings(settings: Settings, recordings: Recordings) -> list:
     """Choose settings of a network on images that have their defaults.
 
     Parameters

@@ -15,7 +15,7 @@ from models.architecture import parse
 from models.keras.reader import original_network, read_keras
 from pipeline.kinds import counts
 from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
-from pipeline.kinds.image.choices import choose_augmentation, choose_settings
+from pipeline.kinds.image.choices import choose_augmentation, choose_image_settings
 from pipeline.kinds.kind import (
     Imported,
     NetworkKind,
@@ -224,7 +224,7 @@ class ImageKind(NetworkKind):
 
     def choices(self, recordings):
         changes, lines = {}, []
-        for choice in choose_settings(self.settings, recordings):
+        for choice in choose_image_settings(self.settings, recordings):
             put(changes, choice.setting, choice.value, "choices")
             if choice.reason:
                 lines.append(choice.reason)

@@ -148,7 +148,8 @@ def test_a_default_that_the_user_gives_is_kept(tmp_path):
 
 def test_a_grid_gets_the_paper_s_image_and_layers():
     changes, _ = kind_of_network(settings()).choices(recordings(8, 9))
-    assert changes == {"cnn": {"architecture": "8x9-6c4-24c3-3o"}}
+    architecture = {"architecture": "8x9-6c4-24c3-3o"}
+    assert changes == {"cnn": architecture, "image": {"normalisation": "sqrt-clip"}}
 
 
 @pytest.mark.parametrize(
