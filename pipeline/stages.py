@@ -29,6 +29,7 @@ from deploy.check.run import open_check, records_of, run_check, run_streams
 from deploy.files import write_json
 from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
+from deploy.tables import list_names
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.jobs import Failure, run_jobs
@@ -42,7 +43,7 @@ from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import facts_of
 from pipeline.recordings.library import recordings_of
 from pipeline.recordings.source import reading_lines
-from pipeline.recordings.splits import PUBLISHED, copies
+from pipeline.recordings.splits import PUBLISHED, copies, find_classes_without_test
 from pipeline.run.artifacts import DELETE_IT, Artifact, Library, Origin
 from pipeline.run.folder import RunFolder, working_in
 from pipeline.run.settings import SIMULATED, Settings, read_settings
@@ -290,6 +291,11 @@ def _notes_on_recordings(opened):
         )
     if n_test < FEW:
         yield f"{WARNING}{recordings.source.name}: only {n_test} for the test; record more"
+    if absent := find_classes_without_test(recordings, split):
+        yield (
+            f"{WARNING}{recordings.source.name}: the test set has no recordings of "
+            f"{list_names(absent)}; no accuracy says anything about them"
+        )
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
     if missing:

@@ -27,6 +27,7 @@ def adapt(
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
     ] = False,
+    time_unit: options.TimeUnit = "",
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
@@ -43,7 +44,7 @@ def adapt(
     bundle = read_bundle(path)
     beside = run / "adapted" if path != run else alone.with_name(f"{alone.name}-adapted")
     options.warn_if_outdated(bundle.path)
-    settings = elsewhere.settings_around(bundle, skip_bad)
+    settings = elsewhere.settings_around(bundle, skip_bad, time_unit)
     everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
     recordings, who = _of_one(everyone, writer)
     for line in elsewhere.warnings_on(bundle, recordings):

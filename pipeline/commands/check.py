@@ -40,6 +40,8 @@ class OtherRecordings:
         Number of recordings drawn at random; 0 for all, None for at most 200.
     skip_bad : bool
         True to leave out files that cannot be read.
+    time_unit : str
+        Unit of times in files of events; empty: the files' own, or that of the training.
     jobs : int
         Number of processes that read the recordings.
     """
@@ -47,6 +49,7 @@ class OtherRecordings:
     data: str | None = None
     samples: int | None = None
     skip_bad: bool = False
+    time_unit: str = ""
     jobs: int = 2
 
 
@@ -70,6 +73,7 @@ Others = options.group(
     skip_bad=Annotated[
         bool, typer.Option("--skip-bad", help="With --data: leave out files that cannot be read.")
     ],
+    time_unit=options.TimeUnit,
     jobs=options.Jobs,
 )
 
@@ -162,7 +166,7 @@ def _on_others(bundle, target, others, seed, out, check):
     from deploy.files import write_json
     from pipeline.results import elsewhere
 
-    settings = elsewhere.settings_around(bundle, others.skip_bad)
+    settings = elsewhere.settings_around(bundle, others.skip_bad, others.time_unit)
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
     for line in elsewhere.warnings_on(bundle, recordings):
         options.say(line)

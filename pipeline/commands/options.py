@@ -119,6 +119,13 @@ Scheduler = Annotated[
         "instead of processes of this machine."
     ),
 ]
+TimeUnit = Annotated[
+    str,
+    typer.Option(
+        help="Unit of times in files of events: s, ms, us or ns (default: the files' own, or that "
+        "of the training)."
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 

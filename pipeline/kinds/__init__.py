@@ -87,7 +87,10 @@ def choose_settings(
     except UserError as error:
         problems.append(str(error))
     n_test = _test_samples(settings, recordings, problems)
-    if check and 0 < n_test < settings.check.drawn(n_test):
+    samples = settings.check.samples
+    if "check.samples" not in settings.given:
+        samples = settings.check.drawn(n_test)
+    if check and 0 < n_test < samples:
         problems.append(
             f"{settings.check.samples} samples requested, the test set has {n_test}; {TOO_SMALL}"
         )

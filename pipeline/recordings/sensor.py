@@ -51,8 +51,8 @@ class ReadingOptions:
     downsample : int
         Side of the square of pixels of a file of events that becomes one taxel.
     usual_unit : str
-        Unit of similar recordings, for files of events that do not have theirs, if
-        :attr:`time_unit` is empty and the recordings have a usual duration in it.
+        Unit of similar recordings, such as those that a network was trained on, for files of
+        events that do not have theirs, if :attr:`time_unit` is empty.
     bin_ms : float
         Width of a bin in arrays of counts, in milliseconds.
     rise : int

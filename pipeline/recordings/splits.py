@@ -96,19 +96,52 @@ def split_of(
     if kind == PUBLISHED:
         return published_split(recordings.parts, seed, validation_fraction)
     split = random_split(len(recordings), seed, test_fraction, validation_fraction)
-    return _with_all_classes(split, recordings.labels)
+    return _add_missing_classes(split, recordings.labels)
 
 
-def _with_all_classes(split, labels):
-    """The split with a training sample of each class, from the other parts if necessary.
+def _add_missing_classes(split, labels):
+    """The split with a recording of each class in training and test, where there are two.
 
-    Validation samples are taken first, so that the test set never becomes empty.
+    Nothing changes where no class is missing.  Otherwise single recordings move: first into the
+    training set, from validation before test; then into the test set, in exchange for a recording
+    of the class with most test recordings, as long as that has more than one.
     """
-    missing = np.setdiff1d(labels, labels[split.train])
-    moved = [next(i for i in (*split.validation, *split.test) if labels[i] == c) for c in missing]
-    train = np.sort(np.concatenate([split.train, np.array(moved, int)]))
-    left = (part[~np.isin(part, moved)] for part in (split.validation, split.test))
-    return Split(train, *left, split.kind)
+    train, validation, test = (
+        part.tolist() for part in (split.train, split.validation, split.test)
+    )
+
+    def take(pool, label):
+        return next((i for i in pool if labels[i] == label), None)
+
+    for label in np.setdiff1d(labels, labels[train]):
+        source = validation if take(validation, label) is not None else test
+        moved = take(source, label)
+        source.remove(moved)
+        train.append(moved)
+    missing = np.setdiff1d(labels, labels[test])
+    for label in missing:
+        is_spare = np.count_nonzero(labels[train] == label) > 1
+        source = train if is_spare else validation
+        moved = take(source, label)
+        if moved is None:
+            continue  # the only recording is in the training set
+        source.remove(moved)
+        counts = np.bincount(labels[test])
+        if counts.max(initial=0) > 1:
+            exchanged = take(test, int(counts.argmax()))
+            test.remove(exchanged)
+            source.append(exchanged)
+        test.append(moved)
+    if len(missing):  # recordings of a class must not follow each other
+        test = np.random.default_rng([len(labels), 0xC1A5]).permutation(test)
+    arrays = (np.array(part, np.int64) for part in (sorted(train), validation, test))
+    return Split(*arrays, split.kind)
+
+
+def find_classes_without_test(recordings: Recordings, split: Split) -> list:
+    """Names of the classes that have recordings, but none in the test set."""
+    missing = np.setdiff1d(recordings.labels, recordings.labels[split.test])
+    return [recordings.sensor.classes[label] for label in missing]
 
 
 def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
@@ -128,9 +161,7 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
         return "recordings of one class only; at least two are needed"
     if kind_of(kind, recordings) != PUBLISHED or not recordings.is_split:
         if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
-            return (
-                f"only one recording of {list_names(single)}; record more, or take the folder away"
-            )
+            return f"only one recording of {list_names(single)}; record more, or remove the folder"
         return None
     remedy = "add some, or use --set split.kind=random"
     for part, least in (("train", 2), ("test", 1)):

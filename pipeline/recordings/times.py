@@ -58,6 +58,8 @@ def infer_unit(times) -> str:
 def choose_unit(path, recordings, subsets, options) -> str:
     """The unit of time: the user's, the files', that of similar recordings, or inferred.
 
+    That of similar recordings holds unless these recordings would last longer than any can.
+
     Parameters
     ----------
     path : path-like
@@ -86,7 +88,7 @@ def choose_unit(path, recordings, subsets, options) -> str:
     _require_equal_units(path, spans)
     if options.usual_unit:
         usual_s = np.median(np.concatenate(list(spans.values()))) * UNITS[options.usual_unit]
-        if MIN_DURATION_S <= usual_s <= MAX_DURATION_S:
+        if usual_s <= MAX_DURATION_S:
             return options.usual_unit
     unit = infer_unit([recording.time for recording in recordings])
     if not unit:

@@ -1,5 +1,6 @@
 """A network's results on recordings that were not used in its training, such as other people's."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.splits import draw_check_samples
 from pipeline.recordings.steps import EventTable
+from pipeline.recordings.times import MIN_DURATION_S
 from pipeline.results.ladder import confusion_matrix
 from pipeline.run.folder import checks_of, run_around
 from pipeline.run.settings import Image, Settings, read_settings
@@ -37,7 +39,7 @@ FOLDER = "other"
 REACHED = 0.8
 
 
-def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:
+def settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str = "") -> Settings:
     """The settings of the run that a bundle is in, or the defaults if it is in none.
 
     Parameters
@@ -45,16 +47,25 @@ def settings_around(bundle: Bundle, skip_bad: bool = False) -> Settings:
     bundle : Bundle
     skip_bad : bool
         True to leave out files that cannot be read, whatever the run's setting is.
+    time_unit : str
+        Unit of the times in files of events, instead of the run's setting and of the unit of the
+        training.
 
     Raises
     ------
     UserError
-        The run's settings cannot be read.
+        The run's settings cannot be read, or the unit is not one.
     """
+    if time_unit and time_unit not in UNITS:
+        raise UserError(f"time unit {time_unit!r}: choose one of {', '.join(UNITS)}")
     run = run_around(bundle.path)
     settings = Settings() if run is None else read_settings(run / "experiment.toml")
-    skipping = replace(settings.data, skip_bad=skip_bad or settings.data.skip_bad)
-    return replace(settings, data=skipping)
+    data = replace(
+        settings.data,
+        skip_bad=skip_bad or settings.data.skip_bad,
+        time_unit=time_unit or settings.data.time_unit,
+    )
+    return replace(settings, data=data)
 
 
 def recordings_for(
@@ -83,7 +94,7 @@ def recordings_for(
     """
     rows, columns = bundle.spec.input_shape[:2]
     data, recorded = settings.data, bundle.spec.provenance
-    # A person who writes faster than the others of the training has the same unit of time.
+    # Files without a unit have that of the training, also if a person writes much faster.
     usual = recorded.get("time_unit")
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
     reading = ReadingOptions(
@@ -118,7 +129,9 @@ def recordings_for(
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
 
 
-def predict(bundle: Bundle, source, target="fast", skip_bad=False, warn=remark) -> dict:
+def predict(
+    bundle: Bundle, source, target="fast", skip_bad=False, warn=remark, time_unit=""
+) -> dict:
     """Classify recordings, with or without labels, each with the network at rest before it.
 
     Parameters
@@ -132,6 +145,9 @@ def predict(bundle: Bundle, source, target="fast", skip_bad=False, warn=remark) 
         True to leave out files that cannot be read.
     warn : callable
         Called with each warning; default: printed on standard error.
+    time_unit : str
+        Unit of the times, ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; default: the files' own, or
+        that of the recordings that the network was trained on.
 
     Returns
     -------
@@ -143,7 +159,7 @@ def predict(bundle: Bundle, source, target="fast", skip_bad=False, warn=remark) 
     UserError
         The recordings cannot be read, or are from another sensor.
     """
-    settings = settings_around(bundle, skip_bad)
+    settings = settings_around(bundle, skip_bad, time_unit)
     recordings = recordings_for(bundle, str(source), settings, warn=warn, labelled=False)
     for line in warnings_on(bundle, recordings):
         warn(line)
@@ -182,7 +198,15 @@ def _limits(spec, recordings):
     units = [recordings.source.time_unit, spec.provenance.get("time_unit")]
     if all(units) and units[0] != units[1]:
         read, usual = (UNIT_NAMES[unit] for unit in units)
-        yield f"times are read as {read}, those of the training as {usual}"
+        yield (
+            f"times are read as {read}, those of the training as {usual}; give the unit with "
+            "--time-unit"
+        )
+    elif units[0] and (typical_s := _typical_duration_s(recordings)) < MIN_DURATION_S:
+        yield (
+            f"recordings last typically {1000 * typical_s:.2g} ms with times as "
+            f"{UNIT_NAMES[units[0]]}; if that is another unit, give it with --time-unit"
+        )
     rows, columns = spec.input_shape[:2]
     reached = [int(axis[events.taxel].max(initial=0)) + 1 for axis in (taxels.row, taxels.column)]
     if reached[0] < REACHED * rows or reached[1] < REACHED * columns:
@@ -197,6 +221,15 @@ def _limits(spec, recordings):
         step_ms, steps = 1000 * spec.stimulus.step_seconds, spec.presentation.steps
         if line := cut_text(EventTable.of(recordings), step_ms, steps):
             yield line
+
+
+def _typical_duration_s(recordings):
+    """Median duration of the recordings with events, in seconds."""
+    time_ns, offsets = recordings.events.time_ns, recordings.offsets
+    some = np.diff(offsets) > 0
+    if not some.any():
+        return math.inf
+    return float(np.median(time_ns[offsets[1:][some] - 1] - time_ns[offsets[:-1][some]])) * 1e-9
 
 
 def with_recordings(

@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.check.results import compare_results, read_result
 from deploy.files import reporting_damage
-from deploy.tables import SIGNIFICANCE, align_rows, p_text, star
+from deploy.tables import SIGNIFICANCE, align_rows, list_names, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.kinds import TRAINED_STAGES, NetworkKind, compared_with
@@ -163,6 +163,8 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
     first = results[0]
     if classes is None:
         classes = map(str, range(len(first["samples"][0]["scores"])))
+    classes = list(classes)
+    presented = {sample["label"] for sample in first["samples"]}
     by_stage = {result["target"]: result for result in results}
     trained = next((result for result in results if result["target"] in TRAINED_STAGES), None)
     reference = by_stage[compared_with(by_stage)]
@@ -171,7 +173,10 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
         "bundle": first["bundle"],
         "simulated": first["simulated"],
         "n_samples": first["n_samples"],
-        "classes": list(classes),
+        "classes": classes,
+        "classes_without_samples": [
+            name for label, name in enumerate(classes) if label not in presented
+        ],
         "rows": ladder_rows(results),
         "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
         "against_reference": _against(reference, results[-1]),
@@ -270,6 +275,10 @@ def ladder_text(ladder: dict) -> str:
             lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder.get("while_written"):
         lines.append(early_text(ladder["while_written"], last))
+    if absent := ladder.get("classes_without_samples"):
+        lines.append(
+            f"{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
+        )
     losing = losing_stages(ladder)
     for a, b, points in losing:
         lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}{STREAM_REMEDY.get(b, '')}")

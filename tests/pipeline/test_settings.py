@@ -163,6 +163,7 @@ def test_assignments_of_the_command_line():
         "snn": {"max_rates": [1, 2.5]},
     }
     assert parse_assignments(["snn.max_rates=100"]) == {"snn": {"max_rates": [100]}}
+    assert parse_assignments(["data.source=2024"]) == {"data": {"source": "2024"}}
 
 
 def test_one_word_of_the_command_line_may_have_several_settings():

@@ -40,7 +40,8 @@ def _read_columns(content):
     body = [line for line in lines if line[0] != "#"]
     if not body:
         raise BadRecording("is empty: no events")
-    separator = next((mark for mark in ",;\t" if mark in body[-1]), None)
+    last = body[-1].partition("#")[0]  # a remark may have commas
+    separator = next((mark for mark in ",;\t" if mark in last), None)
     words = [word.strip().strip('"').lower() for word in body[0].split(separator)]
     above = lines[: lines.index(body[0])][-1:]
     has_names = any(word in names for word in words for names in COLUMN_NAMES.values())

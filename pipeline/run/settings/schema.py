@@ -364,8 +364,8 @@ class PresentationSettings(Section):
 class Check(Section):
     """The check that is run on every target."""
 
-    #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. With the
-    #: default all too if there are fewer.
+    #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. If it
+    #: is not set, all too if there are fewer.
     samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
 
     def drawn(self, available: int) -> int:

@@ -69,8 +69,11 @@ def parse_assignments(assignments) -> dict:
             value = tomllib.loads(f"value = {text}")["value"]
         except (ValueError, RecursionError):
             value = text.strip()
-        if isinstance(Settings().flat().get(name.strip()), tuple) and not isinstance(value, list):
+        default = Settings().flat().get(name.strip())
+        if isinstance(default, tuple) and not isinstance(value, list):
             value = [value]
+        elif isinstance(default, str) and not isinstance(value, str):
+            value = text.strip()  # a folder may be called 2024
         put(values, name.strip(), value, f"--set {assignment!r}")
     return values
 

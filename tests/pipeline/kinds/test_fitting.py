@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.errors import SeveralErrors
+from deploy.errors import SeveralErrors, UserError
 from models.architecture import parse
 from pipeline.kinds import choose_settings, kind_of_network
 from pipeline.kinds.architectures import architecture_for
@@ -63,6 +63,14 @@ def test_images_of_a_sensor_of_one_s_own(own):
     assert chosen.check.drawn(12) == 12  # a fifth of sixty
     assert choose_settings(chosen) == chosen
     assert any("9x12-6c4-24c3-4o" in line for line in said)
+
+
+@pytest.mark.parametrize("samples", [199, 200])
+def test_a_number_of_samples_that_is_given_counts(own, samples):
+    """Also if it is the default: a fifth of sixty are twelve."""
+    with pytest.raises(UserError) as caught:
+        choose_settings(settings_of(own, check={"samples": samples}))
+    assert f"{samples} samples requested, the test set has 12" in str(caught.value)
 
 
 @pytest.mark.parametrize(("kind", "section"), [("image", "cnn"), ("events", "events")])

@@ -57,6 +57,7 @@ FILES = {
     "other order.csv": b"# of 2020\n# p t, x, y\n"
     + "\n".join(f"{p},{t},{x},{y}" for x, y, t, p in zip(X, Y, T, P, strict=True)).encode(),
     "a remark in a line.csv": NAMED_CSV.encode() + b"  # lifted; at the end\n",
+    "remarks after blanks.csv": CSV.replace(",", " ").encode() + b" # moved, twice\n",
     "a column of text.csv": b"x,note,y,t,p\n"
     + "\n".join(f"{x},up,{y},{t},{p}" for x, y, t, p in zip(X, Y, T, P, strict=True)).encode(),
     "truth values.csv": NAMED_CSV.replace(";1;", ";True;").replace(";0;", ";false;").encode(),

@@ -10,7 +10,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import sha256_of
 from pipeline.recordings import source
-from pipeline.recordings.events import Sensor
+from pipeline.recordings.events import Sensor, TaxelMap
 from pipeline.recordings.formats.mat import lookup_table_bytes
 from pipeline.recordings.library import load_recordings
 from pipeline.recordings.source import list_source, read_source
@@ -268,6 +268,22 @@ def test_bad_positions(tmp_path, table, fact):
     line = error(put(tmp_path / "s.zip", {**members(), "taxels.csv": table}))
     assert fact in line
     assert "taxels.csv" in line
+
+
+def test_a_look_up_table_beside_numbered_taxels(tmp_path):
+    """LUT.mat gives the places of taxels that files of events number by x, in one row."""
+    table = lookup_table_bytes(TaxelMap(np.arange(7) // 4, 2 * (np.arange(7) % 4)))
+    path = put(tmp_path / "s.zip", {**members(), "LUT.mat": table})
+    read = read_source(path, jobs=1)
+    assert (read.sensor.rows, read.sensor.columns) == (2, 7)
+    taxel = read[0].taxel
+    assert read.taxels.row[taxel].tolist() == [0, 0, 0, 0, 1, 1, 1]
+    assert read.taxels.column[taxel].tolist() == [0, 2, 4, 6, 0, 2, 4]
+    more = put(tmp_path / "m.zip", {**members(), "a/x.npz": strip(5, 8), "LUT.mat": table})
+    assert "a/x.npz has taxel 7, LUT.mat" in error(more)
+    square = npz(x=[0, 1], y=[0, 1], t=[0, 0.5], p=[1, 0])
+    rows = {f"{name}/{i}.npz": square for name in "ab" for i in range(2)}
+    assert "2 rows: remove LUT.mat" in error(put(tmp_path / "r.zip", {**rows, "LUT.mat": table}))
 
 
 # --- writing --------------------------------------------------------------------------------------

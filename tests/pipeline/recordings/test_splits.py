@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.recordings.splits import (
+    Split,
     copies,
     draw_check_samples,
+    find_classes_without_test,
     hold_out,
     published_split,
     random_split,
@@ -34,6 +36,27 @@ def test_a_random_split_is_a_partition(n, seed, fraction):
     np.testing.assert_array_equal(np.sort(together), np.arange(n))
     assert len(split.test) == round(0.2 * n)
     np.testing.assert_array_equal(split.test, random_split(n, seed).test)
+
+
+@given(st.integers(0, 200), st.integers(2, 40), st.sampled_from([0.0, 0.2]))
+def test_every_class_is_in_training_and_test(seed, classes, fraction):
+    labels = np.concatenate([np.arange(classes), np.arange(classes), [0] * seed])
+    made = recordings(*[[(0, i, 1, 1)] for i in range(len(labels))], labels=labels.tolist())
+    split = split_of(made, seed, 0.2, fraction)
+    assert find_classes_without_test(made, split) == []
+    assert set(labels[split.train]) == set(range(classes))
+    together = np.concatenate([split.train, split.validation, split.test])
+    np.testing.assert_array_equal(np.sort(together), np.arange(len(labels)))
+    plain = random_split(len(labels), seed, 0.2, fraction)
+    if set(labels[plain.test]) == set(labels[plain.train]) == set(range(classes)):
+        for part in ("train", "validation", "test"):  # nothing changes where nothing is missing
+            np.testing.assert_array_equal(getattr(split, part), getattr(plain, part))
+
+
+def test_classes_without_test_recordings_are_named():
+    made = recordings(*[[(0, i, 1, 1)] for i in range(6)], labels=[0, 0, 1, 1, 2, 2])
+    split = Split(np.array([0, 2, 4, 5]), np.array([], int), np.array([1, 3]))
+    assert find_classes_without_test(made, split) == ["2"]
 
 
 @given(st.integers(0, 200), st.sampled_from([0.1, 0.2, 0.6, 0.9]))
