@@ -25,7 +25,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons lint setup-inrc test-inrc setup-nir test-nir check-nir setup-peers test-peers audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons lint check-code setup-inrc test-inrc setup-nir test-nir check-nir setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Install the versions pinned in constraints.txt into .venv (3 GB)
@@ -86,6 +86,9 @@ test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine
 lint: setup  ## Check style
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+
+check-code: lint  ## Check style and types
+	@$(BIN)/mypy
 
 setup-inrc: .venv-inrc/installed  ## Make .venv-inrc, the Python 3.8 of an INRC host, for the tests
 

@@ -12,7 +12,7 @@ import sys
 try:
     from importlib.metadata import PackageNotFoundError, version
 except ImportError:  # Python 3.7 and earlier, refused below
-    version = None
+    version = None  # type: ignore[assignment]
 
 OLDEST_PYTHON = (3, 8)
 # For each package: oldest supported version, first unsupported version, and the reason.

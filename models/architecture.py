@@ -233,7 +233,8 @@ class Architecture:
 
         Layers are numbered separately for each kind.
         """
-        names, seen = [], {}
+        names: list = []
+        seen: dict = {}
         for layer in self.layers:
             seen[layer.kind] = seen.get(layer.kind, 0) + 1
             names.append("output" if layer.kind == "output" else f"{layer.kind}{seen[layer.kind]}")

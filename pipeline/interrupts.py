@@ -7,7 +7,7 @@ import threading
 from functools import partial
 
 # Numbers of the signals that have interrupted this process.
-_seen = []
+_seen: list[int] = []
 
 
 def listen():

@@ -41,7 +41,8 @@ def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
     layers : sequence of deploy.network.spec.Layer
         Layers of a network, in order.
     """
-    shapes, after = {}, ()
+    shapes: dict = {}
+    after: tuple = ()
     for layer in reversed(layers):
         if layer.placement == "chip":
             shapes[layer.name] = layer.block_shape or default_block(layer, *after)

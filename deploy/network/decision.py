@@ -55,7 +55,7 @@ class Estimator:
         """Shape of each array by name, for networks with some number of classes."""
         features = min(RANKS, classes) + 2 * classes + 1 + len(LAGS) * classes
         sizes = (features, *HIDDEN, 1)
-        shapes = {}
+        shapes: dict = {}
         for index, (before, after) in enumerate(zip(sizes, sizes[1:]), 1):
             shapes[f"estimator.kernel{index}"] = (before, after)
             shapes[f"estimator.bias{index}"] = (after,)

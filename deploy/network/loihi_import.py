@@ -20,7 +20,7 @@ from .chip import LOIHI
 # None in sys.modules makes an import of that name raise ImportError.
 _PROBED = ("tensorflow", "nengo_dl", "keras", "numba", "scipy.cluster")
 _hidden = [name for name in _PROBED if name not in sys.modules]
-sys.modules.update(dict.fromkeys(_hidden))
+sys.modules.update(dict.fromkeys(_hidden))  # type: ignore[arg-type]
 try:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "This version of `nengo_loihi` has not been tested")

@@ -134,13 +134,15 @@ def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
     ShortOfSteps
         The simulator returned fewer steps than requested.
     """
-    outputs, hashes, counts = [], [], {name: [] for name in built.spikes}
+    outputs: list = []
+    hashes: list = []
+    rows_of: dict = {name: [] for name in built.spikes}
     for shown in show(built, sim, samples):
         for name, rows in shown.spikes.items():
-            counts[name].append(np.count_nonzero(rows, axis=0))
+            rows_of[name].append(np.count_nonzero(rows, axis=0))
         hashes.append(spike_hash(np.packbits(rows, axis=1) for rows in shown.spikes.values()))
         outputs.append(shown.output[spec.presentation.gap :])
-    counts = {name: np.array(rows) for name, rows in counts.items()}
+    counts = {name: np.array(rows) for name, rows in rows_of.items()}
     output = select_readout(spec, np.array(outputs))
     return replace(read_output(spec, output, counts), spike_hashes=np.array(hashes))
 
