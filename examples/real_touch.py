@@ -49,8 +49,6 @@ if __name__ == "__main__":
     events, labels, parts = zip(*read_letters(Path(sys.argv[1])), strict=True)
     recordings = list(zip(events, labels, strict=True))
     data = stmnist.write_recordings("letters.zip", recordings, time_unit="us", parts=parts)
-    changes = {"data": {"source": str(data.absolute())}, "input": {"kind": "events"}}
-    settings = stmnist.Settings().with_values(changes)
-    with stmnist.stages.opened_run("runs/letters", settings) as opened:
-        print(stmnist.ladder_text(stmnist.measure_ladder(opened)))
-    print(stmnist.write_report("runs/letters"))
+    run = stmnist.Run("runs/letters", data=data, input="events")
+    print(run.ladder())
+    print(run.report())

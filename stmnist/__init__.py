@@ -1,4 +1,4 @@
-"""The public names: ``from stmnist import Settings, Dataset, train_cnn, ...``; see docs/python.md.
+"""The public names: ``from stmnist import Recordings, Run, Stream, ...``; see docs/python.md.
 
 Each name is loaded from its module on first use.  The import therefore takes almost no time, and
 TensorFlow is imported only by code that trains.
@@ -24,43 +24,39 @@ import sys
 # Packages of this distribution, beside this one.
 PACKAGES = ("deploy", "models", "pipeline")
 
-# Public names by the module that has them; ``stages`` is itself a module, in a package.
-PLACES = {
-    "deploy.check.bundle": ("CheckSet", "read_bundle", "write_bundle"),
-    "deploy.check.energy": ("estimate_energy", "estimate_text"),
-    "deploy.check.results": ("compare_results", "read_result"),
-    "deploy.check.run": ("run_check",),
-    "deploy.errors": ("UserError",),
-    "deploy.stream.stream": ("Decision", "Stream"),
-    "fastloihi": ("FastSimulator", "accelerate"),
-    "deploy.network.nir": ("write_nir",),
-    "deploy.preflight.plan": ("make_plan", "plan_text"),
-    "deploy.targets.registry": ("TARGETS", "run_target"),
-    "models.nir.graph": ("read_nir",),
-    "models.nir.simulator": ("simulate",),
-    "pipeline.recordings.dataset": ("Dataset",),
-    "pipeline.recordings.events": ("Recordings",),
-    "pipeline.recordings.splits": ("draw_check_samples",),
-    "pipeline.progress": ("progress",),
-    "pipeline.recordings.writing": ("write_recordings",),
-    "pipeline.results.report": ("write_report",),
-    "pipeline.results.report.samples": ("replay",),
-    "pipeline.results.report.figures.recordings": ("draw_recording",),
-    "pipeline": ("stages",),
-    "pipeline.results.elsewhere": ("predict",),
-    "pipeline.results.compare": ("compare_runs", "read_runs", "runs_text"),
-    "pipeline.kinds.image.kind": ("deployed",),
-    "pipeline.kinds": ("choose_settings",),
-    "pipeline.run.folder": ("RunFolder",),
-    "pipeline.results.ladder": ("ladder_text", "measure_ladder"),
-    "pipeline.run.settings": ("Settings", "read_settings", "write_settings"),
-    "pipeline.training.networks": ("train_cnn", "train_rate_network"),
+# Public names in three groups, in the order of use, each with the module that has it.
+GROUPS = {
+    "Recordings and runs": {
+        "Recordings": "pipeline.recordings.events",
+        "write_recordings": "pipeline.recordings.writing",
+        "draw_recording": "pipeline.results.report.figures.recordings",
+        "Run": "pipeline.api.run",
+        "Settings": "pipeline.run.settings",
+        "compare_runs": "pipeline.api.run",
+        "UserError": "deploy.errors",
+    },
+    "Deployed networks": {
+        "Stream": "deploy.stream.stream",
+        "Decision": "deploy.stream.stream",
+        "read_bundle": "deploy.check.bundle",
+        "run_check": "deploy.check.run",
+        "compare_results": "deploy.check.results",
+        "make_plan": "deploy.preflight.plan",
+        "estimate_energy": "deploy.check.energy",
+        "write_nir": "deploy.network.nir",
+    },
+    "Any network": {
+        "read_nir": "models.nir.graph",
+        "simulate": "models.nir.simulator",
+        "FastSimulator": "fastloihi",
+        "accelerate": "fastloihi",
+    },
 }
+
+_MODULE_OF = {name: module for group in GROUPS.values() for name, module in group.items()}
 
 # Modules to import before others: NengoLoihi is imported without TensorFlow.
 _BEFORE = {"fastloihi": "deploy.network.loihi_import"}
-
-_MODULE_OF = {name: module for module, names in PLACES.items() for name in names}
 
 __all__ = sorted(_MODULE_OF)
 
@@ -114,10 +110,7 @@ def __getattr__(name):
     module = _MODULE_OF[name]
     if module in _BEFORE:
         importlib.import_module(_BEFORE[module])
-    if name == "stages":
-        value = importlib.import_module(f"{module}.{name}")
-    else:
-        value = getattr(importlib.import_module(module), name)
+    value = getattr(importlib.import_module(module), name)
     globals()[name] = value
     return value
 

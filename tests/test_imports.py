@@ -69,6 +69,7 @@ FLOORS = {
         {"kinds"},
         {"stages"},
         {"results"},
+        {"api"},
         {"live"},
         {"commands"},
         {"__main__"},

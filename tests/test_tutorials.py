@@ -94,7 +94,7 @@ def test_real_touch(tmp_path):
         parts.append(part)
     names = [str(label) for label in range(21)]
     data = write_recordings(tmp_path / "objects.zip", recordings, names, "s", parts=parts)
-    quick = r"{\"kind\": \"events\"} -> {\"kind\": \"events\"}, \"events\": {\"epochs\": 2}"
+    quick = r"quiet=True -> quiet=True, **{\"events.epochs\": 2}"
     env = {**users_environment(), "TOUCH": str(data)}
     printed_by(CODE, "4-real-touch", quick, env=env, cwd=tmp_path)
     run = tmp_path / "runs" / "objects"

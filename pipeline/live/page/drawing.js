@@ -197,8 +197,7 @@ export function drawRace(canvas, race) {
     context.lineTo(x(start + race.usualS), bottom);
     context.stroke();
     context.setLineDash([]);
-    context.textAlign = "right";
-    if (lane > 560) context.fillText("slower than the training", x(end), ABOVE - 5);
+    labelUsualEnd(context, x(start + race.usualS), x(end), ABOVE + 14);
   }
   if (end > window) { // what the network does not receive
     context.fillStyle = colour("--note");
@@ -207,7 +206,7 @@ export function drawRace(canvas, race) {
     context.globalAlpha = 1;
     context.fillStyle = colour("--note-ink");
     context.textAlign = "left";
-    context.fillText("not received", x(window) + 4, ABOVE + 14);
+    context.fillText("not received", x(window) + 4, ABOVE + 32);
   }
   if (race.verdict) {
     const { early, seconds } = race.verdict;
@@ -216,6 +215,19 @@ export function drawRace(canvas, race) {
     context.textAlign = at > width / 2 ? "right" : "left";
     context.fillText(early ? `decided after ${seconds.toFixed(2)} s` : "end of the recording", at, height - 4);
   }
+}
+
+// At the line where the recordings of the training end: the first text that fits beside it.
+function labelUsualEnd(context, at, end, y) {
+  const wide = (text) => context.measureText(text).width;
+  const after = ["slower than the training", "too slow"].find((text) => wide(text) + 8 <= end - at);
+  const text = after ?? "usual time";
+  const left = after ? at + 4 : at - 4 - wide(text);
+  context.fillStyle = colour("--paper"); // the events below it would make it illegible
+  context.fillRect(left - 2, y - 13, wide(text) + 4, 17);
+  context.fillStyle = colour("--soft");
+  context.textAlign = "left";
+  context.fillText(text, left, y);
 }
 
 // The time of the decision as a line; what comes after it does not count, and is faded.

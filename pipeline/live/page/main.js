@@ -1,5 +1,6 @@
 // The page: messages of the server, input of the user, and what is displayed.
 
+import { describeDecision } from "./decision.js";
 import { drawRace, drawSkin, onColours, setSensor } from "./drawing.js";
 import { Link } from "./link.js";
 import { Pen } from "./pen.js";
@@ -56,7 +57,7 @@ function describe() {
   document.title = digits ? "Write a digit on the sensor" : `${about.trained_on}: play or draw`;
   $("title").textContent = digits ? "Write a digit" : document.title;
   $("falls").hidden = about.polarities === 1;
-  $("hint").textContent = !canDraw() ? "Show an example" : digits ? "Write here, large" : "Draw here, large";
+  showHint();
   $("keep-title").textContent = digits ? "It was a …" : "It was …";
   $("keep-say").textContent = `Press the ${digits ? "digit that you wrote" : "class that you drew"} to save the recording.`;
   const long = classes.some((name) => [...name].length > SHORT);
@@ -79,6 +80,17 @@ function describe() {
   $("example-class").replaceChildren(
     new Option("any", ""), ...classes.map((name, label) => new Option(name, label)),
   );
+}
+
+// What to do on the sensor, and what the network depends on, is said where one draws.
+function showHint() {
+  const verb = about.digits ? "Write" : "Draw";
+  $("hint").replaceChildren(canDraw() ? `${verb} here, large` : "Show an example");
+  if (!canDraw() || ready === null || ready.window_s === null) return;
+  const more = document.createElement("small");
+  more.textContent = about.digits ? "from top to bottom, as usual: the direction of strokes counts"
+    : "as in the recordings: the direction of strokes counts";
+  $("hint").append(more);
 }
 
 const canDraw = () => about.rows * about.columns <= about.most_taxels;
@@ -237,6 +249,7 @@ link.on("ready", (network) => {
     : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
   if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the sensor, which can change the prediction.";
   $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
+  showHint();
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");
   document.body.dataset.ready = "yes";
@@ -403,17 +416,27 @@ function stored(storage, key) {
   }
 }
 
-// Every browser is a writer of its own, and stores its number for each data set: all servers of this
-// machine have the same storage.
+// Every browser is one writer, and stores its number for each data set.  A server on another port has
+// another storage, but the same cookies.
 const remembered = () => `stmnist-writer:${about.data_set}`;
+const cookie = () => `stmnist-writer-${about.data_set}`;
+const YEAR_S = 365 * 24 * 3600;
+
+function storedInCookie() {
+  const found = document.cookie.split("; ").find((each) => each.startsWith(`${cookie()}=`));
+  return found === undefined ? null : Number(found.split("=")[1]);
+}
 
 function recall() {
-  const number = stored("localStorage", remembered());
+  const number = stored("localStorage", remembered()) ?? storedInCookie();
   if (Number.isInteger(number)) recalled = number; // earlier states are of the writer that every connection begins with
   link.send({ type: "writer", number: recalled });
 }
 
-const remember = () => store("localStorage", remembered(), writer.number);
+function remember() {
+  store("localStorage", remembered(), writer.number);
+  document.cookie = `${cookie()}=${writer.number}; path=/; max-age=${YEAR_S}; samesite=strict`;
+}
 
 // ---- what is shown
 
@@ -448,57 +471,42 @@ function showExample(example) {
   pen.watch();
 }
 
-// A confidence is below 1 and must not be displayed as 100 %.
-const percent = (share) => `${Math.min(100 * share, 99.9).toFixed(share < 0.95 ? 0 : 1)} %`;
-
 // The verdict is the early decision, or else the answer at the end of the writing; until then the answer
 // so far is shown as open.
 function showDecision(message) {
   if (about === null) return;
-  const { classes } = about;
-  const verdict = message?.verdict ?? null;
-  const label = verdict?.label ?? message?.decision ?? null;
-  const example = $("shown").dataset.label ?? "";
+  const truth = $("shown").dataset.label;
+  const view = describeDecision(message, {
+    classes: about.classes, digits: about.digits, pauseS: about.pause_s, threshold: ready?.threshold ?? null,
+    truth: truth === undefined ? null : Number(truth),
+    settled: pen.settled, writes: pen.writes, drawn: strokes, canDraw: canDraw(), named,
+  });
   const output = $("decision");
-  const confidence = message?.verdict?.confidence ?? message?.confidence ?? 1;
-  const chance = confidence < 1.02 / classes.length; // no better than a guess
-  output.textContent = label === null || (chance && !verdict) ? "" : chance ? "?" : classes[label];
+  output.textContent = view.text;
   output.dataset.events = message === null ? 0 : message.events; // to which it is the answer
-  const unsure = verdict !== null && verdict.confidence < 0.5;
-  const told = verdict !== null && example !== "" && !unsure;
-  const differs = verdict?.early && pen.settled && message.decision !== label; // from the answer at the end
-  output.classList.toggle("open", verdict === null || unsure || differs);
-  output.classList.toggle("right", told && example === String(label));
-  output.classList.toggle("wrong", told && example !== String(label));
-  const sure = label === null ? "" : percent(confidence);
-  const early = verdict === null && confidence < 0.4; // would only flicker
-  $("confidence").textContent = unsure ? (chance ? "Not sure" : `Not sure (${sure})`) : chance || early ? "…" : sure;
-  $("decided").classList.remove("changed");
-  $("decided").dataset.s = verdict === null ? "" : verdict.seconds;
-  if (verdict === null) {
-    const threshold = ready?.threshold ?? null;
-    const waits = !pen.writes && strokes.length && example === "";
-    $("decided").textContent = label !== null ? (waits ? `so far; waits ${about.pause_s} s for another stroke` : "so far")
-      : `Decides ${threshold === null ? "" : `when ${percent(threshold)} sure, or `}${canDraw() && example === "" ? `${about.pause_s} s after the last stroke` : "at the end"}.`;
-  } else {
-    const ended = differs ? `; at the end it would be ${named(message.decision)}` : "";
-    const right = chance ? `; a guess: ${classes[label]}` : example === "" ? "" : example === String(label) ? ": right" : `: wrong, it was ${named(Number(example))}`;
-    $("decided").classList.toggle("changed", ended !== "");
-    $("decided").textContent =
-      (verdict.early ? `sure, decided after ${verdict.seconds.toFixed(2)} s` : ready?.threshold == null ? "softmax at the end" : "at the end") + right + ended;
-  }
+  output.classList.toggle("open", view.open);
+  output.classList.toggle("right", view.mark === "right");
+  output.classList.toggle("wrong", view.mark === "wrong");
+  $("confidence").textContent = view.confidence;
+  $("decided").textContent = view.said;
+  $("decided").classList.toggle("changed", view.retracted);
+  $("decided").dataset.s = view.seconds;
+  showScores(message, view.text);
+}
+
+// The shares of the classes; if there are more than bars, of those with the highest shares.
+function showScores(message, decided) {
   const items = [...$("scores").children];
-  let best = classes.map((_, label) => label);
-  if (classes.length > items.length && message !== null)
-    best = best.sort((a, b) => message.shares[b] - message.shares[a]);
+  const shares = message?.shares ?? about.classes.map(() => 0);
+  const hasMore = about.classes.length > items.length;
+  const labels = [...about.classes.keys()];
+  if (hasMore) labels.sort((a, b) => shares[b] - shares[a]);
   items.forEach((item, i) => {
-    const label = best[i];
-    const unnamed = classes.length > items.length && !(message?.shares[label] >= 0.001);
-    item.style.visibility = unnamed ? "hidden" : "";
-    item.firstChild.textContent = classes[label];
-    item.classList.toggle("best", message !== null && output.textContent === classes[label]);
-    const share = message === null ? 0 : message.shares[label];
-    item.lastChild.firstChild.style.transform = `scaleX(${share})`;
+    const label = labels[i];
+    item.style.visibility = hasMore && !(shares[label] >= 0.001) ? "hidden" : "";
+    item.firstChild.textContent = about.classes[label];
+    item.classList.toggle("best", message !== null && decided === about.classes[label]);
+    item.lastChild.firstChild.style.transform = `scaleX(${shares[label]})`;
   });
 }
 

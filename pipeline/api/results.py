@@ -1,0 +1,344 @@
+"""Results of a run: attributes, plain values, one line, and a table for notebooks.
+
+Each result prints as the command of the same name does: ``print(run.ladder())``.
+"""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from deploy.check.energy import EnergyEstimate, estimate_text
+from deploy.check.text import others_text, summary
+from deploy.preflight.plan import Plan, plan_text
+from deploy.preflight.resources import LIMITS
+from pipeline.results.compare import runs_text
+from pipeline.results.ladder import ladder_text
+
+# Maximum number of rows of a table in a notebook.
+MAX_TABLE_ROWS = 50
+
+
+class Result:
+    """Base class of results.
+
+    Attributes
+    ----------
+    values : dict
+        Plain values, as the command's ``--json``.
+    """
+
+    def __init__(self, values: dict):
+        self.values = values
+
+    def to_dict(self) -> dict:
+        """The result as plain values, for JSON."""
+        return self.values
+
+    def __repr__(self):
+        return f"{type(self).__name__}({self.line()})"
+
+    def line(self) -> str:
+        """The result in a few words."""
+        raise NotImplementedError
+
+    def table(self) -> list:
+        """Rows of values for a notebook, the heads first."""
+        raise NotImplementedError
+
+    def _repr_html_(self):
+        heads, *rows = self.table()
+        lines = [_row(heads, "th"), *(_row(row, "td") for row in rows[:MAX_TABLE_ROWS])]
+        left_out = len(rows) - MAX_TABLE_ROWS
+        more = f"<p>and {left_out} more rows</p>" if left_out > 0 else ""
+        title = html.escape(self.line())
+        return f"<p>{title}</p><table>{''.join(lines)}</table>{more}"
+
+
+def _row(cells, tag):
+    texts = ("" if cell is None else html.escape(str(cell)) for cell in cells)
+    return "<tr>" + "".join(f"<{tag}>{text}</{tag}>" for text in texts) + "</tr>"
+
+
+def _interval(bounds):
+    low, high = bounds
+    return f"{low:.3f} to {high:.3f}"
+
+
+@dataclass(frozen=True)
+class LadderRow:
+    """A stage of the ladder.
+
+    Attributes
+    ----------
+    stage : str
+    accuracy : float
+    accuracy_ci95 : tuple of float
+        Wilson's interval.
+    change : float or None
+        Of the accuracy from the row above.
+    disagreements : int or None
+        Number of samples with another prediction than in the row above.
+    mcnemar_p : float or None
+        The exact test of the change.
+    """
+
+    stage: str
+    accuracy: float
+    accuracy_ci95: tuple
+    change: float | None
+    disagreements: int | None
+    mcnemar_p: float | None
+
+
+class Ladder(Result):
+    """The loss ladder: ``ladder["emulator"].accuracy``.
+
+    Attributes
+    ----------
+    rows : list of LadderRow
+    """
+
+    def __init__(self, values: dict):
+        super().__init__(values)
+        names = [field.name for field in fields(LadderRow)]
+        self.rows = [LadderRow(*(row[name] for name in names)) for row in values["rows"]]
+
+    def __getitem__(self, stage: str) -> LadderRow:
+        for row in self.rows:
+            if row.stage == stage:
+                return row
+        raise KeyError(f"no stage {stage!r}; the stages are {', '.join(self)}")
+
+    def __iter__(self):
+        return (row.stage for row in self.rows)
+
+    def __len__(self):
+        return len(self.rows)
+
+    def __str__(self):
+        return ladder_text(self.values)
+
+    def line(self) -> str:
+        """See :meth:`Result.line`."""
+        return ", ".join(f"{row.stage} {row.accuracy:.3f}" for row in self.rows)
+
+    def table(self) -> list:
+        """See :meth:`Result.table`."""
+        rows = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p"]]
+        for row in self.rows:
+            change = None if row.change is None else f"{row.change:+.3f}"
+            p = None if row.mcnemar_p is None else f"{row.mcnemar_p:.3f}"
+            interval = _interval(row.accuracy_ci95)
+            rows.append([row.stage, f"{row.accuracy:.3f}", interval, change, row.disagreements, p])
+        return rows
+
+
+class CheckResult(Result):
+    """The predictions of a stage or target.
+
+    Attributes
+    ----------
+    target : str
+    accuracy : float
+    accuracy_ci95 : list of float
+    ids : list of str
+    labels, predictions : ndarray of int, shape (n_samples,)
+        Classes, from 0.
+    classes : tuple of str
+        Names of the classes.
+    spikes, synaptic_operations : dict of str to int
+        Of each layer, of all samples.
+    """
+
+    def __init__(self, values: dict, classes: tuple):
+        super().__init__(values)
+        samples = values["samples"]
+        self.target = values["target"]
+        self.accuracy = values["accuracy"]
+        self.accuracy_ci95 = values["accuracy_ci95"]
+        self.ids = [sample["id"] for sample in samples]
+        self.labels = np.array([sample["label"] for sample in samples])
+        self.predictions = np.array([sample["prediction"] for sample in samples])
+        self.classes = classes
+        self.spikes = values["spikes"]
+        self.synaptic_operations = values["synaptic_operations"]
+
+    def __len__(self):
+        return len(self.ids)
+
+    def __str__(self):
+        return others_text(self.values) if self.values.get("data") else summary(self.values)
+
+    @property
+    def confusion(self) -> np.ndarray:
+        """Number of samples by label (row) and prediction (column)."""
+        counts = np.zeros((len(self.classes), len(self.classes)), int)
+        np.add.at(counts, (self.labels, self.predictions), 1)
+        return counts
+
+    def line(self) -> str:
+        """See :meth:`Result.line`."""
+        interval = _interval(self.accuracy_ci95)
+        return f"{self.target}: {self.accuracy:.3f} ({interval}) on {len(self)} samples"
+
+    def table(self) -> list:
+        """See :meth:`Result.table`."""
+        rows = [["class", "samples", "right", "accuracy"]]
+        for label, name in enumerate(self.classes):
+            own = self.labels == label
+            if own.any():
+                right = self.predictions[own] == label
+                rows.append([name, int(own.sum()), int(right.sum()), f"{right.mean():.3f}"])
+        return rows
+
+
+class Predictions(Result):
+    """Predictions for recordings: ``predictions["today/000"]`` is the name of a class.
+
+    Attributes
+    ----------
+    ids : list of str
+    names : list of str
+        Name of the predicted class of each recording, in the order of the recordings.
+    """
+
+    def __init__(self, values: dict):
+        super().__init__(values)
+        self.ids = list(values)
+        self.names = list(values.values())
+
+    def __getitem__(self, name: str) -> str:
+        return self.values[name]
+
+    def __iter__(self):
+        return iter(self.ids)
+
+    def __len__(self):
+        return len(self.ids)
+
+    def line(self) -> str:
+        """See :meth:`Result.line`."""
+        counts = {name: self.names.count(name) for name in sorted(set(self.names))}
+        return f"{len(self)}: " + ", ".join(f"{n} x {name}" for name, n in counts.items())
+
+    def table(self) -> list:
+        """See :meth:`Result.table`."""
+        return [["recording", "prediction"], *(list(pair) for pair in self.values.items())]
+
+
+class Training(Result):
+    """Trained networks: ``training["cnn"]["accuracy"]["test"]``.
+
+    Attributes
+    ----------
+    networks : dict of str to dict
+        Record of each network: ``accuracy`` on each set of the split, ``epochs``, ``seconds``.
+    """
+
+    def __init__(self, values: dict):
+        super().__init__(values)
+        self.networks = values
+
+    def __getitem__(self, name: str) -> dict:
+        return self.networks[name]
+
+    def line(self) -> str:
+        """See :meth:`Result.line`."""
+        return ", ".join(f"{name} {_accuracies(record)}" for name, record in self.networks.items())
+
+    def table(self) -> list:
+        """See :meth:`Result.table`."""
+        rows = [["network", "accuracy", "epochs", "seconds"]]
+        for name, record in self.networks.items():
+            seconds = record.get("seconds")
+            seconds = None if seconds is None else f"{seconds:.0f}"
+            rows.append([name, _accuracies(record), record.get("epochs"), seconds])
+        return rows
+
+
+def _accuracies(record):
+    accuracies = record.get("accuracy")
+    if not isinstance(accuracies, dict):
+        return "trained"
+    known = {name: value for name, value in accuracies.items() if value is not None}
+    return ", ".join(f"{value:.3f} ({name})" for name, value in known.items())
+
+
+class ChipPlan(Result):
+    """The resources of the chip that a network needs.
+
+    Attributes
+    ----------
+    fits : bool
+    chips : int
+    cores : int
+    problems, warnings : list of str
+    """
+
+    def __init__(self, plan: Plan):
+        super().__init__(plan.to_json())
+        self._plan = plan
+        self.fits = not plan.problems
+        self.chips = plan.chips
+        self.cores = len(plan.cores)
+        self.problems = plan.problems
+        self.warnings = plan.warnings
+
+    def __str__(self):
+        return plan_text(self._plan)
+
+    def line(self) -> str:
+        """See :meth:`Result.line`."""
+        size = f"{self.cores} core{'s'[: self.cores != 1]} of {self.chips} chip"
+        size += "s"[: self.chips != 1]
+        return f"{size}, fits" if self.fits else f"{size}, does not fit: {self.problems[0]}"
+
+    def table(self) -> list:
+        """See :meth:`Result.table`."""
+        names = list(LIMITS)
+        rows = [["layer", "chip", "core", *names]]
+        for core in self._plan.cores:
+            used = [f"{core.used[name]} of {LIMITS[name]}" for name in names]
+            rows.append([core.layer, core.chip, core.core, *used])
+        return rows
+
+
+class Energy(Result):
+    """An estimate of the energy of an inference, from published constants."""
+
+    def __init__(self, estimate: EnergyEstimate):
+        super().__init__(estimate.to_json())
+        self.estimate = estimate
+
+    def __str__(self):
+        return estimate_text(self.estimate)
+
+    def line(self) -> str:
+        """See :meth:`Result.line`."""
+        return " ".join(str(self).splitlines()[-1].split())
+
+    def table(self) -> list:
+        """See :meth:`Result.table`."""
+        return [["estimate"], *([line] for line in str(self).splitlines())]
+
+
+class RunsComparison(Result):
+    """Runs side by side; see :func:`pipeline.api.run.compare_runs`."""
+
+    def __init__(self, values: dict[str, Any]):
+        super().__init__(values)
+
+    def __str__(self):
+        return runs_text(self.values)
+
+    def line(self) -> str:
+        """See :meth:`Result.line`."""
+        return ", ".join(run["name"] for run in self.values["runs"])
+
+    def table(self) -> list:
+        """See :meth:`Result.table`."""
+        return [[""], *([line] for line in str(self).splitlines())]

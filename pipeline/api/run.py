@@ -1,0 +1,315 @@
+"""A run from Python: its stages as methods, and their results as objects."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from functools import partial
+from pathlib import Path, PurePath
+
+from deploy.check.bundle import Bundle, read_bundle
+from deploy.check.energy import estimate_energy
+from deploy.check.run import run_check
+from deploy.errors import UserError
+from deploy.files import write_json
+from deploy.preflight.plan import make_plan
+from deploy.targets.registry import TARGETS
+from deploy.terminal import advised, remark
+from pipeline import stages
+from pipeline.api.results import (
+    CheckResult,
+    ChipPlan,
+    Energy,
+    Ladder,
+    Predictions,
+    RunsComparison,
+    Training,
+)
+from pipeline.kinds import choose_settings
+from pipeline.progress import progress
+from pipeline.recordings.dataset import Dataset, classes_of
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.library import recordings_of
+from pipeline.results import compare, elsewhere
+from pipeline.results.ladder import measure_ladder
+from pipeline.results.report import write_report
+from pipeline.results.report.samples import replay
+from pipeline.run.folder import RunFolder, refuse_other_folders, working_in
+from pipeline.run.settings import SIMULATED, Settings, put, read_settings
+
+# Source of the settings in the messages of errors.
+ORIGIN = "Run"
+
+# File beside the folder of a run for recordings that were given in memory.
+RECORDINGS_ENDING = ".recordings.zip"
+
+
+class Run:
+    """A run: a folder with a network, its recordings and its results.
+
+    Each method makes what is missing or outdated, and returns the rest as it is, like the command
+    of the same name.  The folder is locked while a method runs.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder of the run, new or existing; an existing run keeps its settings.
+    data : path-like or Recordings, optional
+        Recordings: a zip or folder; default: those of the run, or simulated ones.  Recordings in
+        memory are written beside the folder.
+    input : str, optional
+        ``"image"`` or ``"events"``; default: as the run, or images.
+    jobs : int
+        Number of processes.
+    quiet : bool
+        True to print nothing; :attr:`notes` has the lines in any case.
+    **settings
+        Other settings by their names: ``seed=1, **{"events.epochs": 40}``.
+
+    Attributes
+    ----------
+    path : Path
+    notes : list of str
+        What the last method had to say: choices, warnings, what is up to date.
+
+    Raises
+    ------
+    UserError
+        A setting or its value is not valid, or the folder is no run; nothing is written.
+
+    Examples
+    --------
+    >>> run = Run("runs/mine", data="recordings.zip", input="events", **{"events.epochs": 40})
+    >>> run.ladder()
+    Ladder(counts 0.842, trained 0.900, nengo 0.900, simreal 0.900, emulator 0.900)
+    >>> run.check("fast").accuracy
+    0.9
+    """
+
+    def __init__(self, path, data=None, input=None, jobs=2, quiet=False, **settings):
+        self.path = Path(path)
+        self.notes = []
+        self._jobs = jobs
+        self._quiet = quiet
+        self._input = input
+        self._folder = RunFolder(self.path)
+        refuse_other_folders(self.path)
+        changes = {}
+        if data is not None:
+            put(changes, "data.source", self._source(data), ORIGIN)
+        if input is not None:
+            put(changes, "input.kind", input, ORIGIN)
+        for name, value in settings.items():
+            put(changes, name, value, ORIGIN)
+        before = self._folder.resolve_settings(None, {})
+        self._given = before.with_values(changes, ORIGIN)
+        if isinstance(data, Recordings):
+            data.write(self._source(data))
+
+    def __repr__(self):
+        settings = self.settings
+        source = settings.data.source
+        source = source if source == SIMULATED else PurePath(source).name
+        return f"Run({str(self.path)!r}: {settings.input.kind}, {source})"
+
+    @property
+    def settings(self) -> Settings:
+        """All settings, with those that were chosen for the recordings once it is open."""
+        if self._folder.experiment.exists():
+            return read_settings(self._folder.experiment)
+        return self._given
+
+    @property
+    def dataset(self) -> Dataset:
+        """The recordings, their split, and the inputs of the network."""
+        self.notes = []
+        recordings = recordings_of(self._given, self._jobs, self._say)
+        chosen = choose_settings(self._given, recordings, check=False)
+        return Dataset.of(chosen, self._jobs, recordings=recordings)
+
+    @property
+    def recordings(self) -> Recordings:
+        """The recordings of all sets of the split."""
+        return self.dataset.recordings
+
+    @property
+    def bundle(self) -> Bundle:
+        """The network as it is deployed, which :meth:`convert` makes."""
+        if not self._folder.bundle.is_dir():
+            raise UserError(
+                f"{self.path}: has no bundle yet; make it with run.convert(), or "
+                f"{advised('convert', self.path)}"
+            )
+        return read_bundle(self._folder.bundle)
+
+    def train(self) -> Training:
+        """Train the networks; on images the CNN, on events the spiking network."""
+        with self._opened(check=False) as opened:
+            return Training({name: opened.make(name) for name in opened.kind.trained})
+
+    def convert(self, model=None, nir=None, step: float | None = None) -> Bundle:
+        """Train the spiking network, or import one, and write the bundle.
+
+        Parameters
+        ----------
+        model : path-like, optional
+            A Keras model (.keras or .h5) that replaces the CNN; only one you trust.
+        nir : path-like, optional
+            A NIR graph that replaces all training.
+        step : float, optional
+            With ``nir``: milliseconds of the recording in a step of the network.
+        """
+        if model is not None and nir is not None:
+            raise UserError(f"{ORIGIN}: a run has one network; give model or nir")
+        examine = None
+        if model is not None:
+            self._given = self._given.with_values(stages.settings_of_model(model, False), ORIGIN)
+        elif nir is not None:
+            imported = stages.settings_of_nir(nir, step, self._input, self._given)
+            self._given = self._given.with_values(imported, ORIGIN)
+            examine = partial(stages.refuse_early, strict=False)
+        with self._opened(examine=examine) as opened:
+            bundle = stages.convert(opened)
+            for stage in opened.kind.deployed_stages:
+                stages.check_stage(opened, bundle, stage)
+            return bundle
+
+    def ladder(self, asked=None) -> Ladder:
+        """Test each stage on the way to the chip on the same samples.
+
+        Parameters
+        ----------
+        asked : sequence of str, optional
+            Stages; default: all up to the emulator.
+        """
+        with self._opened() as opened:
+            return Ladder(measure_ladder(opened, self._jobs, asked))
+
+    def check(self, target: str = "fast", data=None, samples: int | None = None) -> CheckResult:
+        """Test the network on a target, or one of its stages before.
+
+        Parameters
+        ----------
+        target : str
+            Such as ``"fast"``, ``"nengo"``, ``"emulator"``, ``"rate-lif"`` or ``"trained"``.
+        data : path-like or Recordings, optional
+            Other recordings of the same sensor and classes; default: the bundle's samples.
+        samples : int, optional
+            With ``data``: number of recordings that are drawn at random; 0 for all, default 200.
+        """
+        if data is not None:
+            return self._check_on(target, data, samples)
+        with self._opened() as opened:
+            if target not in opened.kind.references and target not in TARGETS:
+                known = ", ".join((*opened.kind.references, *TARGETS))
+                raise UserError(f"{ORIGIN}: no stage or target {target!r}; they are {known}")
+            result = stages.check_stage(opened, stages.convert(opened), target)
+            return CheckResult(result, opened.dataset.recordings.sensor.classes)
+
+    def predict(self, recordings, target: str = "fast") -> Predictions:
+        """Classify recordings, with or without labels, each with the network at rest before it.
+
+        Parameters
+        ----------
+        recordings : path-like or Recordings
+            Those in memory are named by their ``ids``.
+        target : str
+        """
+        self.notes = []
+        with self._on_disk(recordings) as path:
+            values = elsewhere.predict(self.bundle, path, target, warn=self._say)
+        if isinstance(recordings, Recordings):  # whose files have their numbers as names
+            numbered = {int(PurePath(name).name): label for name, label in values.items()}
+            values = {recordings.ids[number]: numbered[number] for number in sorted(numbered)}
+        return Predictions(values)
+
+    def plan(self) -> ChipPlan:
+        """The resources of the chip that the network needs."""
+        return ChipPlan(make_plan(self.bundle.spec))
+
+    def energy(self, target: str = "fast") -> Energy:
+        """An estimate of the energy of an inference, from the spikes on a target."""
+        result = self.check(target)
+        return Energy(estimate_energy(self.bundle.spec, result.to_dict()))
+
+    def report(self, path=None) -> Path:
+        """Write the results as one HTML file; default: ``report.html`` in the run's folder."""
+        return write_report(self.path, path)
+
+    def replay(self, numbers) -> dict:
+        """Run samples of the check again, and return every spike.
+
+        Parameters
+        ----------
+        numbers : sequence of int
+            Numbers of samples of the check, from 0.
+
+        Returns
+        -------
+        dict of int to pipeline.results.report.samples.Replay
+        """
+        return replay(self.bundle, numbers)
+
+    @contextlib.contextmanager
+    def _opened(self, check=True, examine=None):
+        self.notes = []
+        with working_in(self.path) as folder:
+            if examine is not None:
+                examine(self._given)
+            yield stages.open_run(folder, self._given, self._jobs, self._say, check)
+
+    def _say(self, line):
+        self.notes.append(line)
+        if not self._quiet:
+            remark(line)
+
+    def _source(self, data):
+        if isinstance(data, Recordings):
+            return str(self.path.with_name(self.path.name + RECORDINGS_ENDING))
+        return str(data)
+
+    @contextlib.contextmanager
+    def _on_disk(self, recordings):
+        """The path of recordings, which are written to a temporary file if they are in memory."""
+        if not isinstance(recordings, Recordings):
+            yield recordings
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            yield recordings.write(Path(folder) / f"{PurePath(recordings.source.name).stem}.zip")
+
+    def _check_on(self, target, data, samples):
+        """The check on other recordings, as ``stmnist check run --data``."""
+        self.notes = []
+        bundle = self.bundle
+        settings = elsewhere.settings_around(bundle)
+        with self._on_disk(data) as path:
+            recordings = elsewhere.recordings_for(
+                bundle, str(path), settings, self._jobs, self._say
+            )
+        for line in elsewhere.warnings_on(bundle, recordings):
+            self._say(line)
+        presented, indices = elsewhere.with_recordings(
+            bundle, recordings, samples, bundle.seed, settings.image
+        )
+        path = elsewhere.result_path(bundle, recordings, len(indices), target)
+        with progress(f"check {target}", len(indices)) as advance:
+            result = run_check(presented, target, path, bundle.seed, advance)
+        result = elsewhere.with_accuracies(result, bundle, recordings, indices)
+        write_json(path, result)
+        return CheckResult(result, classes_of(bundle.spec))
+
+
+def compare_runs(*runs) -> RunsComparison:
+    """Compare runs: settings, accuracy of each stage, operations, cores.
+
+    Parameters
+    ----------
+    *runs : Run or path-like
+        Two or more; every run is compared with the first one.
+
+    Examples
+    --------
+    >>> print(compare_runs("runs/image", "runs/events"))
+    """
+    paths = [run.path if isinstance(run, Run) else run for run in runs]
+    return RunsComparison(compare.compare_runs(compare.read_runs(paths)))

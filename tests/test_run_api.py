@@ -1,0 +1,150 @@
+"""``stmnist.Run``: the command line's results as objects, and mistakes in one line."""
+
+import json
+
+import numpy as np
+import pytest
+
+from deploy.errors import UserError
+from pipeline.recordings.events import Recordings
+from stmnist import Run, compare_runs
+
+CLASSES = ["left", "right"]
+
+
+def arrays(count, seed=0):
+    """Events of presses on the left and on the right of a sensor, and their labels."""
+    rng = np.random.default_rng(seed)
+    events, labels = [], []
+    for index in range(count):
+        label = index % 2
+        x = rng.integers(0, 4, 40) + 4 * label
+        t = np.sort(rng.uniform(0, 0.3, 40))
+        events.append({"x": x, "y": rng.integers(0, 6, 40), "t": t, "p": rng.integers(0, 2, 40)})
+        labels.append(label)
+    return events, labels
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    events, labels = arrays(60)
+    recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
+    folder = tmp_path_factory.mktemp("api") / "run"
+    changes = {"events.epochs": 6, "check.samples": 10}
+    made = Run(folder, data=recordings, input="events", quiet=True, **changes)
+    made.ladder(["counts", "trained", "emulator"])
+    return made
+
+
+def is_one_line(value):
+    return len(repr(value).splitlines()) == 1
+
+
+def test_recordings_from_arrays_are_those_of_their_file(tmp_path):
+    events, labels = arrays(6)
+    recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
+    assert recordings.sensor.classes == ("left", "right")
+    assert sorted(recordings.labels) == [0, 0, 0, 1, 1, 1]
+    again = Recordings.read(recordings.write(tmp_path / "mine.zip"))
+    assert again.hashes == recordings.hashes
+    assert is_one_line(recordings)
+    assert "<table>" in recordings._repr_html_()
+
+
+def test_arrays_that_are_no_events_are_refused_in_one_line():
+    events, labels = arrays(3)
+    with pytest.raises(UserError, match="3 recordings and 2 labels"):
+        Recordings.from_arrays(events, labels[:2])
+    events[1]["x"] = events[1]["x"] - 9
+    with pytest.raises(UserError, match="arrays: 1 of 3"):
+        Recordings.from_arrays(events, labels)
+
+
+def test_the_ladder_has_the_commands_values(run):
+    ladder = run.ladder(["counts", "trained", "emulator"])
+    assert ladder.to_dict() == json.loads((run.path / "ladder.json").read_text())
+    assert list(ladder) == ["counts", "trained", "emulator"]
+    assert ladder["emulator"].accuracy == ladder.rows[-1].accuracy
+    assert "emulator" in str(ladder)
+    assert is_one_line(ladder)
+    assert ladder._repr_html_().count("<tr>") == 4
+    with pytest.raises(KeyError, match="no stage 'chip'"):
+        ladder["chip"]
+
+
+def test_a_check_has_arrays_and_its_stages_are_known(run):
+    result = run.check("fast")
+    assert result.accuracy == np.mean(result.labels == result.predictions)
+    assert result.confusion.sum() == len(result) == 10
+    assert result.to_dict()["target"] == "fast"
+    assert is_one_line(result)
+    assert run.check("trained").target == "trained"
+    with pytest.raises(UserError, match="no stage or target 'chip'; they are counts"):
+        run.check("chip")
+
+
+def test_recordings_in_memory_are_predicted_and_checked(run):
+    events, labels = arrays(8, seed=1)
+    recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
+    predictions = run.predict(recordings)
+    assert predictions.ids == list(recordings.ids)
+    assert set(predictions.names) <= set(CLASSES)
+    assert predictions.to_dict()[recordings.ids[0]] == predictions.names[0]
+    assert is_one_line(predictions)
+    backwards = recordings.part(range(7, -1, -1))
+    assert run.predict(backwards).to_dict() == predictions.to_dict()
+    unlabelled = Recordings.from_arrays(events, time_unit="s")
+    by_press = [recordings.ids.index(name) for name in sorted(recordings.ids, key=_number)]
+    assert run.predict(unlabelled).names == [predictions.names[index] for index in by_press]
+    checked = run.check("fast", data=recordings, samples=0)
+    assert len(checked) == 8
+    assert checked.classes == ("left", "right")
+
+
+def _number(name):
+    return int(name.rpartition("/")[2])
+
+
+def test_plan_energy_report_and_replay(run):
+    plan = run.plan()
+    assert plan.fits
+    assert plan.cores == len(plan.to_dict()["cores"])
+    assert "compartments" in plan._repr_html_()
+    assert is_one_line(plan)
+    energy = run.energy()
+    assert energy.estimate.chip_joules > 0
+    assert is_one_line(energy)
+    assert run.report().is_file()
+    assert list(run.replay([3])) == [3]
+
+
+def test_an_existing_run_keeps_its_settings_and_trains_nothing_again(run):
+    again = Run(run.path, quiet=True)
+    assert again.settings.events.epochs == 6
+    assert again.train().networks["threshold"]["epochs"] == 6
+    assert any("up to date" in note for note in again.notes)
+    assert "events" in repr(again)
+    assert len(again.recordings) == 60
+    assert len(again.dataset.split.test) >= 10
+
+
+def test_runs_side_by_side(run):
+    compared = compare_runs(run, run.path)
+    assert len(compared.to_dict()["runs"]) == 2
+    assert str(run.path) in str(compared)
+
+
+def test_mistakes_are_one_line_and_write_nothing(tmp_path):
+    folder = tmp_path / "new"
+    for wrong in (
+        {"input": "sound"},
+        {"events.epoch": 3},
+        {"seed": "one"},
+        {"data": "no-such-file.zip", "input": "events"},
+    ):
+        with pytest.raises(UserError) as caught:
+            Run(folder, **wrong).train()
+        assert len(str(caught.value).splitlines()) == 1
+    with pytest.raises(UserError, match="no bundle yet"):
+        Run(folder).plan()
+    assert list(tmp_path.iterdir()) == []
