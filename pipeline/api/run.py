@@ -14,7 +14,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
-from deploy.terminal import advised, remark
+from deploy.terminal import command_text, remark
 from pipeline import stages
 from pipeline.api.results import (
     CheckResult,
@@ -138,7 +138,7 @@ class Run:
         if not self._folder.bundle.is_dir():
             raise UserError(
                 f"{self.path}: has no bundle yet; make it with run.convert(), or "
-                f"{advised('convert', self.path)}"
+                f"{command_text('convert', self.path)}"
             )
         return read_bundle(self._folder.bundle)
 
@@ -163,7 +163,9 @@ class Run:
             raise UserError(f"{ORIGIN}: a run has one network; give model or nir")
         examine = None
         if model is not None:
-            self._given = self._given.with_values(stages.settings_of_model(model, False), ORIGIN)
+            self._given = self._given.with_values(
+                stages.settings_of_model(model, False, self._given), ORIGIN
+            )
         elif nir is not None:
             imported = stages.settings_of_nir(nir, step, self._input, self._given)
             self._given = self._given.with_values(imported, ORIGIN)

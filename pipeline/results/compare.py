@@ -70,7 +70,7 @@ class Run:
     chips: int
     results: dict
     stale: tuple = ()
-    find_outdated: dict = field(default_factory=dict)
+    outdated: dict = field(default_factory=dict)
 
 
 def read_runs(paths) -> list:
