@@ -23,8 +23,9 @@ from deploy.errors import UserError
 
 REMEDY = "give a .keras or .h5 file that model.save() wrote"
 
-# Largest configuration of a model, in bytes.
+# Largest configuration of a model, and largest weights in an archive.
 MAX_CONFIG_BYTES = 50_000_000
+MAX_WEIGHTS_BYTES = 2_000_000_000
 
 # Layers around functions: Python code, which is not run, or operations of TensorFlow.
 FUNCTIONS = ("Lambda", "TFOpLambda", "SlicingOpLambda", "TensorFlowOpLayer")
@@ -87,8 +88,14 @@ def _read_config(path):
             names = set(archive.namelist())
             if "config.json" not in names:
                 raise ModelFileError(f"is a zip without a Keras model; {REMEDY}")
-            if archive.getinfo("config.json").file_size > MAX_CONFIG_BYTES:
-                raise ModelFileError(f"its config.json has more than {MAX_CONFIG_BYTES} bytes")
+            limits = {
+                "config.json": MAX_CONFIG_BYTES,
+                "metadata.json": MAX_CONFIG_BYTES,
+                "model.weights.h5": MAX_WEIGHTS_BYTES,
+            }
+            for name in names & set(limits):
+                if archive.getinfo(name).file_size > limits[name]:
+                    raise ModelFileError(f"its {name} has more than {limits[name]} bytes")
             config = json.loads(archive.read("config.json"))
             version = json.loads(archive.read("metadata.json"))["keras_version"]
             if "model.weights.h5" in names:

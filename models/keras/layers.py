@@ -17,10 +17,8 @@ and ``bias' = bias + offset kernel``; for a convolution if the map scales channe
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from deploy.network.geometry import windows
 from models.architecture import (
@@ -33,86 +31,13 @@ from models.architecture import (
     Pooling,
 )
 from models.keras.files import ModelFileError
+from models.keras.model import KerasModel, Layer, MaxPool
+from models.keras.signal import Signal
 
 # Maximum number of weights of a convolution that is written as a matrix.
 MAX_MATRIX_WEIGHTS = 20_000_000
 
 RETRAIN = "with --retrain it becomes"
-
-
-class Layer(NamedTuple):
-    """A layer of a Keras model: its class, name, arguments, and arrays in Keras's order."""
-
-    kind: str
-    name: str
-    config: dict
-    arrays: tuple
-
-    def __str__(self):
-        return f"layer {self.name!r} ({self.kind})"
-
-    def refuse(self, problem):
-        raise ModelFileError(f"{self}: {problem}")
-
-    def pair(self, key) -> tuple:
-        """(rows, columns) of an argument that is one number or two."""
-        value = self.config[key]
-        return tuple(value) if isinstance(value, (list, tuple)) else (value, value)
-
-
-class MaxPool(NamedTuple):
-    """A maximum over windows in the file's model, where the architecture averages.
-
-    Attributes
-    ----------
-    size, strides : (int, int)
-        Along rows and columns.
-    padding : str
-    signs : ndarray, shape (channels,)
-        -1 for channels of which a later normalisation changes the sign, so that the file's model
-        has their minimum.
-    """
-
-    size: tuple
-    strides: tuple
-    padding: str
-    signs: np.ndarray
-
-
-@dataclass(frozen=True)
-class KerasModel:
-    """A user's model as an architecture and its weights.
-
-    Attributes
-    ----------
-    architecture : Architecture
-    weights : dict
-        ``"conv1.kernel"``, ... as float32, with the shapes of ``architecture.weight_shapes``.  With
-        a ReLU after each convolution and hidden dense layer the network computes the model's
-        logits, unless something is ``replaced``.
-    notes : tuple of str
-        One line for each layer that was folded or left out.
-    replaced : tuple of str
-        One line for each layer with another function than in the file.
-    curves : dict
-        The functions in the file that ReLUs replace, by the name of the layer of neurons.
-    max_pools : dict of str to MaxPool
-        The layers in the file that averages replace, by the name of the pooling.
-    end : str
-        Activation of the output in the file.
-    input_order : ndarray of int
-        The values of an image, in the order (row, column, channel), that the model's input has, in
-        its shape.
-    """
-
-    architecture: Architecture
-    weights: dict
-    notes: tuple
-    replaced: tuple
-    curves: dict
-    max_pools: dict
-    end: str
-    input_order: np.ndarray
 
 
 @dataclass
@@ -208,63 +133,13 @@ class Chain:
         self.is_linear = False  # no activation since the last weighted sums
         self.end = None  # (layer, activation) of an output, if it is one
         self.notes, self.replaced = [], []
-        self.begin_signal(self.input_shape)
-        self.arrange(self.input_order)
-
-    # --- the linear function ----------------------------------------------------------------------
-
-    def begin_signal(self, built, scale=1.0, offset=0.0):
-        """Let the model's signal be the built one, but for an affine function of each channel."""
-        self.built = self.shape = built
-        self.map = sparse.diags_array(np.broadcast_to(scale, built).ravel().astype(float)).tocsr()
-        self.offset = np.broadcast_to(offset, built).ravel().astype(float)
-        self.pads = ((0, 0), (0, 0))
+        self.signal = Signal(self.input_shape)
+        self.signal.arrange(self.input_order)
 
     @property
-    def positions(self) -> np.ndarray:
-        """Numbers of the signal's values, in its shape."""
-        return np.arange(math.prod(self.shape)).reshape(self.shape)
-
-    def arrange(self, positions):
-        """Move values; -1 stands for a zero."""
-        zero = sparse.csr_array((1, self.map.shape[1]))
-        self.map = sparse.vstack([self.map, zero]).tocsr()[positions.ravel()]
-        self.offset = np.append(self.offset, 0.0)[positions.ravel()]
-        self.shape = positions.shape
-
-    def channel_affine(self):
-        """Scale and offset of each channel, or None if the signal is not the built image."""
-        if not self.is_image:
-            return None
-        (top, bottom), (left, right) = self.pads
-        rows, columns = self.shape[:2]
-        inside = self.positions[top : rows - bottom, left : columns - right]
-        if inside.shape != self.built:
-            return None
-        inside = inside.ravel()
-        scales = self.map[inside].diagonal()
-        is_diagonal = abs(self.map[inside] - sparse.diags_array(scales)).max() == 0
-        scales, offsets = (a.reshape(-1, self.shape[2]) for a in (scales, self.offset[inside]))
-        if not is_diagonal or (scales != scales[0]).any() or (offsets != offsets[0]).any():
-            return None
-        return scales[0], offsets[0]
-
-    @property
-    def is_unchanged(self) -> bool:
-        """True if the signal is the built one."""
-        if self.shape != self.built or self.offset.any():
-            return False
-        return abs(self.map - sparse.eye_array(len(self.offset))).max() == 0
-
-    @property
-    def is_image(self) -> bool:
-        """True if the signal has rows, columns and channels."""
-        return len(self.shape) == 3
-
-    @property
-    def is_padded(self) -> bool:
-        """True if zeros are padded around the image."""
-        return any(map(any, self.pads))
+    def ends_dense(self) -> bool:
+        """True if the last layer built is dense."""
+        return bool(self.layers) and self.layers[-1].kind == "dense"
 
     # --- a layer ----------------------------------------------------------------------------------
 
@@ -286,15 +161,15 @@ class Chain:
             if curve == "softmax":
                 layer.refuse(f"follows the softmax of {before}; remove that softmax")
             self.use_curve(before, curve)
-        is_channels_first = layer.config.get("data_format") == "channels_first" and self.is_image
-        if is_channels_first:
-            self.arrange(np.moveaxis(self.positions, 0, -1))
+        is_channels_first = layer.config.get("data_format") == "channels_first"
+        if is_channels_first and self.signal.is_image:
+            self.signal.move_axis(0, -1)
         HANDLERS[layer.kind](self, layer)
-        if is_channels_first and self.is_image:
-            self.arrange(np.moveaxis(self.positions, -1, 0))
+        if is_channels_first and self.signal.is_image:
+            self.signal.move_axis(-1, 0)
 
     def finish(self) -> KerasModel:
-        is_dense = bool(self.layers) and self.layers[-1].kind == "dense" and self.is_unchanged
+        is_dense = self.ends_dense and self.signal.is_unchanged
         if is_dense and not self.is_linear:
             self.end = self.sums[-1].layer, "relu"
         elif not is_dense:
@@ -346,7 +221,7 @@ class Chain:
 
     def convolve(self, layer):
         (rows, columns), strides = layer.pair("kernel_size"), layer.pair("strides")
-        if not self.is_image:
+        if not self.signal.is_image:
             layer.refuse("its input has no rows and columns")
         if rows != columns:
             layer.refuse(f"its kernel of {rows}x{columns} is not square; use a square one")
@@ -358,7 +233,7 @@ class Chain:
             layer.refuse("is a grouped convolution; use groups=1")
         self.require_curve(layer)
         kernel, bias = _kernel_and_bias(layer)
-        affine = self.channel_affine()
+        affine = self.signal.channel_affine()
         if affine is None:
             layer.refuse(
                 "its input is averaged over windows that overlap, or is in another order than "
@@ -366,38 +241,38 @@ class Chain:
             )
         scale, offset = affine
         made = Convolution(kernel.shape[-1], rows, strides[0], layer.config["padding"])
-        if self.is_padded:
+        if self.signal.is_padded:
             same = replace(made, padding="same")
-            if made.padding != "valid" or same.pads(self.built) != self.pads:
+            if made.padding != "valid" or same.pads(self.signal.built) != self.signal.pads:
                 layer.refuse(
-                    f"the zeros padded before it, {self.pads}, are not those of padding='same'; "
-                    "use that instead"
+                    f"the zeros padded before it, {self.signal.pads}, are not those of "
+                    "padding='same'; use that instead"
                 )
             made = same
-        if offset.any() and any(map(any, made.pads(self.built))):
+        if offset.any() and any(map(any, made.pads(self.signal.built))):
             layer.refuse(
                 "zero padding after a normalisation or rescaling with an offset cannot be folded "
                 "into weights; use padding='valid', or normalise after the convolution and before "
                 "its ReLU"
             )
-        if kernel.shape != made.weight_shapes(self.built)["kernel"]:
+        if kernel.shape != made.weight_shapes(self.signal.built)["kernel"]:
             layer.refuse(NO_CHAIN)
         bias = bias + np.einsum("ijcf,c->f", kernel, offset)
         self.weigh(layer, made, kernel * scale[:, None], bias)
         self.activate(layer)
 
     def connect(self, layer):
-        if len(self.shape) != 1:
+        if len(self.signal.shape) != 1:
             layer.refuse("is applied to each row and column; put a Flatten before it")
         kernel, bias = _kernel_and_bias(layer)
-        if len(kernel) != len(self.offset):
+        if len(kernel) != len(self.signal.offset):
             layer.refuse(NO_CHAIN)
         self.weigh_dense(layer, kernel, bias)
         self.activate(layer)
 
     def weigh_dense(self, layer, kernel, bias):
         """Append a dense layer; one that follows another without an activation is multiplied."""
-        kernel, bias = self.map.T @ kernel, self.offset @ kernel + bias
+        kernel, bias = self.signal.map.T @ kernel, self.signal.offset @ kernel + bias
         if self.layers and self.layers[-1].kind == "pool":
             self.require_curve(layer)
         if self.is_linear:
@@ -416,28 +291,28 @@ class Chain:
         before = self.input_shape
         for layer in self.layers[:-1]:
             before = layer.shape(before)
-        if math.prod(before) * math.prod(self.built) > MAX_MATRIX_WEIGHTS:
+        if math.prod(before) * math.prod(self.signal.built) > MAX_MATRIX_WEIGHTS:
             last.layer.refuse("has no activation; use activation='relu'")
         from models.keras.keras2 import tf
 
         units = np.eye(math.prod(before)).reshape(-1, *before)
         matrix = tf.nn.conv2d(units, last.kernel, made.stride, made.padding.upper()).numpy()
-        bias = np.broadcast_to(last.bias, self.built).ravel()
+        bias = np.broadcast_to(last.bias, self.signal.built).ravel()
         return _Sums(last.layer, matrix.reshape(len(units), -1), bias)
 
     def weigh(self, layer, made, kernel, bias):
-        if math.prod(made.shape(self.built)) > MAX_VALUES or kernel.size > MAX_WEIGHTS:
+        if math.prod(made.shape(self.signal.built)) > MAX_VALUES or kernel.size > MAX_WEIGHTS:
             layer.refuse(f"has more than {MAX_VALUES} outputs or {MAX_WEIGHTS} weights")
-        self.begin_signal(made.shape(self.built))
+        self.signal.begin(made.shape(self.signal.built))
         self.layers.append(made)
         self.sums.append(_Sums(layer, kernel, np.broadcast_to(bias, kernel.shape[-1:])))
         self.is_linear = True
 
     def read_out(self):
         """Append an output that only passes on the signal, as after a global average."""
-        if not self.sums or len(self.shape) != 1:
+        if not self.sums or len(self.signal.shape) != 1:
             raise ModelFileError("does not end with a Dense; add one with one unit per class")
-        outputs = len(self.offset)
+        outputs = len(self.signal.offset)
         self.weigh_dense(Layer("Dense", "output", {}, ()), np.eye(outputs), np.zeros(outputs))
 
     # --- activations ------------------------------------------------------------------------------
@@ -452,8 +327,9 @@ class Chain:
 
     def use_activation(self, layer, curve):
         """Use an activation: of the output if it can be one, and else of a hidden layer."""
-        is_dense = self.is_linear and self.layers[-1].kind == "dense" and len(self.shape) == 1
-        if curve == "softmax" and self.sums and len(self.shape) == 1 and not is_dense:
+        is_vector = len(self.signal.shape) == 1
+        is_dense = self.is_linear and self.ends_dense and is_vector
+        if curve == "softmax" and self.sums and is_vector and not is_dense:
             self.read_out()
             is_dense = True
         if is_dense and curve != "relu" and _is_monotone(curve):
@@ -470,14 +346,14 @@ class Chain:
         last = self.sums[-1]
         if not self.is_linear:
             # A signal that is not negative passes a ReLU unchanged.
-            is_positive = last.curve == "relu" and min(self.map.data.min(), self.offset.min()) >= 0
+            is_positive = last.curve == "relu" and self.signal.is_never_negative
             if curve != "relu" or not is_positive:
                 layer.refuse(
                     f"a second activation after that of {last.layer}; put the normalisation, or "
                     "the averaging, before or after both, or remove one"
                 )
             return
-        if (self.map.data != 1).any() or self.offset.any():
+        if not self.signal.is_moved:
             layer.refuse(
                 "follows an average, or a normalisation of each position, of sums; put the "
                 "activation before it, and the normalisation before the Flatten"
@@ -527,36 +403,33 @@ class Chain:
     # --- layers that move values ------------------------------------------------------------------
 
     def flatten(self, layer):
-        self.arrange(self.positions.reshape(-1))
+        self.signal.arrange(self.signal.positions.reshape(-1))
 
     def reshape(self, layer):
         target = tuple(layer.config["target_shape"])
         try:
-            self.arrange(self.positions.reshape(target))
+            self.signal.arrange(self.signal.positions.reshape(target))
         except ValueError:
             layer.refuse(NO_CHAIN)
 
     def permute(self, layer):
-        self.arrange(self.positions.transpose([axis - 1 for axis in layer.config["dims"]]))
+        axes = [axis - 1 for axis in layer.config["dims"]]
+        self.signal.arrange(self.signal.positions.transpose(axes))
 
     def pad(self, layer):
         pads = layer.config["padding"]
         pads = (pads, pads) if isinstance(pads, int) else pads
         pads = tuple((n, n) if isinstance(n, int) else tuple(n) for n in pads)
-        if math.prod(n + sum(p) for n, p in zip(self.shape, pads, strict=False)) > MAX_VALUES:
+        sides = [n + sum(around) for n, around in zip(self.signal.shape, pads, strict=False)]
+        if math.prod(sides) * self.signal.shape[2] > MAX_VALUES:
             layer.refuse(f"has more than {MAX_VALUES} values")
-        around = tuple(
-            (before[0] + more[0], before[1] + more[1])
-            for before, more in zip(self.pads, pads, strict=True)
-        )
-        self.arrange(np.pad(self.positions, (*pads, (0, 0)), constant_values=-1))
-        self.pads = around
+        self.signal.pad(pads)
 
     def crop(self, layer):
         cropped = layer.config["cropping"]
         (top, bottom), (left, right) = cropped
-        rows, columns = self.shape[:2]
-        self.arrange(self.positions[top : rows - bottom, left : columns - right])
+        rows, columns = self.signal.shape[:2]
+        self.signal.arrange(self.signal.positions[top : rows - bottom, left : columns - right])
 
     # --- pooling ----------------------------------------------------------------------------------
 
@@ -564,7 +437,7 @@ class Chain:
         self.pool_average(layer.pair("pool_size"), _strides(layer), layer.config["padding"])
 
     def average_all(self, layer):
-        self.pool_average(self.shape[:2], self.shape[:2], "valid")
+        self.pool_average(self.signal.shape[:2], self.signal.shape[:2], "valid")
         self.end_global(layer)
 
     def end_global(self, layer):
@@ -572,26 +445,21 @@ class Chain:
             self.flatten(layer)
 
     def pool_average(self, size, strides, padding):
-        affine = None if self.is_linear or self.is_padded else self.channel_affine()
-        sides = self.shape[:2]
+        affine = None if self.is_linear or self.signal.is_padded else self.signal.channel_affine()
+        sides = self.signal.shape[:2]
         fills = padding == "valid" or not any(n % k for n, k in zip(sides, size, strict=True))
         if affine is not None and size == strides and size[0] == size[1] and fills:
             if size != (1, 1):
                 self.layers.append(Pooling(size[0]))
-                self.begin_signal(self.layers[-1].shape(self.built), *affine)
+                self.signal.begin(self.layers[-1].shape(self.signal.built), *affine)
             return
-        means = [_means(*of_side, padding) for of_side in zip(sides, size, strides, strict=True)]
-        over_channels = sparse.eye_array(self.shape[2])
-        matrix = sparse.kron(sparse.kron(*means), over_channels).tocsr()
-        self.map, self.offset = (matrix @ self.map).tocsr(), matrix @ self.offset
-        self.shape = (means[0].shape[0], means[1].shape[0], self.shape[2])
-        self.pads = ((0, 0), (0, 0))
+        self.signal.average(size, strides, padding)
 
     def maximise(self, layer):
         self.pool_maximum(layer, layer.pair("pool_size"), _strides(layer), layer.config["padding"])
 
     def maximise_all(self, layer):
-        self.pool_maximum(layer, self.shape[:2], self.shape[:2], "valid")
+        self.pool_maximum(layer, self.signal.shape[:2], self.signal.shape[:2], "valid")
         self.end_global(layer)
 
     def pool_maximum(self, layer, size, strides, padding):
@@ -600,13 +468,13 @@ class Chain:
                 f"the chip cannot take a maximum; {RETRAIN} an average and the network is trained "
                 "further; or use AveragePooling2D, or a stride in the convolution before it"
             )
-        affine = self.channel_affine()
-        sides = self.shape[:2]
+        affine = self.signal.channel_affine()
+        sides = self.signal.shape[:2]
         counts = [windows(*of, padding)[0] for of in zip(sides, size, strides, strict=True)]
         is_like_average = strides[0] == strides[1] > 1 and counts == [
             n // strides[0] for n in sides
         ]
-        if affine is None or self.is_padded or not is_like_average:
+        if affine is None or self.signal.is_padded or not is_like_average:
             layer.refuse(
                 "its windows are not square, or overlap so that averages without overlap have "
                 "another shape; use MaxPooling2D(2)"
@@ -614,7 +482,7 @@ class Chain:
         scale, offset = affine
         self.max_pools[len(self.layers)] = MaxPool(size, strides, padding, np.sign(scale))
         self.layers.append(Pooling(strides[0]))
-        self.begin_signal(self.layers[-1].shape(self.built), scale, offset)
+        self.signal.begin(self.layers[-1].shape(self.signal.built), scale, offset)
         self.replaced.append(f"{layer}: replaced by AveragePooling2D({strides[0]})")
 
     # --- layers that scale ------------------------------------------------------------------------
@@ -629,7 +497,7 @@ class Chain:
         beta = arrays.pop(0) if layer.config.get("center", True) else 0.0
         mean, variance = arrays
         scale = gamma / np.sqrt(variance + layer.config["epsilon"])
-        shape = [1] * len(self.shape)
+        shape = [1] * len(self.signal.shape)
         shape[axis if axis < 0 else axis - 1] = -1
         self.apply_affine(
             layer,
@@ -644,24 +512,23 @@ class Chain:
     def apply_affine(self, layer, scale, offset):
         """Fold ``scale * signal + offset``; they broadcast to the signal's shape."""
         try:
-            scale, offset = (np.broadcast_to(a, self.shape).ravel() for a in (scale, offset))
+            scale, offset = (np.broadcast_to(a, self.signal.shape).ravel() for a in (scale, offset))
         except ValueError:
             layer.refuse(NO_CHAIN)
         with np.errstate(all="ignore"):  # infinite weights are refused in _model()
             if self.is_linear and self.fold_back(scale, offset):
                 self.notes.append(f"{layer}: folded into {self.sums[-1].layer}")
                 return
-            self.map = (sparse.diags_array(scale) @ self.map).tocsr()
-            self.offset = scale * self.offset + offset
+            self.signal.scale(scale, offset)
         self.notes.append(f"{layer}: folded into the next layer")
 
     def fold_back(self, scale, offset) -> bool:
         """Fold an affine function into the last weighted sums, if it is one for each channel."""
-        if self.map.nnz != len(scale) or (self.map.data != 1).any() or self.offset.any():
+        if not self.signal.is_moved or self.signal.map.nnz != len(scale):
             return False
         last = self.sums[-1]
         scales, offsets = (
-            (self.map.T @ values).reshape(-1, len(last.bias)) for values in (scale, offset)
+            (self.signal.map.T @ values).reshape(-1, len(last.bias)) for values in (scale, offset)
         )
         if (scales != scales[0]).any() or (offsets != offsets[0]).any():
             return False
@@ -684,16 +551,6 @@ def _kernel_and_bias(layer):
 
 def _strides(layer):
     return layer.pair("pool_size") if layer.config["strides"] is None else layer.pair("strides")
-
-
-def _means(n, size, stride, padding):
-    """The matrix of means over windows along one side; padded positions do not count."""
-    count, before, _ = windows(n, size, stride, padding)
-    matrix = np.zeros((max(count, 0), n))
-    for index, start in enumerate(range(-before, -before + count * stride, stride)):
-        window = slice(max(start, 0), min(start + size, n))
-        matrix[index, window] = 1 / (window.stop - window.start)
-    return sparse.csr_array(matrix)
 
 
 def _curve(name, function, **arguments) -> Callable:

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from deploy.files import reporting_os_errors, sha256_of
-from models.keras.files import ModelFileError, load_keras_model
-from models.keras.layers import NO_CHAIN, KerasModel, Layer, convert_layers
+from models.keras.files import REMEDY, ModelFileError, load_keras_model
+from models.keras.layers import NO_CHAIN, convert_layers
+from models.keras.model import KerasModel, Layer
 
 # Random images on which the architecture is compared with the model.
 N_COMPARED = 8
@@ -41,6 +42,8 @@ def read_keras(path, retrain: bool = False, grid=None) -> KerasModel:
         The file cannot be read.
     """
     path = Path(path)
+    if path.is_dir():
+        raise ModelFileError(f"{path}: is a folder, as a SavedModel is; {REMEDY}")
     try:
         with reporting_os_errors(path, "cannot read", "check the path"):
             return _read(path, sha256_of(path), retrain, grid)

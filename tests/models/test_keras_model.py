@@ -14,7 +14,8 @@ from deploy.errors import UserError
 from models.architecture import parse
 from models.cnn import predict
 from models.keras.files import ModelFileError
-from models.keras.layers import Layer, convert_layers
+from models.keras.layers import convert_layers
+from models.keras.model import Layer
 from models.keras.reader import original_network, read_keras
 from tests.command import missing
 from tests.models import keras_models

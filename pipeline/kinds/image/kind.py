@@ -409,7 +409,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
 
     Returns
     -------
-    Path, models.keras.layers.KerasModel
+    Path, models.keras.model.KerasModel
         The file that was read, and the model.
 
     Raises

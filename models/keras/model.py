@@ -1,0 +1,84 @@
+"""A layer of a Keras model, and a model as an architecture and its weights."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from models.architecture import Architecture
+from models.keras.files import ModelFileError
+
+
+class Layer(NamedTuple):
+    """A layer of a Keras model: its class, name, arguments, and arrays in Keras's order."""
+
+    kind: str
+    name: str
+    config: dict
+    arrays: tuple
+
+    def __str__(self):
+        return f"layer {self.name!r} ({self.kind})"
+
+    def refuse(self, problem):
+        raise ModelFileError(f"{self}: {problem}")
+
+    def pair(self, key) -> tuple:
+        """(rows, columns) of an argument that is one number or two."""
+        value = self.config[key]
+        return tuple(value) if isinstance(value, (list, tuple)) else (value, value)
+
+
+class MaxPool(NamedTuple):
+    """A maximum over windows in the file's model, where the architecture averages.
+
+    Attributes
+    ----------
+    size, strides : (int, int)
+        Along rows and columns.
+    padding : str
+    signs : ndarray, shape (channels,)
+        -1 for channels of which a later normalisation changes the sign, so that the file's model
+        has their minimum.
+    """
+
+    size: tuple
+    strides: tuple
+    padding: str
+    signs: np.ndarray
+
+
+@dataclass(frozen=True)
+class KerasModel:
+    """A user's model as an architecture and its weights.
+
+    Attributes
+    ----------
+    architecture : Architecture
+    weights : dict
+        ``"conv1.kernel"``, ... as float32, with the shapes of ``architecture.weight_shapes``.  With
+        a ReLU after each convolution and hidden dense layer the network computes the model's
+        logits, unless something is ``replaced``.
+    notes : tuple of str
+        One line for each layer that was folded or left out.
+    replaced : tuple of str
+        One line for each layer with another function than in the file.
+    curves : dict
+        The functions in the file that ReLUs replace, by the name of the layer of neurons.
+    max_pools : dict of str to MaxPool
+        The layers in the file that averages replace, by the name of the pooling.
+    end : str
+        Activation of the output in the file.
+    input_order : ndarray of int
+        The values of an image, in the order (row, column, channel), that the model's input has, in
+        its shape.
+    """
+
+    architecture: Architecture
+    weights: dict
+    notes: tuple
+    replaced: tuple
+    curves: dict
+    max_pools: dict
+    end: str
+    input_order: np.ndarray
