@@ -12,6 +12,7 @@ from models.architecture import parse
 from models.chain import build_network_spec, links_of
 from pipeline.recordings.events import Sensor, size_text
 from pipeline.run.settings import Deployment
+from pipeline.training.recipe import NetworkSize, hidden_for
 
 # Rows and columns of the first convolution's output on images, at most, on average.
 LARGEST_MAP = 14
@@ -59,6 +60,27 @@ def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels
         first = f"6c{stride + 2}s{stride}"
         middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else ["64"]
     return "-".join([size, *middle, end])
+
+
+def event_architecture_for(sensor: Sensor, size: NetworkSize, samples: int) -> str:
+    """An architecture of a size for a network on events.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    size : pipeline.training.recipe.NetworkSize
+    samples : int
+        Number of training samples; 0 for handwriting on a simulated sensor.
+    """
+    classes = len(sensor.classes)
+    if size.name == "small" and not samples:
+        return architecture_for(sensor, on_events=True)
+    if not size.is_for(sensor, samples):
+        return architecture_for(sensor, True, hidden_for(size, samples, classes))
+    side = math.sqrt(sensor.rows * sensor.columns)
+    stride = max(size.stride, math.floor(side / EVENT_MAP))
+    convolution = f"{size.filters}c{stride + size.overlap}s{stride}"
+    return f"{sensor.rows}x{sensor.columns}x2-{convolution}-{size.hidden}-{classes}o"
 
 
 def chosen_text(section: str, architecture: str, sensor: Sensor) -> str:

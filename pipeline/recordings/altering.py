@@ -48,17 +48,32 @@ class Alteration:
 # meaning of its own or neighbours in the grid are not neighbours on the sensor.
 TIME_ONLY = Alteration(turn=0.0, shift=0.0, scale=0.0, shear=0.0)
 
+# Movements half as large as those of handwriting on the simulated skin, for other grids of taxels:
+# they take few events to another taxel.
+SLIGHT = Alteration(turn=0.04, shift=0.2, scale=0.04, shear=0.04)
+
+# Rows and columns from which on a sensor is a grid.
+MIN_GRID = 6
+
 # The alterations of each value of ``events.augment`` but ``auto``.
 AUGMENTATIONS = {
     "none": Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     "time": TIME_ONLY,
+    "slight": SLIGHT,
     "space": Alteration(),
 }
 
 
 def choose_augmentation(recordings: Recordings) -> str:
-    """The augmentation that suits recordings: ``space`` for handwriting, otherwise ``time``."""
-    return "space" if is_handwriting(recordings) else "time"
+    """The augmentation that suits recordings.
+
+    It is ``space`` for handwriting on the simulated sensor, ``slight`` for other grids of taxels,
+    and ``time`` for sensors with few rows or columns, such as a strip.
+    """
+    if is_handwriting(recordings):
+        return "space"
+    sensor = recordings.sensor
+    return "slight" if min(sensor.rows, sensor.columns) >= MIN_GRID else "time"
 
 
 def alter(

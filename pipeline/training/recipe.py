@@ -14,12 +14,17 @@ on the spikes of each taxel, polarity and part, each training recording predicte
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from pipeline.recordings.events import Recordings, Sensor, is_handwriting
 from pipeline.recordings.steps import EventTable
+
+# Number of steps after a sample's last event in which its spikes still reach the outputs.
+TAIL_STEPS = 3
 
 # Minimum number of updates of the weights in a training on events.
 UPDATES = 1440
@@ -31,16 +36,35 @@ UPDATES_BY_ROOT = 60
 HANDWRITING_EPOCHS = 80
 
 # Number of training samples below which spikes are left out of training with this probability.
-FEW, FEW_DROPOUT = 2000, 0.5
+FEW = 2000
+FEW_DROPOUT = 0.5
 
-# Neurons of the hidden layer for few samples, for more than this many classes, and otherwise.
-HIDDEN_FEW, HIDDEN_MANY, HIDDEN, MANY_CLASSES = 256, 128, 64, 10
+# Minimum number of passes over other recordings, unless these take more updates than that.
+MIN_EPOCHS = 40
+MAX_UPDATES_OF_MIN_EPOCHS = 8000
+
+# Neurons of the hidden layer of a standard network without convolution, for more classes than
+# `MANY_CLASSES` and for fewer; and for few samples also with a convolution.
+HIDDEN_FEW_SAMPLES = 256
+HIDDEN_MANY_CLASSES = 128
+HIDDEN = 64
+MANY_CLASSES = 10
+
+# Rows and columns of taxels that a convolution needs.
+MIN_GRID = 6
+
+# Events of a recording for which the budgets of the sizes are; they grow with the events.
+USUAL_EVENTS = 500
+
+# Longest bin of counted events that becomes a step, in milliseconds.
+MAX_BIN_MS = 50.0
 
 # Refractory periods, in steps, and numbers of parts of a recording, among which is chosen.
 REFRACTORY_STEPS, PARTS = (0, 1, 3, 7), (1, 4, 8)
 
-# Maximum refractory period in milliseconds.
+# Maximum refractory period in milliseconds, and maximum share of the events that it may lose.
 LONGEST_MS = 1000
+MAX_LOST_EVENT_SHARE = 0.72
 
 # Difference of accuracies that does not matter.
 NEARLY = 0.005
@@ -50,6 +74,48 @@ RIDGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 
 # Maximum number of training samples that the linear classifier is fitted to.
 MOST_COMPARED = 800
+
+
+@dataclass(frozen=True)
+class NetworkSize:
+    """The capacity of a network on events.
+
+    Attributes
+    ----------
+    name : str
+        A value of ``events.size``.
+    filters, stride, overlap : int
+        Of the convolution; its kernel has ``stride + overlap`` rows and columns.  The stride is for
+        ten rows and columns of taxels and grows with them.
+    hidden : int
+        Neurons of the hidden layer after the convolution.
+    width : float
+        Neurons of the hidden layer of other networks, in multiples of the standard size's.
+    budget : float
+        Synaptic operations of a recording of `USUAL_EVENTS`, in multiples of the CNN's.
+    """
+
+    name: str
+    filters: int
+    stride: int
+    overlap: int
+    hidden: int
+    width: float
+    budget: float
+
+    def is_for(self, sensor: Sensor, samples: int) -> bool:
+        """True if a sensor and a number of training samples suit its convolution."""
+        return min(sensor.rows, sensor.columns) >= MIN_GRID and samples >= FEW
+
+
+SIZES = {
+    size.name: size
+    for size in (
+        NetworkSize("small", 24, 3, 1, hidden=64, width=0.5, budget=0.8),
+        NetworkSize("standard", 32, 2, 2, hidden=128, width=1.0, budget=2.0),
+        NetworkSize("large", 64, 2, 2, hidden=256, width=2.0, budget=6.0),
+    )
+}
 
 
 class Reading(NamedTuple):
@@ -99,14 +165,48 @@ def epochs_for(samples: int, batch_size: int, handwriting: bool) -> int:
     """
     batches = -(-max(samples, 1) // batch_size)
     updates = max(UPDATES, UPDATES_BY_ROOT * math.sqrt(samples))
-    return max(round(updates / batches), HANDWRITING_EPOCHS if handwriting else 1)
+    fewest = min(MIN_EPOCHS, MAX_UPDATES_OF_MIN_EPOCHS // batches)
+    return max(round(updates / batches), HANDWRITING_EPOCHS if handwriting else fewest, 1)
 
 
-def hidden_for(samples: int, classes: int) -> int:
-    """Neurons of the hidden layer for touch that is not handwriting."""
+def choose_size(name: str, recordings: Recordings) -> NetworkSize:
+    """The size of a network: ``auto`` is small for handwriting that is simulated, else standard.
+
+    Parameters
+    ----------
+    name : str
+        The value of ``events.size``.
+    recordings : Recordings
+    """
+    if name != "auto":
+        return SIZES[name]
+    source = recordings.source
+    is_easy = is_handwriting(recordings) and (source.simulated or source.written)
+    return SIZES["small" if is_easy else "standard"]
+
+
+def hidden_for(size: NetworkSize, samples: int, classes: int) -> int:
+    """Neurons of the hidden layer of a network that has few samples or no convolution."""
+    hidden = HIDDEN_MANY_CLASSES if classes > MANY_CLASSES else HIDDEN
     if samples < FEW:
-        return HIDDEN_FEW
-    return HIDDEN_MANY if classes > MANY_CLASSES else HIDDEN
+        hidden = HIDDEN_FEW_SAMPLES
+    return round(hidden * size.width)
+
+
+def find_bin_ms(table: EventTable) -> float | None:
+    """The bin in which the events of recordings were counted, or None.
+
+    Returns
+    -------
+    float or None
+        The largest time in milliseconds of which all times are multiples, if it is at least a
+        millisecond and at most `MAX_BIN_MS`.
+    """
+    if not len(table.time_ms):
+        return None
+    time_us = np.unique(np.rint(1000 * table.time_ms.astype(float)).astype(np.int64))
+    bin_ms = int(np.gcd.reduce(time_us)) / 1000
+    return bin_ms if 1 <= bin_ms <= MAX_BIN_MS else None
 
 
 def dropout_for(samples: int, default: float) -> float:
@@ -139,7 +239,10 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
         return Reading(0, 1, 0.0, 0.0, 0.0)
     target, accuracy = np.asarray(labels)[some], {}
     allowed = [refractory for refractory in REFRACTORY_STEPS if refractory * step_ms <= LONGEST_MS]
-    for refractory in allowed:
+    for refractory in list(allowed):
+        if refractory and table.lost(step_ms, refractory) > MAX_LOST_EVENT_SHARE:
+            allowed.remove(refractory)
+            continue
         spikes = _spikes(table, some, step_ms, steps, refractory)
         for parts in PARTS:
             merged = spikes.reshape(len(some), parts, PARTS[-1] // parts, -1).sum(2)

@@ -14,7 +14,7 @@ from models import chain
 from models.architecture import parse
 from models.integers import from_integers
 from pipeline.kinds import counts
-from pipeline.kinds.architectures import architecture_for, chosen_text, is_for, operations_of_input
+from pipeline.kinds.events.choices import EventChoices
 from pipeline.kinds.kind import (
     NetworkKind,
     Reference,
@@ -24,18 +24,13 @@ from pipeline.kinds.kind import (
     training_versions,
     write_network,
 )
-from pipeline.kinds.presentation import neuron_choices, presentation_choices, short_gap_text
+from pipeline.kinds.presentation import short_gap_text
 from pipeline.kinds.steps import Step
-from pipeline.paper import CNN_MACS
-from pipeline.recordings.altering import choose_augmentation
 from pipeline.recordings.dataset import Dataset, event_warnings
-from pipeline.recordings.events import is_handwriting
-from pipeline.recordings.splits import split_of
 from pipeline.recordings.steps import EventTable
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings, merge_values
-from pipeline.training.recipe import dropout_for, hidden_for, reading_for
+from pipeline.run.settings import Settings
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
 # percentage point, is less than half a sample.
@@ -44,9 +39,8 @@ FEWEST = 100
 # Settings that the confidence depends on.
 DECIDES = ("presentation.steps", "presentation.early_loss")
 
-# Synaptic operations that a network on events may take, in multiples of what its first layer takes
-# to receive the events: with many classes, the readout takes as many as the first layer.
-OPERATIONS_AN_EVENT = 4
+# Maximum number of samples that are held out to choose a confidence: the others are for training.
+MAX_HELD_OUT = 300
 
 # State of a training that is not complete.
 CHECKPOINT = "checkpoint.npz"
@@ -194,45 +188,8 @@ class EventsKind(NetworkKind):
         return spec_of_events(recipe, weights, shown, provenance)
 
     def choices(self, recordings):
-        settings, default = self.settings, Settings().events
-        changes, lines = presentation_choices(settings, recordings, may_shorten=True)
-        shown = settings.with_values(changes, settings.data.source)
-        of_neurons, about_neurons = neuron_choices(shown)
-        changes = merge_values(changes, of_neurons)
-        lines += about_neurons
-        now, sensor, chosen = settings.events, recordings.sensor, {}
-        train = None if is_handwriting(recordings) else _training(settings, recordings)
-        fits = is_for(now.architecture, sensor, self.channels)
-        if not fits and settings.is_open("events.architecture"):
-            hidden = 64 if train is None else hidden_for(len(train), len(sensor.classes))
-            chosen["architecture"] = architecture_for(sensor, on_events=True, hidden=hidden)
-            lines.insert(0, chosen_text("events", chosen["architecture"], sensor))
-            if settings.is_open("events.budget"):
-                events = len(recordings.events) / max(len(recordings), 1)
-                received = events * operations_of_input(chosen["architecture"])
-                budget = OPERATIONS_AN_EVENT * received / CNN_MACS
-                if budget > now.budget:
-                    chosen["budget"] = float(min(round(budget, 1), 1000.0))
-        if now.augment == default.augment:
-            chosen["augment"] = how = choose_augmentation(recordings)
-            lines.append(f"augmentation in {how} (another: --set events.augment=time, space, none)")
-        if train is not None:
-            dropout = dropout_for(len(train), default.dropout)
-            if settings.is_open("events.dropout") and dropout != default.dropout:
-                chosen["dropout"] = dropout
-                lines.append(
-                    f"dropout of {dropout:g}, for few recordings (another: --set "
-                    "events.dropout=...)"
-                )
-            parts, step, is_open = now.parts, shown.input.step, settings.is_open("input.refractory")
-            if is_open or not parts:  # what the user has set needs no estimate, which takes seconds
-                reading = _reading(settings, shown, recordings, train)
-                parts = parts or reading.parts
-                lines.append(reading.text(step, parts))
-                if is_open:
-                    changes["input"] = {"step": step, "refractory": reading.refractory * step}
-            chosen |= {"parts": parts, "part": now.part or shown.steps * step / parts}
-        return merge_values(changes, {"events": chosen}), lines
+        chosen = EventChoices(self.settings, recordings)
+        return chosen.changes, chosen.lines
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings)
@@ -284,6 +241,10 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     table, (train, held_out) = EventTable.of(dataset.recordings), dataset.split.held_out(seed)
     if not len(dataset.split.validation) and len(held_out) < FEWEST:
         train, held_out = dataset.split.train, held_out[:0]
+    elif not len(dataset.split.validation) and len(held_out) > MAX_HELD_OUT:
+        order = np.random.default_rng([seed, 0x3E1D]).permutation(held_out)
+        train = np.sort(np.concatenate([train, order[MAX_HELD_OUT:]]))
+        held_out = np.sort(order[:MAX_HELD_OUT])
     return EventSamples(table, dataset.labels, train, held_out)
 
 
@@ -315,26 +276,6 @@ def confidence_of(artifact) -> float | None:
         if chosen is not None and not 0 <= chosen["confidence"] <= 1:
             raise ValueError("a confidence that is not from 0 to 1")
         return chosen and float(chosen["confidence"])
-
-
-def _training(settings, recordings):
-    """Indices of the training samples; none if there can be no split."""
-    shares = settings.split
-    fractions = shares.test_fraction, shares.validation_fraction
-    try:
-        return split_of(recordings, settings.seed, *fractions, shares.kind).train
-    except ValueError:
-        return np.empty(0, int)
-
-
-def _reading(settings, shown, recordings, train):
-    """How the events are read, with the user's refractory period if there is one."""
-    table, step = EventTable.of(recordings), shown.input.step
-    reading = reading_for(table, recordings.labels, train, step, shown.steps)
-    if settings.is_open("input.refractory"):
-        return reading
-    chosen = shown.input.refractory_steps
-    return reading._replace(refractory=chosen, lost=table.lost(step, chosen))
 
 
 def _decision_text(chosen, samples):

@@ -29,13 +29,9 @@ from models.nir.graph import NirNetwork, read_nir
 from models.nir.simulator import SAMPLES_AT_ONCE, simulate
 from pipeline.kinds import counts
 from pipeline.kinds.architectures import suggest_sensor_size
-from pipeline.kinds.events.kind import (
-    DECIDES,
-    confidence_of,
-    presentation_choices,
-    require_enough_samples,
-)
+from pipeline.kinds.events.kind import DECIDES, confidence_of, require_enough_samples
 from pipeline.kinds.kind import Imported, NetworkKind, Reference, imported_file, is_file
+from pipeline.kinds.presentation import presentation_choices
 from pipeline.kinds.steps import Step
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset, event_warnings, require_images_fit

@@ -22,7 +22,7 @@ from models.architecture import NotationError, parse
 from pipeline import paper
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
-AUGMENTATIONS = ("auto", "time", "space", "none")
+AUGMENTATIONS = ("auto", "time", "slight", "space", "none")
 RECIPES = ("loihi", "paper", "as-is")
 # The name of the built-in recordings.
 SIMULATED = "simulated"
@@ -212,8 +212,9 @@ class CNN(Section):
     learning_rate: Annotated[float, ABOVE_0] = 0.001
     #: Alterations of the events of training samples, before the image is made: ``time``, dropped
     #: events, and hot and dead taxels; ``space``, also rotated, shifted, scaled and sheared on the
-    #: grid of taxels; ``none``; ``auto``, ``none`` for the paper's CNN, and in the training of the
-    #: spiking network ``space`` for digits on a grid of taxels and ``time`` for other recordings.
+    #: grid of taxels; ``slight``, the same half as much; ``none``; ``auto``, ``none`` for the
+    #: paper's CNN, and in the training of the spiking network ``space`` for digits on a grid of
+    #: taxels and ``time`` for other recordings.
     augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
     #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.
     model: str = ""
@@ -289,6 +290,10 @@ class NIR(Section):
 class EventTraining(Section):
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
+    #: Capacity of a network whose architecture and budget follow from the recordings: ``small``,
+    #: ``standard`` or ``large``, each about three times as many operations as the one before;
+    #: ``auto``, ``small`` for simulated handwriting and ``standard`` for other recordings.
+    size: Annotated[str, one_of("auto", "small", "standard", "large")] = "auto"
     #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
     architecture: str = "10x10x2-24c4s3-64-10o"
     #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
@@ -313,11 +318,12 @@ class EventTraining(Section):
     tau_v_ms: tuple[float, ...] = (80.0,)
     #: Weight of the loss term for early decisions, before the recording ends.
     early: Annotated[float, AT_LEAST_0] = 1.0
-    #: Alterations of training samples: ``time``, stretched times and dropped events; ``space``,
-    #: also rotated, shifted, scaled and sheared on the grid of taxels; ``none``; ``auto``,
-    #: ``space`` for handwriting on the simulated sensor or ST-MNIST's, and ``time`` for other
-    #: recordings.
-    augment: Annotated[str, one_of("auto", "time", "space", "none")] = "auto"
+    #: Alterations of training samples: ``time``, stretched times, dropped events, and hot and dead
+    #: taxels; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels;
+    #: ``slight``, the same half as much; ``none``; ``auto``, ``space`` for handwriting on the
+    #: simulated sensor or in ST-MNIST's files, ``slight`` for other grids of taxels, and ``time``
+    #: for other recordings.
+    augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
     #: Synaptic operations per inference above which the loss has a penalty, in multiples of the
     #: multiply-accumulates of the paper's CNN.
     budget: Annotated[float, ABOVE_0] = 0.8

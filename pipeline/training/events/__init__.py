@@ -20,10 +20,9 @@ from pipeline.training.events.network import (
     network_of,
 )
 from pipeline.training.events.recipe import EventRecipe
-from pipeline.training.events.trainer import TAIL, train_events
+from pipeline.training.events.trainer import train_events
 
 __all__ = [
-    "TAIL",
     "Answers",
     "Checkpoint",
     "EventRecipe",

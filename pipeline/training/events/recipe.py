@@ -89,16 +89,15 @@ class EventRecipe:
             "refractory": shown.refractory_steps,
             "starts": settings.part_starts,
         }
-        del values["parts"], values["part"]
+        del values["parts"], values["part"], values["size"]
         return cls(**values, alteration=how)
 
     def for_samples(self, samples: int) -> EventRecipe:
         """The recipe with its number of epochs, for some number of training samples."""
         if self.epochs:
             return self
-        return replace(
-            self, epochs=epochs_for(samples, self.batch_size, bool(self.alteration.turn))
-        )
+        is_handwriting = self.alteration == AUGMENTATIONS["space"]
+        return replace(self, epochs=epochs_for(samples, self.batch_size, is_handwriting))
 
     @property
     def neuron(self) -> Neuron:

@@ -19,13 +19,13 @@ from pipeline.training.events.network import TrainedOnEvents, arriving
 from pipeline.training.events.optimizer import Adam
 from pipeline.training.events.recipe import EventRecipe
 from pipeline.training.networks import make_deterministic
+from pipeline.training.recipe import TAIL_STEPS
 
-# Number of steps after a sample's last event in which its spikes still reach the outputs.
-TAIL = 3
-
-# Initial mean firing rate of the neurons, in spikes per second of recording time. Silent neurons
-# have no gradient.
+# Initial mean firing rate of the neurons, in spikes per second of recording time: silent neurons
+# have no gradient. It is lower where it would take more operations than the budget, but not below
+# the minimum.
 FIRST_RATE_HZ = 5.0
+MIN_FIRST_RATE_HZ = 0.5
 
 # Maximum number of samples on which the initial weights are scaled.
 MAX_CALIBRATION_SAMPLES = 64
@@ -161,7 +161,7 @@ class Trainer:
         every, right = [], []
         for frames_of in (self._frames, lambda some: self._alter(some, rng)[0]):
             for some, frames, outputs, _ in self._outputs(indices, frames_of):
-                lengths = last_steps(frames) + 1 + TAIL
+                lengths = last_steps(frames) + 1 + TAIL_STEPS
                 delayed = arriving(outputs, self.recipe)
                 for sample, index, length in zip(delayed, some, lengths, strict=True):
                     every.append(sample[:length])
@@ -169,20 +169,27 @@ class Trainer:
         return every, right
 
     def _calibrate(self, values):
-        """Scale the initial weights of each layer so that it fires at `FIRST_RATE_HZ`."""
+        """Scale the initial weights of each layer for a mean firing rate."""
         count = min(len(self.train), MAX_CALIBRATION_SAMPLES)
         some = self.train[np.linspace(0, len(self.train) - 1, count).astype(int)]
         duration_ms = max(float(self.table.duration_ms[some].mean()), self.recipe.step_ms)
-        target = FIRST_RATE_HZ * duration_ms / 1000
         frames = self._frames(some)
+        self._scale_to_rate(values, frames, FIRST_RATE_HZ * duration_ms / 1000)
+        cost = self._gradient.outputs(values, frames)[1].mean() / CNN_MACS
+        if cost > self.recipe.budget:
+            rate_hz = max(FIRST_RATE_HZ * self.recipe.budget / cost, MIN_FIRST_RATE_HZ)
+            self._scale_to_rate(values, frames, rate_hz * duration_ms / 1000)
+
+    def _scale_to_rate(self, values, frames, spikes):
+        """Scale the weights of each layer so that a neuron has a mean number of spikes."""
         for index, name in enumerate(self._network.names):
             first = values[f"{name}.kernel"]
-            low, high = -4.0, 6.0
+            low, high = -6.0, 6.0
             for _ in range(12):
                 middle = (low + high) / 2
                 values[f"{name}.kernel"] = (first * np.exp(middle)).astype(np.float32)
-                rates = self._gradient.outputs(values, frames)[2][index]
-                low, high = (low, middle) if rates.mean() > target else (middle, high)
+                counts = self._gradient.outputs(values, frames)[2][index]
+                low, high = (low, middle) if counts.mean() > spikes else (middle, high)
 
     def _train_on(self, batch, rng, number):
         """One update; returns the loss, the share of right predictions, and the operations."""
@@ -229,14 +236,14 @@ class Trainer:
         n = len(indices)
         events = self.recipe.alter_samples(rng, self.table, indices)
         last_step = (events.durations_ms(n) / self.recipe.step_ms).astype(np.int64)
-        steps = int(last_step.max()) + 1 + TAIL
+        steps = int(last_step.max()) + 1 + TAIL_STEPS
         frames = self.recipe.frames_of(events, n, steps, self.table.size)
         return np.moveaxis(frames, 0, 1), last_step
 
     def _frames(self, indices):
         """Frames of samples without augmentation."""
         step_ms = self.recipe.step_ms
-        steps = int(self.table.duration_ms[indices].max() / step_ms) + 1 + TAIL
+        steps = int(self.table.duration_ms[indices].max() / step_ms) + 1 + TAIL_STEPS
         return np.moveaxis(self.table.frames(indices, step_ms, steps, self.recipe.refractory), 0, 1)
 
     def _outputs(self, indices, frames_of):

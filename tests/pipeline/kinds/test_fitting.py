@@ -8,12 +8,13 @@ import pytest
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import parse
 from pipeline.kinds import choose_settings, kind_of_network
-from pipeline.kinds.architectures import architecture_for
+from pipeline.kinds.architectures import architecture_for, event_architecture_for
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.library import load_recordings
 from pipeline.recordings.writing import write_recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
+from pipeline.training.recipe import SIZES as NETWORK_SIZES
 from tests.command import missing
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -174,3 +175,32 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
         architecture = architecture_for(sensor, kind == "events")
         changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
         assert kind_of_network(settings_of("own", **changes)).chip_problems() == ()
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [
+        ("small", "10x10x2-24c4s3-64-10o"),
+        ("standard", "10x10x2-32c4s2-128-10o"),
+        ("large", "10x10x2-64c4s2-256-10o"),
+    ],
+)
+def test_an_architecture_for_every_size(size, expected):
+    assert event_architecture_for(Sensor(), NETWORK_SIZES[size], 5000) == expected
+    strip = Sensor(1, 39, classes=CLASSES)
+    few = parse(event_architecture_for(strip, NETWORK_SIZES[size], 500)).layers[0].units
+    assert few == {"small": 128, "standard": 256, "large": 512}[size]
+
+
+def test_a_size_of_the_user_s_for_simulated_handwriting():
+    settings = Settings().with_values(
+        {
+            "data": {"samples_per_digit": 20},
+            "check": {"samples": 10},
+            "input": {"kind": "events"},
+            "events": {"size": "large"},
+        }
+    )
+    chosen = choose_settings(settings)
+    assert chosen.events.architecture == "10x10x2-24c4s3-512-10o"  # few recordings
+    assert choose_settings(chosen) == chosen

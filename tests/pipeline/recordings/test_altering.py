@@ -105,12 +105,12 @@ def test_events_of_altered_recordings_are_those_of_alter():
         (Source("simulated", "", True), Sensor(16, 16), "space"),
         (Source("st-mnist.zip", "", False), Sensor(), "space"),
         (Source("written", "", True, True), Sensor(9, 12, classes=("a", "b")), "space"),
-        (Source("own", "", True), Sensor(9, 12, classes=("a", "b")), "time"),
+        (Source("own", "", True), Sensor(9, 12, classes=("a", "b")), "slight"),
         (Source("strip", "", False, time_unit="us"), Sensor(1, 39), "time"),
-        (Source("camera", "", False, time_unit="us"), Sensor(), "time"),
+        (Source("camera", "", False, time_unit="us"), Sensor(), "slight"),
     ],
 )
-def test_only_handwriting_is_altered_in_space(source, sensor, how):
+def test_handwriting_is_altered_in_space_and_other_grids_slightly(source, sensor, how):
     recordings = collect([Events([0], [0], [1], [1])], [0], ["0"], [-1], source, sensor=sensor)
     assert choose_augmentation(recordings) == how
 

@@ -11,7 +11,6 @@ from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import AUGMENTATIONS, Alteration
 from pipeline.recordings.steps import EventTable
 from pipeline.training.events import (
-    TAIL,
     Checkpoint,
     EventRecipe,
     answer_frames,
@@ -20,6 +19,7 @@ from pipeline.training.events import (
     train_events,
     trainer,
 )
+from pipeline.training.recipe import TAIL_STEPS
 from tests.models import spiking_in_numpy
 
 RECIPE = EventRecipe(
@@ -89,7 +89,7 @@ def test_the_estimator_learns_from_samples_as_they_are_and_altered(trained, told
     table, labels, train = data
     order = train[np.argsort(table.duration_ms[train], kind="stable")]
     assert len(told["outputs"]) == len(told["right"]) == 2 * len(train)
-    steps = int(table.duration_ms.max() / RECIPE.step_ms) + 1 + TAIL
+    steps = int(table.duration_ms.max() / RECIPE.step_ms) + 1 + TAIL_STEPS
     answers = answers_to(trained.weights, table, order, steps)
     arrived, differ = arriving(answers.outputs, RECIPE), 0
     for sample, seen, changed, right, label in zip(

@@ -39,12 +39,39 @@ def test_what_only_time_tells_is_read_in_parts():
 
 def test_what_place_tells_needs_no_parts_and_the_longest_period():
     def events(rng, label):
-        return rng.uniform(0, 990, 40), np.full(40, int(label))
+        return rng.uniform(0, 990, 15), np.full(15, int(label))
 
     reading = recipe.reading_for(*table_of(events), np.arange(120), 10.0, 100)
     assert (reading.parts, reading.refractory) == (1, max(recipe.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
     assert "parts" not in reading.text(10.0, reading.parts)
+
+
+def test_a_period_that_loses_most_events_is_not_chosen():
+    def events(rng, label):
+        return rng.uniform(0, 990, 60), np.full(60, int(label))
+
+    table, labels = table_of(events)
+    reading = recipe.reading_for(table, labels, np.arange(120), 10.0, 100)
+    assert table.lost(10.0, max(recipe.REFRACTORY_STEPS)) > recipe.MAX_LOST_EVENT_SHARE
+    assert reading.lost <= recipe.MAX_LOST_EVENT_SHARE
+
+
+@pytest.mark.parametrize(
+    ("times", "expected"),
+    [
+        ([0.0, 40.0, 100.0], 20.0),
+        ([0.0, 40.0, 100.013], None),
+        ([0.0, 300.0], None),  # longer than any bin
+        ([0.0], None),
+        ([], None),
+    ],
+)
+def test_the_bin_of_counted_events_is_found(times, expected):
+    n = len(times)
+    nothing = np.zeros(n, np.uint8)
+    table = EventTable(np.array(times, "f4"), nothing, nothing, nothing, np.array([0, n]))
+    assert recipe.find_bin_ms(table) == expected
 
 
 def test_left_out_accuracy_is_that_of_fits_without_the_sample():
@@ -72,4 +99,5 @@ def test_left_out_accuracy_is_that_of_fits_without_the_sample():
 )
 def test_the_number_of_updates_is_fixed(samples, handwriting, expected):
     assert recipe.epochs_for(samples, 32, handwriting) == expected
+    assert recipe.epochs_for(5271, 32, False) == recipe.MIN_EPOCHS
     assert recipe.epochs_for(200, 32, handwriting) * 7 == pytest.approx(recipe.UPDATES, rel=0.01)

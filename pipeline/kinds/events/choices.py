@@ -1,0 +1,201 @@
+"""Settings of a network on events that follow from the recordings.
+
+For handwriting on the simulated skin the defaults of the settings are the recipe.  For all other
+recordings the rules are in :mod:`pipeline.training.recipe`, and this module applies them to the
+settings that the user has left open.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pipeline.kinds.architectures import (
+    chosen_text,
+    event_architecture_for,
+    is_for,
+    operations_of_input,
+)
+from pipeline.kinds.presentation import choose_step_ms, neuron_choices, presentation_choices
+from pipeline.paper import CNN_MACS
+from pipeline.recordings.altering import choose_augmentation
+from pipeline.recordings.events import Recordings, is_handwriting
+from pipeline.recordings.splits import split_of
+from pipeline.recordings.steps import EventTable
+from pipeline.run.settings import Settings, merge_values
+from pipeline.training.recipe import (
+    TAIL_STEPS,
+    USUAL_EVENTS,
+    NetworkSize,
+    choose_size,
+    dropout_for,
+    find_bin_ms,
+    reading_for,
+)
+
+# Synaptic operations that a network on events may take, in multiples of what its first layer takes
+# to receive the events: with many classes, the readout takes as many as the first layer.
+OPERATIONS_BY_RECEIVED = 4
+
+# Channels of the input: a polarity each.
+CHANNELS = 2
+
+# Maximum budget of operations that is chosen, in multiples of the CNN's.
+MAX_BUDGET = 1000.0
+
+
+class EventChoices:
+    """The choices for some recordings, one after the other.
+
+    Parameters
+    ----------
+    settings : Settings
+        What the user has set.
+    recordings : Recordings
+
+    Attributes
+    ----------
+    changes : dict
+        As :meth:`pipeline.run.settings.Settings.with_values` takes them.
+    lines : list of str
+        A line about each choice.
+    """
+
+    def __init__(self, settings: Settings, recordings: Recordings):
+        self.settings = settings
+        self.recordings = recordings
+        self.table = EventTable.of(recordings)
+        self.changes: dict = {}
+        self.lines: list = []
+        self.is_usual = is_handwriting(recordings)
+        self.train = _training_samples(settings, recordings)
+        self._choose_step()
+        self._choose_presentation()
+        self._choose_architecture()
+        self._choose_augmentation()
+        if not self.is_usual:
+            self._choose_dropout()
+            self._choose_reading()
+
+    @property
+    def presented(self) -> Settings:
+        """The settings with what is chosen so far."""
+        return self.settings.with_values(self.changes, self.settings.data.source)
+
+    @property
+    def longest_ms(self) -> float:
+        """Time of the last event of all recordings in milliseconds."""
+        return float(self.table.duration_ms.max(initial=0))
+
+    def _set(self, section, **values):
+        self.changes.setdefault(section, {}).update(values)
+
+    def _add(self, changes, lines):
+        self.changes = merge_values(self.changes, changes)
+        self.lines += lines
+
+    def _choose_step(self):
+        """Events that are counted in bins get a step for each bin."""
+        settings = self.settings
+        if self.is_usual or not settings.is_open("input.step"):
+            return
+        bin_ms = find_bin_ms(self.table)
+        if bin_ms is None or bin_ms <= settings.input.step:
+            return
+        step_ms = choose_step_ms(self.longest_ms, bin_ms, may_shorten=False)
+        self._set("input", step=step_ms)
+        if settings.is_open("input.refractory"):
+            self._set("input", refractory=step_ms)
+        self.lines.append(
+            f"steps of {step_ms:g} ms: the times of the recordings are multiples of {bin_ms:g} ms "
+            "(another: --set input.step=...)"
+        )
+
+    def _choose_presentation(self):
+        settings = self.presented
+        changes, lines = presentation_choices(settings, self.recordings, may_shorten=True)
+        is_binned = "input" in self.changes
+        if is_binned and not changes and not settings.presentation.steps:
+            # The spikes of the last bin need some steps to reach the readout.
+            needed = math.floor(self.longest_ms / settings.input.step) + 1 + TAIL_STEPS
+            changes = {"presentation": {"steps": max(needed, settings.steps)}}
+        self._add(changes, lines)
+        self._add(*neuron_choices(self.presented))
+
+    def _choose_architecture(self):
+        """The architecture of the size; the default is the one for simulated handwriting."""
+        settings, sensor = self.settings, self.recordings.sensor
+        size = choose_size(settings.events.size, self.recordings)
+        is_simulated = self.is_usual and size.name == "small"
+        samples = 0 if is_simulated else len(self.train)
+        if not settings.is_open("events.architecture"):
+            return
+        if is_simulated and is_for(settings.events.architecture, sensor, CHANNELS):
+            return
+        text = event_architecture_for(sensor, size, samples)
+        self._set("events", architecture=text)
+        self.lines.insert(0, f"{chosen_text('events', text, sensor)}; size {size.name}")
+        if settings.is_open("events.budget"):
+            self._choose_budget(text, size, samples)
+
+    def _choose_budget(self, architecture: str, size: NetworkSize, samples: int):
+        events = len(self.recordings.events) / max(len(self.recordings), 1)
+        if size.is_for(self.recordings.sensor, samples):
+            budget = size.budget * max(1, events / USUAL_EVENTS)
+        else:
+            received = events * operations_of_input(architecture) / CNN_MACS
+            budget = OPERATIONS_BY_RECEIVED * received
+        budget = float(min(round(max(budget, self.settings.events.budget), 1), MAX_BUDGET))
+        if budget != self.settings.events.budget:
+            self._set("events", budget=budget)
+
+    def _choose_augmentation(self):
+        if self.settings.events.augment != "auto":
+            return
+        how = choose_augmentation(self.recordings)
+        self._set("events", augment=how)
+        self.lines.append(
+            f"augmentation: {how} (another: --set events.augment=time, slight, space, none)"
+        )
+
+    def _choose_dropout(self):
+        default = Settings().events.dropout
+        dropout = dropout_for(len(self.train), default)
+        if self.settings.is_open("events.dropout") and dropout != default:
+            self._set("events", dropout=dropout)
+            self.lines.append(
+                f"dropout of {dropout:g}, for few recordings (another: --set events.dropout=...)"
+            )
+
+    def _choose_reading(self):
+        """The refractory period, and the sections of the readout."""
+        settings, presented = self.settings, self.presented
+        parts, step_ms = settings.events.parts, presented.input.step
+        is_open = settings.is_open("input.refractory")
+        if is_open or not parts:  # what the user has set needs no estimate, which takes seconds
+            reading = self._estimate_reading(presented)
+            parts = parts or reading.parts
+            self.lines.append(reading.text(step_ms, parts))
+            if is_open:
+                self._set("input", step=step_ms, refractory=reading.refractory * step_ms)
+        part_ms = settings.events.part or presented.steps * step_ms / parts
+        self._set("events", parts=parts, part=part_ms)
+
+    def _estimate_reading(self, presented):
+        step_ms, labels = presented.input.step, self.recordings.labels
+        reading = reading_for(self.table, labels, self.train, step_ms, presented.steps)
+        if self.settings.is_open("input.refractory"):
+            return reading
+        chosen = presented.input.refractory_steps
+        return reading._replace(refractory=chosen, lost=self.table.lost(step_ms, chosen))
+
+
+def _training_samples(settings, recordings):
+    """Indices of the training samples; none if there can be no split."""
+    shares = settings.split
+    fractions = shares.test_fraction, shares.validation_fraction
+    try:
+        return split_of(recordings, settings.seed, *fractions, shares.kind).train
+    except ValueError:
+        return np.empty(0, int)
