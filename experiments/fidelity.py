@@ -1,21 +1,14 @@
 """Recordings in the published representation, and statistics of them that need no label.
 
-The published arrays of ST-MNIST (``ST-MNIST-SPLIT`` in the repository ``GuoFM/DeepTactile``) divide
-the raw columns of a recording into one hundred chunks of equal numbers, and have for each taxel and
-polarity whether it is in a chunk.  The order of events is kept and their time is not.
+See :mod:`pipeline.recordings.chunks`.
 """
 
 import numpy as np
 from scipy.ndimage import label
 
 from deploy.errors import UserError
-from pipeline.recordings.events import GRID, N_TAXELS, Events, Recordings, expand_bursts
-
-# Chunks of a recording in the published arrays.
-CHUNKS = 100
-
-# Duration of a chunk in files that were made of the published arrays, in nanoseconds.
-CHUNK_NS = 20_000_000
+from pipeline.recordings.chunks import CHUNK_NS, CHUNKS, chunk_events
+from pipeline.recordings.events import GRID, N_TAXELS, Recordings
 
 # Taxels, rows and columns that have at least so many bits belong to the digit and not to strays.
 FEWEST_BITS = 2
@@ -51,22 +44,10 @@ def chunk_recordings(recordings: Recordings) -> np.ndarray:
     bits = np.zeros((len(recordings), N_TAXELS, 2, CHUNKS), bool)
     place = taxels.column * GRID + taxels.row
     for index in range(len(recordings)):
-        events = recordings[index]
-        chunk = events.time_ns // CHUNK_NS
-        if not is_chunked:
-            chunk, events = _chunk_columns(events)
-        bits[index, place[events.taxel], (events.polarity < 0).astype(int), chunk] = True
+        events = recordings[index] if is_chunked else chunk_events(recordings[index])
+        chunk, falls = events.time_ns // CHUNK_NS, (events.polarity < 0).astype(int)
+        bits[index, place[events.taxel], falls, chunk] = True
     return bits
-
-
-def _chunk_columns(events):
-    """The chunk of each raw column, and the columns as events of their own."""
-    time, taxel, polarity = expand_bursts(events)
-    size, rest = divmod(len(time), CHUNKS)
-    sizes = np.full(CHUNKS, size)
-    sizes[:rest] += 1
-    columns = Events(time, taxel, polarity, np.ones(len(time)))
-    return np.repeat(np.arange(CHUNKS), sizes), columns
 
 
 def summarise_recordings(bits) -> dict:

@@ -158,7 +158,8 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     if kind != PUBLISHED:
         reads.append("split.test_fraction")
     if settings.data.source == SIMULATED:
-        reads += ["data.simulation_seed", "data.samples_per_digit", "data.writers"]
+        reads += ["data.simulation_seed", "data.samples_per_digit"]
+        reads += ["data.writers", "data.chunked"]
     else:
         reads += ["data.time_unit", "data.downsample", "data.bin", "data.rise"]
     contents = {"recordings": recordings_sha256, "split": kind}

@@ -50,6 +50,7 @@ def load_recordings(
     warn=None,
     reading: ReadingOptions = AS_FOUND,
     writers: int = parameters.PEOPLE,
+    chunked: float = 0.0,
 ) -> Recordings:
     """Recordings of a source, which are simulated or imported on first use and cached.
 
@@ -71,6 +72,8 @@ def load_recordings(
         Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
     writers : int
         Number of simulated people.
+    chunked : float
+        Share of the simulated recordings that keep the order of events and not their time.
 
     Returns
     -------
@@ -84,7 +87,7 @@ def load_recordings(
     if source == SIMULATED:
         size = (reading.rows or GRID, reading.columns or GRID)
         counts = _counts(samples_per_digit)
-        people = parameters.load(writers)
+        people = parameters.load(writers, chunked)
         return simulated(simulation_seed, counts, jobs, size=size, parameters=people)
     return _imported(Path(source), skip_bad, jobs, warn, reading)
 
@@ -96,9 +99,8 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     if data.source == SIMULATED:
         numbers = data.simulation_seed, data.samples_per_digit
         reading = ReadingOptions(settings.skin.rows, settings.skin.columns)
-        return load_recordings(
-            SIMULATED, *numbers, jobs=jobs, reading=reading, writers=data.writers
-        )
+        people = {"writers": data.writers, "chunked": data.chunked}
+        return load_recordings(SIMULATED, *numbers, jobs=jobs, reading=reading, **people)
     reading = options_from(settings)
     return load_recordings(
         data.source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
@@ -137,7 +139,7 @@ def identity_of(settings: Settings) -> tuple:
     if data.source == SIMULATED:
         size = (skin.rows or GRID, skin.columns or GRID)
         counts = _counts(data.samples_per_digit)
-        people = parameters.load(data.writers)
+        people = parameters.load(data.writers, data.chunked)
         sha256 = source_of(data.simulation_seed, counts, people, size=size).sha256
         return sha256, RANDOM if kind == "auto" else kind
     listing = sources.list_source(data.source)

@@ -71,6 +71,9 @@ class Parameters:
         Model of handwriting.
     people : int
         Number of writers.
+    chunked : float
+        Share of the recordings that keep the order of events and not their time
+        (:mod:`pipeline.recordings.chunks`).
     """
 
     writers: Any
@@ -83,6 +86,7 @@ class Parameters:
     forms: tuple
     shapes: ShapeModel
     people: int = PEOPLE
+    chunked: float = 0.0
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over every value."""
@@ -96,9 +100,10 @@ class Parameters:
 
 
 @functools.cache
-def load(people: int = PEOPLE) -> Parameters:
-    """The built-in parameters, with a number of writers."""
-    return from_fit(json.loads(FITTED.read_text("utf-8")), people)
+def load(people: int = PEOPLE, chunked: float = 0.0) -> Parameters:
+    """The built-in parameters, with a number of writers and a share of chunked recordings."""
+    fitted = from_fit(json.loads(FITTED.read_text("utf-8")), people)
+    return dataclasses.replace(fitted, chunked=chunked)
 
 
 def from_fit(fit: dict, people: int = PEOPLE) -> Parameters:

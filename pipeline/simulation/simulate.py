@@ -11,6 +11,7 @@ from joblib import delayed
 from deploy.errors import UserError
 from pipeline.jobs import results_of
 from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.recordings.chunks import chunk_events
 from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation import parameters as settings
@@ -145,6 +146,8 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size
         for stroke in trace.strokes:
             digest.update(np.ascontiguousarray(stroke).tobytes())
     name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
+    if parameters.chunked:
+        name += ", in chunks" if parameters.chunked == 1 else ", some in chunks"
     if not traces and parameters.people != settings.PEOPLE:
         name += f", {parameters.people} people"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
@@ -204,7 +207,12 @@ def _batch(seed, samples, p, size):
     """Events of some recordings; runs in a process of its own."""
     gain = array_gain(p.skin, size)
     touches = [_touch(sample, *begin_sample(seed, sample, p), gain, p, size) for sample in samples]
-    return _receive(touches, p, size)
+    events = _receive(touches, p, size)
+    for number, sample in enumerate(samples):
+        # Spread evenly over the recordings of a digit.
+        if (sample.index * p.chunked) % 1 + p.chunked >= 1:
+            events[number] = chunk_events(events[number])
+    return events
 
 
 def begin_sample(seed, sample, p):

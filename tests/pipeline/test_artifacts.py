@@ -151,6 +151,10 @@ DEPENDS = {
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
     ),
+    ("data.chunked", 0.5): (
+        "dataset cnn cnn-matched rate-lif bundle",
+        "dataset events threshold bundle",
+    ),
     ("data.samples_per_digit", 9): (
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",

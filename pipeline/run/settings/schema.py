@@ -104,6 +104,9 @@ class Data(Section):
     samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = 0
     #: Simulated people.  ST-MNIST has 23; with more of them a network learns less of single ones.
     writers: Annotated[int, between(1, limits.SAMPLES)] = 1000
+    #: Share of the simulated recordings that keep the order of events and not their time, as the
+    #: published arrays of ST-MNIST do: events in one hundred chunks.
+    chunked: Annotated[float, between(0, 1)] = 0.0
     #: Leave out files that cannot be read instead of stopping.
     skip_bad: bool = False
     #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
