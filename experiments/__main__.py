@@ -13,6 +13,7 @@ OTHERS = {
     "stream": ("stream", "Latency of a running sensor's decisions, highest event rate", "4 min"),
     "recurrent": ("recurrent", "A recurrent network from snnTorch on the emulator", "15 min"),
     "calibrate": ("calibration", "Fit the simulation to real recordings", "10 min"),
+    "fidelity": ("fidelity", "Compare simulated recordings with real ones", "3 min"),
     "handwriting": ("handwriting", "Estimate the model of handwriting", "1 min"),
     "tutorials": ("tutorials", "Execute the notebooks of the tutorials", "5 min"),
     "pictures": ("pictures", "Make the pictures of the documents", "1 min"),
