@@ -4,8 +4,19 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from experiments.fidelity import chunk_recordings, summarise_recordings
+from experiments.fidelity import (
+    chunk_recordings,
+    classify,
+    compare_summaries,
+    summarise_recordings,
+    tell_apart,
+)
+from pipeline.recordings.chunks import CHUNK_NS
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.formats.mat import read_recording
+from pipeline.recordings.library import load_recordings
+from pipeline.simulation import parameters
+from pipeline.simulation.simulate import simulate
 
 
 def recordings_of(events, **how):
@@ -52,3 +63,32 @@ def test_another_sensor_is_refused():
     other = {"sensor": Sensor(8, 8), "taxels": TaxelMap.grid(8, 8)}
     with pytest.raises(UserError, match="10x10"):
         chunk_recordings(recordings_of(events, **other))
+
+
+def test_the_published_arrays_are_chunks_of_the_files(shared_data):
+    """One published recording is also known as it was recorded: not one bit differs."""
+    published = load_recordings(str(shared_data / "stmnist-train.zip"), jobs=1)
+    index = published.ids.index("0/5153")
+    raw = read_recording((shared_data / "sample_stmnist.mat").read_bytes()).events
+    bits = chunk_recordings(published.part([index]))
+    np.testing.assert_array_equal(chunk_recordings(recordings_of(raw)), bits)
+
+
+def test_the_share_of_simulated_recordings_in_chunks():
+    whole = simulate(0, [4] * 10, 1)
+    half = simulate(0, [4] * 10, 1, parameters=parameters.load(chunked=0.5))
+    is_chunked = [not (half[index].time_ns % CHUNK_NS).any() for index in range(len(half))]
+    assert sum(is_chunked) == 20
+    np.testing.assert_array_equal(
+        chunk_recordings(half.part(np.flatnonzero(is_chunked))),
+        chunk_recordings(whole.part(np.flatnonzero(is_chunked))),
+    )
+
+
+def test_the_same_recordings_cannot_be_told_apart_and_classes_can():
+    recordings = simulate(0, [30] * 10, 1)
+    bits, labels = chunk_recordings(recordings), recordings.labels
+    assert 0.3 < tell_apart(bits[::2], bits[1::2]) < 0.7
+    assert np.mean(classify(bits[::2], labels[::2], bits[1::2]) == labels[1::2]) > 0.5
+    rows = compare_summaries(bits, labels, bits, labels)
+    assert all(row["within"] == 10 for row in rows)
