@@ -107,7 +107,8 @@ setup-nir: .venv-nir/installed  ## Make .venv-nir with Norse and PyTorch for the
 .venv-nir/installed: tests/nir_reader/requirements.txt | setup
 	@$(BIN)/python -m venv --clear .venv-nir
 	@.venv-nir/bin/pip install -qq -r tests/nir_reader/requirements.txt
-	@.venv-nir/bin/pip install -qq --no-deps norse==1.1.0 snntorch==1.0.0
+	@.venv-nir/bin/pip install -qq --no-deps norse==1.1.0 snntorch==1.0.0 \
+		spikingjelly==2.0.0 rockpool==3.1.0 sinabs==3.1.3
 	@touch $@
 
 test-nir: setup setup-nir  ## Test exports in Norse, and imports of networks trained in PyTorch (minutes)

@@ -148,7 +148,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
             f"{chips} allowed; allow more with --chips, or use larger blocks"
         )
-    warnings = [*_lost_weights(spec, cores), *(line for core in cores for line in _warnings(core))]
+    warnings = [*_lost_weights(spec, cores), *_warn_of_layers(cores)]
     return Plan(cores, needed, problems, warnings)
 
 
@@ -265,24 +265,32 @@ def _lost_weights(spec, cores):
             )
 
 
-def _warnings(core):
-    where = f"layer {core.layer}, part {core.part}"
+def _warn_of_layers(cores):
+    """One line a layer and kind of warning, with the worst core's number."""
     limit = LIMITS["AxonCfg registers"]
-    if core.used["AxonCfg registers"] <= limit < core.unshared_axon_cfgs:
-        yield (
-            f"{where}: {core.unshared_axon_cfgs} AxonCfg registers if populations cannot share "
-            f"them, {core.unshared_axon_cfgs - limit} more than the {limit} of a core: a board may "
-            f"refuse it (NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
+    for layer in dict.fromkeys(core.layer for core in cores):
+        own = [core for core in cores if core.layer == layer]
+        unshared = max(
+            core.unshared_axon_cfgs if core.used["AxonCfg registers"] <= limit else 0
+            for core in own
         )
-    if core.worst_input >= INPUT_LIMIT:
-        yield f"{where}: one step's input can wrap around ({core.worst_input / INPUT_LIMIT:.1f} x)"
-    if core.worst_current >= CURRENT_LIMIT:
-        yield f"{where}: the current can wrap around ({core.worst_current / CURRENT_LIMIT:.1f} x)"
+        if unshared > limit:
+            yield (
+                f"layer {layer}: {unshared} AxonCfg registers if populations cannot share them, "
+                f"{unshared - limit} more than the {limit} of a core: a board may refuse it "
+                f"(NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
+            )
+        for what, worst, most in (
+            ("one step's input", max(core.worst_input for core in own), INPUT_LIMIT),
+            ("the current", max(core.worst_current for core in own), CURRENT_LIMIT),
+        ):
+            if worst >= most:
+                yield f"layer {layer}: {what} can wrap around ({worst / most:.1f} x)"
 
 
 # What the columns of a plan are.
 LEGEND = (
-    "- at: number of the chip and of the core on it",
+    "- cores: of the layer; the other columns are those of its fullest core (all: --json)",
     "- pop: how spikes name the synapses that they go to (type of the input axons)",
     "- compartments: neurons",
     "- axons: connections for spikes into the core and out of it; AxonCfg: registers of the latter",
@@ -294,20 +302,21 @@ LEGEND = (
 
 
 def plan_text(plan: Plan) -> str:
-    """Format a plan as a table and a few lines."""
-    rows = [["layer", "at", "pop", *COLUMNS, "input", "current", "threshold"]]
-    for core in plan.cores:
-        cells = [
-            f"{core.layer}[{core.part}]",
-            f"{core.chip}.{core.core}",
-            "+".join(str(kind) for kind in core.pop_types),
-        ]
-        cells += [f"{core.used[name]} {core.share(name):.0%}" for name in LIMITS]
-        cells += [
-            f"{core.worst_input / INPUT_LIMIT:.0%}",
-            f"{core.worst_current / CURRENT_LIMIT:.0%}",
-            f"{core.threshold / VOLTAGE_LIMIT:.0%}",
-        ]
+    """Format a plan as a table of layers, each with its fullest core, and a few lines."""
+    rows = [["layer", "cores", "pop", *COLUMNS, "input", "current", "threshold"]]
+    for layer in dict.fromkeys(core.layer for core in plan.cores):
+        cores = [core for core in plan.cores if core.layer == layer]
+        kinds = sorted({kind for core in cores for kind in core.pop_types})
+        cells = [layer, str(len(cores)), "+".join(map(str, kinds))]
+        for name in LIMITS:
+            fullest = max(cores, key=lambda core: core.used[name])
+            cells.append(f"{fullest.used[name]} {fullest.share(name):.0%}")
+        worst_input = max(core.worst_input for core in cores)
+        worst_current = max(core.worst_current for core in cores)
+        threshold = max(core.threshold for core in cores)
+        cells.append(f"{worst_input / INPUT_LIMIT:.0%}")
+        cells.append(f"{worst_current / CURRENT_LIMIT:.0%}")
+        cells.append(f"{threshold / VOLTAGE_LIMIT:.0%}")
         rows.append(cells)
     lines = in_blocks(rows, left=3)
     lines.append(f"cores: {len(plan.cores)}, chips: {plan.chips}")

@@ -128,6 +128,102 @@ def by_norse():
         yield f"norse-{name}", graph, *run(norse.from_nir(graph, dt=H).double(), shape)
 
 
+def by_norses_cells():
+    """LIFCell, whose current jumps by its input, with the exporter's default and with dt=1."""
+
+    def cell(n):
+        values = {"tau_syn_inv": 200.0, "tau_mem_inv": 100.0, "v_leak": 0.0, "v_th": 1.0}
+        values = {name: torch.full((n,), value) for name, value in values.items()}
+        return norse.LIFCell(norse.LIFParameters(**values))
+
+    for name, dt in (("norse-cells", 1.0), ("norse-cells-scaled", 0.001)):
+        network = norse.SequentialState(
+            torch.nn.Linear(6, 8), cell(8), torch.nn.Linear(8, 5, bias=False), cell(5)
+        ).double()
+        for layer in (network[0], network[2]):
+            layer.weight.data *= 8
+        graph = to_nir(network, torch.zeros(6, dtype=torch.float64), dt=dt)
+        yield name, graph, *run(network, (6,))
+
+
+def by_spikingjelly():
+    from spikingjelly.activation_based import functional, layer, neuron
+    from spikingjelly.activation_based.nir_exchange import export_to_nir
+
+    nn = torch.nn
+    flat = {
+        "if": (neuron.IFNode(), neuron.IFNode(), 1e-4),
+        "lif": (neuron.LIFNode(tau=2.0), neuron.LIFNode(tau=3.0), 1e-4),
+        "added": (neuron.LIFNode(2.0, decay_input=False), neuron.LIFNode(4.0, False), 1e-4),
+        "both": (neuron.IFNode(), neuron.ParametricLIFNode(init_tau=3.0), 1e-3),
+    }
+    networks = {
+        name: (nn.Sequential(nn.Linear(6, 8), one, nn.Linear(8, 5), other), (6,), dt)
+        for name, (one, other, dt) in flat.items()
+    }
+    images = nn.Sequential(
+        layer.Conv2d(2, 4, 5, stride=2, padding=1), neuron.LIFNode(tau=2.0), layer.AvgPool2d(2),
+        layer.Conv2d(4, 6, 3, padding=1, bias=False), neuron.IFNode(), layer.Flatten(),
+        nn.Linear(24, 5), neuron.LIFNode(tau=2.0),
+    )  # fmt: skip
+    networks["images"] = images, (2, 11, 11), 1e-4
+    for name, (network, shape, dt) in networks.items():
+        for module in network.double():
+            if hasattr(module, "weight"):
+                module.weight.data *= 6
+        sample = torch.zeros(1, *shape, dtype=torch.float64)
+        graph = export_to_nir(network, sample, dt=dt)
+        functional.reset_net(network)
+        inputs = (torch.rand(STEPS, SAMPLES, *shape) < 0.3).double()
+        yield f"spikingjelly-{name}", graph, inputs, torch.stack([network(x) for x in inputs])
+
+
+def by_rockpool():
+    from rockpool.nn.combinators import Sequential
+    from rockpool.nn.modules import LIFNeuronTorch, LIFTorch, LinearTorch
+    from rockpool.nn.modules.torch.nir import to_nir
+
+    values = {"threshold": 1.0, "max_spikes_per_dt": 1, "dt": 1e-3}
+    kinds = {
+        "currents": lambda n: LIFTorch((n, n), tau_mem=0.02, tau_syn=0.01, **values),
+        "voltages": lambda n: LIFNeuronTorch(n, tau_mem=0.02, **values),
+    }
+    for name, make in kinds.items():
+        network = Sequential(
+            LinearTorch((6, 8), has_bias=False), make(8), LinearTorch((8, 5), has_bias=False),
+            make(5),
+        )  # fmt: skip
+        inputs = (torch.rand(SAMPLES, STEPS, 6) < 0.1).float()
+        outputs, _, _ = network(inputs)
+        graph = to_nir(network, torch.zeros(1, 1, 6))
+        yield f"rockpool-{name}", graph, inputs.transpose(0, 1), outputs.detach().transpose(0, 1)
+
+
+def by_sinabs():
+    import sinabs
+    from sinabs.activation import MembraneReset, SingleSpike
+    from sinabs.layers import IAF, LIF
+    from sinabs.nir import to_nir
+
+    as_chip = {"spike_fn": SingleSpike, "reset_fn": MembraneReset(), "min_v_mem": None}
+    kinds = {
+        "iaf": lambda n: IAF(**as_chip),
+        "lif": lambda n: LIF(tau_mem=torch.full((n,), 10.0), spike_threshold=torch.ones(n),
+                             **as_chip),
+    }  # fmt: skip
+    for name, make in kinds.items():
+        network = torch.nn.Sequential(
+            torch.nn.Linear(6, 8, bias=False), make(8), torch.nn.Linear(8, 5), make(5)
+        )
+        for layer in (network[0], network[2]):
+            layer.weight.data *= 8 if name == "iaf" else 40
+        inputs = (torch.rand(SAMPLES, STEPS, 6) < 0.3).float()
+        graph = to_nir(network, inputs[:1])  # with the dimension of time
+        sinabs.reset_states(network)
+        outputs = network(inputs)
+        yield f"sinabs-{name}", graph, inputs.transpose(0, 1), outputs.transpose(0, 1)
+
+
 def run(network, shape):
     """Inputs and outputs, (steps, samples, ...), one sample after the other."""
     inputs = (torch.rand(STEPS, SAMPLES, *shape) < 0.3).double()
@@ -141,11 +237,14 @@ def run(network, shape):
     return inputs, torch.stack(outputs, 1)
 
 
+MAKERS = by_snntorch, by_norse, by_norses_cells, by_spikingjelly, by_rockpool, by_sinabs
+
+
 def main(folder):
     torch.set_num_threads(1)
     torch.manual_seed(0)
     with torch.no_grad():
-        for make in (by_snntorch, by_norse):
+        for make in MAKERS:
             for name, graph, inputs, outputs in make():
                 nir.write(str(Path(folder) / f"{name}.nir"), graph)
                 np.savez(

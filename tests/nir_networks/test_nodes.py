@@ -26,6 +26,21 @@ CASES = {
     "norse-integrates": ("SumPool2d Conv2d IF Flatten Linear IF", 1.0),
 }
 
+# Networks whose framework, step and reset are told from the graph.
+RECOGNISED = {
+    "norse-cells": "Norse",
+    "norse-cells-scaled": "Norse",
+    "spikingjelly-if": "SpikingJelly",
+    "spikingjelly-lif": "SpikingJelly",
+    "spikingjelly-added": "snnTorch",  # the same equation
+    "spikingjelly-both": "SpikingJelly",
+    "spikingjelly-images": "SpikingJelly",
+    "rockpool-currents": "Rockpool",
+    "rockpool-voltages": "Rockpool",
+    "sinabs-iaf": "time in steps",
+    "sinabs-lif": "time in steps",
+}
+
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(
@@ -57,3 +72,16 @@ def test_every_step_is_the_packages(name, folder):
     error = np.abs(found.outputs - wanted.reshape(found.outputs.shape)).max()
     spiking = network.nodes[-1].kind in SPIKING
     assert error <= (0 if spiking else 1e-6 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("name", RECOGNISED)
+def test_what_is_recognised_has_the_packages_spikes(name, folder):
+    network = read_nir(folder / f"{name}.nir")
+    assert network.convention.framework.startswith(RECOGNISED[name])
+    with np.load(folder / f"{name}.npz") as file:
+        inputs, wanted = file["inputs"], file["outputs"]
+    found = simulate(network, inputs)
+    assert all(spikes.mean() > 0.001 for spikes in found.spikes.values())
+    same = found.outputs.reshape(wanted.shape) == wanted
+    # A voltage within rounding of the threshold in 32 bits may spike a step later.
+    assert same.mean() > 0.999

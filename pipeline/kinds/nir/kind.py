@@ -23,7 +23,7 @@ from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, Stimulus, last_steps
 from deploy.terminal import WARNING
 from models import chain
-from models.integers import in_integers, round_to_integers
+from models.integers import FLOOR, in_integers, round_to_integers
 from models.nir.chain import from_nir, merges_polarities
 from models.nir.graph import NirNetwork, read_nir
 from models.nir.simulator import SAMPLES_AT_ONCE, simulate
@@ -217,8 +217,12 @@ def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=No
     return read_output(spec, outputs, spikes)
 
 
-# Training samples on which the scales of a graph's weights are chosen.
-CALIBRATED_ON = 48
+# Maximum number of training samples on which the scales of a graph's weights are chosen: of
+# recurrent graphs more, since a small change of their weights changes later spikes.
+CALIBRATION_SAMPLES, RECURRENT_CALIBRATION_SAMPLES = 48, 300
+
+# Lowest voltage, in thresholds, above which the end of the chip's registers is mentioned.
+FLOOR_IN_THRESHOLDS = -8
 
 # Maximum number of training samples on which the confidence for early decisions is chosen.
 DECIDED_ON = 300
@@ -308,7 +312,9 @@ class NirKind(NetworkKind):
         settings, dataset, graph = inputs.settings, inputs.dataset, inputs.artifact("nir")
         network, shown = graph_in(graph.folder, settings), settings.presented(confidence_of(graph))
         rng = np.random.default_rng([settings.seed, 0x41B])
-        samples = dataset.inputs[np.sort(rng.permutation(dataset.split.train)[:CALIBRATED_ON])]
+        is_recurrent = any(node.loop is not None for node in network.nodes)
+        most = RECURRENT_CALIBRATION_SAMPLES if is_recurrent else CALIBRATION_SAMPLES
+        samples = dataset.inputs[np.sort(rng.permutation(dataset.split.train)[:most])]
         stepped = Stepped.of(settings, network)
         provenance = {**provenance, "nir": record_convention(network, stepped)}
         return spec_of_nir(network, stepped, settings.stimulus, shown, samples, provenance)
@@ -611,6 +617,14 @@ def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, setti
                 "(square kernels, equal strides and paddings) or its neurons' parameters differ "
                 "within a channel"
             )
+    height = settings.stimulus.area / LOIHI.dt
+    for index, layer in enumerate(layers):
+        if layer.neuron is None:
+            continue
+        scaled = replace(layer, weights=layer.weights * (1.0 if index else height))
+        floor = FLOOR / round_to_integers(scaled).threshold
+        if floor > FLOOR_IN_THRESHOLDS:
+            yield f"{layer}: the chip's voltages end at {-floor:.1f} thresholds below the reset"
     for node in network.nodes:
         if node.kind == "IF":
             yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
