@@ -72,11 +72,14 @@ def recognise(nodes, metadata: dict) -> Convention:
         found = rule(states, metadata)
         if found is not None:
             return found
-    leaky = any(node.kind != "IF" for node in states)
+    leaky = [node for node in states if node.kind != "IF"]
+    in_steps = bool(leaky) and all((node[voltage_time(node)] >= 1).all() for node in leaky)
+    unit = "steps, being 1 or more" if in_steps else "seconds"
     return Convention(
-        "NIR", "exact", None, "no framework's numbers", "NIR's own, solved exactly",
-        doubt="no framework is recognised, so its time constants are taken as seconds; "
-        "'nir.step', 'nir.method' and 'nir.reset' say otherwise" if leaky else "",
+        "NIR", "exact", 1.0 if in_steps else None, "no framework's numbers",
+        "NIR's own, solved exactly",
+        doubt=f"no framework is recognised, so its time constants are taken as {unit}; 'nir.step', "
+        "'nir.method' and 'nir.reset' say otherwise" if leaky else "",
     )  # fmt: skip
 
 
@@ -99,13 +102,18 @@ def recognise_snntorch(nodes, _):
     if not nodes or any(node.kind not in ("LIF", "CubaLIF") for node in nodes):
         return None
     steps = [node[voltage_time(node)] / _nonzero(node["r"]) for node in nodes]
-    steps += [node["tau_syn"] / _nonzero(node["w_in"]) for node in nodes if node.kind == "CubaLIF"]
+    currents = [node for node in nodes if node.kind == "CubaLIF"]
+    into = [node["tau_syn"] / _nonzero(node["w_in"]) for node in currents]
     for h in (EXPORTED_STEP, 1e-3, 1.0):
-        if all(_all_near(step, h) for step in steps):
-            has_current = any(node.kind == "CubaLIF" for node in nodes)
+        has_gains = all(_all_near(step, h) for step in into)
+        if not all(_all_near(step, h) for step in steps):
+            continue
+        if has_gains or (h == EXPORTED_STEP and all(map(_has_no_w_in, currents))):
+            text = ", w_in too" if has_gains else ", without w_in, as in 2023"
             return Convention(
-                "snnTorch", "euler", h, f"r = tau / {_time(h)}" + ", w_in too" * has_current,
-                "v <- beta v + I",
+                "snnTorch", "euler" if has_gains else "spyx", h,
+                f"r = tau / {_time(h)}" + text * bool(currents),
+                "I <- alpha I + S, v <- beta v + I" if currents else "v <- beta v + S",
                 doubt="snnTorch subtracts the threshold by default, a step later: if it was "
                 "trained so, give --set nir.reset=subtract-late",
             )  # fmt: skip
@@ -202,7 +210,7 @@ def recognise_spikingjelly(nodes, _):
     if any((node["tau"] < h * (1 - TOLERANCE)).any() for node in leaky):
         return None
     return Convention(
-        "SpikingJelly", "euler", h, evidence,
+        "SpikingJelly" if integrators else "SpikingJelly, or NIR's paper", "euler", h, evidence,
         "v <- v + S" if not leaky else "v <- v + (S - (v - v_leak)) / tau, tau in steps",
         doubt=doubt, at_threshold=True,
     )  # fmt: skip

@@ -31,6 +31,7 @@ WRITTEN = {
     "snnTorch's Leaky": ([lif(1e-3, 10.0)], "snnTorch", "euler", 1e-4),
     "snnTorch's Synaptic": ([cuba_lif(5e-4, 1e-3, 10.0, w_in=5.0)], "snnTorch", "euler", 1e-4),
     "SpikingJelly's input that does not decay": ([lif(2e-4, 2.0)], "snnTorch", "euler", 1e-4),
+    "snnTorch's Synaptic of 2023": ([cuba_lif(2e-4, 1e-3, 10.0)], "snnTorch", "spyx", 1e-4),
     "share and gain by hand": ([lif(10.0, 10.0)], "snnTorch", "euler", 1.0),
     "SpikingJelly's IF": ([integrator(1e4)], "SpikingJelly", "euler", 1e-4),
     "SpikingJelly's IF, another dt": ([integrator(1e3)], "SpikingJelly", "euler", 1e-3),
@@ -55,6 +56,7 @@ WRITTEN = {
     "sinabs' LIF and IAF": ([lif(20.0), integrator(1.0)], "time in steps", "exact", 1.0),
     "seconds": ([lif(0.02, 8.0)], "NIR", "exact", None),
     "seconds, gains of 1": ([lif(0.02)], "NIR", "exact", None),
+    "steps, other gains": ([lif(10.0, 8.0)], "NIR", "exact", 1.0),
     "other integrators": ([integrator(300.0)], "NIR", "exact", None),
     "other currents": ([cuba_lif(0.01, 0.02, 3.0)], "NIR", "exact", None),
 }  # fmt: skip
@@ -135,13 +137,16 @@ def test_steps_by_hand(method):
 
 
 @pytest.mark.parametrize(
-    ("node", "problem"),
-    [(lif(8.0, 3.0), "longer than a whole sample"), (lif(0.003, 9.0), "shorter than a step")],
+    ("node", "step", "problem"),
+    [
+        (lif(0.9, 3.0), 0.001, "longer than a whole sample"),
+        (lif(0.003, 9.0), 0.02, "shorter than a step"),
+    ],
 )
-def test_doubtful_times_are_named_with_the_setting(node, problem):
+def test_doubtful_times_are_named_with_the_setting(node, step, problem):
     network = network_of((4,), affine(np.random.default_rng(0), 2, 4), node)
     settings = Settings().with_values({"input": {"kind": "events", "step": 20.0}})
-    stepped = Stepped.of(settings, network)
+    stepped = Stepped(step, "exact")
     lines = [line for line in conversion_notes(network, (), stepped, settings) if problem in line]
     assert len(lines) == 1
     assert "'n1'" in lines[0]
