@@ -217,9 +217,9 @@ def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=No
     return read_output(spec, outputs, spikes)
 
 
-# Maximum number of training samples on which the scales of a graph's weights are chosen: of
-# recurrent graphs more, since a small change of their weights changes later spikes.
-CALIBRATION_SAMPLES, RECURRENT_CALIBRATION_SAMPLES = 48, 300
+# Maximum number of training samples on which the scales of a graph's weights are chosen.  More do
+# not help, not even published recurrent graphs.
+CALIBRATION_SAMPLES = 48
 
 # Lowest voltage, in thresholds, above which the end of the chip's registers is mentioned.
 FLOOR_IN_THRESHOLDS = -8
@@ -312,9 +312,8 @@ class NirKind(NetworkKind):
         settings, dataset, graph = inputs.settings, inputs.dataset, inputs.artifact("nir")
         network, shown = graph_in(graph.folder, settings), settings.presented(confidence_of(graph))
         rng = np.random.default_rng([settings.seed, 0x41B])
-        is_recurrent = any(node.loop is not None for node in network.nodes)
-        most = RECURRENT_CALIBRATION_SAMPLES if is_recurrent else CALIBRATION_SAMPLES
-        samples = dataset.inputs[np.sort(rng.permutation(dataset.split.train)[:most])]
+        chosen = np.sort(rng.permutation(dataset.split.train)[:CALIBRATION_SAMPLES])
+        samples = dataset.inputs[chosen]
         stepped = Stepped.of(settings, network)
         provenance = {**provenance, "nir": record_convention(network, stepped)}
         return spec_of_nir(network, stepped, settings.stimulus, shown, samples, provenance)
