@@ -12,6 +12,7 @@ from deploy.check.energy import estimate_energy
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.files import write_json
+from deploy.network.provenance import read_classes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
 from deploy.terminal import command_text, remark
@@ -27,7 +28,7 @@ from pipeline.api.results import (
 )
 from pipeline.kinds import choose_settings
 from pipeline.progress import progress
-from pipeline.recordings.dataset import Dataset, classes_of
+from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.library import recordings_of
 from pipeline.results import compare, elsewhere
@@ -298,7 +299,7 @@ class Run:
             result = run_check(presented, target, path, bundle.seed, advance)
         result = elsewhere.with_accuracies(result, bundle, recordings, indices)
         write_json(path, result)
-        return CheckResult(result, classes_of(bundle.spec))
+        return CheckResult(result, read_classes(bundle.spec))
 
 
 def compare_runs(*runs) -> RunsComparison:

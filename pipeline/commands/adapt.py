@@ -80,9 +80,9 @@ def adapt(
 
 def _require_same_person(place, old, bundle, recordings):
     """Refuse to replace a network that was fitted to none of these recordings."""
-    from pipeline.recordings.dataset import training_hashes
+    from deploy.network.provenance import read_training_hashes
 
-    fitted_to = training_hashes(old.spec) - training_hashes(bundle.spec)
+    fitted_to = read_training_hashes(old.spec) - read_training_hashes(bundle.spec)
     if fitted_to and fitted_to.isdisjoint(recordings.hashes):
         raise UserError(
             f"{place}: is fitted to other recordings, perhaps another person's; "

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
+from deploy.network.provenance import read_classes, read_positions
 from deploy.network.stimulus import EventFrames
 from pipeline.live import RECORD
-from pipeline.recordings.dataset import classes_of, positions_of
 from pipeline.recordings.events import Sensor, are_digits, is_written
 
 # The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
@@ -32,7 +32,7 @@ def sensor_of(bundle: Bundle) -> Sensor:
         )
     rows, columns, _ = spec.input_shape
     polarities = 1 if spec.provenance.get("polarities") == 1 else 2
-    return Sensor(rows, columns, polarities, classes=classes_of(spec))
+    return Sensor(rows, columns, polarities, classes=read_classes(spec))
 
 
 def record_folder(bundle: Bundle, sensor: Sensor) -> str:
@@ -65,7 +65,7 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
     outdated : str, optional
         The reason if the bundle is outdated.
     """
-    positions = positions_of(bundle.spec)
+    positions = read_positions(bundle.spec)
     return {
         "folder": str(folder),
         "architecture": bundle.spec.architecture,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.network.provenance import TRAINING_RECORDINGS
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
@@ -19,13 +20,10 @@ from pipeline.run.artifacts import Origin
 from pipeline.run.settings import SIMULATED, Image, Settings
 
 # Recordings whose frames of events are made at once, which bounds the memory.
-AT_ONCE = 500
+MAX_RECORDINGS_AT_ONCE = 500
 
 # Share of merged events above which a shorter step is suggested.
-MOST_LOST = 0.1
-
-# Entry of a bundle's provenance with the hashes of the recordings that it was made with.
-TRAINED_ON = "training_recordings"
+MAX_MERGED_EVENT_SHARE = 0.1
 
 # Remedy for too few samples for the check.
 TOO_SMALL = "ask for fewer (--samples, or check.samples) or give more data"
@@ -113,7 +111,7 @@ class Dataset:
             "time_unit": source.time_unit or None,
             **({"bin_ms": source.bin_ms, "rise": source.rise} if source.bin_ms else {}),
             "downsample": 1 if data.source == SIMULATED else data.downsample,
-            TRAINED_ON: sorted({hashes[i] for i in (*split.train, *split.validation)}),
+            TRAINING_RECORDINGS: sorted({hashes[i] for i in (*split.train, *split.validation)}),
         }
 
     def seen_by(self, view: Settings) -> Dataset:
@@ -223,39 +221,11 @@ def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
     if settings.on_events:
         shown, steps, table = settings.input, settings.steps, EventTable.of(recordings)
         inputs = np.empty((len(table), steps, *table.size, 2), np.uint8)
-        for some in np.array_split(np.arange(len(table)), 1 + len(table) // AT_ONCE):
+        for some in np.array_split(np.arange(len(table)), 1 + len(table) // MAX_RECORDINGS_AT_ONCE):
             frames = table.frames(some, shown.step, steps, shown.refractory_steps)
             inputs[some] = np.moveaxis(frames, 0, 1)
         return inputs
     return tactile_images(recordings, image)
-
-
-def classes_of(spec: NetworkSpec) -> tuple:
-    """Names of the classes of a deployed network; numbers for a bundle without names."""
-    return tuple(map(str, spec.provenance.get("classes") or range(spec.layers[-1].size)))
-
-
-def positions_of(spec: NetworkSpec) -> np.ndarray | None:
-    """Where a deployed network's taxels are on the sensor.
-
-    Returns
-    -------
-    ndarray of float, shape (n_taxels, 2), or None
-        To the right and down; the larger extent is 1, the origin is the upper left corner.  None if
-        the positions are not known.
-    """
-    known = spec.provenance.get("positions")
-    if known is None:
-        return None
-    positions = np.asarray(known, float)
-    positions = positions - positions.min(axis=0)
-    return positions / (positions.max() or 1.0)
-
-
-def training_hashes(spec: NetworkSpec) -> set:
-    """Hashes of the recordings that a network was trained on or fitted to, if they are known."""
-    hashes = spec.provenance.get(TRAINED_ON)
-    return set(map(str, hashes)) if isinstance(hashes, list) else set()
 
 
 def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):
@@ -316,7 +286,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
         f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
         f"polarity in the same step of {step:g} ms"
     ]
-    if shared > MOST_LOST:
+    if shared > MAX_MERGED_EVENT_SHARE:
         lines[0] += "; a shorter input.step merges fewer"
     if lost > shared:
         lines.append(

@@ -10,6 +10,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.intervals import fisher, mcnemar
 from deploy.check.results import read_result
 from deploy.errors import UserError
+from deploy.network.provenance import read_classes
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, star
@@ -18,7 +19,6 @@ from deploy.terminal import command_text, printable
 from pipeline.kinds import REFERENCES, kind_of_network
 from pipeline.kinds.kind import FROM_ELSEWHERE
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.dataset import classes_of
 from pipeline.recordings.events import is_written
 from pipeline.results.status import find_outdated, remedy_text, status_of
 from pipeline.run.artifacts import DELETE_IT
@@ -193,13 +193,13 @@ def inference(run: Run) -> dict:
     operations = sum(counted.values()) / result["n_samples"] if stage else None
     early = result.get("while_written", {}).get("by_itself")
     early = early if early and early["confidence"] < 1 else None  # else it decides at the end
-    of_digits = is_written(*spec.input_shape[:2], classes_of(spec))
+    of_digits = is_written(*spec.input_shape[:2], read_classes(spec))
     return {
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
         "input_shape": list(spec.input_shape),
         "simulated": spec.provenance.get("simulated"),
-        "classes": list(classes_of(spec)),
+        "classes": list(read_classes(spec)),
         "neurons": sum(layer.size for layer in spec.layers if layer.neurons is not None),
         "cores": run.cores,
         "chips": run.chips,

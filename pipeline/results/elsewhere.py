@@ -9,18 +9,13 @@ import numpy as np
 from deploy.check.bundle import Bundle, CheckSet
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
+from deploy.network.provenance import read_classes, read_training_hashes
 from deploy.network.stimulus import EventFrames
 from deploy.tables import list_names
 from deploy.targets.registry import run_target
 from deploy.terminal import WARNING, remark
 from pipeline.paper import CHECK_SAMPLES
-from pipeline.recordings.dataset import (
-    classes_of,
-    cut_text,
-    inputs_for,
-    require_sensor_fits,
-    training_hashes,
-)
+from pipeline.recordings.dataset import cut_text, inputs_for, require_sensor_fits
 from pipeline.recordings.events import UNIT_NAMES, Recordings
 from pipeline.recordings.formats.recording import UNITS
 from pipeline.recordings.library import load_recordings
@@ -109,7 +104,7 @@ def recordings_for(
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
-    sensor, known, taxels = recordings.sensor, classes_of(bundle.spec), recordings.taxels
+    sensor, known, taxels = recordings.sensor, read_classes(bundle.spec), recordings.taxels
     # The size that was requested may be larger than a look-up table's, of a smaller sensor.
     actual = replace(
         sensor,
@@ -178,7 +173,7 @@ def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
     -------
     ndarray of bool, shape (n_samples,)
     """
-    return np.isin(recordings.hashes, list(training_hashes(bundle.spec)))
+    return np.isin(recordings.hashes, list(read_training_hashes(bundle.spec)))
 
 
 def warnings_on(bundle: Bundle, recordings: Recordings):

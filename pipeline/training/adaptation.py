@@ -26,19 +26,14 @@ from deploy.check.bundle import Bundle
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.network.decision import choose_threshold
+from deploy.network.provenance import TRAINING_RECORDINGS, read_classes, read_training_hashes
 from deploy.network.responses import running_sums, select_readout
 from deploy.network.spec import NetworkSpec, Rehearsal
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.tables import list_names
 from deploy.targets.fast import Emulation
 from pipeline.recordings.altering import AUGMENTATIONS, alter_recordings, choose_augmentation
-from pipeline.recordings.dataset import (
-    TRAINED_ON,
-    classes_of,
-    inputs_for,
-    require_sensor_fits,
-    training_hashes,
-)
+from pipeline.recordings.dataset import inputs_for, require_sensor_fits
 from pipeline.recordings.events import Recordings
 from pipeline.run.settings import Image
 
@@ -457,7 +452,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         provenance={
             **spec.provenance,
             "adapted": about,
-            TRAINED_ON: sorted({*training_hashes(spec), *recordings.hashes}),
+            TRAINING_RECORDINGS: sorted({*read_training_hashes(spec), *recordings.hashes}),
         },
     )
     adapted = _with_threshold(adapted, responder, recordings)
@@ -483,7 +478,7 @@ def require_fit(spec: NetworkSpec, recordings: Recordings):
     UserError
     """
     require_sensor_fits(spec, recordings)
-    source, sensor, known = recordings.source.name, recordings.sensor, classes_of(spec)
+    source, sensor, known = recordings.source.name, recordings.sensor, read_classes(spec)
     if sensor.classes != known:
         raise UserError(
             f"{source}: recordings of the classes {list_names(sensor.classes)}; the network "

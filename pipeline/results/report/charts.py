@@ -193,7 +193,7 @@ def thumbnail(values, description: str = "", positions=None) -> Markup:
         A negative value has the colour of OFF events.
     description : str
     positions : ndarray, shape (columns, 2), optional
-        Where the taxels of one row are, from :func:`pipeline.recordings.dataset.positions_of`.
+        Where the taxels of one row are, from :func:`deploy.network.provenance.read_positions`.
     """
     values = np.asarray(values, float)
     if positions is not None:

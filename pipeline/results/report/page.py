@@ -13,12 +13,12 @@ from deploy.check.bundle import Bundle
 from deploy.check.energy import MAC, estimate_energy, joules_text
 from deploy.check.intervals import wilson_interval
 from deploy.check.results import compare_results
+from deploy.network.provenance import read_positions
 from deploy.network.responses import seconds_per_sample
 from deploy.tables import SIGNIFICANCE, p_text
 from deploy.targets.registry import TARGETS
 from pipeline import look
 from pipeline.kinds import COMPARED_WITH, REFERENCES
-from pipeline.recordings.dataset import positions_of
 from pipeline.results.ladder import confusion_matrix, ladder_rows
 from pipeline.results.report import charts, prose
 from pipeline.run.settings import PATHS, Settings
@@ -321,12 +321,12 @@ def _matrix(inputs):
 
 def over_time(spec) -> bool:
     """True if small pictures show taxels over time: of events of taxels in an unknown order."""
-    return not spec.stimulus.static and spec.input_shape[0] == 1 and positions_of(spec) is None
+    return not spec.stimulus.static and spec.input_shape[0] == 1 and read_positions(spec) is None
 
 
 def _groups(inputs):
     """Thumbnails of all samples by class and answer, wrong answers first, frequent ones first."""
-    groups, positions = defaultdict(list), positions_of(inputs.bundle.spec)
+    groups, positions = defaultdict(list), read_positions(inputs.bundle.spec)
     images, static = inputs.bundle.checks.inputs, inputs.bundle.spec.stimulus.static
     if over_time(inputs.bundle.spec):
         starts = np.linspace(0, images.shape[1], BINS, endpoint=False).astype(int)

@@ -7,13 +7,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deploy.check.bundle import CheckSet, write_bundle
+from deploy.network.provenance import read_classes
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
 from pipeline.kinds.image.kind import deployed, to_spec
-from pipeline.recordings.dataset import Dataset, classes_of, inputs_for
+from pipeline.recordings.dataset import Dataset, inputs_for
 from pipeline.results.elsewhere import trained_on
 from pipeline.results.report.figures.animation import animate
 from pipeline.run.settings import Settings
@@ -173,5 +174,5 @@ def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
         checks = CheckSet(dataset.inputs[:2], dataset.labels[:2], ("a", "b"), 0)
         bundle = write_bundle(tmp_path / f"b{len(provenance)}", spec, checks)
         animate(tmp_path / "a.gif", bundle, 0)
-    assert classes_of(spec) == tuple("0123456789")
+    assert read_classes(spec) == tuple("0123456789")
     assert trained_on(bundle, dataset.recordings).sum() == len(dataset.split.train)

@@ -7,9 +7,9 @@ from PIL import Image
 
 from deploy.check.bundle import Bundle
 from deploy.files import replacing, require_ending
+from deploy.network.provenance import read_classes, read_positions
 from deploy.tables import shorten_name
 from pipeline.look import colour
-from pipeline.recordings.dataset import classes_of, positions_of
 from pipeline.results.report.figures import SHADES
 from pipeline.results.report.samples import replay
 
@@ -50,7 +50,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     require_ending(path, ".gif")
     spec = bundle.spec
     played = replay(bundle, [index], bundle.seed)[index]
-    classes, chances = classes_of(spec), played.chances
+    classes, chances = read_classes(spec), played.chances
     step, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
     extent = step * spec.presentation.steps
     label, answer = int(bundle.checks.labels[index]), played.answer
@@ -65,7 +65,7 @@ def animate(path, bundle: Bundle, index: int, advance=None):
     kind = "simulated " if spec.provenance.get("simulated") else ""
     right.suptitle(f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}", ha="center")
     growing = _growing(bundle.checks.inputs[index])
-    draw = _picture(picture, growing, positions_of(spec))
+    draw = _picture(picture, growing, read_positions(spec))
     picture.set(xticks=[], yticks=[])
     picture.set_title("input spikes so far" if len(growing) > 1 else "events of each taxel")
     said.set_axis_off()
