@@ -89,6 +89,8 @@ class Experiment:
         the experiment chooses something; otherwise 0.
     note : str
         What a reader must know.
+    simulated_note : str
+        What a reader must know if the recordings are simulated.
     """
 
     name: str
@@ -100,6 +102,7 @@ class Experiment:
     writers: bool = False
     validation: float = 0.0
     note: str = ""
+    simulated_note: str = ""
 
 
 INPUT_NOTE = (
@@ -210,7 +213,8 @@ EXPERIMENTS = (
             *(("slices", "own-loihi"), ("events-loihi", "slices"), ("slices", "kernel")),
         ),
         writers=True,
-        note=f"{INPUT_NOTE} {EMULATED_NOTE}",
+        note=EMULATED_NOTE,
+        simulated_note=INPUT_NOTE,
     ),
     Experiment(
         "losses",
@@ -233,7 +237,8 @@ EXPERIMENTS = (
             *((f"chip-{n}{on}", "cnn-matched") for n in (100, 50) for on in ("", "-chip")),
             *(("trained", "cnn-matched"), ("events-chip", "trained")),
         ),
-        note=f"{INPUT_NOTE} {EMULATED_NOTE}",
+        note=EMULATED_NOTE,
+        simulated_note=INPUT_NOTE,
     ),
     Experiment(
         "choices",
@@ -298,7 +303,7 @@ EXPERIMENTS = (
         "The paper's CNN with the paper's protocol",
         "5 min",
         (Line("cnn", "CNN, the paper's recipe", "cnn"),),
-        note=INPUT_NOTE,
+        simulated_note=INPUT_NOTE,
     ),
 )
 
@@ -494,6 +499,12 @@ def cells(experiment: Experiment, found: dict, split: str) -> list:
     return lines
 
 
+def notes_of(experiment: Experiment, simulated: bool) -> str:
+    """What a reader of a result must know, in one paragraph."""
+    notes = [experiment.simulated_note if simulated else "", experiment.note]
+    return " ".join(filter(None, notes))
+
+
 # Accuracy of each model over the splits, mean and SD (Table 2).
 TABLE2 = {
     "cnn": (0.89, 0.01),
@@ -523,7 +534,7 @@ def text(experiment: Experiment, found: dict) -> str:
     if found["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
         lines += ["", *align_rows(tables.comparisons_cells(found, titles))]
-    lines += ["", *filter(None, [experiment.note])]
+    lines += ["", notes_of(experiment, found["simulated"])]
     lines.append(
         "operations: synaptic, readout included, relative to the multiply-accumulates of the "
         "paper's CNN and of the dense form of the network itself; updates: per inference"
