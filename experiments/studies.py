@@ -204,6 +204,14 @@ EXPERIMENTS = (
             *_chip("own-loihi", "ANN-SNN, longer training", OWN, styles=True),
             *_chip("slices", "SNN on slices of time", input="slices", styles=True),
             *_on_events("events", "events-loihi", styles=True),
+            Line(
+                "events-small-loihi",
+                "small SNN on events, emulated Loihi, readout on host",
+                "fast",
+                {"events": {"size": "small"}},
+                input="events",
+                styles=True,
+            ),
         ),
         (
             *(("ann-snn", "cnn"), ("loihi", "cnn"), ("loihi", "ann-snn"), ("slayer", "cnn")),

@@ -27,7 +27,6 @@ normalisation
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,11 +39,6 @@ from pipeline.run.settings import Image
 
 # Share of the taxels that are ignored by ``sqrt-clip``, and may be hot; two of 100 taxels.
 IGNORED_SHARE = 0.02
-
-
-# Alterations in space, and their strength on images: whole taxels move, with all of their events.
-IN_SPACE = ("turn", "shift", "scale", "shear")
-SPACE_STRENGTH = 0.5
 
 
 # Samples that are altered at once, so that their images fit into the processor's cache.
@@ -172,11 +166,10 @@ class TaxelCounts(NamedTuple):
 class AlteredImages:
     """Images of training samples whose events are altered anew for each epoch.
 
-    The alterations are those of :mod:`pipeline.recordings.altering`, in space at half the strength:
-    the events of a taxel all move to the same place, so that their counts are moved, and of the
-    counts a random share is dropped.  Times are not stretched.  The counts of a taxel that is dead
-    from some time on are reduced to the share of the slice before it, and the spikes of hot taxels
-    are counted.
+    The alterations are those of :mod:`pipeline.recordings.altering`: the events of a taxel all
+    move to the same place, so that their counts are moved, and of the counts a random share is
+    dropped.  Times are not stretched.  The counts of a taxel that is dead from some time on are
+    reduced to the share of the slice before it, and the spikes of hot taxels are counted.
 
     Parameters
     ----------
@@ -193,9 +186,7 @@ class AlteredImages:
         self._offsets = np.searchsorted(self._counts.sample, np.arange(len(counts) + 1))
         self._size, self._image = counts.shape[2:4], image
         self._durations_ms = EventTable.of(recordings).duration_ms
-        how = AUGMENTATIONS[how]
-        in_space = {name: SPACE_STRENGTH * getattr(how, name) for name in IN_SPACE}
-        self._how = replace(how, **in_space)
+        self._how = AUGMENTATIONS[how]
 
     def __call__(self, rng, indices) -> np.ndarray:
         """Altered images of some samples, shape (n, rows, columns, channels), float32."""

@@ -73,12 +73,12 @@ def choose_augmentation(recordings: Recordings) -> str:
     Returns
     -------
     str
-        ``space`` for digits on a grid, which are handwriting, and ``time`` for other recordings: a
+        ``slight`` for digits on a grid, which are handwriting, and ``time`` for other recordings: a
         place on another sensor may have a meaning of its own.
     """
     sensor = recordings.sensor
     is_grid = min(sensor.rows, sensor.columns) >= SMALLEST_GRID
-    return "space" if is_grid and are_digits(sensor.classes) else "time"
+    return "slight" if is_grid and are_digits(sensor.classes) else "time"
 
 
 def choose_image_settings(settings: Settings, recordings: Recordings) -> list:

@@ -216,7 +216,7 @@ class CNN(Section):
     #: Alterations of the events of training samples, before the image is made: ``time``, dropped
     #: events, and hot and dead taxels; ``space``, also rotated, shifted, scaled and sheared on the
     #: grid of taxels; ``slight``, the same half as much; ``none``; ``auto``, ``none`` for the
-    #: paper's CNN, and in the training of the spiking network ``space`` for digits on a grid of
+    #: paper's CNN, and in the training of the spiking network ``slight`` for digits on a grid of
     #: taxels and ``time`` for other recordings.
     augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
     #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.

@@ -85,7 +85,7 @@ def test_a_graph_has_no_slices():
 
 def test_digits_on_a_grid_are_altered_in_space():
     digits = replace(recordings(10, 10), sensor=Sensor(10, 10, classes=tuple("0123456789")))
-    assert choose_augmentation(digits) == "space"
+    assert choose_augmentation(digits) == "slight"
     assert choose_augmentation(recordings(10, 10)) == "time"
     strip = replace(recordings(1, 30), sensor=Sensor(1, 30, classes=tuple("0123456789")))
     assert choose_augmentation(strip) == "time"

@@ -166,8 +166,8 @@ def test_altered_images_move_the_events_of_a_taxel_together(no_faults):
         assert np.count_nonzero(image) == 1
         places.append(tuple(np.argwhere(image)[0][:2]))
     assert (7, 3) in places
-    assert len(set(places)) > 1
-    assert np.abs(np.array(places) - (7, 3)).max() <= 2
+    assert len(set(places)) > 3
+    assert np.abs(np.array(places) - (7, 3)).max() <= 3
     same = AlteredImages(recordings(rows), Image(normalisation="none"), "space")
     np.testing.assert_array_equal(
         same(np.random.default_rng(4), [0]), altered(np.random.default_rng(4), [0])
