@@ -17,14 +17,15 @@ from pipeline.run.settings import Settings, read_settings
 from tests.command import call, missing
 
 DATA = ("--set", "data.samples_per_digit=60")
-SMALL = (*DATA, "--samples", "20", "--steps", "40")
+SMALL = (*DATA, "--samples", "20", "--steps", "40", "--set", "image.normalisation=sqrt-clip")
 ARCHITECTURE = "10x10-6c4-24c3-10o"
 
 
 @pytest.fixture(scope="module")
 def dataset(tiny_run):
     """The recordings of the small run, which are in the cache with it."""
-    return Dataset.of(Settings().with_values({"data": {"samples_per_digit": 60}}, "test"))
+    changes = {"data": {"samples_per_digit": 60}, "image": {"normalisation": "sqrt-clip"}}
+    return Dataset.of(Settings().with_values(changes, "test"))
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def files(tmp_path_factory, dataset):
     tf.keras.utils.set_random_seed(0)
     model = network()
     model.compile(tf.keras.optimizers.Adam(0.01), "sparse_categorical_crossentropy")
-    model.fit(images, labels, epochs=12, batch_size=32, verbose=0)
+    model.fit(images, labels, epochs=30, batch_size=32, verbose=0)
     model.save(folder / "good.keras")
     np.save(folder / "probabilities.npy", model(dataset.inputs))
     output = model.layers[-1]
