@@ -1,4 +1,4 @@
-"""A hook of MkDocs: notebooks of the tutorials as pages, and references in docstrings."""
+"""A hook of MkDocs: notebooks and groups of the Python reference as pages; references; prompts."""
 
 from __future__ import annotations
 
@@ -7,11 +7,62 @@ import json
 import re
 from pathlib import Path
 
+import griffe
 from mkdocs.structure.files import File
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# The Python reference, which becomes an overview and a page for each group.
+REFERENCE = "api.md"
+
+
+def on_config(config):
+    """Put the pages of the Python reference below it."""
+    names = [{title: page_name(title)} for title, _ in groups()]
+    for section in config["nav"]:
+        for entries in section.values():
+            for place, entry in enumerate(entries if isinstance(entries, list) else ()):
+                if REFERENCE in entry.values():
+                    entries[place] = {next(iter(entry)): [{"Overview": REFERENCE}, *names]}
+    return config
+
+
+def groups() -> list:
+    """Titles of the groups of the Python reference, in order, and their dotted names."""
+    text = (ROOT / "docs" / REFERENCE).read_text(encoding="utf-8")
+    parts = re.split(r"^## (.+)$", text, flags=re.MULTILINE)[1:]
+    names = (re.findall(r"^::: (.+)$", part, re.MULTILINE) for part in parts[1::2])
+    return list(zip(parts[::2], names, strict=True))
+
+
+def page_name(title: str) -> str:
+    """The file of a group's page."""
+    return f"api-{re.sub(r'[^a-z]+', '-', title.lower()).strip('-')}.md"
+
+
+def overview() -> str:
+    """A table for each group: a name, and the first sentence of its docstring."""
+    loader = griffe.GriffeLoader(search_paths=[ROOT, ROOT / "fastloihi" / "src"])
+    lines = []
+    for title, names in groups():
+        lines += [f"\n## {title}\n", "| name | what it is |", "|---|---|"]
+        for name in names:
+            package = name.partition(".")[0]
+            if package not in loader.modules_collection:
+                loader.load(package)
+                loader.resolve_aliases()
+            docstring = loader.modules_collection[name].docstring
+            about = " ".join(docstring.value.partition("\n\n")[0].split()) if docstring else ""
+            about = re.sub(r":\w+:`~?([^`]*)`", r"`\1`", about).replace("``", "`")
+            lines.append(f"| [`{name.rpartition('.')[2]}`][{name}] | {about} |")
+    return "\n".join(lines)
 
 
 def on_files(files, config):
-    """A page for each notebook, in its place."""
+    """A page for each notebook, in its place, and for each group of the Python reference."""
+    for title, names in groups():
+        text = "\n\n".join([f"# {title}", *(f"::: {name}" for name in names)])
+        files.append(File.generated(config, page_name(title), content=text))
     for path in sorted(Path(config["docs_dir"]).glob("tutorials/*.ipynb")):
         name = f"tutorials/{path.stem}.md"
         text = page(json.loads(path.read_text(encoding="utf-8")), f"{path.stem}.ipynb")
@@ -20,9 +71,13 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, **_):
-    """Links to notebooks lead to their pages."""
+    """Links to notebooks lead to their pages; commands and what they print are told apart."""
     if page.file.generated_by:
         return markdown
+    if page.file.src_path == REFERENCE:
+        return markdown.partition("\n## ")[0] + overview()
+    # Of a block with prompts, the button copies the commands only: see site.css.
+    markdown = re.sub(r"^```\n(?=\$ )", "```console\n", markdown, flags=re.MULTILINE)
     return re.sub(r"(\]\(tutorials/[\w-]+)\.ipynb", r"\1.md", markdown)
 
 

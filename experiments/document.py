@@ -74,7 +74,8 @@ def settings() -> str:
         lines += [f"\n## {section or 'The experiment'}\n", f"{_plain(inspect.getdoc(about))}\n"]
         for row in rows:
             default = json.dumps(row["default"], ensure_ascii=False)
-            lines.append(f"- `{row['name']}`, by default `{default}`: {row['meaning']}")
+            # A heading of its own, so that a search of the site finds a setting by its name.
+            lines.append(f"\n### `{row['name']}`\n\nBy default `{default}`.  {row['meaning']}")
     return "\n".join(lines)
 
 

@@ -497,6 +497,10 @@ def training_versions() -> dict:
     return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
 
 
+# Samples whose outputs are in memory at a time.
+SAMPLES_AT_ONCE = 2000
+
+
 def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
     """The record of a network: its accuracy on each set of the split.
 
@@ -509,7 +513,11 @@ def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dic
         Time of the training.
     versions : dict
     """
-    right = np.argmax(trained.logits(dataset.inputs), axis=1) == dataset.labels
+    inputs, predicted = dataset.inputs, []
+    for start in range(0, len(inputs), SAMPLES_AT_ONCE):
+        logits = trained.logits(inputs[start : start + SAMPLES_AT_ONCE])
+        predicted.append(np.argmax(logits, axis=1))
+    right = np.concatenate(predicted) == dataset.labels
     return {
         **accuracies(right, dataset),
         "epochs": len(trained.history),

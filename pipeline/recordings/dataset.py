@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,6 +22,9 @@ from pipeline.run.settings import SIMULATED, Image, Settings
 
 # Recordings whose frames of events are made at once, which bounds the memory.
 MAX_RECORDINGS_AT_ONCE = 500
+
+# Largest array of the frames of all samples: of more, frames are made when they are needed.
+MAX_FRAME_BYTES = 1 << 29
 
 # Share of merged events above which a shorter step is suggested.
 MAX_MERGED_EVENT_SHARE = 0.1
@@ -207,24 +211,56 @@ def _checked_split(recordings, settings):
     return split
 
 
-def inputs_of(recordings: Recordings, settings: Settings) -> np.ndarray:
+class FramesOnDemand:
+    """Frames of events that are made when some of them are taken, for more than fit into memory.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    settings : Settings
+
+    Attributes
+    ----------
+    shape : tuple of int
+        (n_samples, steps, rows, columns, 2).
+    """
+
+    def __init__(self, recordings: Recordings, settings: Settings):
+        self._table = EventTable.of(recordings)
+        self._step_ms = settings.input.step
+        self._refractory = settings.input.refractory_steps
+        self.shape = (len(self._table), settings.steps, *self._table.size, 2)
+
+    def __len__(self):
+        return self.shape[0]
+
+    def __getitem__(self, index) -> np.ndarray:
+        """The frames of some samples, uint8, as of an array; one index gives one sample."""
+        samples = np.arange(len(self))[index]
+        some = np.atleast_1d(samples)
+        frames = np.empty((len(some), *self.shape[1:]), np.uint8)
+        for part in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
+            steps = self.shape[1]
+            made = self._table.frames(some[part], self._step_ms, steps, self._refractory)
+            frames[part] = np.moveaxis(made, 0, 1)
+        return frames if np.ndim(samples) else frames[0]
+
+
+def inputs_of(recordings: Recordings, settings: Settings):
     """The inputs of networks, made from each recording.
 
     Returns
     -------
-    ndarray
+    ndarray, or FramesOnDemand if it would be larger than `MAX_FRAME_BYTES`
         With ``input.kind = "image"`` tactile images, float32, shape (n_samples, rows, columns,
         channels); with ``"events"`` the events of each step of the presentation, uint8, shape
         (n_samples, steps, rows, columns, 2), first ON, then OFF.
     """
     image = settings.image
     if settings.on_events:
-        shown, steps, table = settings.input, settings.steps, EventTable.of(recordings)
-        inputs = np.empty((len(table), steps, *table.size, 2), np.uint8)
-        for some in np.array_split(np.arange(len(table)), 1 + len(table) // MAX_RECORDINGS_AT_ONCE):
-            frames = table.frames(some, shown.step, steps, shown.refractory_steps)
-            inputs[some] = np.moveaxis(frames, 0, 1)
-        return inputs
+        frames = FramesOnDemand(recordings, settings)
+        is_large = math.prod(frames.shape) > MAX_FRAME_BYTES
+        return frames if is_large else frames[:]
     return tactile_images(recordings, image)
 
 

@@ -21,6 +21,10 @@ from pipeline.training.events.recipe import EventRecipe
 from pipeline.training.networks import make_deterministic
 from pipeline.training.recipe import TAIL_STEPS
 
+# Training samples that the estimator of the confidence is trained on: its inputs are some 40
+# numbers for each step of each sample, which would be gigabytes for all of 30,000 samples.
+MAX_ESTIMATOR_SAMPLES = 6000
+
 # Initial mean firing rate of the neurons, in spikes per second of recording time: silent neurons
 # have no gradient. It is lower where it would take more operations than the budget, but not below
 # the minimum.
@@ -88,9 +92,17 @@ def train_events(
         history = train_epochs(
             trainer.train_epoch, recipe.epochs, trainer.state, checkpoint, watch, advance
         )
-        outputs, right = trainer.outputs_in_time(train)
+        outputs, right = trainer.outputs_in_time(_choose_some(train, seed))
     estimator = train_estimator(outputs, right, seed)
     return TrainedOnEvents(recipe, {**trainer.weights, **estimator.arrays()}, history)
+
+
+def _choose_some(train, seed):
+    """At most `MAX_ESTIMATOR_SAMPLES` training samples for the estimator of the confidence."""
+    if len(train) <= MAX_ESTIMATOR_SAMPLES:
+        return train
+    order = np.random.default_rng([seed, 0x5A3E]).permutation(train)
+    return np.sort(order[:MAX_ESTIMATOR_SAMPLES])
 
 
 class Trainer:

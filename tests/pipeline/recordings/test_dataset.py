@@ -6,7 +6,7 @@ import pytest
 from deploy import limits
 from deploy.check.bundle import HEADERS
 from deploy.errors import UserError
-from pipeline.recordings.dataset import Dataset, dataset_origin
+from pipeline.recordings.dataset import Dataset, dataset_origin, inputs_of
 from pipeline.recordings.images import tactile_images
 from pipeline.recordings.library import identity_of, recordings_of
 from pipeline.recordings.splits import split_of
@@ -107,3 +107,17 @@ def test_a_check_that_is_too_large_for_a_bundle_is_refused_before_the_training(
     assert not run.experiment.exists()
     monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one)
     open_run(run, settings)
+
+
+def test_more_frames_than_fit_into_memory_are_made_when_they_are_taken(monkeypatch):
+    settings = Settings().with_values(
+        {"data": {"samples_per_digit": 3}, "input": {"kind": "events"}}
+    )
+    recordings = recordings_of(settings)
+    at_once = inputs_of(recordings, settings)
+    monkeypatch.setattr("pipeline.recordings.dataset.MAX_FRAME_BYTES", 0)
+    on_demand = inputs_of(recordings, settings)
+    assert not isinstance(on_demand, np.ndarray)
+    assert (len(on_demand), on_demand.shape) == (len(at_once), at_once.shape)
+    for index in (4, slice(3, 9), np.array([7, 2, 2]), np.arange(len(at_once)) % 3 == 0):
+        np.testing.assert_array_equal(on_demand[index], at_once[index])
