@@ -9,7 +9,7 @@ from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Settings
 
-SETTINGS = Settings().with_values({"data": {"samples_per_digit": 12}})
+SETTINGS = Settings().with_values({"data": {"samples_per_digit": 40}})
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def dataset():
 def test_a_classifier_is_better_than_chance_and_knows_its_training(dataset, stage):
     split, labels = dataset.split, dataset.labels
     of_test = classifiers.predict_test_samples(dataset, split.test, stage)
-    assert np.mean(of_test == labels[split.test]) > 0.3
+    assert np.mean(of_test == labels[split.test]) > 0.25  # chance is 0.1
     of_training = classifiers.predict_test_samples(dataset, split.train, stage)
     assert np.mean(of_training == labels[split.train]) > 0.9
 

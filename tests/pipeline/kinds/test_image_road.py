@@ -1,20 +1,21 @@
 """What the kind of images chooses, and which stages its ladder has."""
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from deploy.errors import UserError
 from models.architecture import parse
+from pipeline.commands.stages import _images_of
 from pipeline.kinds import compared_with, kind_of_network
 from pipeline.kinds.image.choices import choose_augmentation
 from pipeline.kinds.kind import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
 from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings
+from pipeline.run.settings import Image, Settings
 
 
 def settings(**sections):
@@ -100,6 +101,16 @@ def test_what_the_user_sets_is_kept():
     assert not {"snn", "deployment"} & changes.keys()
     changes, _ = kind_of_network(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip)
     assert changes == {"image": {"normalisation": "sqrt-clip"}}
+
+
+def test_a_model_for_a_run_gets_the_images_of_the_run(tmp_path):
+    run = RunFolder(tmp_path)
+    assert _images_of(run) == {}
+    image = Image("polarities", 4, 400.0, "sqrt-clip")
+    run.save_settings(settings(image=asdict(image)))
+    assert _images_of(run) == {"image": asdict(image)}
+    run.save_settings(settings(input={"kind": "events"}))
+    assert _images_of(run) == {}
 
 
 def test_a_model_of_one_s_own_keeps_the_images_that_it_is_for():
