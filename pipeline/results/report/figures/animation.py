@@ -7,22 +7,28 @@ from PIL import Image
 
 from deploy.check.bundle import Bundle
 from deploy.files import replacing, require_ending
-from deploy.network.provenance import read_classes, read_positions
 from deploy.tables import shorten_name
 from pipeline.look import colour
+from pipeline.recordings.dataset import read_classes, read_positions
 from pipeline.results.report.figures import SHADES
 from pipeline.results.report.samples import replay
 
 # Number of frames, and the duration of each and of the last one in milliseconds.
-FRAMES, FRAME_MS, LAST_MS = 48, 60, 3000
+FRAMES = 48
+FRAME_MS = 60
+LAST_MS = 3000
 
-LONGEST_NAME = 32
+# Characters of a class's name beside a curve, and as the prediction.
+MAX_NAME_LENGTH = 32
+MAX_PREDICTION_LENGTH = 16
+
+LEGEND = {"loc": "center left", "bbox_to_anchor": (1, 0.5), "frameon": False, "fontsize": 9}
 
 NAMES = {"on": "ON: rises", "off": "OFF: falls"}
 # Of the curves, for those who do not see their colours.
 STYLES = ("-", "--", ":", "-.")
 # Probability below which a prediction is not shown: it would only flicker.
-LIKELY = 0.4
+MIN_SHOWN = 0.4
 
 
 def animate(path, bundle: Bundle, index: int, advance=None):
@@ -48,101 +54,173 @@ def animate(path, bundle: Bundle, index: int, advance=None):
         Another ending of the name, or the file cannot be written.
     """
     require_ending(path, ".gif")
-    spec = bundle.spec
-    played = replay(bundle, [index], bundle.seed)[index]
-    classes, chances = read_classes(spec), played.chances
-    step, start = 1000 * spec.stimulus.step_seconds, spec.presentation.readout_start
-    extent = step * spec.presentation.steps
-    label, answer = int(bundle.checks.labels[index]), played.answer
-    times = step * (start + 1 + np.arange(len(chances)))
-    heights = [1.0] * len(played.layers) + [1.4]
-    figure = Figure(figsize=(10, 1.2 + 1.2 * len(heights)), layout="constrained", dpi=90)
-    figure.set_facecolor(colour("panel"))
-    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.06)
-    left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
-    picture, said = left.subplots(2, 1, height_ratios=[1.6, 1])
-    panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    kind = "simulated " if spec.provenance.get("simulated") else ""
-    right.suptitle(f"{kind}sample {bundle.checks.ids[index]}, class {classes[label]}", ha="center")
-    growing = _growing(bundle.checks.inputs[index])
-    draw = _picture(picture, growing, read_positions(spec))
-    picture.set(xticks=[], yticks=[])
-    picture.set_title("input spikes so far" if len(growing) > 1 else "events of each taxel")
-    said.set_axis_off()
-    middle = {"x": 0.5, "ha": "center", "va": "center"}
-    names = [shorten_name(name, 16) for name in classes]
-    size = min(48, 400 / max(map(len, names)))
-    answered = said.text(y=0.7, s="…", size=size, color=colour("soft"), weight="bold", **middle)
-    verdict = said.text(y=0.15, s="", size=14, **middle)
-    for axes in panels:
-        axes.spines[:].set_visible(False)
-    clocks = [axes.axvline(0, color=colour("soft"), linewidth=1) for axes in panels]
-    end, solid = times[played.decided], {"color": colour("ink"), "linewidth": 2, "visible": False}
-    ends = [axes.axvline(end, **solid) for axes in panels]
-    # What comes after the decision does not count, and is faded.
-    faded = {"color": "white", "alpha": 0.6, "linewidth": 0, "zorder": 2.4, "visible": False}
-    ends += [axes.axvspan(end, extent, **faded) for axes in panels]
-    marks = []
-    for axes, layer in zip(panels, played.layers, strict=False):
-        axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, extent), yticks=[])
-        title = f"{layer.name}\n{layer.size} {layer.unit}"
-        axes.set_ylabel(title, rotation=0, ha="right", va="center")
-        for kind, steps, rows in layer.groups:
-            tall = {"markersize": max(1, 60 / layer.size), "label": NAMES.get(kind)}
-            line = axes.plot([], [], "|", color=colour("ink" if kind == "s1" else kind), **tall)[0]
-            marks.append((line, step * (steps + 0.5), rows))
-        if len(layer.groups) > 1:
-            where = {"loc": "center left", "bbox_to_anchor": (1, 0.5), "frameon": False}
-            legend = axes.legend(**where, fontsize=9, markerscale=max(1, layer.size / 7))
-            for mark in legend.get_lines():
-                mark.set_markeredgewidth(4)
-    scores = panels[-1]
-    limit = 100 * spec.presentation.threshold
-    measure = "probability" if spec.estimator else "softmax"
-    probability = f"{measure}, %" + f"\n(decides at {limit:.1f})" * (limit < 100)
-    speed = extent / (FRAMES * FRAME_MS)
-    speed = f"{speed:.2g} times faster" if speed > 1 else f"{1 / speed:.2g} times slower"
-    scores.set(ylim=(0, 106), xlabel=f"milliseconds, shown {speed}", ylabel=probability)
-    lines = {
-        c: scores.plot(
-            [], [], colour(f"s{n}"), ls=ls, label=shorten_name(classes[c], LONGEST_NAME)
-        )[0]
-        for n, (c, ls) in enumerate(zip(played.shown(label), STYLES, strict=False), 1)
-    }
-    scores.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
-    scores.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=9, frameon=False)
-    when = "at the end" if end == times[-1] else f"decided after {end / 1000:.2f} s"
-    when += f"\n{measure} {_percent(chances[played.decided, answer])}"
-    ended = f"{when}: right" if answer == label else f"{when}\nwrong, was {names[label]}"
-    canvas, frames = FigureCanvasAgg(figure), []
-    canvas.draw()
-    figure.set_layout_engine("none")  # of the first frame, for all
-    for now in np.linspace(0, extent, FRAMES):
-        draw(growing[min(int(now / step), len(growing) - 1)] * (now > 0 or len(growing) == 1))
-        for clock in clocks:
-            clock.set_xdata([now, now])
-        for mark, at, neurons in marks:
-            mark.set_data(at[at <= now], neurons[at <= now])
-        for c, line in lines.items():
-            line.set_data(times[times <= now], 100 * chances[times <= now, c])
-        step_now = min(np.searchsorted(times, now, side="right") - 1, played.decided)
-        if step_now >= 0:
-            likely = chances[step_now].max()
-            answered.set_text(names[chances[step_now].argmax()] if likely >= LIKELY else "…")
-            verdict.set_text(f"{measure} {_percent(likely)}")
-        if now >= end:
-            answered.set(text=names[answer], color=colour("right" if answer == label else "wrong"))
-            verdict.set_text(ended)
-            for line in ends:
-                line.set_visible(True)
-        canvas.draw()
-        frames.append(Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB"))
+    animation = _Animation(bundle, index)
+    frames = []
+    for now_ms in np.linspace(0, animation.extent_ms, FRAMES):
+        frames.append(animation.draw(now_ms))
         if advance is not None:
             advance()
     # The result is first, too: some programs show the first frame only.
     timing = {"duration": [FRAME_MS] * FRAMES + [LAST_MS], "loop": 0}
     with replacing(path) as file:
         frames[-1].save(file, "gif", save_all=True, append_images=frames, **timing)
+
+
+class _Animation:
+    """The figure of an animation; :meth:`draw` sets it to a moment.
+
+    On the left are the sensor and the prediction; on the right, on one time axis, the spikes of
+    each layer and the probabilities.
+    """
+
+    def __init__(self, bundle, index):
+        spec = bundle.spec
+        self._spec = spec
+        self._played = replay(bundle, [index], bundle.seed)[index]
+        self._label = int(bundle.checks.labels[index])
+        self._classes = read_classes(spec)
+        self._names = [shorten_name(name, MAX_PREDICTION_LENGTH) for name in self._classes]
+        self._measure = "probability" if spec.estimator else "softmax"
+        self._step_ms = 1000 * spec.stimulus.step_seconds
+        self.extent_ms = self._step_ms * spec.presentation.steps
+        first = spec.presentation.readout_start + 1
+        self._times_ms = self._step_ms * (first + np.arange(len(self._played.chances)))
+        self._decided_ms = self._times_ms[self._played.decided]
+        self._growing = _growing(bundle.checks.inputs[index])
+        left, panels = self._make_figure(bundle.checks.ids[index])
+        self._draw_touch = self._add_sensor(left[0])
+        self._add_prediction(left[1])
+        self._add_clocks(panels)
+        self._marks = self._add_spikes(panels)
+        self._curves = self._add_probabilities(panels[-1])
+        self._canvas = FigureCanvasAgg(self._figure)
+        self._canvas.draw()
+        self._figure.set_layout_engine("none")  # of the first frame, for all
+
+    def draw(self, now_ms) -> Image.Image:
+        """The picture at a time of the presentation."""
+        step = min(int(now_ms / self._step_ms), len(self._growing) - 1)
+        is_there = now_ms > 0 or len(self._growing) == 1
+        self._draw_touch(self._growing[step] * is_there)
+        for clock in self._clocks:
+            clock.set_xdata([now_ms, now_ms])
+        for mark, at_ms, rows in self._marks:
+            mark.set_data(at_ms[at_ms <= now_ms], rows[at_ms <= now_ms])
+        past = self._times_ms <= now_ms
+        for number, curve in self._curves.items():
+            curve.set_data(self._times_ms[past], 100 * self._played.chances[past, number])
+        self._say_prediction(now_ms)
+        if now_ms >= self._decided_ms:
+            self._say_decision()
+        self._canvas.draw()
+        return Image.fromarray(np.array(self._canvas.buffer_rgba())).convert("RGB")
+
+    def _make_figure(self, name):
+        """Axes of the sensor and the prediction, and those with a time axis."""
+        heights = [1.0] * len(self._played.layers) + [1.4]
+        size = (10, 1.2 + 1.2 * len(heights))
+        self._figure = figure = Figure(figsize=size, layout="constrained", dpi=90)
+        figure.set_facecolor(colour("panel"))
+        figure.get_layout_engine().set(w_pad=0.12, h_pad=0.06)
+        left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
+        axes = left.subplots(2, 1, height_ratios=[1.6, 1])
+        panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+        kind = "simulated " if self._spec.provenance.get("simulated") else ""
+        title = f"{kind}sample {name}, class {self._classes[self._label]}"
+        right.suptitle(title, ha="center")
+        return axes, panels
+
+    def _add_sensor(self, axes):
+        """Add the sensor; return the function that draws values on it."""
+        draw = _picture(axes, self._growing, read_positions(self._spec))
+        axes.set(xticks=[], yticks=[])
+        is_image = len(self._growing) == 1
+        axes.set_title("events of each taxel" if is_image else "input spikes so far")
+        return draw
+
+    def _add_prediction(self, axes):
+        """Add the texts of the predicted class and of its probability."""
+        axes.set_axis_off()
+        middle = {"x": 0.5, "ha": "center", "va": "center"}
+        size = min(48, 400 / max(map(len, self._names)))
+        bold = {"size": size, "color": colour("soft"), "weight": "bold"}
+        self._prediction = axes.text(y=0.7, s="…", **bold, **middle)
+        self._verdict = axes.text(y=0.15, s="", size=14, **middle)
+
+    def _add_clocks(self, panels):
+        """Add the present time, and what is shown from the decision on: its line, and a veil."""
+        for axes in panels:
+            axes.spines[:].set_visible(False)
+        self._clocks = [axes.axvline(0, color=colour("soft"), linewidth=1) for axes in panels]
+        solid = {"color": colour("ink"), "linewidth": 2, "visible": False}
+        self._ends = [axes.axvline(self._decided_ms, **solid) for axes in panels]
+        # What comes after the decision does not count, and is faded.
+        faded = {"color": "white", "alpha": 0.6, "linewidth": 0, "zorder": 2.4, "visible": False}
+        for axes in panels:
+            self._ends.append(axes.axvspan(self._decided_ms, self.extent_ms, **faded))
+
+    def _add_spikes(self, panels):
+        """Add the layers; return a list of (line, times of its spikes, their rows)."""
+        marks = []
+        for axes, layer in zip(panels, self._played.layers, strict=False):
+            axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, self.extent_ms), yticks=[])
+            title = f"{layer.name}\n{layer.size} {layer.unit}"
+            axes.set_ylabel(title, rotation=0, ha="right", va="center")
+            for kind, steps, rows in layer.groups:
+                name = "ink" if kind == "s1" else kind
+                tall = {"markersize": max(1, 60 / layer.size), "label": NAMES.get(kind)}
+                line = axes.plot([], [], "|", color=colour(name), **tall)[0]
+                marks.append((line, self._step_ms * (steps + 0.5), rows))
+            if len(layer.groups) > 1:
+                legend = axes.legend(**LEGEND, markerscale=max(1, layer.size / 7))
+                for mark in legend.get_lines():
+                    mark.set_markeredgewidth(4)
+        return marks
+
+    def _add_probabilities(self, axes):
+        """Add the probabilities; return the curve of each drawn class."""
+        limit = 100 * self._spec.presentation.threshold
+        decides = f"\n(decides at {limit:.1f})" if limit < 100 else ""
+        speed = self.extent_ms / (FRAMES * FRAME_MS)
+        pace = f"{speed:.2g} times faster" if speed > 1 else f"{1 / speed:.2g} times slower"
+        axes.set(
+            ylim=(0, 106),
+            xlabel=f"milliseconds, shown {pace}",
+            ylabel=f"{self._measure}, %{decides}",
+        )
+        curves = {}
+        drawn = self._played.shown(self._label)
+        for place, (number, style) in enumerate(zip(drawn, STYLES, strict=False), 1):
+            name = shorten_name(self._classes[number], MAX_NAME_LENGTH)
+            curves[number] = axes.plot([], [], colour(f"s{place}"), ls=style, label=name)[0]
+        axes.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
+        axes.legend(**LEGEND)
+        return curves
+
+    def _say_prediction(self, now_ms):
+        """The prediction so far; that of the decision from then on."""
+        step = np.searchsorted(self._times_ms, now_ms, side="right") - 1
+        step = min(step, self._played.decided)
+        if step < 0:
+            return
+        chances = self._played.chances[step]
+        likely = chances.max()
+        self._prediction.set_text(self._names[chances.argmax()] if likely >= MIN_SHOWN else "…")
+        self._verdict.set_text(f"{self._measure} {_percent(likely)}")
+
+    def _say_decision(self):
+        """The decision, when it was made, and whether it is right."""
+        played, label = self._played, self._label
+        is_right = played.answer == label
+        is_last = self._decided_ms == self._times_ms[-1]
+        when = "at the end" if is_last else f"decided after {self._decided_ms / 1000:.2f} s"
+        when += f"\n{self._measure} {_percent(played.chances[played.decided, played.answer])}"
+        ended = f"{when}: right" if is_right else f"{when}\nwrong, was {self._names[label]}"
+        shade = colour("right" if is_right else "wrong")
+        self._prediction.set(text=self._names[played.answer], color=shade)
+        self._verdict.set_text(ended)
+        for line in self._ends:
+            line.set_visible(True)
 
 
 def _percent(share):
