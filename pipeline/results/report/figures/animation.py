@@ -7,9 +7,9 @@ from PIL import Image
 
 from deploy.check.bundle import Bundle
 from deploy.files import replacing, require_ending
+from deploy.network.provenance import read_classes, read_positions
 from deploy.tables import shorten_name
 from pipeline.look import colour
-from pipeline.recordings.dataset import read_classes, read_positions
 from pipeline.results.report.figures import SHADES
 from pipeline.results.report.samples import replay
 
