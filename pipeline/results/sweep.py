@@ -8,6 +8,7 @@ import functools
 import itertools
 import re
 from collections import defaultdict
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from pipeline.run.settings import Settings, parse_assignments, put
 
 SCHEMA = "stmnist-sweep/3"
 # Share of the training samples held out for the evaluation, if the settings have none.
-VALIDATION = 0.15
+VALIDATION_FRACTION = 0.15
 
 # Stages of a point: the trained network of either input, and the chip's integers.
 STAGES = ("rate-lif", "trained", "fast")
@@ -93,6 +94,28 @@ def _axis(entry, base):
     return axis
 
 
+@dataclass(frozen=True)
+class Point:
+    """A combination of the grid's values.
+
+    Attributes
+    ----------
+    changes : dict
+        The changed settings by their dotted names.
+    cases : dict of str to Case
+        The case of each stage.
+    read : frozenset of str
+        Settings that the network of this point depends on.
+    notes : tuple of str
+        What was chosen for the recordings, and what the user should know of them.
+    """
+
+    changes: dict
+    cases: dict
+    read: frozenset
+    notes: tuple
+
+
 def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers, say) -> tuple:
     """Train and test the missing points of a sweep; write ``sweep.json``.
 
@@ -119,42 +142,69 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
         As in :func:`points_of`, or the recordings cannot be read or are too few.
     """
     recordings = recordings_of(settings, workers.processes, say)
-    fraction = settings.split.validation_fraction or VALIDATION
+    fraction = settings.split.validation_fraction or VALIDATION_FRACTION
     divided = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
     base = choose_settings(divided, recordings)
-    split, kind = kind_of(base.split.kind, recordings), kind_of_network(base)
-    said = defaultdict(list)  # the points that each line is about
-    points = points_of(divided, grid or kind.grid)
-    cases, unused = [], set(points[0][0])
-    for number, (changes, asked) in enumerate(points):
-        lines = []
-        of_point = choose_settings(asked, recordings, say=lines.append)
-        own = kind_of_network(of_point)
-        own.require_fit(recordings)
-        origin = dataset_origin(of_point, recordings.source.sha256, split)
-        unused -= own.bundle_origin(origin).settings.keys()
-        for line in (*lines, *own.notes(recordings)):
-            said[line].append(changes)
-        for stage in STAGES:
-            if stage in own.references or stage in TARGETS:
-                name = f"point-{number}-{stage}"
-                cases.append(Case(name, of_point, stage, base.seed, split, part="validation"))
+    combinations = points_of(divided, grid or kind_of_network(base).grid)
+    points = [
+        _prepare_point(number, changes, asked, recordings)
+        for number, (changes, asked) in enumerate(combinations)
+    ]
+    unused = set(points[0].changes).difference(*(point.read for point in points))
     if unused:
         raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
-    for line, about in said.items():
-        where = ", ".join(f"{k}={v}" for k, v in about[0].items() if all(c[k] == v for c in about))
-        say(line if len(about) == len(points) else f"{line} ({where or 'some points'})")
+    for line in _join_notes(points):
+        say(line)
     (folder.path / "rows").mkdir(exist_ok=True)  # from now on the folder is no run
     folder.save_settings(base, settings)
+    cases = [case for point in points for case in point.cases.values()]
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
-    errors = {case.name.split("-")[1]: error for case, error in failed.items()}  # of each point
-    complete = [row for row in rows if row["name"].split("-")[1] not in errors]
-    summary = summarise([changes for changes, _ in points], complete)
-    summary["failed"] = [
-        {"changes": points[int(number)][0], "error": error} for number, error in errors.items()
-    ]
+    summary = summarise(points, {row["name"]: row for row in rows}, failed)
     write_json(folder.path / "sweep.json", summary)
-    return summary, f"{len(errors)} of {len(points)} points failed" if errors else ""
+    n_failed = len(summary["failed"])
+    return summary, f"{n_failed} of {len(points)} points failed" if n_failed else ""
+
+
+def _prepare_point(number, changes, asked, recordings) -> Point:
+    """Choose the settings of a point, and list its cases."""
+    notes: list = []
+    settings = choose_settings(asked, recordings, say=notes.append)
+    network = kind_of_network(settings)
+    network.require_fit(recordings)
+    split = kind_of(settings.split.kind, recordings)
+    origin = dataset_origin(settings, recordings.source.sha256, split)
+    cases = {
+        stage: Case(
+            name=f"point-{number}-{stage}",
+            settings=settings,
+            stage=stage,
+            seed=settings.seed,
+            split=split,
+            part="validation",
+        )
+        for stage in STAGES
+        if stage in network.references or stage in TARGETS
+    }
+    read = frozenset(network.bundle_origin(origin).settings)
+    return Point(changes, cases, read, (*notes, *network.notes(recordings)))
+
+
+def _join_notes(points):
+    """Each note once, with the settings that its points have in common unless it is about all."""
+    about = defaultdict(list)
+    for point in points:
+        for note in point.notes:
+            about[note].append(point.changes)
+    for note, changes in about.items():
+        if len(changes) == len(points):
+            yield note
+            continue
+        shared = [
+            f"{name}={value}"
+            for name, value in changes[0].items()
+            if all(others[name] == value for others in changes)
+        ]
+        yield f"{note} ({', '.join(shared) or 'some points'})"
 
 
 def pareto_front(costs) -> np.ndarray:
@@ -175,45 +225,61 @@ def pareto_front(costs) -> np.ndarray:
     return ~np.any(no_worse & better, axis=0)
 
 
-def summarise(changes, rows) -> dict:
+def summarise(points, rows: dict, failed: dict) -> dict:
     """Combine the points in one summary, the most accurate first.
 
     Parameters
     ----------
-    changes : list of dict
-        The changed settings of each point.
-    rows : list of dict
-        From :func:`pipeline.results.study.study`, those of failed points left out.
+    points : sequence of Point
+    rows : dict of str to dict
+        Rows of :func:`pipeline.results.study.study` by their names.
+    failed : dict of Case to str
+        The errors of the cases that failed; their points are not among the others.
     """
-    by_name = {row["name"]: row for row in rows}
-    points = []
-    for number, values in enumerate(changes):
-        stages = {stage: by_name.get(f"point-{number}-{stage}") for stage in STAGES}
-        chip, trained = stages.pop("fast"), next(filter(None, stages.values()), None)
-        if chip is None:
+    measured, errors = [], []
+    for point in points:
+        problems = [failed[case] for case in point.cases.values() if case in failed]
+        if problems:
+            errors.append({"changes": point.changes, "error": problems[-1]})
             continue
-        right = chip["right"]
-        points.append(
-            {
-                "changes": values,
-                "accuracy": chip["accuracy"],
-                "accuracy_ci95": list(wilson_interval(sum(right), len(right))),
-                "trained_accuracy": trained and trained["accuracy"],
-                "n_samples": len(right),
-                "simulated": chip["simulated"],
-                **chip["costs"],
-            }
-        )
-    costs = [(-p["accuracy"], p["operations"], p["cores"], p["steps"]) for p in points]
-    for point, on_front in zip(points, pareto_front(costs) if points else (), strict=True):
-        point["pareto"] = bool(on_front)
-    points.sort(key=lambda p: (-p["accuracy"], p["operations"], p["steps"]))
-    return {"schema": SCHEMA, "part": "validation", "names": list(changes[0]), "points": points}
+        by_stage = {
+            stage: rows[case.name] for stage, case in point.cases.items() if case.name in rows
+        }
+        if "fast" in by_stage:
+            measured.append(_describe_point(point.changes, by_stage))
+    costs = [(-p["accuracy"], p["operations"], p["cores"], p["steps"]) for p in measured]
+    for entry, on_front in zip(measured, pareto_front(costs) if measured else (), strict=True):
+        entry["pareto"] = bool(on_front)
+    measured.sort(key=lambda p: (-p["accuracy"], p["operations"], p["steps"]))
+    return {
+        "schema": SCHEMA,
+        "part": "validation",
+        "names": list(points[0].changes),
+        "points": measured,
+        "failed": errors,
+    }
+
+
+def _describe_point(changes, by_stage) -> dict:
+    """The entry of a point in the summary, from the rows of its stages."""
+    chip = by_stage["fast"]
+    trained = next((row for stage, row in by_stage.items() if stage != "fast"), None)
+    right = chip["right"]
+    return {
+        "changes": changes,
+        "accuracy": chip["accuracy"],
+        "accuracy_ci95": list(wilson_interval(sum(right), len(right))),
+        "trained_accuracy": trained and trained["accuracy"],
+        "n_samples": len(right),
+        "simulated": chip["simulated"],
+        **chip["costs"],
+    }
 
 
 def sweep_text(sweep: dict) -> str:
     """The points as a table, those of the Pareto front marked."""
-    points, lines = sweep["points"], []
+    points = sweep["points"]
+    lines = []
     for point in sweep["failed"]:
         changed = ", ".join(f"{k}={plain(v)}" for k, v in point["changes"].items())
         lines.append(f"failed: {changed}: {point['error']}")
@@ -224,11 +290,16 @@ def sweep_text(sweep: dict) -> str:
     rows = [["", "#", *heads, *sweep["names"]]]
     for number, point in enumerate(points, 1):
         trained = point["trained_accuracy"]
+        low, high = point["accuracy_ci95"]
         rows.append(
             [
-                *("*" if point["pareto"] else "", str(number), f"{point['accuracy']:.3f}"),
-                *("{:.3f} to {:.3f}".format(*point["accuracy_ci95"]), f"{point['per_cnn']:.2f} x"),
-                *(str(point["cores"]), str(point["steps"])),
+                "*" if point["pareto"] else "",
+                str(number),
+                f"{point['accuracy']:.3f}",
+                f"{low:.3f} to {high:.3f}",
+                f"{point['per_cnn']:.2f} x",
+                str(point["cores"]),
+                str(point["steps"]),
                 "" if trained is None else f"{trained:.3f}",
                 *(plain(point["changes"][name]) for name in sweep["names"]),
             ]
