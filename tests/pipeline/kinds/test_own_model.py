@@ -1,5 +1,6 @@
 """A user's Keras model in the place of the CNN: taken over, scaled, converted, or refused."""
 
+import re
 import shutil
 
 import numpy as np
@@ -58,6 +59,24 @@ def files(tmp_path_factory, dataset):
     output = model.layers[-1]
     output.set_weights([np.roll(array, 1, axis=-1) for array in output.get_weights()])
     model.save(folder / "other.keras")
+    model = tf.keras.Sequential([
+        tf.keras.Input((100,)),
+        layers.Reshape((10, 10, 1)),
+        layers.Conv2D(6, 3, activation="relu"),
+        layers.MaxPooling2D(2, name="pool"),
+        layers.Flatten(),
+        layers.Dense(10, activation="softmax"),
+    ])  # fmt: skip
+    model.compile(tf.keras.optimizers.Adam(0.01), "sparse_categorical_crossentropy")
+    model.fit(images.reshape(-1, 100), labels, epochs=12, batch_size=32, verbose=0)
+    model.save(folder / "maximum.keras")
+    large = tf.keras.Sequential([
+        tf.keras.Input((12, 11, 1)),
+        layers.Flatten(),
+        layers.Dense(9, activation="relu"),
+        layers.Dense(10),
+    ])  # fmt: skip
+    large.save(folder / "large.keras")
     small = tf.keras.Sequential([
         tf.keras.Input((8, 8, 1)),
         layers.Flatten(),
@@ -167,9 +186,28 @@ def test_retraining_starts_from_the_model(files, tmp_path):
     assert metrics["accuracy"]["test"] > 0.5  # from new weights one epoch gives a tenth
 
 
+def test_a_maximum_becomes_an_average_and_is_trained_further(files, tmp_path, capsys):
+    folder, path = tmp_path / "run", files / "maximum.keras"
+    assert call("convert", folder, "--model", path, *SMALL) == 2
+    assert missing(capsys.readouterr().err, f"{path}: layer 'pool'", "--retrain") == []
+    assert not folder.exists()
+    options = ("--set", "snn.epochs=1", "--set", "cnn.epochs=5", "--retrain")
+    assert call("convert", folder, "--model", path, *SMALL, *options) == 0
+    said = capsys.readouterr()
+    said = said.err + said.out
+    line = next(line for line in said.splitlines() if "as in the file" in line)
+    before, replaced, after = (float(number) for number in re.findall(r"[01]\.\d{3}", line))
+    assert min(before, after) > replaced
+    assert after > before - 0.15
+    assert "AveragePooling2D" in said
+    metrics = read_json(folder / "cnn" / "metrics.json", "")
+    assert metrics["accuracy"]["test"] == pytest.approx(after, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("name", "facts"),
     [
+        ("large", ["12x11x1", "10x10x1", "skin.rows=12", "skin.columns=11"]),
         ("small", ["8x8x1", "4 classes", "10x10x1", "10 classes"]),
         ("new", ["chance", "accuracy 0."]),
         ("other", ["accuracy 0."]),
