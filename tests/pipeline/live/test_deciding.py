@@ -11,9 +11,8 @@ from deploy.network.decision import confidence
 from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import run_target as answers_of
 from pipeline.live.deciding import Curve, EventDecider, decider_of
-from pipeline.recordings.dataset import inputs_of
+from pipeline.recordings.dataset import inputs_for, inputs_of
 from pipeline.recordings.events import Events, Sensor
-from pipeline.recordings.images import tactile_images
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Settings
 from pipeline.simulation.simulate import simulate
@@ -37,7 +36,7 @@ def recordings():
 
 def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, recordings):
     spec = bundle.spec.with_presentation(stream_length=1)
-    images = tactile_images(recordings)
+    images = inputs_for(spec, recordings)
     expected = answers_of(spec, images, "fast")
     for index in range(len(recordings)):
         said = decider.begin().answer(recordings[index], 2.0)
