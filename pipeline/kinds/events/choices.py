@@ -57,7 +57,7 @@ class EventChoices:
     Attributes
     ----------
     changes : dict
-        As :meth:`pipeline.run.settings.Settings.with_values` takes them.
+        As :meth:`pipeline.run.settings.schema.Settings.with_values` takes them.
     lines : list of str
         A line about each choice.
     """
