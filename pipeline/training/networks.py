@@ -435,7 +435,7 @@ def fit(
     for row in epochs_of(model, recipe, data, seed, altered):
         history.append({"epoch": len(history) + 1, **row})
         if validation is not None:
-            history[-1] |= _judged(predict(model, validation[0]), validation[1])
+            history[-1] |= _evaluate(predict(model, validation[0]), validation[1])
         if advance is not None:
             advance(1, f"accuracy {row['accuracy']:.3f}")
     return history
@@ -457,7 +457,7 @@ def epochs_of(model, recipe: Recipe, data, seed: int, altered=None):
     rule = optimizer(recipe, count)
     rule.build(model.trainable_variables)
     train_on = _compiled_batches(model, rule, recipe.batch_size)
-    samples = _ahead(_samples(model, data, recipe, seed, altered))
+    samples = _compute_ahead(_draw_samples(model, data, recipe, seed, altered))
     for _ in range(recipe.epochs):
         sums, shown = tf.zeros(2), 0
         while shown < count:
@@ -497,7 +497,7 @@ def _compiled_batches(model, rule, batch_size):
     return train_on
 
 
-def _samples(model, data, recipe, seed, altered):
+def _draw_samples(model, data, recipe, seed, altered):
     """The training samples of all epochs: images, labels, noise and masks for dropout.
 
     Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
@@ -529,7 +529,7 @@ def _samples(model, data, recipe, seed, altered):
             yield tf.constant(shown[part]), tf.constant(labels[order[part]]), drawn, kept
 
 
-def _ahead(values):
+def _compute_ahead(values):
     """Iterate over values; a thread computes the next one while the current one is in use."""
     with ThreadPoolExecutor(1) as pool:
         made = pool.submit(next, values, None)
@@ -538,7 +538,7 @@ def _ahead(values):
             yield value
 
 
-def _judged(logits, labels):
+def _evaluate(logits, labels):
     """Loss and accuracy on validation samples, as in a row of the history."""
     losses = tf.nn.sparse_softmax_cross_entropy_with_logits(np.asarray(labels, np.int32), logits)
     right = np.mean(np.argmax(logits, 1) == labels)

@@ -189,7 +189,7 @@ class ImageKind(NetworkKind):
         """Train the CNN further, as the rate-based network is trained."""
         from pipeline.training.networks import train_matched
 
-        _, metrics = _trained_further("cnn-matched", train_matched, inputs, artifact)
+        _, metrics = _train_further("cnn-matched", train_matched, inputs, artifact)
         inputs.say(accuracy_text("cnn-matched", metrics))
         return metrics
 
@@ -198,9 +198,9 @@ class ImageKind(NetworkKind):
         """Train the rate-LIF network, starting from the CNN."""
         from pipeline.training.networks import train_rate_network
 
-        trained, metrics = _trained_further("rate-lif", train_rate_network, inputs, artifact)
+        trained, metrics = _train_further("rate-lif", train_rate_network, inputs, artifact)
         images, _ = inputs.dataset.part("train")
-        metrics["neurons"] = _neurons(inputs.settings, trained, images)
+        metrics["neurons"] = _measure_activity(inputs.settings, trained, images)
         inputs.say(accuracy_text("rate-lif", metrics))
         for line in training_lines(metrics["neurons"]):
             inputs.say(f"rate-lif: {line}")
@@ -309,7 +309,7 @@ def _adopt(model, settings, dataset, say):
     return trained, seconds
 
 
-def _trained_further(name, function, inputs, artifact):
+def _train_further(name, function, inputs, artifact):
     """Train a network that starts from the CNN; write it, and return it and its metrics."""
     from pipeline.training.networks import snn_recipe
 
@@ -335,7 +335,7 @@ def _trained_further(name, function, inputs, artifact):
     return trained, {**metrics, "augment": how}
 
 
-def _neurons(settings, trained, inputs):
+def _measure_activity(settings, trained, inputs):
     """Shares of silent and saturated neurons of each layer on the training samples."""
     fastest = fastest_rate(settings.snn.tau_ref)
     outputs = trained.activations(inputs)

@@ -99,7 +99,7 @@ def test_noise_is_normal_with_the_settings_deviation():
     model = training.build_rate_network(chosen)
     recipe = training.snn_recipe(chosen.snn, 200)
     data = np.arange(200.0).reshape(-1, 1, 1, 1), np.arange(200)
-    drawn = list(training._samples(model, data, recipe, 4, None))
+    drawn = list(training._draw_samples(model, data, recipe, 4, None))
     assert [len(labels) for _, labels, _, _ in drawn] == [200, 200]
     assert sorted(drawn[0][1].numpy()) == list(range(200))
     assert not np.array_equal(drawn[0][1], drawn[1][1])
@@ -113,7 +113,8 @@ def test_noise_is_normal_with_the_settings_deviation():
     first, second = drawn[0][2][0].numpy(), drawn[1][2][0].numpy()
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02
     again, other = (
-        next(training._samples(model, data, recipe, seed, None))[2][0].numpy() for seed in (4, 5)
+        next(training._draw_samples(model, data, recipe, seed, None))[2][0].numpy()
+        for seed in (4, 5)
     )
     np.testing.assert_array_equal(again, first)
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.02
@@ -183,7 +184,9 @@ def test_dropout_keeps_the_mean():
     chosen = settings(recipe="loihi", epochs=1, batch_size=64, dropout=0.25)
     model = training.build_rate_network(chosen)
     data = np.zeros((200, 1, 1, 1)), np.zeros(200, int)
-    *_, masks = next(training._samples(model, data, training.snn_recipe(chosen.snn, 200), 4, None))
+    *_, masks = next(
+        training._draw_samples(model, data, training.snn_recipe(chosen.snn, 200), 4, None)
+    )
     assert [layer.shape for layer in masks] == [(200, 7, 7, 6), (200, 5, 5, 24)]
     for mask in masks:
         assert set(np.unique(mask)) == {np.float32(0), np.float32(4 / 3)}
