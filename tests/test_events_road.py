@@ -125,3 +125,16 @@ def test_what_is_not_shown_is_said(tmp_path, capsys, monkeypatch):
     said = capsys.readouterr().err
     assert missing(said, "enough has been said", " 50 ms", "input.step", "5 steps of 50 ms") == []
     assert "rests" not in said  # steps are longer than a taxel rests
+
+
+def test_a_check_with_faulty_taxels_has_a_file_of_its_own(run_on_events, capsys):
+    fault = ("--fault", "hot=2", "--fault", "dead=5")
+    assert call("check", "run", run_on_events, "--target", "fast", *fault) == 0
+    faulty = read_json(run_on_events / "checks" / "fast-hot2-dead5.json", "")
+    assert (faulty["fault"]["hot"], faulty["fault"]["dead"]) == (2, 5)
+    usual = read_result(run_on_events / "checks" / "emulator.json")
+    assert [s["id"] for s in faulty["samples"]] == [s["id"] for s in usual["samples"]]
+    assert faulty["spikes"]["input"] != usual["spikes"]["input"]
+    for wrong in ("hot", "cold=1", "hot=1,hot=2", "dead=101"):
+        assert call("check", "run", run_on_events, "--target", "fast", "--fault", wrong) == 2
+        assert "--fault" in capsys.readouterr().err

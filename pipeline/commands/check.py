@@ -92,6 +92,13 @@ def run(
         int | None,
         typer.Option(help="Seed given to the simulator (default: that of the bundle's run)."),
     ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Faulty taxels at random places in each sample, such as hot=1 (a spike of each "
+            "polarity every 80 ms) or hot=1,dead=5; the result gets a file of its own.",
+        ),
+    ] = None,
     *,
     others: Others,
     board: Board,
@@ -102,6 +109,8 @@ def run(
     from deploy.check.text import others_text, summary
     from deploy.files import require_ending, write_json
     from deploy.targets.registry import options_for
+    from pipeline.results import faulty
+    from pipeline.results.faulty import FaultCounts
 
     chosen = options_for(target, **vars(board))
     if out is not None:
@@ -109,6 +118,7 @@ def run(
     alone = "--skip-bad" if others.skip_bad else "--samples" if others.samples is not None else None
     if alone and others.data is None:
         raise UserError(f"{alone}: needs other recordings; give them with --data FILE")
+    counts = FaultCounts.parse(fault) if fault else None
     bundle = options.bundle_in(bundle)
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)
@@ -116,10 +126,15 @@ def run(
         seed = opened.seed
     check = partial(_run_check, target=target, seed=seed, chosen=chosen)
     if others.data is not None:
-        result, path = _on_others(opened, target, others, seed, out, check)
+        result, path = _on_others(opened, target, others, seed, out, check, counts)
         options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
         return
     path = out or checks_of(opened.path) / f"{target}.json"
+    if counts is not None:
+        path = out or faulty.fault_path(path, counts)
+        result = _check_with_faults(opened, counts, others.jobs, path, check)
+        options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
+        return
     result = check(opened, path)
     if number := _fitted_to(opened.spec):
         options.say(
@@ -161,10 +176,19 @@ def _loss(bundle, result):
     return None
 
 
-def _on_others(bundle, target, others, seed, out, check):
+def _check_with_faults(bundle, counts, jobs, path, check):
+    """Run the check with faulty taxels in its samples; return the result."""
+    from pipeline.results import faulty
+
+    recordings, image = faulty.recordings_of_check(bundle, jobs, options.say)
+    presented = faulty.with_faults(bundle, recordings, counts, image)
+    return faulty.add_note(check(presented, path), path, counts)
+
+
+def _on_others(bundle, target, others, seed, out, check, counts):
     """Run the check on other recordings; return the result and its file."""
     from deploy.files import write_json
-    from pipeline.results import elsewhere
+    from pipeline.results import elsewhere, faulty
 
     settings = elsewhere.settings_around(bundle, others.skip_bad, others.time_unit)
     recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
@@ -173,8 +197,14 @@ def _on_others(bundle, target, others, seed, out, check):
     presented, indices = elsewhere.with_recordings(
         bundle, recordings, others.samples, seed, settings.image
     )
-    path = out or elsewhere.result_path(bundle, recordings, len(indices), target)
+    usual_path = elsewhere.result_path(bundle, recordings, len(indices), target)
+    path = out or (usual_path if counts is None else faulty.fault_path(usual_path, counts))
+    if counts is not None:
+        drawn = recordings.part(indices)
+        presented = faulty.with_faults(presented, drawn, counts, settings.image)
     result = elsewhere.with_accuracies(check(presented, path), bundle, recordings, indices)
+    if counts is not None:
+        return faulty.add_note(result, path, counts), path
     write_json(path, result)
     return result, path
 

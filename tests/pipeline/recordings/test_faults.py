@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from pipeline.recordings.columns import EventColumns
+from pipeline.recordings.events import Events, Source, collect
 from pipeline.recordings.faults import (
     CHECK_PERIOD_MS,
     HOT_PERIOD_MS,
     MAX_DEAD_SHARE,
     MAX_HOT_TAXELS,
+    add_faults,
     draw_faults,
     place_faults,
 )
@@ -90,3 +92,20 @@ def test_no_faults():
     before = one_event_a_taxel(2)
     after = faults.apply(before)
     assert [values.tolist() for values in after] == [values.tolist() for values in before]
+
+
+def test_recordings_with_faults():
+    one = Events([10_000_000, 500_000_000], [44, 55], [1, -1], [4, 2])
+    recordings = collect(
+        [one, Events([], [], [], [])], [3, 5], ["3/0", "5/0"], [4, 4], Source("made up", "", True)
+    )
+    same = add_faults(recordings, 0, 0, 0)
+    assert same[0].time_ns.tolist() == one.time_ns.tolist()
+    assert same[0].columns.tolist() == [4, 2]
+    hot = add_faults(recordings, 1, 0, 0)
+    assert hot.offsets[1] > 10
+    assert (np.diff(hot[0].time_ns) >= 0).all()
+    assert hot[0].time_ns[0] == one.time_ns[0]
+    assert set(hot[0].polarity.tolist()) == {-1, 1}
+    assert len(set(hot[0].taxel.tolist())) == 3
+    assert len(add_faults(recordings, 0, 100, 0).events.time_ns) == 0

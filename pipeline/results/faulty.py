@@ -1,0 +1,136 @@
+"""A check with faulty taxels: the same network on its samples with hot and dead taxels."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from deploy.check.bundle import Bundle
+from deploy.errors import UserError
+from deploy.files import write_json
+from pipeline.recordings.dataset import inputs_for
+from pipeline.recordings.events import Recordings
+from pipeline.recordings.faults import CHECK_PERIOD_MS, add_faults
+from pipeline.recordings.library import recordings_of
+from pipeline.run.folder import run_around
+from pipeline.run.settings import Image, read_settings
+
+# Maximum number of faulty taxels of a kind.
+MAX_FAULTS = 1000
+
+
+@dataclass(frozen=True)
+class FaultCounts:
+    """Numbers of faulty taxels in each sample.
+
+    Attributes
+    ----------
+    hot : int
+        Taxels that send a spike of each polarity every `CHECK_PERIOD_MS`.
+    dead : int
+        Taxels that send nothing.
+    """
+
+    hot: int = 0
+    dead: int = 0
+
+    @classmethod
+    def parse(cls, texts) -> FaultCounts:
+        """Numbers in texts such as ``"hot=1"`` and ``"hot=1,dead=5"``.
+
+        Raises
+        ------
+        UserError
+            A text is of another form, or a kind of fault is named twice.
+        """
+        counts: dict = {}
+        for entry in ",".join(texts).split(","):
+            match = re.fullmatch(r"\s*(hot|dead)\s*=\s*(\d{1,4})\s*", entry)
+            if match is None or match[1] in counts or int(match[2]) > MAX_FAULTS:
+                raise UserError(
+                    f"--fault {entry!r}: give each of hot and dead once, with a number of taxels "
+                    f"of at most {MAX_FAULTS}, such as --fault hot=1,dead=5"
+                )
+            counts[match[1]] = int(match[2])
+        return cls(**counts)
+
+    def __str__(self):
+        return f"hot{self.hot}-dead{self.dead}"
+
+
+def recordings_of_check(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
+    """The recordings of a bundle's check samples, from the source of its run.
+
+    Returns
+    -------
+    recordings : Recordings
+        In the order of the samples.
+    image : pipeline.run.settings.Image
+        Conversion of events to images in the run's settings.
+
+    Raises
+    ------
+    UserError
+        The bundle is not in a run, or the source no longer has its samples.
+    """
+    run = run_around(bundle.path)
+    if run is None:
+        raise UserError(
+            f"{bundle.path}: is in no run, so that the recordings of its samples are not known; "
+            "give recordings with --data FILE"
+        )
+    settings = read_settings(run / "experiment.toml")
+    recordings = recordings_of(settings, jobs, warn)
+    number = {name: index for index, name in enumerate(recordings.ids)}
+    missing = [name for name in bundle.checks.ids if name not in number]
+    if missing:
+        raise UserError(
+            f"{settings.data.source}: does not have the recording {missing[0]} of the check any "
+            "more; give others with --data FILE"
+        )
+    return recordings.part([number[name] for name in bundle.checks.ids]), settings.image
+
+
+def with_faults(
+    bundle: Bundle, recordings: Recordings, counts: FaultCounts, image: Image | None = None
+) -> Bundle:
+    """The bundle with faulty taxels in the samples of its check.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    recordings : Recordings
+        The recordings of the samples, in their order.
+    counts : FaultCounts
+        The places are drawn with the seed of the check's samples.
+    image : pipeline.run.settings.Image, optional
+        Conversion of events to images, for a bundle that does not have it.
+
+    Raises
+    ------
+    UserError
+        The sensor has fewer taxels, or the result cannot be presented to the network.
+    """
+    try:
+        faulty = add_faults(recordings, counts.hot, counts.dead, bundle.checks.seed)
+    except ValueError as error:
+        raise UserError(f"--fault: {error}") from error
+    spec = bundle.spec
+    inputs = inputs_for(spec, faulty, image)
+    if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
+        raise UserError(f"--fault: {problem}")
+    return replace(bundle, checks=replace(bundle.checks, inputs=inputs))
+
+
+def fault_path(path: Path, counts: FaultCounts) -> Path:
+    """The file of a result with faults, beside that of the result without."""
+    return path.with_name(f"{path.stem}-{counts}.json")
+
+
+def add_note(result: dict, path: Path, counts: FaultCounts) -> dict:
+    """Write the result with an entry ``fault``: the numbers of faulty taxels."""
+    note = {"hot": counts.hot, "dead": counts.dead, "hot_period_ms": CHECK_PERIOD_MS}
+    result = {**result, "fault": note}
+    write_json(path, result)
+    return result
