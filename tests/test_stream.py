@@ -110,6 +110,18 @@ def test_decisions_are_those_of_a_check_with_the_target_fast(confidence, one_by_
         assert n_early > 0
 
 
+def test_the_maximum_number_of_spikes_is_that_of_a_check():
+    bundle = make_bundle()
+    spec = bundle.spec
+    limited = replace(spec, stimulus=replace(spec.stimulus, max_spikes=1))
+    expected = run_target(limited, bundle.checks.inputs, "fast", bundle.seed)
+    unlimited = run_target(spec, bundle.checks.inputs, "fast", bundle.seed)
+    assert expected.spikes["input"].sum() < unlimited.spikes["input"].sum()
+    stream = Stream(replace(bundle, spec=limited), unit="us")
+    decisions = replay(stream, bundle.checks.inputs)
+    assert [decision.number for decision in decisions] == expected.predictions.tolist()
+
+
 def test_a_touch_begins_with_an_event_and_ends_with_silence(stream):
     assert not stream.touching
     assert stream.push(1_000_000, 2, 3, 1) == []

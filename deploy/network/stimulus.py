@@ -139,15 +139,26 @@ class EventFrames(Stimulus):
         Time in seconds of the recording that one step represents.
     refractory : int
         Refractory period of a taxel and polarity, in steps after a spike.
+    max_spikes : int
+        Maximum number of spikes of a taxel and polarity in a sample; later ones are left out of
+        every sample that is presented.  0 for no limit.
     """
 
     kind: ClassVar[str] = "events"
     static: ClassVar[bool] = False
     seconds: float = limited_field(between(1e-6, limits.SECONDS), 0.02)
     refractory: int = limited_field(between(0, limits.STEPS), 0)
+    max_spikes: int = limited_field(between(0, limits.STEPS), 0)
 
     def __post_init__(self):
         check(self)
+
+    def flat(self, samples) -> np.ndarray:
+        """Samples in the network's input format, (n_samples, steps, size), with the limit."""
+        frames = super().flat(samples)
+        if self.max_spikes == 0:
+            return frames
+        return np.stack([limit_spikes(sample, self.max_spikes) for sample in frames])
 
     @property
     def shortest_interval(self) -> int:
@@ -175,6 +186,26 @@ class EventFrames(Stimulus):
         if not np.array_equal(apply_refractory_period(in_time, self.refractory), in_time):
             return f"a taxel spikes again within {self.refractory} steps"
         return None
+
+
+def limit_spikes(frames, max_spikes: int) -> np.ndarray:
+    """Spikes that remain with a maximum number of spikes of each taxel and polarity.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (steps, ...)
+        1 where there is a spike, 0 elsewhere.
+    max_spikes : int
+        Number of spikes that remain, the first ones; 0 for all.
+
+    Returns
+    -------
+    ndarray of the same shape and type
+    """
+    frames = np.asarray(frames)
+    if max_spikes == 0:
+        return frames
+    return frames * (np.cumsum(frames != 0, axis=0, dtype=np.int32) <= max_spikes)
 
 
 def apply_refractory_period(frames, refractory: int) -> np.ndarray:

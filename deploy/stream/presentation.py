@@ -72,6 +72,8 @@ class PresentingNetwork:
         self._steps = steps
         self._size = int(np.prod(self._spec.input_shape))
         self._refractory = self._spec.stimulus.refractory
+        # Without a limit, as many as there are steps.
+        self._max_spikes = self._spec.stimulus.max_spikes or steps
         self._presented, self._state = stream_length, None
         # The first step compiles the kernel, which takes some seconds the first time on a machine.
         emulation.advance(emulation.start(), np.zeros((1, 1, self._size), np.uint8))
@@ -89,6 +91,7 @@ class PresentingNetwork:
         }
         self._next = Presentation(RunningReadout(self._spec, self._steps), spikes)
         self._ready = np.zeros(self._size, int)
+        self._n_spikes = np.zeros(self._size, int)
         for first in range(0, gap, MAX_STEPS_AT_ONCE):
             steps = min(MAX_STEPS_AT_ONCE, gap - first)
             silence = np.zeros((steps, self._size), np.uint8)
@@ -107,7 +110,7 @@ class PresentingNetwork:
             From :meth:`begin`.
         frames : ndarray of uint8, shape (steps, size)
             1 where a taxel and polarity has an event; changed to what remains with the refractory
-            period.
+            period and the maximum number of spikes.
         """
         gap = self._spec.presentation.gap
         for first in range(0, len(frames), MAX_STEPS_AT_ONCE):
@@ -117,13 +120,12 @@ class PresentingNetwork:
             presentation.readout.take(output)
 
     def _thin(self, frames, step):
-        """Remove spikes in the refractory period; see `deploy.network.stimulus`."""
-        if self._refractory == 0:
-            return
+        """Remove spikes that the stimulus leaves out; see `deploy.network.stimulus`."""
         for frame in frames:
             if frame.any():
-                frame *= self._ready <= step
+                frame *= (self._ready <= step) & (self._n_spikes < self._max_spikes)
                 self._ready[frame != 0] = step + 1 + self._refractory
+                self._n_spikes += frame != 0
             step += 1
 
     def _compute(self, frames, presentation, row):

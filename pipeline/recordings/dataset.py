@@ -173,7 +173,7 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
 def _what_is_shown(settings):
     """The settings on which :func:`inputs_of` depends."""
     if settings.on_events:
-        return settings.input.step, settings.input.refractory, settings.steps
+        return settings.input, settings.steps
     return settings.image
 
 
@@ -228,7 +228,7 @@ class FramesOnDemand:
     def __init__(self, recordings: Recordings, settings: Settings):
         self._table = EventTable.of(recordings)
         self._step_ms = settings.input.step
-        self._refractory = settings.input.refractory_steps
+        self._limits = settings.input.refractory_steps, settings.input.max_spikes
         self.shape = (len(self._table), settings.steps, *self._table.size, 2)
 
     def __len__(self):
@@ -241,7 +241,7 @@ class FramesOnDemand:
         frames = np.empty((len(some), *self.shape[1:]), np.uint8)
         for part in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
             steps = self.shape[1]
-            made = self._table.frames(some[part], self._step_ms, steps, self._refractory)
+            made = self._table.frames(some[part], self._step_ms, steps, *self._limits)
             frames[part] = np.moveaxis(made, 0, 1)
         return frames if np.ndim(samples) else frames[0]
 
@@ -298,7 +298,8 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
     if isinstance(stimulus, EventFrames):
         table, steps = EventTable.of(recordings), spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
-        frames = table.frames(np.arange(len(table)), step_ms, steps, stimulus.refractory)
+        spike_limits = stimulus.refractory, stimulus.max_spikes
+        frames = table.frames(np.arange(len(table)), step_ms, steps, *spike_limits)
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.get("image")) is not None:
         image = Settings().with_values({"image": recorded}, "provenance of the bundle").image

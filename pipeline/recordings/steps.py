@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.stimulus import apply_refractory_period
+from deploy.network.stimulus import apply_refractory_period, limit_spikes
 from pipeline.recordings.events import Recordings
 
 
@@ -104,12 +104,15 @@ class EventTable:
         columns = (self.time_ms, self.row, self.column, self.polarity)
         return (sample, *(column[event] for column in columns))
 
-    def frames(self, indices, step_ms: float, steps: int, refractory: int = 0) -> np.ndarray:
+    def frames(
+        self, indices, step_ms: float, steps: int, refractory: int = 0, max_spikes: int = 0
+    ) -> np.ndarray:
         """Frames of some recordings; see :func:`spike_frames`."""
         sample, time_ms, *place = self.pick(np.asarray(indices))
-        return spike_frames(
+        frames = spike_frames(
             sample, time_ms / step_ms, *place, len(indices), steps, self.size, refractory
         )
+        return limit_spikes(frames, max_spikes)
 
     def lost(self, step_ms: float, refractory: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`spike_frames`."""

@@ -28,6 +28,7 @@ from pipeline.training.recipe import (
     TAIL_STEPS,
     USUAL_EVENTS,
     NetworkSize,
+    choose_max_spikes,
     choose_size,
     dropout_for,
     find_bin_ms,
@@ -181,6 +182,20 @@ class EventChoices:
                 self._set("input", step=step_ms, refractory=reading.refractory * step_ms)
         part_ms = settings.events.part or presented.steps * step_ms / parts
         self._set("events", parts=parts, part=part_ms)
+        if settings.is_open("input.max_spikes"):
+            self._choose_max_spikes()
+
+    def _choose_max_spikes(self):
+        """The maximum number of spikes of a taxel, which bounds the weight of a hot one."""
+        shown = self.presented
+        max_spikes = choose_max_spikes(self.table, self.train, shown.input, shown.steps)
+        if max_spikes == 0:
+            return
+        self._set("input", max_spikes=max_spikes)
+        self.lines.append(
+            f"at most {max_spikes} spikes of a taxel and polarity in a recording, so that one that "
+            "fires all the time has little weight (another: --set input.max_spikes=...)"
+        )
 
     def _estimate_reading(self, presented):
         step_ms, labels = presented.input.step, self.recordings.labels

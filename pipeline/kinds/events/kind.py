@@ -222,7 +222,7 @@ def spec_of_events(
     links = from_integers(architecture, weights, integers, recipe.starts)
     is_early = presentation.threshold < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
-    stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory)
+    stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory, recipe.max_spikes)
     return chain.build_network_spec(links, stimulus, presentation, provenance, estimator)
 
 

@@ -134,6 +134,10 @@ class Input(Section):
     #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
     #: whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only.
     refractory: Annotated[float, AT_LEAST_0] = 10.0
+    #: Maximum number of spikes of a taxel and polarity in a sample; later events of it are ignored,
+    #: so that a taxel that fires all the time has little weight.  0: no limit.  For ``events``
+    #: only.
+    max_spikes: Annotated[int, STEPS_OR_NONE] = 0
 
     @property
     def refractory_steps(self) -> int:
@@ -466,7 +470,8 @@ class Settings(Section):
     def stimulus(self) -> Stimulus:
         """The input of the chip."""
         if self.on_events:
-            return EventFrames(self.input.step / 1000, self.input.refractory_steps)
+            shown = self.input
+            return EventFrames(shown.step / 1000, shown.refractory_steps, shown.max_spikes)
         return ImageSpikes(self.deployment.input_rate, self.deployment.input_phase)
 
     @property

@@ -77,7 +77,7 @@ class TrainedOnEvents:
         often, rng = np.tile(held_out, COPIES), np.random.default_rng([seed, 0x7E57])
         events = self.recipe.alter_samples(rng, table, often)
         altered = self.recipe.frames_of(events, len(often), steps, table.size)
-        as_they_are = table.frames(held_out, self.recipe.step_ms, steps, self.recipe.refractory)
+        as_they_are = self.recipe.frames_of_samples(table, held_out, steps)
         shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
         return choose_threshold(
             arriving(shown.outputs, self.recipe),

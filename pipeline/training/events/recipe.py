@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from deploy.network.stimulus import limit_spikes
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
@@ -28,6 +29,8 @@ class EventRecipe:
     refractory : int
         Refractory period of a taxel in steps; see
         :func:`pipeline.recordings.steps.spike_frames`.
+    max_spikes : int
+        Maximum number of spikes of a taxel and polarity in a sample; 0 for no limit.
     tau_u_ms, tau_v_ms : tuple of float
         Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float
@@ -51,6 +54,7 @@ class EventRecipe:
     architecture: str = EventTraining.architecture
     step_ms: float = Input.step
     refractory: int = Input().refractory_steps
+    max_spikes: int = Input.max_spikes
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
@@ -75,7 +79,12 @@ class EventRecipe:
         """Frames of events; see :func:`pipeline.recordings.steps.spike_frames`."""
         sample, time_ms, *place = events
         step = time_ms / self.step_ms
-        return spike_frames(sample, step, *place, samples, steps, size, self.refractory)
+        frames = spike_frames(sample, step, *place, samples, steps, size, self.refractory)
+        return limit_spikes(frames, self.max_spikes)
+
+    def frames_of_samples(self, table: EventTable, indices, steps: int) -> np.ndarray:
+        """Frames of some samples as they are, shape (steps, n_samples, rows, columns, 2)."""
+        return table.frames(indices, self.step_ms, steps, self.refractory, self.max_spikes)
 
     @classmethod
     def of(cls, settings: Settings) -> EventRecipe:
@@ -87,6 +96,7 @@ class EventRecipe:
         values |= {
             "step_ms": shown.step,
             "refractory": shown.refractory_steps,
+            "max_spikes": shown.max_spikes,
             "starts": settings.part_starts,
         }
         del values["parts"], values["part"], values["size"]

@@ -256,7 +256,7 @@ class Trainer:
         """Frames of samples without augmentation."""
         step_ms = self.recipe.step_ms
         steps = int(self.table.duration_ms[indices].max() / step_ms) + 1 + TAIL_STEPS
-        return np.moveaxis(self.table.frames(indices, step_ms, steps, self.recipe.refractory), 0, 1)
+        return np.moveaxis(self.recipe.frames_of_samples(self.table, indices, steps), 0, 1)
 
     def _outputs(self, indices, frames_of):
         """For some samples at a time: indices, frames, outputs and operations."""

@@ -144,3 +144,17 @@ def test_the_last_event_by_hand():
     frames[0, [1, 3], 1, 0, 1] = 1
     frames[1, 4], frames[2, 0] = 1, 1
     assert last_steps(frames).tolist() == [3, 4, 0, 0]
+
+
+def test_a_taxel_has_at_most_so_many_spikes_in_a_sample():
+    """Each sample is limited on its own; the first spikes remain, in every form of samples."""
+    frames = np.zeros((2, 6, 1, 2, 1), np.uint8)
+    frames[0, :, 0, 0] = 1
+    frames[1, [0, 3, 5], 0, 0] = 1
+    frames[:, 2, 0, 1] = 1
+    flat = EventFrames(0.01, max_spikes=2).flat(frames)
+    assert flat.dtype == frames.dtype
+    assert flat[0, :, 0].tolist() == [1, 1, 0, 0, 0, 0]
+    assert flat[1, :, 0].tolist() == [1, 0, 0, 1, 0, 0]
+    assert flat[:, :, 1].sum(1).tolist() == [1, 1]
+    np.testing.assert_array_equal(EventFrames(0.01).flat(frames), frames.reshape(2, 6, 2))
