@@ -39,6 +39,7 @@ import numpy as np
 from models.architecture import parse
 from models.keras.keras2 import quiet_compiler, tf
 from models.spiking import scan, weighted_sums
+from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.steps import spike_frames
 from pipeline.training.events import Checkpoint, train_epochs
@@ -342,9 +343,14 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     """
     events, taxels, sensor = recordings.events, recordings.taxels, recordings.sensor
     step = events.time_ns * (bins / (sensor.duration_s * 1e9))
-    place = taxels.row[events.taxel], taxels.column[events.taxel], (events.polarity < 0).astype(int)
-    size = sensor.rows, sensor.columns
-    return spike_frames(recordings.sample_of_event, step, *place, len(recordings), bins, size)
+    columns = EventColumns(
+        sample=recordings.sample_of_event,
+        time_ms=step,  # in steps, each of one unit
+        row=taxels.row[events.taxel],
+        column=taxels.column[events.taxel],
+        polarity=(events.polarity < 0).astype(int),
+    )
+    return spike_frames(columns, 1.0, len(recordings), bins, (sensor.rows, sensor.columns))
 
 
 def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Path) -> tuple:

@@ -16,6 +16,7 @@ the multiplication sign; the rest are the layers, in the order of the data flow:
 
 import re
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -328,7 +329,7 @@ def parse(text: str) -> Architecture:
     """
     tokens = [token.strip() for token in text.replace("×", "x").split("-")]
 
-    def fail(position, problem):
+    def fail(position, problem) -> NoReturn:
         shown = text if len(text) <= 100 else f"{text[:97]}..."
         token = tokens[position]
         token = token if len(token) <= 40 else f"{token[:37]}..."

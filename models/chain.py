@@ -97,6 +97,12 @@ class Link:
         return f"layer {self.name}{nodes}"
 
     @property
+    def decays(self) -> Decays:
+        """Its neurons, of a link whose neurons are not rounded to integers yet."""
+        assert isinstance(self.neuron, Decays), f"{self}: has no decays"
+        return self.neuron
+
+    @property
     def size(self) -> int:
         """Number of neurons or outputs."""
         return math.prod(self.shape)

@@ -222,7 +222,7 @@ def simulate_spikes(link: Link, spikes, integers: Integers | None = None) -> np.
     if integers is None:
         added = currents(link, link.weights / link.pool**2, spikes)
         bias, loop = link.bias, link.loop
-        keep_u, keep_v = link.neuron.keep_u, link.neuron.keep_v
+        keep_u, keep_v = link.decays.keep_u, link.decays.keep_v
         threshold, floor = 1.0, -np.inf
     else:
         added, bias = currents(link, integers.weights.astype(float), spikes), integers.bias
@@ -290,7 +290,7 @@ def choose_integers(link: Link, spikes) -> Integers:
     """
     spiked = simulate_spikes(link, spikes)
     wanted, tried = spiked.sum(1, dtype=float), []
-    ways = [None]
+    ways: list[np.ndarray | None] = [None]
     if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
         ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
     for clip, moments in itertools.product(CLIPS, ways):
@@ -327,7 +327,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None) -> Integers:
     UserError
         Threshold and bias do not fit with any exponent of the weights.
     """
-    decays = link.neuron.keep_u, link.neuron.keep_v
+    decays = link.decays.keep_u, link.decays.keep_v
     real = link.weights / link.pool**2  # the link's weights are those of averages
     if link.loop is not None:
         real = np.concatenate([real, link.loop])
@@ -409,8 +409,8 @@ def moments_of(link: Link, spikes) -> np.ndarray:
     """
     left, u, v = [], 0.0, 0.0
     for t in range(spikes.shape[1]):
-        u = link.neuron.keep_u * u + spikes[:, t]
-        v = link.neuron.keep_v * v + u
+        u = link.decays.keep_u * u + spikes[:, t]
+        v = link.decays.keep_v * v + u
         if t % MOMENTS_EVERY == 0:
             left.append(v)
     seen = np.stack(left, 1)

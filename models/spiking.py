@@ -133,7 +133,7 @@ class SpikingNetwork(tf.Module):
             raise ValueError(f"{architecture}: there is no layer of neurons before the output")
         self.names = architecture.names[:-1]
         rng = np.random.default_rng(seed)
-        self.variables_by_name = {}
+        self.variables_by_name: dict[str, tf.Variable] = {}
         for index, name in enumerate(architecture.names):
             shape = architecture.weight_shapes[f"{name}.kernel"]
             kernel = rng.normal(0, 1 / np.sqrt(np.prod(shape[:-1])), shape)
@@ -271,10 +271,14 @@ class SpikingNetwork(tf.Module):
         for name in self.names:
             chip = self._on_chip(name, self.variables_by_name, tf.float64)
             weights = np.rint(chip["kernel"].numpy() / WEIGHT_UNIT).astype(np.int32)
-            scalars = {
-                part: int(chip[part].numpy()) for part in ("threshold", "floor", "keep_u", "keep_v")
-            }
-            layers[name] = Integers(weights, chip["bias"].numpy().astype(np.int32), **scalars)
+            layers[name] = Integers(
+                weights=weights,
+                bias=chip["bias"].numpy().astype(np.int32),
+                threshold=int(chip["threshold"].numpy()),
+                floor=int(chip["floor"].numpy()),
+                keep_u=int(chip["keep_u"].numpy()),
+                keep_v=int(chip["keep_v"].numpy()),
+            )
         return layers
 
 

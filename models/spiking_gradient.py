@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import concurrent.futures
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -191,8 +191,16 @@ class SpikingGradient:
         """The :class:`ChipLayer` of each layer for values of the variables, by their names."""
         layers = []
         for name, neurons in zip(self.names, self.neurons, strict=True):
-            trained = (values[f"{name}.{each}"] for each in ("kernel", "bias", "tau_u", "tau_v"))
-            layers.append(ChipLayer.of(*trained, self.neuron.floor, neurons))
+            layers.append(
+                ChipLayer.of(
+                    kernel=values[f"{name}.kernel"],
+                    bias=values[f"{name}.bias"],
+                    tau_u=values[f"{name}.tau_u"],
+                    tau_v=values[f"{name}.tau_v"],
+                    floor=self.neuron.floor,
+                    neurons=neurons,
+                )
+            )
         return layers
 
     def outputs(self, values: dict, frames) -> tuple:
@@ -244,10 +252,9 @@ class SpikingGradient:
             return self._gradients_of(layers, kernel, batch, chosen, early, price)
 
         results = _in_groups(run, np.arange(len(batch.labels)))
-        sums = {name: 0.0 for name in results[0].gradients}
-        for result in results:
-            for name, value in result.gradients.items():
-                sums[name] = sums[name] + value
+        sums: dict[str, Any] = {  # arrays, and zeros where sum() begins
+            name: sum(result.gradients[name] for result in results) for name in results[0].gradients
+        }
         for name, layer in zip(self.names, layers, strict=True):
             kernel_shape = np.shape(values[f"{name}.kernel"])
             sums[f"{name}.kernel"] = (sums[f"{name}.kernel"] * layer.gain).reshape(kernel_shape)

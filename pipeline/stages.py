@@ -86,6 +86,12 @@ class Opened:
     kind: NetworkKind
     say: Callable = print
 
+    @property
+    def run(self) -> RunFolder:
+        """The folder of a run; an experiment, whose place is a library, has none."""
+        assert isinstance(self.place, RunFolder), "an experiment is not a run"
+        return self.place
+
     def artifact(self, name: str) -> Artifact:
         """The artifact of one of the :attr:`pipeline.kinds.kind.NetworkKind.steps`."""
         return self.kind.artifact(name, self.place, self.dataset.origin)
@@ -182,7 +188,7 @@ def open_run(
         the check's samples are too large for a bundle; the bundle's folder has other files; or the
         user's network cannot be used.  All problems with the settings are reported together.
     """
-    lines = []
+    lines: list[str] = []
     recordings = recordings_of(settings, jobs, say)
     chosen = choose_settings(settings, recordings, check, lines.append)
     dataset = Dataset.of(chosen, jobs, recordings=recordings)
@@ -232,9 +238,11 @@ def opened_run(path, settings: Settings | dict | None = None, **more):
         As :func:`open_run`; the folder has other files, or another process works in it.
     """
     with working_in(path) as run:
-        if not isinstance(settings, Settings):
-            settings = run.resolve_settings(None, {}).with_values(settings or {})
-        yield open_run(run, settings, **more)
+        if isinstance(settings, Settings):
+            resolved = settings
+        else:
+            resolved = run.resolve_settings(None, {}).with_values(settings or {})
+        yield open_run(run, resolved, **more)
 
 
 def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
@@ -244,7 +252,9 @@ def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
 
 def _notes(opened, choices):
     """What the user should know of the recordings and of what was chosen for them."""
-    run, recordings, kind = opened.place, opened.dataset.recordings, opened.kind
+    run = opened.run
+    recordings = opened.dataset.recordings
+    kind = opened.kind
     if run.experiment.exists():
         was = kind_of_network(read_settings(run.experiment))
         if was.name != kind.name:
@@ -307,7 +317,8 @@ def _notes_on_recordings(opened):
 def convert(opened: Opened) -> Bundle:
     """Make all that the bundle is made from, and write it, unless it is current."""
     opened.make_all()
-    run, say = opened.place, opened.say
+    run = opened.run
+    say = opened.say
     artifact = bundle_artifact(run, opened.kind, opened.dataset.origin)
     state, origin = artifact.state(), artifact.origin
     if state.is_current:

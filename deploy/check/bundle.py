@@ -140,7 +140,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         "inputs": np.asarray(checks.inputs, _stored_as(spec.stimulus)),
         "labels": np.asarray(checks.labels, np.int64),
         "ids": np.array(checks.ids, dtype=str),
-        "seed": np.int64(checks.seed),
+        "seed": np.array(checks.seed, np.int64),
     }
     for stored, given in ((samples["inputs"], checks.inputs), (samples["labels"], checks.labels)):
         if stored.dtype.kind != "f" and not np.array_equal(stored, given):
@@ -337,8 +337,11 @@ def zipapp_bytes() -> bytes:
     main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}
     # Found and not imported, because `network.loihi_import` imports it without TensorFlow.
-    init_files = Path(__file__).parent.parent / "__init__.py", find_spec("fastloihi").origin
-    for package in (Path(file).resolve().parent for file in init_files):
+    emulator = find_spec("fastloihi")
+    assert emulator is not None  # this package depends on it
+    assert emulator.origin is not None  # it has an __init__.py
+    init_files = Path(__file__).parent.parent / "__init__.py", Path(emulator.origin)
+    for package in (file.resolve().parent for file in init_files):
         for source in sorted(package.rglob("*.py")):
             members[source.relative_to(package.parent).as_posix()] = source.read_bytes()
     buffer = io.BytesIO()

@@ -26,7 +26,7 @@ neurons, spikes onto the chip and off it, and memory traffic.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import List
+from typing import List, Union
 
 from ..errors import UserError
 from ..network.chip import LOIHI
@@ -183,22 +183,23 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     return EnergyEstimate(layers, shown.steps * spec.stimulus.step_seconds)
 
 
+def _numbers(estimate: Union[LayerEstimate, EnergyEstimate]) -> List[str]:
+    """The values of a row in the table of a layer's or the network's estimate."""
+    return [
+        f"{estimate.synaptic_operations:.0f}",
+        f"{estimate.neuron_updates:.0f}",
+        joules_text(estimate.chip_joules),
+        *(joules_text(estimate.cnn_joules(device)) for device in MAC),
+    ]
+
+
 def estimate_text(value: EnergyEstimate) -> str:
     """Format an estimate as a table and a few lines."""
     heads = ["layer", "where", "synaptic operations", "neuron updates", "Loihi"]
     rows = [[*heads, "dense CPU", "dense GPU"]]
-    for layer in (*value.layers, value):
-        total = layer is value
-        rows.append(
-            [
-                "total" if total else layer.layer,
-                "" if total else "chip" if layer.on_chip else "host*",
-                f"{layer.synaptic_operations:.0f}",
-                f"{layer.neuron_updates:.0f}",
-                joules_text(layer.chip_joules),
-                *(joules_text(layer.cnn_joules(device)) for device in MAC),
-            ]
-        )
+    for layer in value.layers:
+        rows.append([layer.layer, "chip" if layer.on_chip else "host*", *_numbers(layer)])
+    rows.append(["total", "", *_numbers(value)])
     lines = [
         "ESTIMATE of the energy of one inference, from published energies per operation",
         *align_rows(rows, left=2),

@@ -23,6 +23,10 @@ from .bundle import Bundle, CheckSet
 from .results import result_of, versions
 
 
+def _is_seed(value: object) -> bool:
+    return isinstance(value, Integral) and 0 <= int(value) < 2**31
+
+
 @dataclass(frozen=True)
 class _Answer:
     """A sample in the partial file."""
@@ -198,6 +202,7 @@ class OpenCheck:
             # Without Numba the board's result is written all the same.
             with contextlib.suppress(UserError):
                 expected = run_target(bundle.spec, bundle.checks.inputs, "fast", seed)
+                assert expected.spike_hashes is not None  # this target gives them
                 extra["samples_unlike_fast"] = sum(
                     sample.get("spike_hash") != str(spikes)
                     for sample, spikes in zip(answers, expected.spike_hashes)
@@ -244,7 +249,7 @@ def open_check(
     """
     target_named(target)
     seed = bundle.seed if seed is None else seed
-    if not isinstance(seed, Integral) or not 0 <= seed < 2**31:  # a bundle's is not validated
+    if not _is_seed(seed):  # a bundle's is not validated
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
     seed = int(seed)
     refuse_unfit(bundle.spec, target, seed)

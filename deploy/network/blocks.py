@@ -121,7 +121,6 @@ class _Line(NamedTuple):
     """A layer's windows along one dimension of its input, including pooling before it."""
 
     n: int
-    count: int
     kernel: int
     stride: int
     before: int
@@ -144,13 +143,13 @@ class _Line(NamedTuple):
 def _lines(layer) -> List[_Line]:
     lines, pool = [], layer.pool
     for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
-        count, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
+        _, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
         kernel = layer.kernel
         if layer.padding not in ("valid", "same"):  # the network is built with zeros at the end
             kernel = padded_kernel(read, kernel, layer.stride, layer.padding)
-        size = kernel * pool, layer.stride * pool, before * pool
         # With padding a window would reach values outside of complete pooling windows.
-        lines.append(_Line(n if layer.padding == "valid" else read * pool, count, *size))
+        length = n if layer.padding == "valid" else read * pool
+        lines.append(_Line(length, kernel * pool, layer.stride * pool, before * pool))
     return lines
 
 
@@ -174,7 +173,7 @@ class _Cutting:
         if not self.is_conv:
             return self.n_inputs * self.count(block)
         along = [
-            sum(np.count_nonzero(line.reach(*part)[1]) for part in parts_of(n, b))
+            sum(int(np.count_nonzero(line.reach(*part)[1])) for part in parts_of(n, b))
             for line, n, b in zip(self.lines, self.layer.shape, block)
         ]
         return int(np.prod(along)) * -(-self.layer.shape[2] // block[2])

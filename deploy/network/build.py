@@ -13,7 +13,7 @@ from .blocks import block_shapes
 from .convolution import PaddedConvolution
 from .geometry import padded_kernel, unpool, windows
 from .loihi_import import nengo_loihi
-from .spec import Layer, NetworkSpec
+from .spec import Layer, NetworkSpec, Neurons
 from .stimulus import EventFrames, Feed
 
 
@@ -147,7 +147,7 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
             if layer.neurons is None:
                 target = nengo.Node(size_in=layer.parts * layer.size, label=layer.name)
             else:
-                ensemble = _ensemble(layer)
+                ensemble = _ensemble(layer, layer.neurons)
                 network.config[ensemble].on_chip = True
                 network.config[ensemble].block_shape = nengo_loihi.BlockShape(
                     blocks[layer.name], layer.shape
@@ -184,8 +184,7 @@ def _input_neurons(spec):
     return _neurons(n, neuron_type, np.full(n, gain), np.zeros(n), "input")
 
 
-def _ensemble(layer: Layer):
-    neurons = layer.neurons
+def _ensemble(layer: Layer, neurons: Neurons):
     neuron_type = nengo_loihi.neurons.LoihiLIF(
         tau_rc=neurons.tau_rc,
         tau_ref=neurons.tau_ref,

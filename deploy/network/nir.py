@@ -81,10 +81,11 @@ def nir_graph(spec: NetworkSpec):
             )
         for name, node in _neurons(nir, layer):
             nodes[name] = node
+        if layer.neurons is None:
+            continue
+        area = layer.neurons.amplitude / DT
         if layer.recurrent is not None:
-            loops[name] = nir.Linear(weight=layer.recurrent * (layer.neurons.amplitude / DT))
-        if layer.neurons is not None:
-            area = layer.neurons.amplitude / DT
+            loops[name] = nir.Linear(weight=layer.recurrent * area)
     nodes["output"] = nir.Output({"output": _channels_first(spec.layers[-1].shape)})
     names = list(nodes)
     edges = list(zip(names[:-1], names[1:]))
@@ -133,8 +134,8 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
         with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
             spikes.append([one.spikes["input"] for one in show(built, sim, flat[part])])
     rows, columns, channels = spec.input_shape
-    spikes = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
-    return np.moveaxis(spikes, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)
+    images = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
+    return np.moveaxis(images, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)
 
 
 def _nir():

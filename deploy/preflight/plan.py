@@ -140,7 +140,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
     places = _placement(model, needed)
     intervals = _shortest_intervals(spec, model)
     cores = [
-        _core_plan(layer, part, *places[block], block, intervals) for layer, part, block in placed
+        _core_plan(layer, part, places[block], block, intervals) for layer, part, block in placed
     ]
     problems = [*_problems(cores), *_refractory_problems(blocks)]
     if needed > chips:
@@ -198,7 +198,8 @@ def _placement(model, chips):
     }
 
 
-def _core_plan(layer, part, chip, core, block, intervals):
+def _core_plan(layer, part, place, block, intervals):
+    chip, core = place
     worst_input, worst_current = worst_case(block, intervals)
     return CorePlan(
         layer=layer,

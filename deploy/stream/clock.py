@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Optional
+from typing import List, Optional, Tuple
 
 import numpy as np
 
 from .faults import Faults
+
+_Event = Tuple[int, int]  # time and cell
 
 # Nanoseconds of each unit of time.
 UNIT_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
@@ -48,8 +50,8 @@ class SensorClock:
     def __init__(self, silence_ns: float, faults: Faults):
         self._silence_ns, self._faults = silence_ns, faults
         self._offset_ns = 0  # from the sensor's time to the stream's
-        self._held = None  # sensor's time, stream's time without a jump, and cell of an event
-        self._advanced_ns = None  # the stream's time of the last call of `advance`
+        self._held: Optional[_Event] = None  # at the sensor's time
+        self._advanced_ns: Optional[int] = None  # the stream's time of the last call of `advance`
         self.now_ns: Optional[int] = None
         self.latest_ns: Optional[int] = None
 
@@ -63,13 +65,15 @@ class SensorClock:
 
     def is_next(self, stream_ns: int) -> bool:
         """True for the time of an event that follows those before, without silence."""
-        in_order = self._held is None and self.latest_ns is not None and stream_ns >= self.latest_ns
-        return in_order and -MAX_DISORDER_NS <= stream_ns - self.now_ns <= self._silence_ns
+        if self._held is not None or self.latest_ns is None or stream_ns < self.latest_ns:
+            return False
+        assert self.now_ns is not None  # set with the time of the latest event
+        return -MAX_DISORDER_NS <= stream_ns - self.now_ns <= self._silence_ns
 
     def note(self, stream_ns: int):
         """Take the time of an event for which :meth:`is_next` is true."""
         self.latest_ns = stream_ns
-        self.now_ns = max(self.now_ns, stream_ns)
+        self._move_to(stream_ns)
 
     def order(self, time_ns, cell):
         """Convert the times of events, whose order is that of their arrival.
@@ -91,7 +95,7 @@ class SensorClock:
             time_ns = time_ns + self._offset_ns
             self.note(int(time_ns[-1]))
             return time_ns, cell
-        taken = []
+        taken: List[_Event] = []
         for time, number in zip(time_ns.tolist(), cell.tolist()):
             self._take(time, number, taken)
         return _sorted(taken)
@@ -104,7 +108,7 @@ class SensorClock:
         time_ns, cell : ndarray of int64
             The event that was held, unless it is held on.
         """
-        taken = []
+        taken: List[_Event] = []
         if self._held is not None:
             self._release(time_ns, taken)
         now_ns = time_ns + self._offset_ns
@@ -113,7 +117,7 @@ class SensorClock:
             self._offset_ns += self._advanced_ns - now_ns
             now_ns = self._advanced_ns
         self._advanced_ns = now_ns
-        self.now_ns = now_ns if self.now_ns is None else max(self.now_ns, now_ns)
+        self._move_to(now_ns)
         return _sorted(taken)
 
     def advance_quietly(self, stream_ns: int) -> bool:
@@ -127,15 +131,19 @@ class SensorClock:
         if self._held is not None or self._advanced_ns is None or stream_ns < self._advanced_ns:
             return False
         self._advanced_ns = stream_ns
-        self.now_ns = max(self.now_ns, stream_ns)
+        self._move_to(stream_ns)
         return True
 
     def release(self):
         """Return the event that is held, at its own time; no other will follow."""
-        taken = []
+        taken: List[_Event] = []
         if self._held is not None:
             self._release(self._held[0], taken)
         return _sorted(taken)
+
+    def _move_to(self, stream_ns: int):
+        """Set the present time, unless it is later already."""
+        self.now_ns = stream_ns if self.now_ns is None else max(self.now_ns, stream_ns)
 
     def _are_regular(self, time_ns):
         """True if no event is out of order, and none follows silence."""

@@ -11,7 +11,7 @@ import threading
 import warnings
 from collections import defaultdict
 from dataclasses import replace
-from typing import TYPE_CHECKING, Dict, Iterator, NamedTuple
+from typing import TYPE_CHECKING, Dict, Iterator, List, NamedTuple
 
 import nengo
 import numpy as np
@@ -388,7 +388,7 @@ def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
         return max(1, memory // (spikes + emulation.bytes_kept() * n_samples))
 
     for batch in _batches(streams, fitting):
-        hashes = []
+        hashes: List[list] = []
 
         def watch(packed, hashes=hashes):
             rows = [packed[name] for name in spec.spiking_layers]
@@ -452,11 +452,11 @@ def firing_rates(
     presentation = spec.presentation
     sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}
     window = presentation.steps - start
-    counts = {name: [] for name in sizes}
+    counts: Dict[str, List[np.ndarray]] = {name: [] for name in sizes}
     flat = spec.stimulus.flat(samples)
     streams = [flat[part] for part in presentation.streams(len(flat))]
     for batch in map(np.stack, _batches(streams, lambda n_samples: STREAMS_AT_ONCE)):
-        of_batch = {name: [] for name in sizes}
+        of_batch: Dict[str, List[np.ndarray]] = {name: [] for name in sizes}
 
         def watch(spikes, of_batch=of_batch):
             """Unpack and count the spikes of one sample of each stream."""

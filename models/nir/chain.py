@@ -35,6 +35,7 @@ matrix, which takes more of a core's memory and is otherwise equivalent.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def merges_polarities(network: NirNetwork, place) -> bool:
 
 def _split_after_neurons(nodes) -> list:
     """The nodes up to and with each layer of neurons, and those after the last."""
-    groups = [[]]
+    groups: list[list] = [[]]
     for node in nodes:
         groups[-1].append(node)
         if node.kind in SPIKING:
@@ -188,8 +189,12 @@ class _Section:
         constant = offset if loop is None else offset + loop["bias"].reshape(self.shape)
         bias = (gains.added + gains.constant * constant).ravel()
         neuron = None if self.neuron is None else Decays(keep_u, gains.keep_v)
-        common = {"name": "", "neuron": neuron, "input_shape": self.place}
-        common["sources"] = tuple(node.name for node in self.nodes)
+        common: dict[str, Any] = {  # arguments of every link
+            "name": "",
+            "neuron": neuron,
+            "input_shape": self.place,
+            "sources": tuple(node.name for node in self.nodes),
+        }
         if neuron is None and filters:
             if keep_u > 0:
                 common["tau_syn"] = float(-LOIHI.dt / np.log(keep_u))

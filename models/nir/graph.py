@@ -17,6 +17,7 @@ import itertools
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -139,9 +140,9 @@ def _make_network(tree) -> NirNetwork:
     nodes, edges = _flat(tree)
     loops = _loops(nodes, edges)
     first, order = _chain(nodes, edges)
-    problems = []
+    problems: list[tuple[int, int, NirError]] = []
     for shape in _input_shapes(first, nodes[first], nodes[order[0]]):
-        chain = []
+        chain: list[Node] = []
         try:
             _extend_chain(chain, nodes, order, loops, shape)
         except NirError as error:
@@ -239,7 +240,7 @@ def _loops(nodes, edges) -> dict:
 
     These nodes and their edges are removed.
     """
-    loops = {}
+    loops: dict[str, tuple] = {}
     for name in list(nodes):
         before = {a for a, b in edges if b == name}
         after = {b for a, b in edges if a == name}
@@ -260,7 +261,8 @@ def _chain(nodes, edges) -> tuple:
     """Name of the input node, and names of the nodes between input and output, in order."""
     first, last = _end(nodes, "Input"), _end(nodes, "Output")
     after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
-    order, name = [], first
+    order: list[str] = []
+    name = first
     while name != last:
         if len(after[name]) != 1 or len(order) > len(nodes):
             leads = " and ".join(map(shown, after[name][:3])) or "nothing"
@@ -325,13 +327,22 @@ def _input_shapes(name, node, following) -> list:
 # --- the nodes ------------------------------------------------------------------------------------
 
 
+def _convert_to_floats(value) -> np.ndarray | None:
+    """An array of numbers as float64; None for anything else."""
+    try:
+        array = np.asarray(value)
+        return array.astype(float) if array.dtype.kind in "fiub" else None
+    except (TypeError, ValueError):
+        return None
+
+
 class _Values:
     """Reads a node's values and refuses invalid ones."""
 
     def __init__(self, where, values):
         self.where, self.values = where, values
 
-    def refuse(self, problem):
+    def refuse(self, problem) -> NoReturn:
         raise NirError(f"{self.where}: {problem}")
 
     def array(self, name, default=None) -> np.ndarray:
@@ -341,11 +352,7 @@ class _Values:
             value = default
         if value is None:
             self.refuse(f"has no {name}; write the graph with a current version of nir")
-        try:
-            array = np.asarray(value)
-            array = array.astype(float) if array.dtype.kind in "fiub" else None
-        except (TypeError, ValueError):
-            array = None
+        array = _convert_to_floats(value)
         if array is None:
             self.refuse(f"its {name} is not an array of numbers; write the graph again")
         if not np.isfinite(array).all():

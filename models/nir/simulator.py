@@ -92,7 +92,7 @@ def simulate(
         raise ValueError("no samples to simulate")
     outputs = []
     names = [node.name for node in network.nodes if node.kind in SPIKING]
-    spikes = {name: [] for name in names}
+    spikes: dict[str, list] = {name: [] for name in names}
     for start in range(0, len(inputs), SAMPLES_AT_ONCE):
         signal = inputs[start : start + SAMPLES_AT_ONCE].astype(float)
         for node in network.nodes:

@@ -128,7 +128,9 @@ class Ladder(Result):
 
     def table(self) -> list:
         """See :meth:`Result.table`."""
-        rows = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p"]]
+        rows: list[list] = [
+            ["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p"]
+        ]
         for row in self.rows:
             change = None if row.change is None else f"{row.change:+.3f}"
             p = None if row.mcnemar_p is None else f"{row.mcnemar_p:.3f}"
@@ -187,7 +189,7 @@ class CheckResult(Result):
 
     def table(self) -> list:
         """See :meth:`Result.table`."""
-        rows = [["class", "samples", "right", "accuracy"]]
+        rows: list[list] = [["class", "samples", "right", "accuracy"]]
         for label, name in enumerate(self.classes):
             own = self.labels == label
             if own.any():
@@ -252,7 +254,7 @@ class Training(Result):
 
     def table(self) -> list:
         """See :meth:`Result.table`."""
-        rows = [["network", "accuracy", "epochs", "seconds"]]
+        rows: list[list] = [["network", "accuracy", "epochs", "seconds"]]
         for name, record in self.networks.items():
             seconds = record.get("seconds")
             seconds = None if seconds is None else f"{seconds:.0f}"
@@ -300,7 +302,7 @@ class ChipPlan(Result):
     def table(self) -> list:
         """See :meth:`Result.table`."""
         names = list(LIMITS)
-        rows = [["layer", "chip", "core", *names]]
+        rows: list[list] = [["layer", "chip", "core", *names]]
         for core in self._plan.cores:
             used = [f"{core.used[name]} of {LIMITS[name]}" for name in names]
             rows.append([core.layer, core.chip, core.core, *used])

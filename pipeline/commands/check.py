@@ -23,9 +23,12 @@ def _board_option(each):
     return Annotated[kind, typer.Option(*names, help=text, rich_help_panel="Target loihi")]
 
 
-Board = options.group(
-    BoardOptions, **{each.name: _board_option(each) for each in fields(BoardOptions)}
-)
+Board = Annotated[
+    BoardOptions,
+    options.group(
+        BoardOptions, **{each.name: _board_option(each) for each in fields(BoardOptions)}
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -53,29 +56,33 @@ class OtherRecordings:
     jobs: int = 2
 
 
-Others = options.group(
+Others = Annotated[
     OtherRecordings,
-    data=Annotated[
-        str | None,
-        typer.Option(
-            help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
-            "and classes must be the same."
-        ),
-    ],
-    samples=Annotated[
-        int | None,
-        typer.Option(
-            help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
-            min=0,
-            max=limits.SAMPLES,
-        ),
-    ],
-    skip_bad=Annotated[
-        bool, typer.Option("--skip-bad", help="With --data: leave out files that cannot be read.")
-    ],
-    time_unit=options.TimeUnit,
-    jobs=options.Jobs,
-)
+    options.group(
+        OtherRecordings,
+        data=Annotated[
+            str | None,
+            typer.Option(
+                help="Other recordings, zip or folder, instead of the bundle's samples; sensor "
+                "and classes must be the same."
+            ),
+        ],
+        samples=Annotated[
+            int | None,
+            typer.Option(
+                help="With --data: recordings drawn at random; 0 for all (default: 200 at most).",
+                min=0,
+                max=limits.SAMPLES,
+            ),
+        ],
+        skip_bad=Annotated[
+            bool,
+            typer.Option("--skip-bad", help="With --data: leave out files that cannot be read."),
+        ],
+        time_unit=options.TimeUnit,
+        jobs=options.Jobs,
+    ),
+]
 
 
 def run(

@@ -16,8 +16,7 @@ from pipeline.commands.options import for_typer
 from pipeline.interrupts import interruptible, listen
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
-UsageError = typer.BadParameter.__base__
-ClickException = UsageError.__base__
+UsageError, ClickException = typer.BadParameter.__mro__[1:3]
 
 # Each sub-command: its line in the list, and its function, as ``module.function`` of this package,
 # or its own sub-commands. A module is imported only when one of its commands is chosen, so that
@@ -141,6 +140,7 @@ def command_line() -> TyperGroup:
     made = _typer(root.__doc__)
     made.callback(invoke_without_command=True)(root)
     group = typer.main.get_command(made)
+    assert isinstance(group, TyperGroup)  # because the root has a callback
     for panel, names in PANELS.items():
         for name in names:
             group.add_command(_Deferred(name, help=VERBS[name][0], rich_help_panel=panel))
@@ -150,7 +150,9 @@ def command_line() -> TyperGroup:
 def with_every_verb() -> TyperGroup:
     """:func:`command_line` with all verbs imported, for the documentation."""
     group = command_line()
-    group.commands = {name: verb.chosen for name, verb in group.commands.items()}
+    group.commands = {
+        name: verb.chosen for name, verb in group.commands.items() if isinstance(verb, _Deferred)
+    }
     return group
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -45,9 +45,9 @@ class Group:
     options: dict
 
 
-def group(make: Callable, **options):
-    """Annotation of a parameter that receives a :class:`Group` of options as one value."""
-    return Annotated[object, Group(make, options)]
+def group(make: Callable, **options) -> Group:
+    """For the annotation of a parameter that receives several options as one value."""
+    return Group(make, options)
 
 
 def for_typer(verb: Callable) -> Callable:
@@ -83,7 +83,7 @@ def for_typer(verb: Callable) -> Callable:
             values[name] = each.make(**{option: values.pop(option) for option in each.options})
         return verb(**values)
 
-    with_groups.__signature__ = Signature(parameters)
+    vars(with_groups)["__signature__"] = Signature(parameters)
     with_groups.__annotations__ = {each.name: each.annotation for each in parameters}
     return with_groups
 
@@ -136,7 +136,7 @@ def _workers(jobs=2, scheduler=None):
 
 
 # The :class:`pipeline.results.study.Workers` of an experiment.
-Workers = group(_workers, jobs=Jobs, scheduler=Scheduler)
+Workers = Annotated[Any, group(_workers, jobs=Jobs, scheduler=Scheduler)]
 
 
 @dataclass(frozen=True)
@@ -190,10 +190,13 @@ class Requested:
 
 
 CHANGES = {"settings": SettingsFile, "assignments": Assignments}
-RunRequested = group(
-    Requested, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **CHANGES
-)
-TrainingRequested = group(Requested, data=Data, input=Input, seed=Seed, **CHANGES)
+RunRequested = Annotated[
+    Requested,
+    group(Requested, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **CHANGES),
+]
+TrainingRequested = Annotated[
+    Requested, group(Requested, data=Data, input=Input, seed=Seed, **CHANGES)
+]
 
 
 @contextlib.contextmanager

@@ -77,7 +77,9 @@ def choose_settings(
     source = settings.data.source
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
         raise SeveralErrors([f"{source}: {split_problem(recordings)}"])
-    result, problems, lines = settings, [], []
+    result = settings
+    problems: list[str] = []
+    lines: list[str] = []
     try:
         changes, lines = kind_of_network(settings).choices(recordings)
         result = settings.with_values(changes, source)

@@ -150,7 +150,8 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
         )
         for link in links
     ]
-    return build_network_spec(chain, EventFrames() if on_events else ImageSpikes(), Presentation())
+    stimulus = EventFrames() if on_events else ImageSpikes()
+    return build_network_spec(tuple(chain), stimulus, Presentation())
 
 
 def suggest_sensor_size(needed: tuple, found: tuple) -> str:

@@ -92,7 +92,7 @@ def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
     activations : dict of str to ndarray, shape (n_samples, n_neurons)
         Activations of the rate-based network on the same images.
     """
-    neurons = {layer.name: layer.neurons for layer in spec.layers}
+    neurons = {layer.name: layer.neurons for layer in spec.layers if layer.neurons is not None}
     return [
         fidelity(name, rates[name], values, 1 / neurons[name].amplitude, neurons[name].tau_ref)
         for name, values in activations.items()

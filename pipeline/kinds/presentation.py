@@ -64,7 +64,7 @@ def presentation_choices(
     if settings.is_open("input.step") and settings.is_open("input.refractory"):
         step_ms = choose_step_ms(longest_ms, step_ms, may_shorten)
     steps = min(max(math.floor(longest_ms / step_ms) + 1, MIN_STEPS), MAX_STEPS)
-    changes = {"presentation": {"steps": steps}}
+    changes: dict[str, dict] = {"presentation": {"steps": steps}}
     if step_ms != settings.input.step:
         changes["input"] = {"step": step_ms, "refractory": step_ms}
     why = _reason_for(steps, step_ms, longest_ms)
@@ -125,8 +125,10 @@ def neuron_choices(settings: Settings) -> tuple:
     changes, lines
         As :func:`presentation_choices`.
     """
-    changes, lines = {}, []
-    currents_ms, voltages_ms = settings.events.tau_u_ms, settings.events.tau_v_ms
+    changes: dict[str, dict] = {}
+    lines: list[str] = []
+    currents_ms = settings.events.tau_u_ms
+    voltages_ms = settings.events.tau_v_ms
     presented_ms = settings.steps * settings.input.step
     are_open = settings.is_open("events.tau_u_ms") and settings.is_open("events.tau_v_ms")
     if presented_ms < FULL_TIME_CONSTANTS_MS and are_open:
@@ -192,7 +194,7 @@ def short_gap_text(presentation: Presentation, taus: dict) -> str:
     taus : dict of str to float
         The trained time constants of currents, in steps, by names such as ``"conv1.tau_u"``.
     """
-    name = max(taus, key=taus.get)
+    name = max(taus, key=taus.__getitem__)
     needed = silent_steps(taus[name])
     if presentation.stream_length == 1 or needed <= presentation.gap:
         return ""

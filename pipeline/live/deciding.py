@@ -144,8 +144,8 @@ class Decider:
     """
 
     clocked = False
-    window_s = None
-    usual_s = None
+    window_s: float | None = None
+    usual_s: float | None = None
 
     def __init__(self, bundle: Bundle, sensor: Sensor):
         self._spec = spec = bundle.spec
@@ -231,6 +231,8 @@ class EventDecider(Decider):
     """
 
     clocked = True
+    window_s: float
+    usual_s: float
 
     def __init__(self, bundle: Bundle, sensor: Sensor):
         super().__init__(bundle, sensor)
@@ -307,8 +309,13 @@ class TouchDeciding:
         column, row = np.divmod(events.taxel[self._n_taken :], self._rows)
         # The page says that later ones are not received.
         received = time_ns < events.time_ns[0] + 1e9 * self._decider.window_s
-        columns = (time_ns, column, row, events.polarity[self._n_taken :])
-        self._stream.push(*(values[received] for values in columns))
+        polarity = events.polarity[self._n_taken :]
+        self._stream.push(
+            time_ns[received],
+            column[received],
+            row[received],
+            polarity[received],
+        )
         self._n_taken = len(events)
         if np.isinf(time_s):
             self._stream.finish()

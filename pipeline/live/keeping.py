@@ -103,7 +103,7 @@ class Keeper:
         self._guard = threading.Lock()
         # Numbers of writers that were on any page.  They are not given again when it closes,
         # because a page that has lost its connection comes back with its number.
-        self._given = set()
+        self._given: set[int] = set()
         self._held = contextlib.ExitStack()
         try:
             self._refuse_another_sensor()

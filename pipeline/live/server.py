@@ -123,7 +123,7 @@ class Live:
         self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = self._tests = None
-        self.picture = None  # QR code of the address, for other devices
+        self.picture: bytes | None = None  # QR code of the address, for other devices
         self._files = {file.name: file for file in (*PAGE.iterdir(), LOOK) if file.suffix in _KINDS}
         self.token = secrets.token_urlsafe(18)
 
@@ -318,7 +318,7 @@ def listen(port: int, host: str = HOST) -> socket.socket:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:
         raise UserError(f"--host {host!r}: no such address ({error}); {where}") from error
-    if ipaddress.ip_address(place[0].partition("%")[0]).is_unspecified:
+    if ipaddress.ip_address(str(place[0]).partition("%")[0]).is_unspecified:
         raise UserError(f"--host {host!r}: stands for all addresses; {where}")
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

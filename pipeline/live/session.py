@@ -183,7 +183,8 @@ class Session:
 
     def __init__(self, number, keeper: Keeper, p):
         self._number, self._keeper, self._p = number, keeper, p
-        self._decider = self._examples = None
+        self._decider: Decider | None = None
+        self._examples: Examples | None = None
         self._sensor = keeper.sensor
         self._recordings = 0
         self._writer = FIRST_WRITER

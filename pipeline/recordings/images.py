@@ -123,7 +123,8 @@ class TaxelCounts(NamedTuple):
     ----------
     sample, part, row, column, polarity : ndarray of int, shape (n_counts,)
         Sample, slice of time, place, and 0 for ON or 1 for OFF.
-    count : ndarray, shape (n_counts,)
+    value : ndarray, shape (n_counts,)
+        The count.
     """
 
     sample: np.ndarray
@@ -131,13 +132,14 @@ class TaxelCounts(NamedTuple):
     row: np.ndarray
     column: np.ndarray
     polarity: np.ndarray
-    count: np.ndarray
+    value: np.ndarray
 
     @classmethod
     def of(cls, counts) -> TaxelCounts:
         """From an array of shape (n_samples, slices, rows, columns, 2), in the order of samples."""
         where = np.nonzero(counts)
-        return cls(*where, counts[where].astype(np.int64))
+        sample, part, row, column, polarity = where
+        return cls(sample, part, row, column, polarity, counts[where].astype(np.int64))
 
     def select(self, chosen) -> TaxelCounts:
         """Some of the rows."""
@@ -198,14 +200,14 @@ class AlteredImages:
         how, n = self._how, len(indices)
         counts = self._counts.pick(self._offsets, indices)
         kept_share = 1 - rng.uniform(0, how.drop, n)
-        counts = counts._replace(count=rng.binomial(counts.count, kept_share[counts.sample]))
+        counts = counts._replace(value=rng.binomial(counts.value, kept_share[counts.sample]))
         if how.is_spatial:
             counts = self._move(rng, counts, n)
         if how.hot or how.dead:
             counts = self._add_faults(rng, counts, self._durations_ms[indices])
         shape = n, self._image.slices, *self._size, 2
         cell = np.ravel_multi_index(counts[:-1], shape)
-        dense = np.bincount(cell, counts.count, minlength=math.prod(shape))
+        dense = np.bincount(cell, counts.value, minlength=math.prod(shape))
         return _as_images(dense.reshape(shape).astype(np.float32), self._image)
 
     def _move(self, rng, counts, n):
@@ -224,4 +226,4 @@ class AlteredImages:
         spikes = TaxelCounts(
             hot.sample, part, hot.row, hot.column, hot.polarity, np.ones(len(part))
         )
-        return counts._replace(count=counts.count * before).join(spikes)
+        return counts._replace(value=counts.value * before).join(spikes)

@@ -97,10 +97,15 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     data = settings.data
     # An artifact may read only the settings that apply to its recordings (dataset_origin).
     if data.source == SIMULATED:
-        numbers = data.simulation_seed, data.samples_per_digit
-        reading = ReadingOptions(settings.skin.rows, settings.skin.columns)
-        people = {"writers": data.writers, "chunked": data.chunked}
-        return load_recordings(SIMULATED, *numbers, jobs=jobs, reading=reading, **people)
+        return load_recordings(
+            SIMULATED,
+            data.simulation_seed,
+            data.samples_per_digit,
+            jobs=jobs,
+            reading=ReadingOptions(settings.skin.rows, settings.skin.columns),
+            writers=data.writers,
+            chunked=data.chunked,
+        )
     reading = options_from(settings)
     return load_recordings(
         data.source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
@@ -262,6 +267,7 @@ def load(path) -> Recordings | None:
         name, sha256, time_unit = (str(text) for text in arrays["source"])
         bin_ms, rise = arrays["bins"].tolist()
         positions = arrays["positions"]
+        rows, columns = arrays["size"]
         recordings = Recordings(
             events=Events(*(arrays[column] for column in EVENT_DTYPES)),
             offsets=arrays["offsets"],
@@ -281,9 +287,10 @@ def load(path) -> Recordings | None:
             ),
             taxels=TaxelMap(arrays["row"], arrays["column"], positions if len(positions) else None),
             sensor=Sensor(
-                *(int(n) for n in arrays["size"]),
-                float(arrays["duration_s"]),
-                tuple(arrays["classes"].tolist()),
+                rows=int(rows),
+                columns=int(columns),
+                duration_s=float(arrays["duration_s"]),
+                classes=tuple(arrays["classes"].tolist()),
             ),
             parts=tuple(arrays["parts"].tolist()),
         )

@@ -608,13 +608,14 @@ class _Reader:
     """Content of a source's members."""
 
     def __init__(self, path: Path):
-        self.folder = path if path.is_dir() else None
-        self.archive = None if self.folder else _archive(open_regular(path))
+        if path.is_dir():
+            self._open_member = lambda name: open_regular(path / name)
+        else:
+            self._open_member = _archive(open_regular(path)).open
 
     def read(self, name) -> bytes:
         try:
-            opened = open_regular(self.folder / name) if self.folder else self.archive.open(name)
-            with opened as file:
+            with self._open_member(name) as file:
                 content = read_limited(file)
         except NotImplementedError as error:
             raise BadRecording(f"has an unsupported compression ({error})") from error

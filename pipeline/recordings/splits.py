@@ -283,7 +283,9 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
     names, sizes = np.unique(writers, return_counts=True)
     if len(names) < 2:
         raise ValueError("all recordings are of one writer")
-    wanted, chosen, size = len(writers) * test_fraction, [], 0
+    wanted = len(writers) * test_fraction
+    chosen: list = []
+    size = 0
     rng = np.random.default_rng([seed, 0x3217])
     for index in rng.permutation(len(names)):
         nearer = abs(size + sizes[index] - wanted) < abs(size - wanted)

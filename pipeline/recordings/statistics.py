@@ -182,7 +182,7 @@ def per_sample(recordings) -> dict:
     columns = events.columns.astype(float)
     is_on = events.polarity > 0
     total = np.bincount(sample, columns, n)
-    measures = {
+    measures: dict[str, np.ndarray] = {
         "on": np.bincount(sample, columns * is_on, n),
         "off": np.bincount(sample, columns * ~is_on, n),
         "on_physical": np.bincount(sample, is_on, n),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.network.stimulus import apply_refractory_period, limit_spikes
+from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Recordings
 
 
@@ -89,29 +90,28 @@ class EventTable:
         counts = np.bincount(cell, weights, minlength=np.prod(shape))
         return counts.astype(np.float32).reshape(shape)
 
-    def pick(self, indices):
+    def pick(self, indices) -> EventColumns:
         """Events of some recordings, one recording after the other.
 
-        Returns
-        -------
-        sample : ndarray of int64
-            Position in ``indices`` of the recording of each event, from 0.
-        time_ms, row, column, polarity : ndarray
+        Samples are numbered by their position in ``indices``.
         """
         first, counts = self.offsets[indices], np.diff(self.offsets)[indices]
         sample = np.repeat(np.arange(len(indices)), counts)
         event = np.arange(counts.sum()) + np.repeat(first - (np.cumsum(counts) - counts), counts)
-        columns = (self.time_ms, self.row, self.column, self.polarity)
-        return (sample, *(column[event] for column in columns))
+        return EventColumns(
+            sample=sample,
+            time_ms=self.time_ms[event],
+            row=self.row[event],
+            column=self.column[event],
+            polarity=self.polarity[event],
+        )
 
     def frames(
         self, indices, step_ms: float, steps: int, refractory: int = 0, max_spikes: int = 0
     ) -> np.ndarray:
         """Frames of some recordings; see :func:`spike_frames`."""
-        sample, time_ms, *place = self.pick(np.asarray(indices))
-        frames = spike_frames(
-            sample, time_ms / step_ms, *place, len(indices), steps, self.size, refractory
-        )
+        events = self.pick(np.asarray(indices))
+        frames = spike_frames(events, step_ms, len(indices), steps, self.size, refractory)
         return limit_spikes(frames, max_spikes)
 
     def lost(self, step_ms: float, refractory: int = 0) -> float:
@@ -131,8 +131,8 @@ class EventTable:
 
 
 def spike_frames(
-    sample, step, row, column, polarity, samples: int, steps: int, size=(10, 10), refractory=0
-):
+    events: EventColumns, step_ms: float, samples: int, steps: int, size=(10, 10), refractory=0
+) -> np.ndarray:
     """Frames that mark the spikes in each step.
 
     Several events of one taxel and polarity in a step are one spike.  Further events in the next
@@ -141,8 +141,9 @@ def spike_frames(
 
     Parameters
     ----------
-    sample, step, row, column, polarity : ndarray, shape (n_events,)
-        Steps may be fractions, which are rounded down.
+    events : EventColumns
+    step_ms : float
+        Length of a step; an event belongs to the step in which it is.
     samples, steps : int
         Numbers of samples and steps.
     size : (int, int)
@@ -155,7 +156,8 @@ def spike_frames(
     ndarray of uint8, shape (steps, samples, rows, columns, 2)
     """
     frames = np.zeros((steps, samples, *size, 2), np.uint8)
-    step = np.floor(step).astype(np.int64)
+    step = np.floor(events.time_ms / step_ms).astype(np.int64)
     inside = (step >= 0) & (step < steps)
-    frames[step[inside], sample[inside], row[inside], column[inside], polarity[inside]] = 1
+    sample, _, row, column, polarity = events.select(inside)
+    frames[step[inside], sample, row, column, polarity] = 1
     return apply_refractory_period(frames, refractory)

@@ -82,7 +82,7 @@ def choose_unit(path, recordings, subsets, options) -> str:
         raise UserError(f"{path}: files with times in {' and in '.join(names)}; use one unit")
     if stated:
         return stated.pop()
-    spans = {}
+    spans: dict = {}
     for recording, subset in zip(recordings, subsets, strict=True):
         spans.setdefault(subset, []).append(find_span(recording.time))
     _require_equal_units(path, spans)

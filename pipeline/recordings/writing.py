@@ -77,7 +77,9 @@ def write_recordings(
         classes = getattr(recordings, "classes", None)
     if isinstance(classes, Set):
         raise ValueError("classes: a set has no order; give a list of names")
-    names, written, problems = list(map(str, () if classes is None else classes)), 0, {}
+    names = list(map(str, () if classes is None else classes))
+    written = 0
+    problems: dict = {}
     if len(set(names)) < len(names):
         raise UserError(f"{path}: two of the classes have the same name")
     index, sizes = -1, {len(values) for values in (writers, parts) if values is not None}

@@ -193,7 +193,9 @@ def inference(run: Run) -> dict:
     operations = sum(counted.values()) / result["n_samples"] if stage else None
     early = result.get("while_written", {}).get("by_itself")
     early = early if early and early["confidence"] < 1 else None  # else it decides at the end
-    of_digits = is_written(*spec.input_shape[:2], read_classes(spec))
+    rows, columns, _ = spec.input_shape
+    of_digits = is_written(rows, columns, read_classes(spec))
+    per_mac = operations / CNN_MACS if operations is not None and of_digits else None
     return {
         "input": run.settings.input.kind,
         "architecture": spec.architecture,
@@ -205,7 +207,7 @@ def inference(run: Run) -> dict:
         "chips": run.chips,
         "counted_on": stage,
         "synaptic_operations": operations,
-        "operations_per_mac": operations / CNN_MACS if stage and of_digits else None,
+        "operations_per_mac": per_mac,
         "steps": spec.presentation.steps,
         "step_ms": 1000 * spec.stimulus.step_seconds,
         "writing": early

@@ -56,7 +56,8 @@ def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
     dict
         See :func:`ladder_json`.
     """
-    run, bundle = opened.place, convert(opened)
+    run = opened.run
+    bundle = convert(opened)
     asked = asked or [stage for stage in ladder_stages(opened.kind) if stage not in BOARDS]
     results = check_stages(opened, bundle, asked, jobs)
     # A board's result is included if it exists and belongs to this bundle.

@@ -162,8 +162,13 @@ def status_text(run: RunFolder, statuses) -> str:
         for reason in dict.fromkeys(reasons.values()):
             names = [name for name, because in reasons.items() if because == reason]
             lines += textwrap.wrap(f"outdated, because {reason}:", WIDTH, break_on_hyphens=False)
-            indent = {"initial_indent": "  ", "subsequent_indent": "  "}
-            lines += textwrap.wrap(", ".join(names), WIDTH, break_on_hyphens=False, **indent)
+            lines += textwrap.wrap(
+                ", ".join(names),
+                WIDTH,
+                break_on_hyphens=False,
+                initial_indent="  ",
+                subsequent_indent="  ",
+            )
         remedy = f"{remedy_text(run.path, reasons)} makes again what is outdated"
         lines += textwrap.wrap(remedy, WIDTH, break_on_hyphens=False, break_long_words=False)
     return "\n".join(lines)

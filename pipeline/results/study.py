@@ -142,7 +142,8 @@ def study(
         Every case failed.
     """
     folder = folder.absolute()  # a worker may have been started in another folder
-    rows, groups = {}, {}
+    rows = {}
+    groups: dict = {}
     for case in cases:
         path = _row_file(folder, case, recordings)
         if path.exists():

@@ -7,7 +7,7 @@ along each stroke.
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -90,8 +90,8 @@ class Writer:
     """
 
     allographs: tuple = ()
-    offsets: np.ndarray = ()
-    backwards: np.ndarray = (1.0,) * DIGITS
+    offsets: np.ndarray = field(default_factory=lambda: np.zeros((DIGITS, 0, 0)))
+    backwards: np.ndarray = field(default_factory=lambda: np.ones(DIGITS))
     slant: float = 0.0
     width: float = 0.0
     size: float = 0.0

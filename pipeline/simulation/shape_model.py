@@ -156,8 +156,16 @@ class ShapeModel:
             _unpacked({part: arrays[f"{digit}.{part}"] for part in PARTS})
             for digit in range(DIGITS)
         )
-        loyalty, traits = (arrays[name].astype(float).tolist() for name in ("loyalty", "traits"))
-        return cls(ways, tuple(loyalty), *traits, json.loads(str(arrays["about"])))
+        slant, width, tempo, trial_tempo = arrays["traits"].astype(float).tolist()
+        return cls(
+            allographs=ways,
+            loyalty=tuple(arrays["loyalty"].astype(float).tolist()),
+            slant=slant,
+            width=width,
+            tempo=tempo,
+            trial_tempo=trial_tempo,
+            about=json.loads(str(arrays["about"])),
+        )
 
     def adapted(self, ways) -> ShapeModel:
         """The model for other people: other shares of the ways, means and variations.
@@ -197,8 +205,9 @@ def _packed(ways) -> dict:
     for number, way in enumerate(ways):
         points[number, : len(way.points)] = way.points
         for name, array in packed.items():
-            values = getattr(way, name)
-            array[(number, *map(slice, values.shape))] = values
+            values: np.ndarray = getattr(way, name)
+            corner: tuple = (number, *map(slice, values.shape))
+            array[corner] = values
     return packed | {
         "points": points,
         "share": np.array([way.share for way in ways], np.float32),

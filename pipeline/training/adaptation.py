@@ -142,13 +142,13 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     kept_folds = np.random.default_rng([seed, 1]).permutation(len(kept)) % (folds.max() + 1)
     before = problem.log_odds(problem.weights, person.responses)
     kept_before = _right(problem.log_odds(problem.weights, kept.responses), kept.labels)
-    best, best_worth = None, -np.inf
+    best, best_worth = None, (False, -np.inf)
     for pull, rehearsal in itertools.product(PULLS, REHEARSALS):
         log_p, kept_after = np.empty_like(before), np.empty(len(kept), bool)
         for fold in range(folds.max() + 1):
             inside, out = kept_folds != fold, kept_folds == fold
-            learned = person.learned(folds != fold)
-            refitted = in_8_bits(problem.solve(*learned, inside, pull, rehearsal))
+            samples, labels = person.learned(folds != fold)
+            refitted = in_8_bits(problem.solve(samples, labels, inside, pull, rehearsal))
             log_p[folds == fold] = problem.log_odds(refitted, person.responses[folds == fold])
             log_kept = problem.log_odds(refitted, kept.responses[out])
             kept_after[out] = _right(log_kept, kept.labels[out])
@@ -160,9 +160,9 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
             best, best_worth = (pull, rehearsal, after, kept_after), worth
     pull, rehearsal, after, kept_after = best
     everything = np.ones(len(kept), bool)
-    own = person.learned(np.arange(len(person)))
+    samples, labels = person.learned(np.arange(len(person)))
     return Refit(
-        weights=in_8_bits(problem.solve(*own, everything, pull, rehearsal)),
+        weights=in_8_bits(problem.solve(samples, labels, everything, pull, rehearsal)),
         pull=pull,
         rehearsal=rehearsal,
         before=_right(before, person.labels),

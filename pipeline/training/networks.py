@@ -431,7 +431,7 @@ def fit(
     list of dict
         The history, one row per epoch.
     """
-    history = []
+    history: list[dict] = []
     for row in epochs_of(model, recipe, data, seed, altered):
         history.append({"epoch": len(history) + 1, **row})
         if validation is not None:

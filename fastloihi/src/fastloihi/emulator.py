@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from typing import Mapping
+from typing import Mapping, Set
 
 import numpy as np
 from nengo_loihi.emulator import interface
@@ -38,7 +38,7 @@ class NotAccelerated(UserWarning):
     """Warning: NengoLoihi's own, slower code runs a network; the results are the same."""
 
 
-_said = set()
+_said: Set[str] = set()
 
 
 def say_once(message):

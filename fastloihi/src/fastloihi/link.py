@@ -6,6 +6,7 @@ import ctypes
 from itertools import accumulate, chain, repeat
 from operator import attrgetter
 from types import SimpleNamespace
+from typing import List
 
 import numpy as np
 from nengo_loihi.emulator.interface import CompartmentState, NoiseState, ProbeState, SynapseState
@@ -24,7 +25,7 @@ PERIODS = ("train_epoch", "learn_epoch", "tracing_tau", "tracing_mag")
 parameters_of_floats = attrgetter(*PERIODS, "learning_rate")
 parameters_of_integers = attrgetter(*PERIODS, "_lr_int", "_lr_exp")
 
-_NONE = []  # the spikes of an input in a step without any
+_NONE: List[int] = []  # the spikes of an input in a step without any
 _NOTHING = np.zeros(0, np.int64)
 
 

@@ -80,9 +80,16 @@ class StreamEmulator:
 
     def start(self, n_streams) -> StreamState:
         """The state of a fresh network, for some streams."""
-        state = (self._link.cells, self._link.counters, self._link.spiked)
-        copies = (np.tile(array, (n_streams, *[1] * array.ndim)) for array in state)
-        return StreamState(*copies, np.zeros((n_streams, self._edges[-1]), np.uint8))
+
+        def repeat(array):
+            return np.tile(array, (n_streams, *[1] * array.ndim))
+
+        return StreamState(
+            cells=repeat(self._link.cells),
+            counters=repeat(self._link.counters),
+            spiked=repeat(self._link.spiked),
+            arriving=np.zeros((n_streams, self._edges[-1]), np.uint8),
+        )
 
     def advance(self, state, inputs):
         """Advance all streams by some steps.

@@ -75,7 +75,8 @@ def read_old_dat(content: bytes) -> EventRecording:
     )
     header = content[:start].decode("latin-1").lower()
     sides = [re.search(rf"^% {side} (\d{{1,5}})\s*$", header, re.M) for side in ("height", "width")]
-    return replace(recording, size=tuple(int(side[1]) for side in sides) if all(sides) else None)
+    found = [int(side[1]) for side in sides if side is not None]
+    return replace(recording, size=tuple(found) if len(found) == len(sides) else None)
 
 
 def _end_of_header(content):

@@ -71,6 +71,7 @@ def read_hdf5(content: bytes, name: str) -> EventRecording:
                     "fields x, y, t and p, or one group of data sets with these names"
                 )
             (entry,) = found.values()
+            events: np.ndarray | dict
             if tables:
                 events = _read_dataset(entry)
             else:

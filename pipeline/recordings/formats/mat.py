@@ -248,7 +248,9 @@ def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
 
 def recording_bytes(recording: MatRecording) -> bytes:
     """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
-    variables = {}  # the events last: a truncated file then has no events
+    variables: dict[
+        str, float | np.ndarray
+    ] = {}  # the events last: a truncated file then has no events
     if recording.simulated:
         variables["simulated"] = 1.0
     if recording.writer >= 0:

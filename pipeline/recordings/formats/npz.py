@@ -53,11 +53,11 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
         raise
     except Exception as error:  # damaged lists and unsupported compressions fail in many ways
         raise BadRecording("is not a .npz file, or damaged") from error
-    about = {name: arrays.pop(name) for name in about}
-    writer = about.get("writer", np.empty(0))
+    facts = {name: arrays.pop(name) for name in about}
+    writer = facts.get("writer", np.empty(0))
     return replace(
         make_recording(arrays) if len(arrays) > 1 else make_array_recording(*arrays.values()),
-        simulated=bool(np.any(about.get("simulated", False))),
+        simulated=bool(np.any(facts.get("simulated", False))),
         writer=parse_writer(writer.item() if writer.size == 1 else None),
     )
 
@@ -91,7 +91,7 @@ def read_array(content: bytes, name: str, max_dimensions: float = 2) -> np.ndarr
         is_too_large = dtype.itemsize > MAX_EVENT_BYTES or len(shape) > max_dimensions
         if not kinds <= set("fiub") or is_too_large:
             raise BadRecording(f"{name!r} is not a row of numbers")
-        return np.frombuffer(data.read(), dtype).reshape(shape, order="FC"[not columns_first])
+        return np.frombuffer(data.read(), dtype).reshape(shape, order="F" if columns_first else "C")
     except BadRecording:
         raise
     except Exception as error:  # damaged headers fail in many ways

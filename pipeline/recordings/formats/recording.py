@@ -178,8 +178,13 @@ def make_recording(events) -> EventRecording:
                 f"{name} has {places[outside][0]:g}, not whole numbers from 0 to {MAX_PLACE}"
             )
     order = np.argsort(t, kind="stable")
-    places = (np.asarray(array, np.int64)[order] for array in (x, y))
-    return EventRecording(*places, time=t[order], polarity=_check_polarities(p)[order], unit=unit)
+    return EventRecording(
+        np.asarray(x, np.int64)[order],
+        np.asarray(y, np.int64)[order],
+        time=t[order],
+        polarity=_check_polarities(p)[order],
+        unit=unit,
+    )
 
 
 def _check_times(t):

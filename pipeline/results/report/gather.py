@@ -55,7 +55,9 @@ def gather(folder: RunFolder) -> Inputs:
     chosen = choose_samples(results[-1])
     with progress("replay samples", len(chosen)) as advance:
         replays = replay(bundle, chosen, settings.seed, advance)
-    titles, metrics, histories = {}, {}, {}
+    titles: dict = {}
+    metrics: dict = {}
+    histories: dict = {}
     for reference in kind.references.values():
         titles.setdefault(folder.folder(kind.step(reference.step).folder), reference.title)
     for path, title in titles.items():

@@ -55,7 +55,7 @@ def verdict_text(verdict: dict, result: dict, plan: dict, simulated: bool) -> Ma
         begin = f"{other['title']}: {percent(other['accuracy'])}, {difference} ("
         sentences.append(escape(begin) + p_value(other["p"]) + ").")
     if not plan["fits"]:
-        sentences.append("It does not fit on the chip.")
+        sentences.append(Markup("It does not fit on the chip."))
     return Markup(" ").join(sentences)
 
 

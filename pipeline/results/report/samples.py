@@ -99,7 +99,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         here = sorted(wanted & set(range(part.start, part.stop)))
         if not here:
             continue
-        packed = []
+        packed: list[dict] = []
         samples = spec.stimulus.flat(bundle.checks.inputs[part.start : here[-1] + 1])
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]

@@ -11,7 +11,7 @@ import functools
 import math
 import os
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from deploy import limits
 from deploy.errors import UserError
@@ -552,9 +552,10 @@ def put(values: dict, name: str, value, origin: str):
 
 def value_in(values: dict, name: str):
     """A value of nested ones by its dotted name, or None."""
+    value: Any = values
     for part in name.split("."):
-        values = values.get(part) if isinstance(values, dict) else None
-    return values
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
 
 
 def merge_values(old: dict, changes: dict) -> dict:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import itertools
 import re
@@ -17,15 +16,17 @@ from pipeline.run.settings.toml import toml_text
 def describe(settings: Settings) -> list:
     """Every setting: a dict of ``name``, ``value``, ``default``, ``meaning`` and ``section``."""
     defaults = Settings().flat()
+    entries = list(entries_of(settings))
+    meanings = {type(section): _meanings(type(section)) for _, section, _ in entries}
     return [
         {
             "name": name,
             "value": getattr(section, entry),
             "default": defaults[name],
-            "meaning": _meanings(type(section))[entry],
-            "section": re.split(r";|\.\n|\.$", inspect.getdoc(type(section)))[0],
+            "meaning": meanings[type(section)][entry],
+            "section": re.split(r";|\.\n|\.$", inspect.getdoc(type(section)) or "")[0],
         }
-        for name, section, entry in entries_of(settings)
+        for name, section, entry in entries
     ]
 
 
@@ -78,8 +79,7 @@ def parse_assignments(assignments) -> dict:
     return values
 
 
-@functools.cache
-def _meanings(section):
+def _meanings(section: type) -> dict:
     """The comment above each entry of a section, in one line and without its markup."""
     meanings, words = {}, []
     for line in map(str.strip, inspect.getsource(section).splitlines()):

@@ -31,7 +31,8 @@ def read_own_settings(path) -> Settings:
         As :func:`read_settings`.
     """
     values, chosen, given = _read(path)
-    settings, changes = Settings().with_values(values, str(path)), {}
+    settings = Settings().with_values(values, str(path))
+    changes: dict = {}
     given = [*(settings.given if given is None else given)]  # a user's own file may be short
     for name, value in chosen.items():
         if settings.value(name) == value:

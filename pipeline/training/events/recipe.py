@@ -72,14 +72,12 @@ class EventRecipe:
 
     def alter_samples(self, rng, table: EventTable, indices) -> EventColumns:
         """Some samples altered."""
-        events = EventColumns(*table.pick(indices))
+        events = table.pick(indices)
         return alter(self.alteration, rng, events, len(indices), self.step_ms, table.size)
 
     def frames_of(self, events: EventColumns, samples: int, steps: int, size: tuple) -> np.ndarray:
         """Frames of events; see :func:`pipeline.recordings.steps.spike_frames`."""
-        sample, time_ms, *place = events
-        step = time_ms / self.step_ms
-        frames = spike_frames(sample, step, *place, samples, steps, size, self.refractory)
+        frames = spike_frames(events, self.step_ms, samples, steps, size, self.refractory)
         return limit_spikes(frames, self.max_spikes)
 
     def frames_of_samples(self, table: EventTable, indices, steps: int) -> np.ndarray:
@@ -112,10 +110,12 @@ class EventRecipe:
     @property
     def neuron(self) -> Neuron:
         """The neurons, with time constants in steps."""
-        taus = (
-            tuple(tau / self.step_ms for tau in each) for each in (self.tau_u_ms, self.tau_v_ms)
+        return Neuron(
+            tau_u=tuple(tau / self.step_ms for tau in self.tau_u_ms),
+            tau_v=tuple(tau / self.step_ms for tau in self.tau_v_ms),
+            floor=self.floor,
+            beta=self.beta,
         )
-        return Neuron(*taus, self.floor, self.beta)
 
     def network(self, seed: int = 0) -> SpikingNetwork:
         """The network with its initial weights."""

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.steps import EventTable, spike_frames
 from tests.pipeline.handmade import recordings
 
@@ -57,6 +58,6 @@ def test_a_taxel_rests_after_a_spike():
 
 def test_frames_take_steps_down_and_leave_out_what_is_before_and_after():
     one = np.zeros(4, int)
-    step = np.array([-0.1, 0.9, 1.0, 2.0])
-    frames = spike_frames(one, step, one, one, one, samples=1, steps=2)
+    events = EventColumns(one, np.array([-0.1, 0.9, 1.0, 2.0]), one, one, one)
+    frames = spike_frames(events, step_ms=1.0, samples=1, steps=2)
     assert frames[:, 0, 0, 0, 0].tolist() == [1, 1]

@@ -52,7 +52,7 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
         frames = [figure.add_subplot(grid[0, column]) for column in range(FRAMES)]
         axes = figure.add_subplot(grid[1, :])
         most = _draw_growing(frames, recordings, events, duration_s)
-        _scale(figure, *figure.get_size_inches(), f"{most} event{'s' * (most > 1)}")
+        _scale(figure, f"{most} event{'s' * (most > 1)}")
     seconds = events.time_ns * 1e-9
     is_grid = taxels.positions is None and not _is_strip(taxels)
     place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
@@ -141,12 +141,13 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     is_strip = _is_strip(recordings.taxels)
     what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down" * is_strip
     figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
-    _scale(figure, width, height, "most, in each picture" + " (root)" * is_strip)
+    _scale(figure, "most, in each picture" + " (root)" * is_strip)
     return figure
 
 
-def _scale(figure, width, height, most):
+def _scale(figure, most):
     """The scale of the shades, in the upper right corner."""
+    width, height = figure.get_size_inches()
     axes = figure.add_axes((1 - 2.05 / width, 1 - 0.22 / height, 0.7 / width, 0.12 / height))
     axes.imshow(np.linspace(0, 1, 64)[None], cmap=SHADES, aspect="auto")
     axes.set(xticks=[], yticks=[])
