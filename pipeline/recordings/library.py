@@ -267,7 +267,7 @@ def load(path) -> Recordings | None:
         name, sha256, time_unit = (str(text) for text in arrays["source"])
         bin_ms, rise = arrays["bins"].tolist()
         positions = arrays["positions"]
-        rows, columns = arrays["size"]
+        rows, columns, polarities = arrays["size"]
         recordings = Recordings(
             events=Events(*(arrays[column] for column in EVENT_DTYPES)),
             offsets=arrays["offsets"],
@@ -289,6 +289,7 @@ def load(path) -> Recordings | None:
             sensor=Sensor(
                 rows=int(rows),
                 columns=int(columns),
+                polarities=int(polarities),
                 duration_s=float(arrays["duration_s"]),
                 classes=tuple(arrays["classes"].tolist()),
             ),
