@@ -329,7 +329,7 @@ def parse(text: str) -> Architecture:
     """
     tokens = [token.strip() for token in text.replace("×", "x").split("-")]
 
-    def fail(position, problem) -> NoReturn:
+    def fail(position: int, problem: str) -> NoReturn:
         shown = text if len(text) <= 100 else f"{text[:97]}..."
         token = tokens[position]
         token = token if len(token) <= 40 else f"{token[:37]}..."
@@ -350,26 +350,41 @@ def parse(text: str) -> Architecture:
         fail(MAX_LAYERS + 1, f"is one layer too many: at most {MAX_LAYERS}")
     layers = []
     for position, token in enumerate(tokens[1:], 1):
-        layer = _layer(token)
-        if layer is None:
-            fail(position, "must be a layer: a convolution such as 6c4, 6c4s2 or 6c4p, "
-                 "a pooling such as 2a, or a hidden dense layer such as 64")  # fmt: skip
-        if layer is _ZERO:
-            fail(position, "has a zero")
         try:
-            _check_place(layer, shape, position == last)
-            weights = [_size(s) for s in layer.weight_shapes(shape).values()]
-            shape = layer.shape(shape)
+            layer = _parse_layer(token, shape, position == last)
         except ValueError as error:
             fail(position, str(error))
-        if position == last and layer.units < 2:
-            fail(position, "must have at least 2 output neurons")
-        if _size(shape) > MAX_VALUES:
-            fail(position, f"has more than {MAX_VALUES} values")
-        if max(weights, default=0) > MAX_WEIGHTS:
-            fail(position, f"has more than {MAX_WEIGHTS} weights")
+        shape = layer.shape(shape)
         layers.append(layer)
     return Architecture(input_shape, tuple(layers))
+
+
+def _parse_layer(token: str, shape: tuple, is_last: bool):
+    """The layer of a token that has an input of this shape.
+
+    Raises
+    ------
+    ValueError
+        What is wrong with the token, as the end of a sentence.
+    """
+    layer = _layer(token)
+    if layer is None:
+        raise ValueError(
+            "must be a layer: a convolution such as 6c4, 6c4s2 or 6c4p, "
+            "a pooling such as 2a, or a hidden dense layer such as 64"
+        )
+    if layer is _ZERO:
+        raise ValueError("has a zero")
+    _check_place(layer, shape, is_last)
+    weights = [_size(s) for s in layer.weight_shapes(shape).values()]
+    shape = layer.shape(shape)
+    if is_last and layer.units < 2:
+        raise ValueError("must have at least 2 output neurons")
+    if _size(shape) > MAX_VALUES:
+        raise ValueError(f"has more than {MAX_VALUES} values")
+    if max(weights, default=0) > MAX_WEIGHTS:
+        raise ValueError(f"has more than {MAX_WEIGHTS} weights")
+    return layer
 
 
 _NUMBER = "([0-9]{1,9})"  # nine digits exceed every limit

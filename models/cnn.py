@@ -85,7 +85,7 @@ class RateLIF(tf.keras.layers.Layer):
     Input and output: any shape, float.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - Keras stores a layer's parameters one by one
         self,
         max_rate,
         tau_rc=0.02,

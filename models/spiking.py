@@ -432,7 +432,9 @@ def _run(current, keep_u, keep_v, bias, threshold, floor):
 
 
 @_compiled
-def _run_back(error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor):
+def _run_back(  # noqa: PLR0913 - TensorFlow compiles a function of tensors
+    error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor
+):
     """dE/du and dE/dv at every step."""
     slope = error / (threshold * tf.square(1 + beta * tf.abs(v / threshold - 1)))
     free = tf.cast(v > floor, error.dtype)

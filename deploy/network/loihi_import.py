@@ -29,7 +29,7 @@ finally:
     for _name in _hidden:
         del sys.modules[_name]
 
-import fastloihi  # noqa: E402, F401  (its import lets NengoLoihi run on NumPy 2)
+import fastloihi  # noqa: E402, F401 - its import lets NengoLoihi run on NumPy 2
 
 # The networks here have no decoders to cache, and parallel processes would wait for its lock.
 nengo.rc["decoder_cache"]["enabled"] = "False"

@@ -47,7 +47,7 @@ def load_keras_model(path: Path):
     ModelFileError
         The file is no model, has only weights, or has classes or functions of the user's.
     """
-    from models.keras.keras2 import tf  # noqa: F401  before Keras 3 imports TensorFlow
+    from models.keras.keras2 import tf  # noqa: F401 - before Keras 3 imports TensorFlow
 
     try:
         config, version, has_archive = _read_config(path)
@@ -63,7 +63,7 @@ def load_keras_model(path: Path):
                 model.load_weights(named)
             else:
                 model = keras.models.load_model(named, compile=False, safe_mode=True)
-        model.inputs[0].shape  # noqa: B018  refuses a model that was never built
+        model.inputs[0].shape  # noqa: B018 - refuses a model that was never built
         return model
     except ModelFileError:
         raise

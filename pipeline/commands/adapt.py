@@ -11,7 +11,7 @@ from deploy.tables import list_names
 from pipeline.commands import options
 
 
-def adapt(
+def adapt(  # noqa: PLR0913 - each is an option of the command
     run: Annotated[Path, typer.Argument(help="Folder of a run, or of a copied bundle.")],
     data: Annotated[
         str, typer.Option(help="Zip or folder of the person's recordings of every class.")

@@ -85,7 +85,7 @@ Others = Annotated[
 ]
 
 
-def run(
+def run(  # noqa: PLR0913 - each is an option of the command
     bundle: options.Bundle,
     target: Annotated[str, typer.Option(help=f"One of {', '.join(NAMES)}.")],
     out: Annotated[

@@ -27,7 +27,7 @@ def train(run: options.Run, requested: options.TrainingRequested, jobs: options.
     options.suggest("ladder", run)
 
 
-def convert(
+def convert(  # noqa: PLR0913 - each is an option of the command
     run: options.Run,
     requested: options.RunRequested,
     model: Annotated[

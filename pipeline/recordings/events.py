@@ -330,7 +330,7 @@ def joined(parts) -> Events:
     return Events(*columns)
 
 
-def collect(
+def collect(  # noqa: PLR0913 - the columns of a table of recordings
     samples, labels, ids, writers, source, taxels=None, sensor=None, parts=()
 ) -> Recordings:
     """Join the events of single recordings.

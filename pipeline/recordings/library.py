@@ -41,7 +41,7 @@ LARGEST_CACHE = 1 << 34
 DELETE = "delete it and run the command again to make it again"
 
 
-def load_recordings(
+def load_recordings(  # noqa: PLR0913 - all have defaults; callers name them
     source: str = SIMULATED,
     simulation_seed: int = 0,
     samples_per_digit: int = 0,

@@ -288,22 +288,7 @@ def _require_one_data_set(path, recordings):
 def _members(path):
     """Paths of all files and folders of a source, and files refused with the reason."""
     if path.is_dir():
-        files, folders, refused = [], [], []
-        for root, below, names in os.walk(path, followlinks=True):
-            around = Path(root)
-            above = {os.path.realpath(folder) for folder in (around, *around.parents)}
-            # Links in a circle end.
-            below[:] = [name for name in below if os.path.realpath(around / name) not in above]
-            for name in sorted([*below, *names]):
-                entry = around / name
-                member = entry.relative_to(path).as_posix()
-                if entry.is_file():
-                    files.append(member)
-                elif entry.is_dir():
-                    folders.append(member)
-                elif not _is_ignored(PurePosixPath(member)):
-                    refused.append((member, "is not a regular file; move it away"))
-        return sorted(files), folders, refused
+        return _members_of_folder(path)
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
     if path.suffix.lower() in READERS:
@@ -315,19 +300,49 @@ def _members(path):
         raise UserError(
             f"{path}: not a zip archive, or cut short ({error}); download it again"
         ) from error
-    files, refused = {}, []
+    return _members_of_archive(members)
+
+
+def _members_of_folder(path):
+    """As :func:`_members`, of a folder."""
+    files = []
+    folders = []
+    refused = []
+    for root, below, names in os.walk(path, followlinks=True):
+        around = Path(root)
+        above = {os.path.realpath(folder) for folder in (around, *around.parents)}
+        # Links in a circle end.
+        below[:] = [name for name in below if os.path.realpath(around / name) not in above]
+        for name in sorted([*below, *names]):
+            entry = around / name
+            member = entry.relative_to(path).as_posix()
+            if entry.is_file():
+                files.append(member)
+            elif entry.is_dir():
+                folders.append(member)
+            elif not _is_ignored(PurePosixPath(member)):
+                refused.append((member, "is not a regular file; move it away"))
+    return sorted(files), folders, refused
+
+
+def _members_of_archive(members):
+    """As :func:`_members`, of the entries of a zip."""
+    files = []
+    seen = set()
+    refused = []
     for info in members:
         name = info.filename
         if info.is_dir():
             continue
-        if name in files or PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
-            reason = "is in the archive twice" if name in files else "has a path out of the archive"
+        if name in seen or PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
+            reason = "is in the archive twice" if name in seen else "has a path out of the archive"
             refused.append((name, reason))
         else:
-            files[name] = info
+            files.append(name)
+            seen.add(name)
     around = {parent for name in files for parent in PurePosixPath(name).parents}
     folders = {PurePosixPath(info.filename) for info in members if info.is_dir()}
-    return list(files), sorted(map(str, (around | folders) - {PurePosixPath(".")})), refused
+    return files, sorted(map(str, (around | folders) - {PurePosixPath(".")})), refused
 
 
 def _is_ignored(member):

@@ -65,30 +65,20 @@ def write_recordings(
     """
     path = Path(path)
     require_ending(path, ".zip")
-    if time_unit and time_unit not in UNITS:
-        raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
-    if parts is not None and not set(parts) <= {"train", "test"}:
-        raise UserError(f"{path}: a part is 'train' or 'test', for each recording")
-    if writers is not None and not all(
-        isinstance(writer, (int, np.integer)) and writer >= 0 for writer in writers
-    ):
-        raise UserError(f"{path}: a writer is a whole number from 0, for each recording")
-    if classes is None:
-        classes = getattr(recordings, "classes", None)
-    if isinstance(classes, Set):
-        raise ValueError("classes: a set has no order; give a list of names")
-    names = list(map(str, () if classes is None else classes))
+    _check_options(path, time_unit, writers, parts)
+    names = _list_classes(path, recordings, classes)
+    is_fixed = names is not None
+    names = names or []
     written = 0
     problems: dict = {}
-    if len(set(names)) < len(names):
-        raise UserError(f"{path}: two of the classes have the same name")
-    index, sizes = -1, {len(values) for values in (writers, parts) if values is not None}
+    index = -1
+    sizes = {len(values) for values in (writers, parts) if values is not None}
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         for index, (events, label) in enumerate(recordings):
             if index in sizes:  # more recordings than writers or parts
                 break
             try:
-                name = _class_of(label, names, classes is not None)
+                name = _class_of(label, names, is_fixed)
                 writer = -1 if writers is None else int(writers[index])
                 content = _npz_bytes(make_recording(events), time_unit, writer, simulated)
             except BadRecording as error:
@@ -108,6 +98,31 @@ def write_recordings(
         if lines:
             raise SeveralErrors(lines)
     return path
+
+
+def _check_options(path, time_unit, writers, parts):
+    if time_unit and time_unit not in UNITS:
+        raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
+    if parts is not None and not set(parts) <= {"train", "test"}:
+        raise UserError(f"{path}: a part is 'train' or 'test', for each recording")
+    if writers is not None and not all(
+        isinstance(writer, (int, np.integer)) and writer >= 0 for writer in writers
+    ):
+        raise UserError(f"{path}: a writer is a whole number from 0, for each recording")
+
+
+def _list_classes(path, recordings, classes) -> list[str] | None:
+    """Names of the classes; None if only the labels themselves name them."""
+    if classes is None:
+        classes = getattr(recordings, "classes", None)
+    if classes is None:
+        return None
+    if isinstance(classes, Set):
+        raise ValueError("classes: a set has no order; give a list of names")
+    names = list(map(str, classes))
+    if len(set(names)) < len(names):
+        raise UserError(f"{path}: two of the classes have the same name")
+    return names
 
 
 def _class_of(label, names, is_fixed):

@@ -245,18 +245,9 @@ def ladder_text(ladder: dict) -> str:
     """The ladder, from :func:`ladder_json`, as a table; with the layers if a stage loses much."""
     what = "simulated samples" if ladder["simulated"] else "samples"
     table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
-    for row in ladder["rows"]:
-        low, high = row["accuracy_ci95"]
-        cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}", *[""] * 4]
-        if row["change"] is not None:
-            cells[3:] = [
-                f"{round(row['change'], 3) + 0.0:+.3f}",  # no change is +0.000
-                str(row["disagreements"]),
-                p_text(row["mcnemar_p"]),
-                star(row["mcnemar_p"]),
-            ]
-        table.append(cells)
-    by_stage, last = {row["stage"]: row for row in ladder["rows"]}, ladder["rows"][-1]
+    table += [_cells(row) for row in ladder["rows"]]
+    by_stage = {row["stage"]: row for row in ladder["rows"]}
+    last = ladder["rows"][-1]
     first = by_stage[compared_with(by_stage)]
     lines = [
         f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
@@ -291,6 +282,21 @@ def ladder_text(ladder: dict) -> str:
             f"counts; try {ladder.get('remedy') or 'more epochs'}"
         )
     return "\n".join(lines)
+
+
+def _cells(row: dict) -> list:
+    """The cells of a stage in the table."""
+    low, high = row["accuracy_ci95"]
+    cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
+    if row["change"] is None:
+        return [*cells, "", "", "", ""]
+    return [
+        *cells,
+        f"{round(row['change'], 3) + 0.0:+.3f}",  # no change is +0.000
+        str(row["disagreements"]),
+        p_text(row["mcnemar_p"]),
+        star(row["mcnemar_p"]),
+    ]
 
 
 def points_text(points: float) -> str:

@@ -16,7 +16,7 @@ import warnings
 import nengo
 import numpy as np
 
-import deploy.network.loihi_import  # noqa: F401  (puts back what Nengo needs of NumPy 1)
+import deploy.network.loihi_import  # noqa: F401 - puts back what Nengo needs of NumPy 1
 from models.architecture import parse
 from models.cnn import build_cnn, gain_for, on_chip, set_weights
 from models.keras.keras2 import tf

@@ -200,7 +200,9 @@ def _list(words, blocks, events, ends, in_use):
 
 
 @_jit()
-def _add(spikes, first, last, offset, entries, first_run, runs, pool, sums):
+def _add(  # noqa: PLR0913 - Numba takes each array as an argument
+    spikes, first, last, offset, entries, first_run, runs, pool, sums
+):
     """Add rows of weights, narrow ones to sums of 16 bits or wide ones to the input."""
     for e in range(uint64(first), uint64(last)):
         entry = uint64(spikes[e] + offset)
@@ -272,7 +274,9 @@ def _wrap(x, spare):
 
 
 @_jit()
-def _currents(first, last, keep, shift, loaded, sums, total, current):
+def _currents(  # noqa: PLR0913 - Numba takes each array as an argument
+    first, last, keep, shift, loaded, sums, total, current
+):
     """u <- wrap(decay(u) + wrap(q)); return the numbers of overflows of q and u."""
     over_q, over_u = int32(0), int32(0)
     if loaded:
@@ -296,7 +300,9 @@ def _currents(first, last, keep, shift, loaded, sums, total, current):
 
 
 @_jit()
-def _voltages(first, last, keep, v_min, v_max, bias, current, voltage):
+def _voltages(  # noqa: PLR0913 - Numba takes each array as an argument
+    first, last, keep, v_min, v_max, bias, current, voltage
+):
     """v <- clip(decay(v) + wrap(u + bias)); return the number of overflows of the sum."""
     over = int32(0)
     for i in range(first, last):
@@ -458,7 +464,9 @@ def _float_learn(rule, rate, traces, errors, wide):
 
 
 @_jit()
-def _record(recorded, s, current, voltage, spiked, currents, voltages, spikes):
+def _record(  # noqa: PLR0913 - Numba takes each array as an argument
+    recorded, s, current, voltage, spiked, currents, voltages, spikes
+):
     """Store a step's values of the probed compartments."""
     for r in range(len(recorded)):
         key, start = recorded[r, 0], uint64(recorded[r, 1])
@@ -481,7 +489,7 @@ def _copy(values, into):
 
 
 @_jit(from_python=True)
-def advance_integers(
+def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all arrays of a network
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
     noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost,
@@ -606,7 +614,7 @@ def advance_integers(
 
 
 @_jit(from_python=True)
-def advance_floats(
+def advance_floats(  # noqa: C901, PLR0913 - one loop over time, on all arrays of a network
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
     noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost,

@@ -41,7 +41,7 @@ BATCHES_SORTED = 16
 EVALUATED_TOGETHER = 100
 
 
-def train_events(
+def train_events(  # noqa: PLR0913 - the last three have defaults; callers name them
     recipe: EventRecipe,
     table: EventTable,
     labels,
