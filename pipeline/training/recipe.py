@@ -288,12 +288,12 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
         0, for no limit, if a taxel that fires all the time has less than twice as many spikes.
     """
     some = train[:: -(-len(train) // MAX_COUNTED_SAMPLES) or 1]
-    counts = [np.zeros(0, int)]
+    parts = [np.zeros(0, int)]
     for start in range(0, len(some), 64):
         indices = some[start : start + 64]
         frames = table.frames(indices, shown.step, steps, shown.refractory_steps)
-        counts.append(frames.sum(0, dtype=int).ravel())
-    counts = np.concatenate(counts)
+        parts.append(frames.sum(0, dtype=int).ravel())
+    counts = np.concatenate(parts)
     most = steps // (1 + shown.refractory_steps)
     for max_spikes in range(1, most // 2 + 1):
         left_out = np.maximum(counts - max_spikes, 0).sum()
