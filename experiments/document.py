@@ -110,7 +110,7 @@ def part(name: str) -> str:
     if content["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
         parts.append(markdown(tables.comparisons_cells(content, titles)))
-    return "\n\n".join([*parts, studies.notes_of(experiment, content["simulated"])])
+    return "\n\n".join([*parts, experiment.note])
 
 
 def brief(columns: dict) -> str:

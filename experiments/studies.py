@@ -89,8 +89,6 @@ class Experiment:
         the experiment chooses something; otherwise 0.
     note : str
         What a reader must know.
-    simulated_note : str
-        What a reader must know if the recordings are simulated.
     """
 
     name: str
@@ -102,13 +100,8 @@ class Experiment:
     writers: bool = False
     validation: float = 0.0
     note: str = ""
-    simulated_note: str = ""
 
 
-INPUT_NOTE = (
-    "The variation between simulated writers was set so that the paper's CNN has an accuracy near "
-    "the paper's 0.89 (results/difficulty.json): on simulated recordings its accuracy was chosen."
-)
 EMULATED_NOTE = (
     "Emulated Loihi: the target fast, bit-identical to NengoLoihi's emulator; nothing ran on a "
     "chip. Input spikes are made on the host."
@@ -222,7 +215,6 @@ EXPERIMENTS = (
         ),
         writers=True,
         note=EMULATED_NOTE,
-        simulated_note=INPUT_NOTE,
     ),
     Experiment(
         "losses",
@@ -246,7 +238,6 @@ EXPERIMENTS = (
             *(("trained", "cnn-matched"), ("events-chip", "trained")),
         ),
         note=EMULATED_NOTE,
-        simulated_note=INPUT_NOTE,
     ),
     Experiment(
         "choices",
@@ -305,13 +296,6 @@ EXPERIMENTS = (
             for name, reading in readings.READINGS.items()
         ),
         tuple((name, "max") for name in readings.READINGS if name != "max"),
-    ),
-    Experiment(
-        "difficulty",
-        "The paper's CNN with the paper's protocol",
-        "5 min",
-        (Line("cnn", "CNN, the paper's recipe", "cnn"),),
-        simulated_note=INPUT_NOTE,
     ),
 )
 
@@ -507,12 +491,6 @@ def cells(experiment: Experiment, found: dict, split: str) -> list:
     return lines
 
 
-def notes_of(experiment: Experiment, simulated: bool) -> str:
-    """What a reader of a result must know, in one paragraph."""
-    notes = [experiment.simulated_note if simulated else "", experiment.note]
-    return " ".join(filter(None, notes))
-
-
 # Accuracy of each model over the splits, mean and SD (Table 2).
 TABLE2 = {
     "cnn": (0.89, 0.01),
@@ -542,7 +520,7 @@ def text(experiment: Experiment, found: dict) -> str:
     if found["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
         lines += ["", *align_rows(tables.comparisons_cells(found, titles))]
-    lines += ["", notes_of(experiment, found["simulated"])]
+    lines += ["", experiment.note]
     lines.append(
         "operations: synaptic, readout included, relative to the multiply-accumulates of the "
         "paper's CNN and of the dense form of the network itself; updates: per inference"

@@ -68,7 +68,6 @@ def test_the_paper_is_beside_random_splits_only():
     assert (titles["loihi"], titles["cnn"], "random") in pairs
     text = studies.text(BY_NAME["table2"], found)
     assert missing(text, "random splits", "writers splits", "this row", "against", "Holm") == []
-    assert "difficulty.json" in text
 
 
 def test_an_unknown_row_and_an_unknown_experiment_are_one_line(tmp_path, capsys):
