@@ -34,18 +34,22 @@ FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").gl
 # The rows of the table in the README, and their lines in the experiments of its columns.
 BRIEF = {
     "logistic regression on event counts": {"counts"},
+    "Gaussian kernel on square roots of counts": {"kernel"},
+    "nearest training sample": {"nearest"},
     "CNN, trained as in the paper": {"cnn"},
+    "ANN-SNN, trained as in the paper, emulated Loihi": {"loihi"},
     "CNN, longer training": {"cnn-matched"},
     "CNN, longer training with augmentation": {"cnn-augmented"},
     "ANN-SNN, longer training, emulated Loihi": {"chip", "own-loihi"},
+    "SNN on slices of time, emulated Loihi": {"slices"},
     "SNN on events, emulated Loihi": {"events-chip", "events-loihi"},
 }
 # The columns: a result and one of its splits.
 COLUMNS = {
-    "Ev-Objects, real": ("real-touch-objects", "published"),
-    "Braille letters, real": ("real-touch-letters", "published"),
-    "simulated digits, random splits": ("table2", "random"),
-    "simulated digits, new writers": ("table2", "writers"),
+    "ST-MNIST, random split": ("table2-stmnist", "random"),
+    "ST-MNIST, new styles": ("table2-stmnist", "styles"),
+    "Ev-Objects": ("real-touch-objects", "published"),
+    "Braille letters": ("real-touch-letters", "published"),
 }
 
 
