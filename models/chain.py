@@ -133,7 +133,9 @@ def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
     tuple of Link
         One for each convolution and dense layer, with the averaging before it.
     """
-    links, before, pool = [], architecture.input_shape, 1
+    links = []
+    before = architecture.input_shape
+    pool = 1
     shapes = zip(architecture.shapes, architecture.shapes[1:], strict=False)
     weights = weights or {}
     for name, layer, (read, shape) in zip(
@@ -161,14 +163,16 @@ def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
                 **geometry,
             )
         )
-        before, pool = shape, 1
+        before = shape
+        pool = 1
     return tuple(links)
 
 
 # An output neuron's full rate, as a share of the rate that its refractory period allows, and the
 # percentile of the largest wrong logit that maps to its threshold: chosen on validation samples, on
 # which the readout on the chip is then as accurate as on the host with 100 steps.
-OUTPUT_SHARE, OUTPUT_THRESHOLD = 0.5, 20
+OUTPUT_SHARE = 0.5
+OUTPUT_THRESHOLD = 20
 
 
 def from_rates(
@@ -212,7 +216,8 @@ def from_rates(
     for index, link in enumerate(hidden):
         rate = snn.max_rate(index)
         gain = gain_for(rate, snn.tau_rc, snn.tau_ref)
-        kernel, bias = gain * link.weights, 1 + gain * link.bias
+        kernel = gain * link.weights
+        bias = 1 + gain * link.bias
         if snn.is_on_chip:
             kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
         chain.append(spiking(link, rate, kernel, bias))
@@ -224,7 +229,8 @@ def from_rates(
         right = logits[np.arange(len(labels)), labels]
         logits[np.arange(len(labels)), labels] = -np.inf
         threshold = np.percentile(logits.max(axis=1), OUTPUT_THRESHOLD)
-        full, rate = np.percentile(right, 99), OUTPUT_SHARE / snn.tau_ref
+        full = np.percentile(right, 99)
+        rate = OUTPUT_SHARE / snn.tau_ref
         gain = gain_for(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
         bias = 1 + gain * (output.bias - threshold)
         output = spiking(output, rate, gain * output.weights, bias)

@@ -290,12 +290,15 @@ def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.kera
 def _sums(layer, name, gain):
     """The Keras layer for the weighted sums of a convolution or a hidden dense layer."""
     if layer.kind == "dense":
-        size, options = (layer.units,), {"name": name}
-        plain, on_chip = tf.keras.layers.Dense, OnChipDense
+        size = (layer.units,)
+        options = {"name": name}
+        plain = tf.keras.layers.Dense
+        on_chip = OnChipDense
     else:
         size = (layer.filters, layer.kernel)
         options = {"name": name, "strides": layer.stride, "padding": layer.padding}
-        plain, on_chip = tf.keras.layers.Conv2D, OnChipConv2D
+        plain = tf.keras.layers.Conv2D
+        on_chip = OnChipConv2D
     return plain(*size, **options) if gain is None else on_chip(*size, gain, **options)
 
 

@@ -33,7 +33,9 @@ BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 MAX_BIAS = BIAS_MANTISSA * 2**7
 
 # In 4096ths.
-LEAST_KEEP_U, LEAST_KEEP_V, MOST_KEEP = 1, 2, DECAY_UNIT - 1
+LEAST_KEEP_U = 1
+LEAST_KEEP_V = 2
+MOST_KEEP = DECAY_UNIT - 1
 
 # The chip's lowest voltage, for neurons without a lower bound.
 FLOOR = -(2**23) + 1
@@ -107,9 +109,11 @@ def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
         Its neurons' spikes have the area of one step.
     """
     dt = LOIHI.dt
-    decay_u, decay_v = DECAY_UNIT - 1 - layer.keep_u, DECAY_UNIT - layer.keep_v
+    decay_u = DECAY_UNIT - 1 - layer.keep_u
+    decay_v = DECAY_UNIT - layer.keep_v
     sum_u, sum_v = _sum_of_decays(layer.keep_u), _sum_of_decays(layer.keep_v)
-    share_u, share_v = (decay_u + 1) / (DECAY_UNIT - 1), decay_v / (DECAY_UNIT - 1)
+    share_u = (decay_u + 1) / (DECAY_UNIT - 1)
+    share_v = decay_v / (DECAY_UNIT - 1)
     per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
     tau_rc = float(-dt / np.log1p(-share_v))
     per_unit *= 2.0**layer.exponent
@@ -128,7 +132,9 @@ def _sum_of_decays(keep):
 
     x(k+1) = floor(r x(k)), where rounding down subtracts 0.494 per step on average.
     """
-    start, lost, r = 2.0**21, 0.494, keep / DECAY_UNIT
+    start = 2.0**21
+    lost = 0.494
+    r = keep / DECAY_UNIT
     steps = -np.log1p(start * (1 - r) / lost) / np.log(r)
     geometric = (1 - r ** (steps + 1)) / (1 - r)
     return geometric - lost / ((1 - r) * start) * (steps + 1 - geometric)
@@ -223,11 +229,14 @@ def simulate_spikes(link: Link, spikes, integers: Integers | None = None) -> np.
         added = currents(link, link.weights / link.pool**2, spikes)
         bias, loop = link.bias, link.loop
         keep_u, keep_v = link.decays.keep_u, link.decays.keep_v
-        threshold, floor = 1.0, -np.inf
+        threshold = 1.0
+        floor = -np.inf
     else:
-        added, bias = currents(link, integers.weights.astype(float), spikes), integers.bias
+        added = currents(link, integers.weights.astype(float), spikes)
+        bias = integers.bias
         unit = WEIGHT_UNIT * 2.0**integers.exponent
-        added, loop = added * unit, None if integers.loop is None else integers.loop * unit
+        added = added * unit
+        loop = None if integers.loop is None else integers.loop * unit
         keep_u, keep_v = integers.keep_u / DECAY_UNIT, integers.keep_v / DECAY_UNIT
         threshold, floor = integers.threshold, integers.floor
     cut = (lambda x: x) if integers is None else np.trunc
@@ -289,7 +298,8 @@ def choose_integers(link: Link, spikes) -> Integers:
         Input on training samples, as for :func:`simulate_spikes`.
     """
     spiked = simulate_spikes(link, spikes)
-    wanted, tried = spiked.sum(1, dtype=float), []
+    wanted = spiked.sum(1, dtype=float)
+    tried = []
     ways: list[np.ndarray | None] = [None]
     if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
         ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
@@ -384,7 +394,8 @@ def _round_with_compensation(real, moments) -> np.ndarray:
     """
     flat = real.reshape(len(moments), -1)
     order = np.argsort(-np.abs(flat).max(1), kind="stable")
-    left, moments = flat[order], moments[np.ix_(order, order)]
+    left = flat[order]
+    moments = moments[np.ix_(order, order)]
     upper = np.linalg.cholesky(np.linalg.inv(moments)).T
     for i in range(len(left)):
         whole = np.clip(np.rint(left[i]), -WEIGHT_LEVELS, WEIGHT_LEVELS)
@@ -407,7 +418,9 @@ def moments_of(link: Link, spikes) -> np.ndarray:
     ndarray, shape (inputs, inputs) or (rows * columns * channels,) twice
         In the order of the weights.
     """
-    left, u, v = [], 0.0, 0.0
+    left = []
+    u = 0.0
+    v = 0.0
     for t in range(spikes.shape[1]):
         u = link.decays.keep_u * u + spikes[:, t]
         v = link.decays.keep_v * v + u

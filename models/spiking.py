@@ -215,7 +215,8 @@ class SpikingNetwork(tf.Module):
         """
         values = self.variables_by_name if values is None else values
         steps, samples = tf.unstack(tf.shape(frames)[:2])  # one trace for any number
-        signal, spikes = tf.cast(frames, dtype), []
+        signal = tf.cast(frames, dtype)
+        spikes = []
         layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
         for index, (name, layer, before) in enumerate(layers):
             parameters = self._on_chip(name, values, dtype)
@@ -483,7 +484,8 @@ def _twelve_bits(bias):
 def _power_of_two(x):
     """The power of two closest to x by ratio; computed without a float32 logarithm to be exact."""
     powers = np.arange(25)
-    limits, rises = 2.0 ** (powers - 0.5), 2.0 ** np.maximum(powers - 1, 0)
+    limits = 2.0 ** (powers - 0.5)
+    rises = 2.0 ** np.maximum(powers - 1, 0)
     passed = tf.cast(x[..., None] > tf.constant(limits, x.dtype), x.dtype)
     return tf.reduce_sum(passed * tf.constant(rises, x.dtype), -1)
 

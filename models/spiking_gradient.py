@@ -286,7 +286,8 @@ class SpikingGradient:
         )
         gradients = {"output.kernel": to_kernel}
         for index in reversed(range(len(layers))):
-            layer, name = layers[index], self.names[index]
+            layer = layers[index]
+            name = self.names[index]
             if price:
                 error += np.float32(price) * self.fan_out[index + 1].astype(np.float32)
             to_bias, to_keep_u, to_keep_v = kernels.integrate_back(

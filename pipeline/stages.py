@@ -293,7 +293,8 @@ def _notes_on_recordings(opened):
             if pairs:
                 what = f"{what}: {len(pairs)}, such as {pairs[0][1]} ({pairs[0][0]})"
                 yield f"{WARNING}{recordings.source.name}: {what}"
-    n_test, samples = len(split.test), opened.settings.check.samples
+    n_test = len(split.test)
+    samples = opened.settings.check.samples
     if split.kind == PUBLISHED and n_test < samples:
         yield (
             f"{recordings.source.name}: the test set has {n_test} recordings, fewer than the "
@@ -320,14 +321,18 @@ def convert(opened: Opened) -> Bundle:
     run = opened.run
     say = opened.say
     artifact = bundle_artifact(run, opened.kind, opened.dataset.origin)
-    state, origin = artifact.state(), artifact.origin
+    state = artifact.state()
+    origin = artifact.origin
     if state.is_current:
         say(f"bundle: up to date ({run.bundle})")
         return read_bundle(run.bundle)
     state.announce("writing", say)
     inputs = opened.step_inputs(origin.settings)
-    view, dataset, recordings = inputs.settings, inputs.dataset, inputs.dataset.recordings
-    source, test = recordings.source, dataset.split.test
+    view = inputs.settings
+    dataset = inputs.dataset
+    recordings = inputs.dataset.recordings
+    source = recordings.source
+    test = dataset.split.test
     chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
     lost = reading_lines(source.name, recordings)
     notes = (*lost, *_notes_on_recordings(opened))
@@ -389,7 +394,8 @@ def check_stage(opened: Opened, bundle: Bundle, stage: str) -> dict:
         One of the kind's reference stages, or a target.
     """
     artifact = _check_artifact_of(opened, bundle, stage)
-    path, state = artifact.record, artifact.state()
+    path = artifact.record
+    state = artifact.state()
     if state.is_current:
         opened.say(f"{stage}: up to date ({path})")
         return read_result(path, DELETE_IT)

@@ -79,7 +79,8 @@ class CheckSet:
     @property
     def sha256(self):
         """SHA-256 of inputs, labels and ids."""
-        inputs, labels = np.ascontiguousarray(self.inputs), np.asarray(self.labels, np.int64)
+        inputs = np.ascontiguousarray(self.inputs)
+        labels = np.asarray(self.labels, np.int64)
         described = json.dumps([str(inputs.dtype), inputs.shape, labels.tolist(), self.ids])
         digest = hashlib.sha256(described.encode())
         digest.update(inputs)

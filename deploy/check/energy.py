@@ -163,7 +163,8 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     UserError
         The result has no counts of this network's layers.
     """
-    counted, shown = result.get("synaptic_operations", {}), spec.presentation
+    counted = result.get("synaptic_operations", {})
+    shown = spec.presentation
     if not {layer.name for layer in spec.layers} <= set(counted):
         raise UserError(
             "the result has no synaptic operations of this network; "

@@ -193,7 +193,9 @@ class OpenCheck:
 
     def finish(self) -> dict:
         """Write and return the result, after the last stream."""
-        bundle, target, seed = self._bundle, self.target, self._check["seed"]
+        bundle = self._bundle
+        target = self.target
+        seed = self._check["seed"]
         records = [self._done[part.start] for part in _streams(bundle)]
         answers = [sample for record in records for sample in record["samples"]]
         notes = [record["notes"] for record in records if "notes" in record]
@@ -298,7 +300,8 @@ def _resume(file, check, streams):
     """
     lengths = {part.start: part.stop - part.start for part in streams}
     file.seek(0)
-    done, others = {}, False
+    done = {}
+    others = False
     for line in file.read().decode("utf-8", "replace").split("\n"):
         try:
             record = json.loads(line)

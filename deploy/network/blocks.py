@@ -62,7 +62,8 @@ def scaled_by_block(layers) -> List[str]:
     layers : sequence of deploy.network.spec.Layer
         Layers of a network, in order.
     """
-    shapes, names = block_shapes(layers), []
+    shapes = block_shapes(layers)
+    names = []
     for layer in layers:
         if layer.name not in shapes or layer.neurons is None:
             continue
@@ -141,7 +142,8 @@ class _Line(NamedTuple):
 
 
 def _lines(layer) -> List[_Line]:
-    lines, pool = [], layer.pool
+    lines = []
+    pool = layer.pool
     for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
         _, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
         kernel = layer.kernel

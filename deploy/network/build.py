@@ -134,7 +134,8 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
     Built
     """
     feed = Feed(spec.presentation, int(np.prod(spec.input_shape)))
-    spikes, blocks = {}, block_shapes(spec.layers)
+    spikes = {}
+    blocks = block_shapes(spec.layers)
     with nengo.Network(label=spec.architecture, seed=seed) as network:
         nengo_loihi.add_params(network)
         pixels = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
@@ -176,7 +177,8 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
 def _input_neurons(spec):
     stimulus = spec.stimulus
     if isinstance(stimulus, EventFrames):
-        neuron_type, gain = Relay(amplitude=stimulus.area), 1.0
+        neuron_type = Relay(amplitude=stimulus.area)
+        gain = 1.0
     else:
         neuron_type = EvenSpikes(stimulus.initial_phase, amplitude=stimulus.area)
         gain = stimulus.max_rate
@@ -227,13 +229,16 @@ def _transform(layer: Layer):
         None for all of them.
     """
     if layer.kind == "dense":
-        weights, before = layer.weights, int(np.prod(layer.input_shape))
+        weights = layer.weights
+        before = int(np.prod(layer.input_shape))
         if layer.pool > 1:
             by_place = np.moveaxis(weights.reshape(len(weights), *layer.read_shape), 0, -1)
             by_place = unpool(by_place, layer.input_shape, layer.pool) / layer.pool**2
             weights = np.moveaxis(by_place, -1, 0).reshape(-1, before)
         return nengo.Dense((len(weights), before), init=weights), None
-    kernel, input_shape, inputs = layer.weights, layer.input_shape, None
+    kernel = layer.weights
+    input_shape = layer.input_shape
+    inputs = None
     if layer.padding not in ("valid", "same"):
         sizes = [
             padded_kernel(n, layer.kernel, layer.stride, layer.padding)
@@ -264,7 +269,8 @@ def _pooled_kernel(layer, kernel):
     With padding it may need zeros: Nengo puts half of the padding, rounded down, before the values,
     whereas half of the padding of pooled values is a whole number of windows.
     """
-    pool, stride = layer.pool, layer.stride * layer.pool
+    pool = layer.pool
+    stride = layer.stride * layer.pool
     kernel = kernel.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2
     if layer.padding == "valid":
         return kernel, layer.input_shape

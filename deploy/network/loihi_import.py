@@ -100,7 +100,8 @@ def _unfit_layer(network):
     for block in model.blocks:
         compartment = block.compartment
         weight = max((float(synapse.max_abs_weight()) for synapse in block.synapses), default=0.0)
-        threshold, bias = float(compartment.vth.min()), float(abs(compartment.bias).max())
+        threshold = float(compartment.vth.min())
+        bias = float(abs(compartment.bias).max())
         try:
             nengo_loihi.builder.discretize.discretize_block(block)
         except BUILD_ERRORS:

@@ -56,7 +56,8 @@ def nir_graph(spec: NetworkSpec):
         )
     rows, columns, channels = spec.input_shape
     nodes = {"input": nir.Input({"input": np.array([channels, rows, columns])})}
-    area, loops = 1.0, {}
+    area = 1.0
+    loops = {}
     for layer in spec.layers:
         if layer.pool > 1:
             size = np.array([layer.pool, layer.pool])
@@ -120,7 +121,8 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
         Spikes of the input neurons with a height of their area over ``dt``; the mean of an image's
         spikes is the image.
     """
-    flat, period = spec.stimulus.flat(samples), spec.presentation.period
+    flat = spec.stimulus.flat(samples)
+    period = spec.presentation.period
     size = flat.shape[-1]
     # the input neurons alone, with a readout of zeros
     nothing = Layer(
@@ -177,7 +179,8 @@ def _neurons(nir, layer):
     def everywhere(value):
         return np.full(shape, float(value))
 
-    name, neurons = f"{layer.name}_neurons", layer.neurons
+    name = f"{layer.name}_neurons"
+    neurons = layer.neurons
     common = {"r": everywhere(1), "v_threshold": everywhere(1)}
     if layer.synapse is not None:
         yield (

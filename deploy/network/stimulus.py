@@ -116,7 +116,8 @@ class ImageSpikes(Stimulus):
         problem = super().complaint(samples, input_shape, steps)
         if problem is not None:
             return problem
-        largest, most = np.max(samples, initial=0), 1 / (self.max_rate * LOIHI.dt)
+        largest = np.max(samples, initial=0)
+        most = 1 / (self.max_rate * LOIHI.dt)
         if largest > most:
             return (
                 f"a pixel is {largest:g}; at {self.max_rate:g} spikes per second for a pixel of 1, "

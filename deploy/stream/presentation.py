@@ -74,7 +74,8 @@ class PresentingNetwork:
         self._refractory = self._spec.stimulus.refractory
         # Without a limit, as many as there are steps.
         self._max_spikes = self._spec.stimulus.max_spikes or steps
-        self._presented, self._state = stream_length, None
+        self._presented = stream_length
+        self._state = None
         # The first step compiles the kernel, which takes some seconds the first time on a machine.
         emulation.advance(emulation.start(), np.zeros((1, 1, self._size), np.uint8))
         self.prepare()

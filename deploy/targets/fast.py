@@ -194,15 +194,20 @@ class Emulation:
 
     def _run(self, samples, watch, memory):
         gap, period = self.spec.presentation.gap, self.spec.presentation.period
-        n_streams, n_samples, size = samples.shape[0], samples.shape[1], samples.shape[-1]
+        n_streams = samples.shape[0]
+        n_samples = samples.shape[1]
+        size = samples.shape[-1]
         host = InputNeurons(self.spec.stimulus, n_streams, size)
-        state, overflows = self.start(n_streams), np.zeros((len(self.chip.blocks), 3), int)
+        state = self.start(n_streams)
+        overflows = np.zeros((len(self.chip.blocks), 3), int)
         at_once = max(1, memory // self.bytes_per_step(n_streams))
-        outputs, counts = [], defaultdict(list)
+        outputs = []
+        counts = defaultdict(list)
         for index in range(n_samples):
             host.take(samples[:, index])
             before = state.chip.counters[:, 1].copy()
-            n_input, packed = np.zeros((n_streams, size), int), defaultdict(list)
+            n_input = np.zeros((n_streams, size), int)
+            packed = defaultdict(list)
             for first in range(-gap, period - gap, at_once):
                 sent = host.spikes(first, min(first + at_once, period - gap))
                 spikes, output, over = self.advance(state, sent)
@@ -308,8 +313,10 @@ class InputNeurons:
 
     def _even_spikes(self, frame, out):
         """The steps of `EvenSpikes` for a constant input, in Nengo's order of operations."""
-        drive, voltage = self._gain * np.asarray(frame, float), self._voltage
-        increase, blank = np.maximum(drive, 0) * DT, drive <= 0
+        drive = self._gain * np.asarray(frame, float)
+        voltage = self._voltage
+        increase = np.maximum(drive, 0) * DT
+        blank = drive <= 0
         whole = np.empty_like(voltage)
         for step in range(out.shape[1]):
             voltage += increase
@@ -333,7 +340,8 @@ class Readout:
         self._on_host, self._last, self._step = layer.neurons is None, None, None
         self._filtered = np.zeros((n_streams, n_outputs))
         if self._on_host and layer.synapse is not None:
-            shape, synapse = self._filtered.shape, nengo.Lowpass(layer.synapse)
+            shape = self._filtered.shape
+            synapse = nengo.Lowpass(layer.synapse)
             state = synapse.make_state(shape, shape, DT, dtype=float)
             self._step = synapse.make_step(shape, shape, DT, rng=None, state=state)
 
@@ -380,7 +388,8 @@ def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
     Responses
         The responses to each stream, in order.  They do not depend on the batches.
     """
-    emulation, gap = Emulation(spec, seed), spec.presentation.gap
+    emulation = Emulation(spec, seed)
+    gap = spec.presentation.gap
 
     def fitting(n_samples):
         """Number of streams of some length that fit into the memory."""

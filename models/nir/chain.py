@@ -97,7 +97,8 @@ def from_nir(
     before = shape if input_shape is None else (place[2], *place[:2])
     is_image = len(shape) == 3
     groups = _split_after_neurons(network.nodes)
-    layers, counts = [], {"conv": 0, "dense": 0}
+    layers = []
+    counts = {"conv": 0, "dense": 0}
     for index, nodes in enumerate(groups):
         is_last = index == len(groups) - 1
         section = _Section(nodes, before, place, is_image and not is_last, is_last, step, method)
@@ -105,7 +106,8 @@ def from_nir(
         counts[link.kind] += 1
         name = "output" if is_last else f"{link.kind}{counts[link.kind]}"
         layers.append(replace(link, name=name))
-        before, place = nodes[-1].shape, link.shape
+        before = nodes[-1].shape
+        place = link.shape
         is_image = len(place) == 3
     if merged:
         first = layers[0]
@@ -244,7 +246,8 @@ class _Section:
         if neuron.kind == "Threshold":
             gain = 1 / neuron["threshold"]
             return _Gains(gain, gain, np.zeros(self.shape))
-        equation, theta = self.solve(neuron), neuron["v_threshold"] - neuron["v_reset"]
+        equation = self.solve(neuron)
+        theta = neuron["v_threshold"] - neuron["v_reset"]
         keep_v = _require_equal(neuron, equation.keep_v, "membrane time constants")
         keep_u = 0.0
         if neuron.kind == "CubaLIF":

@@ -82,7 +82,8 @@ def simulate(
     if not (0 < step < math.inf and np.isfinite(inputs).all()):
         raise ValueError("the step is not positive, or an input not finite")
     check_step(network, step, method)
-    shape, wanted = inputs.shape[2:], tuple(network.input_shape)
+    shape = inputs.shape[2:]
+    wanted = tuple(network.input_shape)
     one_is_flat = min(len(shape), len(wanted)) == 1 and math.prod(shape) == math.prod(wanted)
     if shape != wanted and not one_is_flat:
         raise ValueError(
@@ -175,7 +176,8 @@ def _run_over_time(node, signal, step, method, reset, at_threshold):
         raise ValueError(f"method {method!r} is not one of {', '.join(METHODS)}")
     if reset not in RESETS:
         raise ValueError(f"reset {reset!r} is not one of {', '.join(RESETS)}")
-    equation, spiking = METHODS[method](node, step), node.kind in SPIKING
+    equation = METHODS[method](node, step)
+    spiking = node.kind in SPIKING
     shape = (len(signal), *node.shape)
     spiked = np.zeros(shape, bool)
     current = np.zeros(shape)
@@ -214,7 +216,8 @@ def _affine(node, signal):
 
 def _convolution(node, signal):
     weight = node["weight"]
-    dimensions, groups = weight.ndim - 2, node["groups"]
+    dimensions = weight.ndim - 2
+    groups = node["groups"]
     seen = _windows(signal, weight.shape[2:], node["stride"], node["padding"], node["dilation"])
     parts = []
     for group, kernel in enumerate(np.split(weight, groups)):

@@ -97,7 +97,8 @@ def _mean(right):
 
 def _of_one(recordings, writer) -> tuple:
     """One person's recordings, and what to call the person."""
-    source, known = recordings.source.name, sorted(set(recordings.writers.tolist()))
+    source = recordings.source.name
+    known = sorted(set(recordings.writers.tolist()))
     if writer is None:
         if len(known) > 1:
             raise UserError(f"{source}: has writers {list_names(known)}; choose one with --writer")

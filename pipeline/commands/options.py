@@ -64,7 +64,8 @@ def for_typer(verb: Callable) -> Callable:
         Takes every option as a keyword argument.
     """
     hints = get_type_hints(verb, include_extras=True)
-    parameters, groups = [], {}
+    parameters = []
+    groups = {}
     for name, parameter in signature(verb).parameters.items():
         metadata = getattr(hints[name], "__metadata__", ())
         if metadata and isinstance(metadata[0], Group):

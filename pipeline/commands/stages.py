@@ -67,12 +67,14 @@ def convert(  # noqa: PLR0913 - each is an option of the command
         raise UserError("--strict: needs a NIR graph; give it with --nir FILE")
     from pipeline import stages
 
-    changes, examine = {}, None
+    changes = {}
+    examine = None
     if model is not None or nir is not None:
         refuse_other_folders(run)
         before = RunFolder(run).resolve_settings(requested.settings, {})
     if model is not None:
-        changes, examine = stages.settings_of_model(model, retrain, before), _require_model
+        changes = stages.settings_of_model(model, retrain, before)
+        examine = _require_model
         if requested.settings is None:
             changes |= _images_of(RunFolder(run))
     if nir is not None:

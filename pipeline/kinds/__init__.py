@@ -117,7 +117,8 @@ def new_run_text(path, recordings: Recordings, settings: Settings) -> str:
 
 def split_text(recordings: Recordings, settings: Settings) -> str:
     """The kind of the split in a few words, unless it is the usual one."""
-    kind, parts = kind_of(settings.split.kind, recordings), recordings.parts
+    kind = kind_of(settings.split.kind, recordings)
+    parts = recordings.parts
     if kind == PUBLISHED:
         return f"published split: {parts.count('train')} train, {parts.count('test')} test"
     if kind == WRITERS:

@@ -44,10 +44,14 @@ def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels
     channels : int
         Channels of an image.
     """
-    rows, columns, classes = sensor.rows, sensor.columns, len(sensor.classes)
-    side, smallest = math.sqrt(rows * columns), min(rows, columns)
+    rows = sensor.rows
+    columns = sensor.columns
+    classes = len(sensor.classes)
+    side = math.sqrt(rows * columns)
+    smallest = min(rows, columns)
     channels = 2 if on_events else channels
-    size, end = f"{rows}x{columns}" + (f"x{channels}" if channels > 1 else ""), f"{classes}o"
+    size = f"{rows}x{columns}" + (f"x{channels}" if channels > 1 else "")
+    end = f"{classes}o"
     if on_events:
         stride = max(3, math.floor(side / EVENT_MAP))
         middle = [f"24c{stride + 1}s{stride}", f"{hidden}"] if smallest > stride else [f"{hidden}"]
@@ -93,7 +97,8 @@ def chosen_text(section: str, architecture: str, sensor: Sensor) -> str:
 
 def is_for(architecture: str, sensor: Sensor, channels: int) -> bool:
     """True if an architecture has the sensor's input size and as many outputs as classes."""
-    parsed, shape = parse(architecture), (sensor.rows, sensor.columns, channels)
+    parsed = parse(architecture)
+    shape = (sensor.rows, sensor.columns, channels)
     return parsed.input_shape == shape and parsed.outputs == len(sensor.classes)
 
 
@@ -139,7 +144,8 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
         Whether its input is events, not images.
     deployment : pipeline.run.settings.schema.Deployment
     """
-    rng, links = np.random.default_rng(0), links_of(parse(text))
+    rng = np.random.default_rng(0)
+    links = links_of(parse(text))
     on_host = on_events or deployment.readout == "host"
     chain = [
         replace(

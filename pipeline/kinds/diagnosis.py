@@ -65,7 +65,8 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
         minus activation, in units of ``max_rate``; :func:`activity` on the ``chip`` and in the
         ``rate_network``.
     """
-    measured, expected = np.asarray(rates) / max_rate, np.asarray(activations)
+    measured = np.asarray(rates) / max_rate
+    expected = np.asarray(activations)
     error = np.abs(measured - expected)
     correlation = None
     if np.ptp(measured) > 0 and np.ptp(expected) > 0:

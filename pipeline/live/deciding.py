@@ -206,7 +206,8 @@ class ImageDecider(Decider):
 
     def _present(self, images):
         """Scores, spikes and accumulated readout of one image; None if its output is empty."""
-        spec, spikes = self._spec, {}
+        spec = self._spec
+        spikes = {}
 
         def watch(packed):
             for name in self.layers:
@@ -260,7 +261,8 @@ class EventDecider(Decider):
 
     def describe(self, touch) -> Answer | None:
         """The answer for a touch so far."""
-        spec, readout = self._spec, touch.presentation.readout
+        spec = self._spec
+        readout = touch.presentation.readout
         if not len(readout.sums) or not readout.spoke[-1]:
             return None
         first_s = touch.start_ns * 1e-9

@@ -195,7 +195,8 @@ class Keeper:
             if not table.exists():
                 _create(table, lookup_table_bytes(self._taxels))
             numbers = [kept.number for kept in self._kept if kept.writer == recording.writer]
-            number, place = max(numbers, default=0) + 1, self._places[label]
+            number = max(numbers, default=0) + 1
+            place = self._places[label]
             kept = Kept(label, recording.writer, number, place)
             _create(self.folder / kept.name, recording_bytes(recording))
             self.look()

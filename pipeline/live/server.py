@@ -197,7 +197,8 @@ class Live:
 
     async def _talk(self, socket):
         session = Session(next(self._numbers), self._keeper, self._p)
-        page, loop = _Page(socket, session), asyncio.get_running_loop()
+        page = _Page(socket, session)
+        loop = asyncio.get_running_loop()
         hello = {
             "type": "hello",
             **self._about,
@@ -240,7 +241,8 @@ class Live:
 
     async def _answer(self, page):
         """Send answers one at a time, each to the latest events."""
-        loop, socket = asyncio.get_running_loop(), page.socket
+        loop = asyncio.get_running_loop()
+        socket = page.socket
         try:
             decider = await asyncio.shield(self._decider)
         except Exception as error:  # any error is reported on the page
@@ -356,7 +358,8 @@ class Server(uvicorn.Server):
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{port}/{live.token}/"
         if host != HOST:
-            picture, look = io.BytesIO(), {"svgclass": None, "lineclass": None}
+            picture = io.BytesIO()
+            look = {"svgclass": None, "lineclass": None}
             code = segno.make_qr(self.url, error="m")
             code.save(picture, kind="svg", light="white", scale=8, **look)
             live.picture = picture.getvalue()

@@ -212,7 +212,8 @@ class Session:
 
     def state(self) -> dict:
         """The message ``writer``: the writer, those with recordings, and the number of its own."""
-        saved, number = self._keeper.writers, self._writer
+        saved = self._keeper.writers
+        number = self._writer
         return {"type": "writer", "number": number, "known": sorted(saved), "saved": saved[number]}
 
     def handle(self, text: str) -> list:
@@ -259,7 +260,8 @@ class Session:
         recording = self.recording
         if self._decider is None or recording is None:
             return None
-        events, known_s = recording.writing.events, recording.known_s
+        events = recording.writing.events
+        known_s = recording.known_s
 
         def answer():
             said = recording.deciding.answer(events, known_s)
@@ -286,7 +288,8 @@ class Session:
         }
 
     def _pen(self, message):
-        now_ms, points = _number(message, "now"), message.get("points")
+        now_ms = _number(message, "now")
+        points = message.get("points")
         if not isinstance(points, list) or len(points) > POINTS:
             raise BadMessage(f"points: not a list of at most {POINTS}")
         points = [_point(point, self._sensor) for point in points]
@@ -324,14 +327,16 @@ class Session:
         )
 
     def _example(self, message):
-        now_ms, label = _number(message, "now"), message.get("label")
+        now_ms = _number(message, "now")
+        label = message.get("label")
         if label is not None:
             label = self._class(message)
         if self._decider is None or self._examples is None:
             return [problem("the examples are not ready yet; wait a moment and try again")]
         example = self._examples.draw(label)
         self._recordings += 1
-        deciding, replayed = self._decider.begin(), Replayed(example.events)
+        deciding = self._decider.begin()
+        replayed = Replayed(example.events)
         self.recording = OpenRecording(
             self._recordings, now_ms, deciding, replayed, example=example
         )
@@ -361,7 +366,8 @@ class Session:
         return [{"type": "cleared", "recording": None}]
 
     def _label(self, message):
-        label, recording = self._class(message), self.recording
+        label = self._class(message)
+        recording = self.recording
         if recording is not None and recording.example is not None:
             return [problem("an example cannot be saved; clear it and write your own")]
         if recording is None:
@@ -376,7 +382,8 @@ class Session:
             return [*replies, problem("no taxel has an event; write with more pressure")]
         taxels = self._sensor.rows * self._sensor.columns
         kept = self._keeper.save(label, MatRecording(events, True, recording.writer, True, taxels))
-        recording.complete, recording.saved_as = True, kept
+        recording.complete = True
+        recording.saved_as = kept
         if saved_before is not None:  # the label was wrong
             self._keeper.remove(saved_before)
         saved = {
@@ -425,7 +432,8 @@ def problem(text: str) -> dict:
 
 def _answer(recording, events, said: Answer):
     recording.spikes, recording.curve = said.spikes, said.curve
-    verdict, last = recording.verdict, said.curve.last()
+    verdict = recording.verdict
+    last = said.curve.last()
     return {
         "type": "answer",
         "recording": recording.number,

@@ -103,8 +103,12 @@ class Dataset:
     @property
     def provenance(self) -> dict:
         """Entries of a network's provenance: what other recordings are read with and known by."""
-        recordings, split, data = self.recordings, self.split, self.settings.data
-        source, places, hashes = recordings.source, recordings.taxels.positions, recordings.hashes
+        recordings = self.recordings
+        split = self.split
+        data = self.settings.data
+        source = recordings.source
+        places = recordings.taxels.positions
+        hashes = recordings.hashes
         return {
             "source": source.name,
             "source_sha256": source.sha256,
@@ -200,7 +204,8 @@ def require_images_fit(images: np.ndarray, settings: Settings):
 
 def _checked_split(recordings, settings):
     """The split of recordings as in the settings, after checking their number."""
-    source, parts = settings.data.source, settings.split
+    source = settings.data.source
+    parts = settings.split
     try:
         shares = parts.test_fraction, parts.validation_fraction
         split = split_of(recordings, settings.seed, *shares, parts.kind)
@@ -296,7 +301,8 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
     """
     stimulus = spec.stimulus
     if isinstance(stimulus, EventFrames):
-        table, steps = EventTable.of(recordings), spec.presentation.steps
+        table = EventTable.of(recordings)
+        steps = spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
         spike_limits = stimulus.refractory, stimulus.max_spikes
         frames = table.frames(np.arange(len(table)), step_ms, steps, *spike_limits)
@@ -314,11 +320,14 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     UserError
         No recording has an event.
     """
-    table, step, steps = EventTable.of(recordings), settings.input.step, settings.steps
+    table = EventTable.of(recordings)
+    step = settings.input.step
+    steps = settings.steps
     empty = int(np.sum(np.diff(table.offsets) == 0))
     if empty == len(recordings):
         raise UserError(f"{recordings.source.name}: no recording has events; use other recordings")
-    shared, lost = table.lost(step), table.lost(step, settings.input.refractory_steps)
+    shared = table.lost(step)
+    lost = table.lost(step, settings.input.refractory_steps)
     lines = [
         f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
         f"polarity in the same step of {step:g} ms"

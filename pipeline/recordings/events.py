@@ -450,7 +450,9 @@ def facts_of(recordings: Recordings) -> dict:
 
 def reading_text(recordings: Recordings) -> str:
     """Summary of a source in one line: numbers, sizes, durations and the unit of times."""
-    time_ns, offsets, sensor = recordings.events.time_ns, recordings.offsets, recordings.sensor
+    time_ns = recordings.events.time_ns
+    offsets = recordings.offsets
+    sensor = recordings.sensor
     some = np.diff(offsets) > 0
     lasts = (time_ns[offsets[1:][some] - 1] - time_ns[offsets[:-1][some]]) * 1e-9
     lasts = lasts if some.any() else np.zeros(1)

@@ -197,7 +197,8 @@ class AlteredImages:
         return np.concatenate([self._alter_some(rng, part) for part in parts])
 
     def _alter_some(self, rng, indices):
-        how, n = self._how, len(indices)
+        how = self._how
+        n = len(indices)
         counts = self._counts.pick(self._offsets, indices)
         kept_share = 1 - rng.uniform(0, how.drop, n)
         counts = counts._replace(value=rng.binomial(counts.value, kept_share[counts.sample]))

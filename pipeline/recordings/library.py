@@ -140,7 +140,9 @@ def identity_of(settings: Settings) -> tuple:
     UserError
         The source does not exist or cannot be read.
     """
-    data, skin, kind = settings.data, settings.skin, settings.split.kind
+    data = settings.data
+    skin = settings.skin
+    kind = settings.split.kind
     if data.source == SIMULATED:
         size = (skin.rows or GRID, skin.columns or GRID)
         counts = _counts(data.samples_per_digit)

@@ -166,7 +166,8 @@ def list_source(path) -> Listing:
 
 def _sort_files(path, files):
     """Paths of the files that are not ignored, and those of ``LUT.mat`` and ``taxels.csv``."""
-    tables, members = {LOOKUP_TABLE: [], POSITIONS: []}, []
+    tables = {LOOKUP_TABLE: [], POSITIONS: []}
+    members = []
     for name in files:
         member = PurePosixPath(name)
         if not _is_ignored(member):
@@ -451,11 +452,14 @@ def read_source(
         all files of a class.
     """
     listing = list_source(path)
-    entries, read, refused = [], [], list(listing.refused)
+    entries = []
+    read = []
+    refused = list(listing.refused)
     chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
     names = [[entry.member for entry in chunk] for chunk in chunks]
     calls = (delayed(_read_members)(listing.path, some) for some in names)
-    n_events, bar = 0, progress("import", len(listing.entries))
+    n_events = 0
+    bar = progress("import", len(listing.entries))
     with results_of(calls, jobs) as work, bar as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for entry, recording in zip(chunk, results, strict=True):
@@ -481,7 +485,8 @@ def read_source(
     if lost := sorted({entry.of_class for entry in listing.entries} - classes):
         head = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or remove them"
         raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
-    the_sensor, ids = found.make_sensor(classes), [entry.id for entry in entries]
+    the_sensor = found.make_sensor(classes)
+    ids = [entry.id for entry in entries]
     return collect(
         samples=found.events,
         labels=[the_sensor.classes.index(entry.of_class) for entry in entries],
@@ -587,7 +592,9 @@ def _shorten(name, longest=120):
 
 def _read_members(path, names):
     """Read some members: each recording, or the reason to refuse it."""
-    reader, results, n_events = _reader(path), [], 0
+    reader = _reader(path)
+    results = []
+    n_events = 0
     for name in names:
         try:
             results.append(read_file(reader.read(name), name))

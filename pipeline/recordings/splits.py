@@ -155,7 +155,8 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     kind : str
         Kind of the split.
     """
-    classes, labels = recordings.sensor.classes, recordings.labels
+    classes = recordings.sensor.classes
+    labels = recordings.labels
     counts = np.bincount(labels, minlength=len(classes))
     if np.count_nonzero(counts) < 2:
         return "recordings of one class only; at least two are needed"
@@ -183,7 +184,9 @@ def copies(recordings: Recordings, split: Split) -> tuple:
         Ids of a recording and of its copy: in the training and the test set; in two classes.
         Recordings without events have no copies.
     """
-    ids, labels, sizes = recordings.ids, recordings.labels, np.diff(recordings.offsets)
+    ids = recordings.ids
+    labels = recordings.labels
+    sizes = np.diff(recordings.offsets)
     content = [h if n else i for i, (h, n) in enumerate(zip(recordings.hashes, sizes, strict=True))]
     train = {content[i]: i for i in (*split.validation[::-1], *split.train[::-1])}
     first = {c: i for i, c in reversed([*enumerate(content)])}

@@ -97,7 +97,8 @@ def facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
     elif recording.layout == "bins":
         events, facts = _read_bins(path, recording, options)
     else:
-        events, facts = recording.to_events(1, recording.time), {}
+        events = recording.to_events(1, recording.time)
+        facts = {}
     if recording.written:
         facts |= {"source": "written", "writer": recording.writer}
     columns = int(events.columns.sum(dtype=np.int64))
@@ -177,7 +178,8 @@ def per_sample(recordings) -> dict:
     dict of str to ndarray of float, shape (n_samples,)
         The means and ranges of a recording without events are NaN.
     """
-    events, n = recordings.events, len(recordings)
+    events = recordings.events
+    n = len(recordings)
     sample = recordings.sample_of_event
     columns = events.columns.astype(float)
     is_on = events.polarity > 0
@@ -191,7 +193,8 @@ def per_sample(recordings) -> dict:
     total = np.where(total, total, np.nan)
     for axis, where in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
         place = where[events.taxel] + 1.0
-        low, high = np.full(n, np.inf), np.full(n, -np.inf)
+        low = np.full(n, np.inf)
+        high = np.full(n, -np.inf)
         np.minimum.at(low, sample, place)
         np.maximum.at(high, sample, place)
         measures[axis + "_mean"] = np.bincount(sample, columns * place, n) / total

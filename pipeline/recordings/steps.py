@@ -95,7 +95,8 @@ class EventTable:
 
         Samples are numbered by their position in ``indices``.
         """
-        first, counts = self.offsets[indices], np.diff(self.offsets)[indices]
+        first = self.offsets[indices]
+        counts = np.diff(self.offsets)[indices]
         sample = np.repeat(np.arange(len(indices)), counts)
         event = np.arange(counts.sum()) + np.repeat(first - (np.cumsum(counts) - counts), counts)
         return EventColumns(
@@ -126,7 +127,8 @@ class EventTable:
         following = np.searchsorted(time, time + refractory + 1).tolist()
         spikes = event = 0
         while event < len(following):
-            spikes, event = spikes + 1, following[event]
+            spikes = spikes + 1
+            event = following[event]
         return 1 - spikes / len(following)
 
 

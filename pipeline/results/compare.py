@@ -346,7 +346,8 @@ def _difference_cells(value):
     if value is None:
         return [""] * 4
     counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
-    change, p = round(value["difference"], 3) + 0.0, value["p"]
+    change = round(value["difference"], 3) + 0.0
+    p = value["p"]
     return [f"{change:+.3f}", *counts, p_text(p) + star(p)]
 
 
@@ -380,7 +381,8 @@ def _inference_lines(runs, letters):
 
 def _wrap_table(rows):
     """A table whose cells are wrapped if their columns would be too wide."""
-    first, n = max(len(row[0]) for row in rows), len(rows[0]) - 1
+    first = max(len(row[0]) for row in rows)
+    n = len(rows[0]) - 1
     room = max((WIDTH - first) // n - 2, 8)
     folded = []
     for head, *cells in rows:

@@ -184,7 +184,8 @@ def _dataset_origin(run, settings):
     except UserError:
         if "recordings" not in contents:
             raise
-        content, kind = contents["recordings"], contents.get("split", RANDOM)
+        content = contents["recordings"]
+        kind = contents.get("split", RANDOM)
     return dataset_origin(settings, content, kind)
 
 
@@ -227,7 +228,8 @@ def _answers(run, kind, dataset, bundle):
     expected = ladder_stages(kind)
     there = bundle.state != MISSING
     bundle_id = sha256_of(run.bundle / "MANIFEST.json") if there else ""
-    statuses, results = [], {}
+    statuses = []
+    results = {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
         artifact = check_artifact(run, stage, kind, dataset, bundle_id)
         if not artifact.record.exists():

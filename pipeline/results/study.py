@@ -173,7 +173,8 @@ def study(
 
 def _measure_group(measured_by, folder, recordings, group):
     """Rows and failures of cases that share trained networks, in a worker."""
-    networks, results = Library(folder / "networks"), []
+    networks = Library(folder / "networks")
+    results = []
     for case in group:
         result = attempt(partial(_measure_one, measured_by, networks, recordings), case)
         if not isinstance(result, Failure):
@@ -293,7 +294,9 @@ def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:
     **more
         Further entries.
     """
-    labels, split, source = dataset.labels[index], dataset.split, dataset.recordings.source
+    labels = dataset.labels[index]
+    split = dataset.split
+    source = dataset.recordings.source
     return {
         "schema": SCHEMA,
         **{key: getattr(case, key) for key in ("stage", "seed", "split", "part", "alter")},

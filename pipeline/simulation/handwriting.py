@@ -117,7 +117,9 @@ def draw_writer(rng, p) -> Writer:
     rng : numpy.random.Generator
     p : pipeline.simulation.parameters.Parameters
     """
-    ways, spread, trials = p.shapes.allographs, p.writers, p.trials
+    ways = p.shapes.allographs
+    spread = p.writers
+    trials = p.trials
     size = DIGITS, max(map(len, ways)), max(way.rank for mine in ways for way in mine)
     slant, width, larger, lower, righter, faster, harder, rougher, sloppier = rng.standard_normal(9)
     return Writer(
@@ -165,7 +167,8 @@ def draw_shape(digit: int, who: Writer, rng, shapes: ShapeModel) -> Shape:
     if rng.random() >= shapes.loyalty[digit]:
         choice = draw_way(rng, ways)
     way = ways[choice]
-    person, trial = who.offsets[digit, choice, : way.rank], rng.standard_normal(way.rank)
+    person = who.offsets[digit, choice, : way.rank]
+    trial = rng.standard_normal(way.rank)
     return Shape(choice, way.between @ person + way.within @ trial)
 
 

@@ -197,7 +197,8 @@ PARTS = ("share", "points", "rank", "mean", "components", "between", "within")
 
 def _packed(ways) -> dict:
     """A digit's allographs as arrays of equal size, padded with zeros."""
-    k, strokes = max(way.rank for way in ways), max(len(way.points) for way in ways)
+    k = max(way.rank for way in ways)
+    strokes = max(len(way.points) for way in ways)
     n = 2 * POINTS + strokes - 1
     sizes = {"mean": (n,), "components": (k, n), "between": (k, k), "within": (k, k)}
     packed = {name: np.zeros((len(ways), *size), np.float16) for name, size in sizes.items()}
@@ -221,7 +222,8 @@ def _unpacked(arrays) -> tuple:
     for share, points, rank, mean, components, between, within in zip(
         *(arrays[part] for part in PARTS), strict=True
     ):
-        points, k = tuple(int(count) for count in points[points > 0]), int(rank)
+        points = tuple(int(count) for count in points[points > 0])
+        k = int(rank)
         n = 2 * POINTS + len(points) - 1
         parts = mean[:n], components[:k, :n], between[:k, :k], within[:k, :k]
         ways.append(Allograph(float(share), points, *(part.astype(float) for part in parts)))

@@ -142,11 +142,14 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     kept_folds = np.random.default_rng([seed, 1]).permutation(len(kept)) % (folds.max() + 1)
     before = problem.log_odds(problem.weights, person.responses)
     kept_before = _right(problem.log_odds(problem.weights, kept.responses), kept.labels)
-    best, best_worth = None, (False, -np.inf)
+    best = None
+    best_worth = (False, -np.inf)
     for pull, rehearsal in itertools.product(PULLS, REHEARSALS):
-        log_p, kept_after = np.empty_like(before), np.empty(len(kept), bool)
+        log_p = np.empty_like(before)
+        kept_after = np.empty(len(kept), bool)
         for fold in range(folds.max() + 1):
-            inside, out = kept_folds != fold, kept_folds == fold
+            inside = kept_folds != fold
+            out = kept_folds == fold
             samples, labels = person.learned(folds != fold)
             refitted = in_8_bits(problem.solve(samples, labels, inside, pull, rehearsal))
             log_p[folds == fold] = problem.log_odds(refitted, person.responses[folds == fold])
@@ -157,7 +160,8 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
         sure = log_p[np.arange(len(person)), person.labels].mean()
         worth = (kept_before.mean() - kept_after.mean() <= MOST_LOST, sure)
         if best is None or worth > best_worth:
-            best, best_worth = (pull, rehearsal, after, kept_after), worth
+            best = (pull, rehearsal, after, kept_after)
+            best_worth = worth
     pull, rehearsal, after, kept_after = best
     everything = np.ones(len(kept), bool)
     samples, labels = person.learned(np.arange(len(person)))
@@ -201,13 +205,15 @@ class _Problem:
     def solve(self, responses, labels, kept, pull, rehearsal):
         """The refitted weights."""
         units = self._directions / self._unit
-        own, others = responses @ units, self._kept[kept] @ units
+        own = responses @ units
+        others = self._kept[kept] @ units
         logits = self._logits(self.weights, responses), self._kept_logits[kept]
         targets = self._classes[labels], self._kept_labels[kept]
 
         def loss(flat):
             change = flat.reshape(len(self.weights), -1)
-            value, slope = pull / 2 * (flat**2).sum(), pull * change
+            value = pull / 2 * (flat**2).sum()
+            slope = pull * change
             for share, rows, offset, target in zip(
                 (1.0, rehearsal), (own, others), logits, targets, strict=True
             ):
@@ -317,7 +323,8 @@ class Responder:
         ndarray, shape (n_samples, parts * inputs)
             See :class:`deploy.network.spec.Rehearsal`.
         """
-        start, readout = self.spec.presentation.readout_start, self.spec.layers[-1]
+        start = self.spec.presentation.readout_start
+        readout = self.spec.layers[-1]
         batches = [np.empty((0, readout.by_class.shape[1]))]
         for output in self.outputs(samples):
             output = output[:, start:]
@@ -478,7 +485,9 @@ def require_fit(spec: NetworkSpec, recordings: Recordings):
     UserError
     """
     require_sensor_fits(spec, recordings)
-    source, sensor, known = recordings.source.name, recordings.sensor, read_classes(spec)
+    source = recordings.source.name
+    sensor = recordings.sensor
+    known = read_classes(spec)
     if sensor.classes != known:
         raise UserError(
             f"{source}: recordings of the classes {list_names(sensor.classes)}; the network "
@@ -498,7 +507,9 @@ def _with_threshold(spec, responder, recordings):
     limit = spec.presentation.confidence
     if limit is None:
         return spec
-    weights, outputs, last = spec.layers[-1].weights, [], []
+    weights = spec.layers[-1].weights
+    outputs = []
+    last = []
     for samples in responder.inputs_in_parts(recordings):
         outputs += [
             select_readout(spec, output @ weights.T) for output in responder.outputs(samples)
@@ -522,7 +533,8 @@ def text_of(adapted: Adapted, place) -> str:
     place : path-like or None
         Folder of the new bundle.
     """
-    fit, lines = adapted.fit, []
+    fit = adapted.fit
+    lines = []
     chosen = f" (best of {len(PULLS) * len(REHEARSALS)} settings, so optimistic)"
     compared = [(f"this person, cross-validated{chosen}", fit.before, fit.after)]
     if place is not None and len(others := adapted.others_before):

@@ -245,7 +245,8 @@ def snn_recipe(snn, n_samples: int) -> Recipe:
 def build_rate_network(settings: Settings) -> tf.keras.Model:
     """Build the network with rate-LIF neurons, as ``snn.recipe`` defines it."""
     snn, architecture = settings.snn, parse(settings.cnn.architecture)
-    on_chip, is_noisy = snn.is_on_chip, snn.recipe == "loihi"
+    on_chip = snn.is_on_chip
+    is_noisy = snn.recipe == "loihi"
     costs = _spike_costs(settings, architecture) if is_noisy and snn.spike_penalty else None
 
     def neurons(index):
@@ -341,7 +342,8 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     images : ndarray
         Training images, for measuring the activations.
     """
-    scaled, before = dict(weights), 1.0
+    scaled = dict(weights)
+    before = 1.0
     for name, output in TrainedCNN(settings, weights).activations(images).items():
         scale = _reach(output)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * (before / scale)
@@ -380,7 +382,9 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     dict
         Weights of the rate-based network, whose logits approximate the CNN's.
     """
-    snn, fitted, before = settings.snn, dict(weights), 1.0
+    snn = settings.snn
+    fitted = dict(weights)
+    before = 1.0
     outputs = TrainedCNN(settings, weights).activations(images)
     for index, (name, output) in enumerate(outputs.items()):
         scale = _reach(output)
@@ -459,7 +463,8 @@ def epochs_of(model, recipe: Recipe, data, seed: int, altered=None):
     train_on = _compiled_batches(model, rule, recipe.batch_size)
     samples = _compute_ahead(_draw_samples(model, data, recipe, seed, altered))
     for _ in range(recipe.epochs):
-        sums, shown = tf.zeros(2), 0
+        sums = tf.zeros(2)
+        shown = 0
         while shown < count:
             images, labels, *draws = next(samples)
             sums += train_on(images, labels, *draws)

@@ -61,7 +61,8 @@ USUAL_EVENTS = 500
 MAX_BIN_MS = 50.0
 
 # Refractory periods, in steps, and numbers of parts of a recording, among which is chosen.
-REFRACTORY_STEPS, PARTS = (0, 1, 3, 7), (1, 4, 8)
+REFRACTORY_STEPS = (0, 1, 3, 7)
+PARTS = (1, 4, 8)
 
 # Maximum share of the spikes that the limit of a taxel's spikes leaves out: on ST-MNIST's training
 # set it gives 6, with which one hot taxel costs least, and keeps the accuracy without faults.
@@ -245,7 +246,8 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
     some = np.random.default_rng(0x9EAD).permutation(some)[:MOST_COMPARED]
     if len(some) < 2:
         return Reading(0, 1, 0.0, 0.0, 0.0)
-    target, accuracy = np.asarray(labels)[some], {}
+    target = np.asarray(labels)[some]
+    accuracy = {}
     allowed = [refractory for refractory in REFRACTORY_STEPS if refractory * step_ms <= LONGEST_MS]
     for refractory in list(allowed):
         if refractory and table.lost(step_ms, refractory) > MAX_LOST_EVENT_SHARE:
@@ -304,7 +306,8 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
 
 def _spikes(table, indices, step_ms, steps, refractory):
     """Spikes of each sample, finest part, taxel and polarity."""
-    part, counts = np.arange(steps) * PARTS[-1] // steps, []
+    part = np.arange(steps) * PARTS[-1] // steps
+    counts = []
     for start in range(0, len(indices), 64):
         frames = table.frames(indices[start : start + 64], step_ms, steps, refractory)
         frames = frames.reshape(*frames.shape[:2], -1)
@@ -335,10 +338,12 @@ def left_out_accuracy(inputs, labels) -> float:
     products += 1  # an offset for each class
     values, vectors = np.linalg.eigh(products)
     classes = (np.asarray(labels)[:, None] == np.unique(labels)).astype(float)
-    inside, best = vectors.T @ classes, 0.0
+    inside = vectors.T @ classes
+    best = 0.0
     for ridge in RIDGES:
         kept = np.maximum(values, 0) / (np.maximum(values, 0) + ridge)
-        fit, own = vectors @ (kept[:, None] * inside), (vectors**2) @ kept
+        fit = vectors @ (kept[:, None] * inside)
+        own = (vectors**2) @ kept
         left_out = classes - (classes - fit) / np.maximum(1 - own, 1e-12)[:, None]
         right = classes[np.arange(len(classes)), left_out.argmax(1)]
         best = max(best, float(right.mean()))

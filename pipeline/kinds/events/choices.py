@@ -126,7 +126,8 @@ class EventChoices:
 
     def _choose_architecture(self):
         """The architecture of the size; the default is the one for simulated handwriting."""
-        settings, sensor = self.settings, self.recordings.sensor
+        settings = self.settings
+        sensor = self.recordings.sensor
         size = choose_size(settings.events.size, self.recordings)
         is_simulated = self.is_usual and size.name == "small"
         samples = 0 if is_simulated else len(self.train)

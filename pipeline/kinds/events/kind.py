@@ -181,7 +181,8 @@ class EventsKind(NetworkKind):
         from pipeline.training.events import EventRecipe
 
         shown = inputs.settings.presented(confidence_of(inputs.artifact("threshold")))
-        recipe, weights = EventRecipe.of(inputs.settings), inputs.weights("events")
+        recipe = EventRecipe.of(inputs.settings)
+        weights = inputs.weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
         if warning := short_gap_text(shown, taus):
             inputs.say(f"{WARNING}{warning}")
@@ -240,7 +241,8 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     """
     table, (train, held_out) = EventTable.of(dataset.recordings), dataset.split.held_out(seed)
     if not len(dataset.split.validation) and len(held_out) < FEWEST:
-        train, held_out = dataset.split.train, held_out[:0]
+        train = dataset.split.train
+        held_out = held_out[:0]
     elif not len(dataset.split.validation) and len(held_out) > MAX_HELD_OUT:
         order = np.random.default_rng([seed, 0x3E1D]).permutation(held_out)
         train = np.sort(np.concatenate([train, order[MAX_HELD_OUT:]]))

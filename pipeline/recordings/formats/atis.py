@@ -17,7 +17,8 @@ SUFFIXES = (".bin",)
 BIN_EVENT_BYTES, DAT_EVENT_BYTES = 5, 8
 
 # The row of an event in .bin that stands for an overflow of the time, and the time it adds.
-OVERFLOW_ROW, OVERFLOW_US = 240, 1 << 13
+OVERFLOW_ROW = 240
+OVERFLOW_US = 1 << 13
 
 
 def read_bin(content: bytes, name: str = "") -> EventRecording:

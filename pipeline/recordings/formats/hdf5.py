@@ -92,7 +92,9 @@ def _find_events(file):
     """Tables of events, and groups of columns, by their names."""
     import h5py
 
-    tables, groups, number = {}, {}, 0
+    tables = {}
+    groups = {}
+    number = 0
     waiting = [("", file)]
     while waiting:
         path, group = waiting.pop()

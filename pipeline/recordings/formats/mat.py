@@ -155,7 +155,8 @@ def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
         raise BadRecording(f"{VARIABLE!r} has {rows} rows, not 2 to {MAX_TAXELS + 1}")
     if spiketrain.shape[1] == 0:
         raise BadRecording("is empty: no events")
-    values, times = spiketrain[:-1], spiketrain[-1].astype(float)
+    values = spiketrain[:-1]
+    times = spiketrain[-1].astype(float)
     if not np.isin(values, (-1, 0, 1)).all():
         raise BadRecording("has a value other than -1, 0 and 1")
     per_column = np.count_nonzero(values, axis=0)

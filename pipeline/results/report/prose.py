@@ -117,7 +117,8 @@ def story_text(story: dict, n_classes: int) -> str:
 
 def time_text(time: dict, accuracy: float) -> str:
     """How accurate early decisions are, and what half of a recording tells."""
-    sentences, early = [], time["early"]
+    sentences = []
+    early = time["early"]
     if early:
         sentences.append(
             f"{time['name']} decides early when its confidence reaches "

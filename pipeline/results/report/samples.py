@@ -91,8 +91,11 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
     dict of int to Replay
         In the order of ``indices``.
     """
-    spec, wanted, replays = bundle.spec, set(indices), {}
-    emulation, shown = Emulation(spec, seed), spec.presentation
+    spec = bundle.spec
+    wanted = set(indices)
+    replays = {}
+    emulation = Emulation(spec, seed)
+    shown = spec.presentation
     sizes = {"input": int(np.prod(spec.input_shape))}
     sizes |= {layer.name: layer.size for layer in spec.layers}
     for part in shown.streams(len(bundle.checks)):
@@ -125,6 +128,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
 def _spikes(spec, name, size, steps, neurons):
     if name != "input" or spec.stimulus.static:
         return Spikes(name, "neurons", size, (("s1", steps, neurons),))
-    taxels, is_on = neurons // 2, neurons % 2 == 0
+    taxels = neurons // 2
+    is_on = neurons % 2 == 0
     groups = (("on", steps[is_on], taxels[is_on]), ("off", steps[~is_on], taxels[~is_on]))
     return Spikes(name, "taxels", size // 2, groups)

@@ -32,7 +32,8 @@ def describe(settings: Settings) -> list:
 
 def settings_text(described: list, width: int = 80) -> str:
     """The result of :func:`describe` as text; a star marks values that are not the default."""
-    lines, section = [], None
+    lines = []
+    section = None
     for row in described:
         if row["section"] != section:
             section = row["section"]
@@ -81,7 +82,8 @@ def parse_assignments(assignments) -> dict:
 
 def _meanings(section: type) -> dict:
     """The comment above each entry of a section, in one line and without its markup."""
-    meanings, words = {}, []
+    meanings = {}
+    words = []
     for line in map(str.strip, inspect.getsource(section).splitlines()):
         if line.startswith("#:"):
             words.append(line[2:].strip())

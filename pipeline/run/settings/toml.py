@@ -52,7 +52,8 @@ def _read(path):
         values = tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); correct or delete it") from error
-    chosen, given = values.pop("chosen", {}), values.pop("given", None)
+    chosen = values.pop("chosen", {})
+    given = values.pop("given", None)
     for name, kind, named in (("chosen", dict, chosen), ("given", list, given or [])):
         if not isinstance(named, kind) or not {*map(str, named)} <= Settings().flat().keys():
             raise UserError(f"{path}: {name!r} has not the names of settings; delete that line")

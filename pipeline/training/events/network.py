@@ -74,7 +74,8 @@ class TrainedOnEvents:
         loss : float
             Largest loss of accuracy by early decisions.
         """
-        often, rng = np.tile(held_out, COPIES), np.random.default_rng([seed, 0x7E57])
+        often = np.tile(held_out, COPIES)
+        rng = np.random.default_rng([seed, 0x7E57])
         events = self.recipe.alter_samples(rng, table, often)
         altered = self.recipe.frames_of(events, len(often), steps, table.size)
         as_they_are = self.recipe.frames_of_samples(table, held_out, steps)
@@ -132,7 +133,9 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
     Answers
     """
     network = network_of(recipe, weights)
-    run, values, parts = _compile(recipe), _now(network.variables_by_name), []
+    run = _compile(recipe)
+    values = _now(network.variables_by_name)
+    parts = []
     for start in range(0, len(frames), 100):
         part = frames[start : start + 100]
         outputs, costs, spikes = run(np.moveaxis(part, 0, 1), values)

@@ -191,7 +191,8 @@ class Trainer:
         """Scale the weights of each layer so that a neuron has a mean number of spikes."""
         for index, name in enumerate(self._network.names):
             first = values[f"{name}.kernel"]
-            low, high = -6.0, 6.0
+            low = -6.0
+            high = 6.0
             for _ in range(12):
                 middle = (low + high) / 2
                 values[f"{name}.kernel"] = (first * np.exp(middle)).astype(np.float32)
@@ -200,7 +201,8 @@ class Trainer:
 
     def _train_on(self, batch, rng, number):
         """One update; returns the loss, the share of right predictions, and the operations."""
-        recipe, n = self.recipe, len(batch)
+        recipe = self.recipe
+        n = len(batch)
         frames, last_step = self._alter(batch, rng)
         gains = [self._draw_gains(rng, n, neurons) for neurons in self._gradient.neurons]
         # The operations are those of the batch before: a sum over the whole batch would keep the

@@ -24,7 +24,8 @@ SAMPLES, MOST_ROWS = 16, 20
 TILE = 43.0
 
 # Largest number of characters of a class on a sheet, and the width of one in inches.
-NAME, CHARACTER = 24, 0.085
+NAME = 24
+CHARACTER = 0.085
 
 
 def draw_recording(recordings: Recordings, index: int) -> Figure:
@@ -39,11 +40,13 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
     index : int
         Index of the recording.
     """
-    events, sensor = recordings[index], recordings.sensor
+    events = recordings[index]
+    sensor = recordings.sensor
     since_first = events.time_ns - events.time_ns[:1].sum()
     events = replace(events, time_ns=since_first)
     duration_s = int(events.time_ns.max(initial=0)) * 1e-9 or sensor.duration_s
-    taxels, figure = recordings.taxels, Figure(figsize=(10, 7), layout="constrained")
+    taxels = recordings.taxels
+    figure = Figure(figsize=(10, 7), layout="constrained")
     figure.suptitle(_title(recordings, index), x=0.01, ha="left")
     if _is_strip(taxels):
         axes = figure.subplots()
@@ -110,14 +113,16 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)
     blocks = -(-len(digits) // MOST_ROWS)
-    rows, per_digit = -(-len(digits) // blocks), max(SAMPLES // blocks, 2)
+    rows = -(-len(digits) // blocks)
+    per_digit = max(SAMPLES // blocks, 2)
     images = tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
     numbers = np.bincount(recordings.labels)
     short = shortened_apart([classes[d] for d in digits], NAME)
     names = {d: f"{name} ({numbers[d]})" for d, name in zip(digits, short, strict=True)}
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
-    source, tiles = _source(recordings), 0.6 * per_digit + margin
+    source = _source(recordings)
+    tiles = 0.6 * per_digit + margin
     # The source and the scale are above.
     width = max(blocks * tiles + 0.1, 2.5 + CHARACTER * len(source))
     height = 0.6 * rows + 0.5
@@ -177,7 +182,8 @@ def _show(axes, taxels, image, width):
 
 def _show_over_time(axes, recordings, index):
     """Number of events of each taxel in each interval of time, as shades of its square root."""
-    events, n = recordings[index], len(recordings.taxels)
+    events = recordings[index]
+    n = len(recordings.taxels)
     # A recording in the published layout may be longer than its sensor's two seconds.
     duration_ns = max(1e9 * recordings.sensor.duration_s, int(events.time_ns.max(initial=0)) + 1)
     ranges = ((0, n), (0, duration_ns))
@@ -194,7 +200,8 @@ def _source(recordings):
 
 
 def _title(recordings, index):
-    name, classes = recordings.ids[index], recordings.sensor.classes
+    name = recordings.ids[index]
+    classes = recordings.sensor.classes
     of = classes[recordings.labels[index]]
     sample = f"sample {plain(shorten_name(name, 60))} ({_source(recordings)})"
     if classes == DIGITS:
