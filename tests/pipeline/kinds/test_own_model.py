@@ -191,7 +191,7 @@ def test_a_maximum_becomes_an_average_and_is_trained_further(files, tmp_path, ca
     assert call("convert", folder, "--model", path, *SMALL) == 2
     assert missing(capsys.readouterr().err, f"{path}: layer 'pool'", "--retrain") == []
     assert not folder.exists()
-    options = ("--set", "snn.epochs=1", "--set", "cnn.epochs=5", "--retrain")
+    options = ("--set", "snn.epochs=1", "--set", "cnn.epochs=12", "--retrain")
     assert call("convert", folder, "--model", path, *SMALL, *options) == 0
     said = capsys.readouterr()
     said = said.err + said.out
