@@ -207,7 +207,10 @@ def cells(found: dict) -> list:
     return lines
 
 
-Given = options.group(options.Requested, seed=options.Seed, input=options.Input, **options.CHANGES)
+Given = Annotated[
+    options.Requested,
+    options.group(options.Requested, seed=options.Seed, input=options.Input, **options.CHANGES),
+]
 
 
 def main(

@@ -541,7 +541,10 @@ def processor() -> str:
 Out = Annotated[Path, typer.Option(help="Folder of the rows, which are not measured again.")]
 Store = Annotated[str, typer.Option(help="Name of a file in results/ for the result.")]
 
-Given = options.group(options.Requested, data=options.Data, seed=options.Seed, **options.CHANGES)
+Given = Annotated[
+    options.Requested,
+    options.group(options.Requested, data=options.Data, seed=options.Seed, **options.CHANGES),
+]
 
 
 def command_of(experiment: Experiment) -> Callable:

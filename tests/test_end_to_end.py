@@ -115,7 +115,7 @@ def test_real_data_are_not_called_simulated(tmp_path, capsys):
 def test_inspecting_the_real_recording(real_recording, capsys):
     assert call("data", "inspect", real_recording, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
-    assert (facts["columns"], facts["events"], facts["on"], facts["off"]) == (2346, 665, 359, 306)
+    assert (facts["columns"], facts["events"], facts["on"], facts["off"]) == (2346, 665, 306, 359)
     assert facts["t_first_s"] == pytest.approx(0.1966, abs=1e-4)
     assert facts["t_last_s"] == pytest.approx(0.8957, abs=1e-4)
     assert 0 < facts["taxels"] <= 100

@@ -122,7 +122,7 @@ def test_training_needs_no_samples_for_a_check_and_keeps_its_data(tmp_path, caps
     assert read_settings(run.experiment).data.source == str(tmp_path / "small.zip")
     capsys.readouterr()
     assert call("ladder", run.path, "--samples", 150, "--jobs", 1) == 2
-    assert re.search(r"\b150\b.* 6\b", capsys.readouterr().err)
+    assert re.search(r"\b150\b.* 10\b", capsys.readouterr().err)
 
 
 def test_simulated_recordings_are_not_taken_without_a_word(tmp_path, capsys):

@@ -43,7 +43,8 @@ def test_it_is_what_people_do():
     model = fit.estimate(people(writers=60))
     for ways in model.allographs:
         downwards = sum(w.share for w in ways if w.mean[0] < w.mean[2 * POINTS - 2])
-        assert downwards == pytest.approx(2 / 3, abs=0.02)
+        straight = sum(w.share for w in ways) - 1  # a 1 as a line downwards, which is added
+        assert downwards == pytest.approx(2 / 3 + straight, abs=0.02)
     # A line's end is the slant here, and the same in all digits of a person: all of it is taken
     # out as the person's slant.
     assert model.slant == pytest.approx(0.3, rel=0.25)

@@ -209,7 +209,7 @@ def spec_of_events(
 
     Parameters
     ----------
-    recipe : pipeline.training.events.EventRecipe
+    recipe : pipeline.training.events.recipe.EventRecipe
     weights : dict
         Weights of a :class:`pipeline.training.events.TrainedOnEvents`.
     presentation : Presentation
