@@ -24,7 +24,7 @@ PAGES = [
     *(README, *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY")), *DOCS),
     *(ROOT / "results" / "README.md", ROOT / "deploy" / "inrc" / "README.md"),
 ]
-LONGEST_README = 120
+LONGEST_README = 160
 TARGETS = [
     *("setup", "data", "train", "convert", "loihi-emulate", "loihi-hardware"),
     *("check", "benchmark", "report", "live", "test", "lint", "clean", "help"),

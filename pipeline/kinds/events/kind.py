@@ -211,7 +211,7 @@ def spec_of_events(
     ----------
     recipe : pipeline.training.events.recipe.EventRecipe
     weights : dict
-        Weights of a :class:`pipeline.training.events.TrainedOnEvents`.
+        Weights of a :class:`pipeline.training.events.network.TrainedOnEvents`.
     presentation : Presentation
     provenance : dict
         Stored in the bundle.
