@@ -177,7 +177,7 @@ class AlteredImages:
     ----------
     recordings : Recordings
         The training samples.
-    image : pipeline.run.settings.Image
+    image : pipeline.run.settings.schema.Image
     how : str
         A key of :data:`pipeline.recordings.altering.AUGMENTATIONS`.
     """

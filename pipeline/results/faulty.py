@@ -66,7 +66,7 @@ def recordings_of_check(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
     -------
     recordings : Recordings
         In the order of the samples.
-    image : pipeline.run.settings.Image
+    image : pipeline.run.settings.schema.Image
         Conversion of events to images in the run's settings.
 
     Raises
@@ -104,7 +104,7 @@ def with_faults(
         The recordings of the samples, in their order.
     counts : FaultCounts
         The places are drawn with the seed of the check's samples.
-    image : pipeline.run.settings.Image, optional
+    image : pipeline.run.settings.schema.Image, optional
         Conversion of events to images, for a bundle that does not have it.
 
     Raises
