@@ -81,7 +81,7 @@ def test_a_network_from_pytorch(tmp_path):
     printed_by(CODE, "3-from-pytorch", env=users_environment(), cwd=tmp_path)
     of_torch = accuracies(tmp_path / "runs" / "torch")
     assert 0.2 < of_torch["nir"] < 0.9  # its graph was trained on an earlier simulation
-    assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.04
+    assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.1
 
 
 @pytest.mark.slow
