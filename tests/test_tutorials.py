@@ -60,9 +60,9 @@ def test_the_first_network(tmp_path):
     printed_by(CODE, "1-first-network", env=users_environment(), cwd=tmp_path)
     images, events = (accuracies(tmp_path / "runs" / name) for name in ("image", "events"))
     assert 0.5 < images["emulator"] < 0.87
-    assert 0.80 < events["emulator"] < 0.97
+    assert 0.6 < events["emulator"] < 0.97
     assert events["emulator"] > images["emulator"]  # the lesson
-    assert abs(events["emulator"] - events["trained"]) < 0.03
+    assert abs(events["emulator"] - events["trained"]) < 0.05
 
 
 @pytest.mark.slow
