@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from typing import Dict, List, NamedTuple, Optional, Tuple
 
 import numpy as np
@@ -48,6 +49,28 @@ def block_shapes(layers) -> Dict[str, Tuple[int, ...]]:
             shapes[layer.name] = layer.block_shape or default_block(layer, *after)
             after = layer, shapes[layer.name]
     return shapes
+
+
+def reads_populations(layer) -> bool:
+    """True for a dense layer whose input spikes name a pixel and, as the axon's atom, a channel.
+
+    A core has fewer input axons than such a layer has inputs.  An axon for each pixel with all its
+    channels, as a convolution has them, is sufficient then; its synapses take more memory, since
+    each has an index.
+
+    Parameters
+    ----------
+    layer : deploy.network.spec.Layer
+    """
+    if (layer.kind, layer.placement) != ("dense", "chip") or len(layer.input_shape) != 3:
+        return False
+    limit = LOIHI.limits["input axons"]
+    return math.prod(layer.input_shape) > limit >= math.prod(_pixels_read(layer))
+
+
+def _pixels_read(layer):
+    """(rows, columns) of the input inside of complete pooling windows."""
+    return tuple(n * layer.pool for n in layer.read_shape[:2])
 
 
 def scaled_by_block(layers) -> List[str]:
@@ -162,9 +185,11 @@ class _Cutting:
         self.layer = layer
         self.is_conv = layer.kind == "conv"
         self.lines = _lines(layer) if self.is_conv else []
+        self.has_populations = reads_populations(layer)
         self.n_inputs = int(np.prod(layer.input_shape))
-        if layer.recurrent is not None:
-            self.n_inputs += layer.size
+        if self.has_populations:
+            self.n_inputs = math.prod(_pixels_read(layer))
+        self.n_own = 0 if layer.recurrent is None else layer.size
 
     def count(self, block) -> int:
         """Number of blocks."""
@@ -173,7 +198,7 @@ class _Cutting:
     def axons(self, block) -> int:
         """Number of input axons of all blocks."""
         if not self.is_conv:
-            return self.n_inputs * self.count(block)
+            return (self.n_inputs + self.n_own) * self.count(block)
         along = [
             sum(int(np.count_nonzero(line.reach(*part)[1])) for part in parts_of(n, b))
             for line, n, b in zip(self.lines, self.layer.shape, block)
@@ -198,7 +223,8 @@ class _Cutting:
         """Input axons and words of synapse memory of one block."""
         lengths = [last - first for first, last in parts]
         if not self.is_conv:
-            return self.n_inputs, self.n_inputs * _words(lengths[0], LOIHI.weight_bits)
+            own = self.n_own * _words(lengths[0], LOIHI.weight_bits)
+            return self.n_inputs + self.n_own, own + self._words_of_inputs(lengths[0])
         columns, filters = lengths[1], lengths[2]
         reach = [line.reach(*part) for line, part in zip(self.lines, parts)]
         seen = [np.flatnonzero(number) for _, number, _ in reach]
@@ -213,9 +239,24 @@ class _Cutting:
         lists = np.unique(keys, axis=0)
         highest = OFFSET + ((lists[:, 0] - 1) * columns + lists[:, 2]) * filters
         highest = int(min(highest.max(initial=1), np.prod(lengths)))
-        bits = LOIHI.weight_bits + next((b for b in INDEX_BITS if 2**b >= highest), INDEX_BITS[-1])
+        bits = LOIHI.weight_bits + _index_bits(highest)
         words = sum(_words(int(n), bits) for n in lists[:, 0] * lists[:, 2] * filters)
         return len(seen[0]) * len(seen[1]), words * self.layer.input_shape[2]
+
+    def _words_of_inputs(self, units):
+        """Words of synapse memory from the previous layer to some units of a dense layer."""
+        if not self.has_populations:
+            return self.n_inputs * _words(units, LOIHI.weight_bits)
+        channels = self.layer.input_shape[2]
+        # In a divided layer, the pixels of a pooling window share their lists.
+        is_shared = units < self.layer.size
+        lists = math.prod(self.layer.read_shape) if is_shared else self.n_inputs * channels
+        return lists * _words(units, LOIHI.weight_bits + _index_bits(units))
+
+
+def _index_bits(highest):
+    """Width of the index of a synapse's target."""
+    return next((bits for bits in INDEX_BITS if 2**bits >= highest), INDEX_BITS[-1])
 
 
 def _words(synapses, bits):
@@ -254,6 +295,10 @@ class _Receiver:
                 for line, n, b in zip(_lines(layer), layer.shape, block)
             ]
             self.copies = -(-layer.shape[2] // block[2])
+        elif reads_populations(layer):
+            sides = zip(layer.input_shape, _pixels_read(layer))
+            self.seen = [[np.arange(n) < read] for n, read in sides]
+            self.copies = self.blocks
 
     def axons_from(self, parts) -> int:
         """Number of output axons of a block of the previous layer."""

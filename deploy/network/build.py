@@ -9,7 +9,7 @@ import nengo
 import numpy as np
 from nengo.builder import transforms
 
-from .blocks import block_shapes
+from .blocks import block_shapes, reads_populations
 from .convolution import PaddedConvolution
 from .geometry import padded_kernel, unpool, windows
 from .loihi_import import nengo_loihi
@@ -228,6 +228,8 @@ def _transform(layer: Layer):
     inputs : list of int or None
         None for all of them.
     """
+    if layer.kind == "dense" and reads_populations(layer):
+        return _population_transform(layer)
     if layer.kind == "dense":
         weights = layer.weights
         before = int(np.prod(layer.input_shape))
@@ -248,9 +250,7 @@ def _transform(layer: Layer):
         kernel = np.pad(kernel, (*edges, (0, 0), (0, 0)))
     if layer.pool > 1:
         kernel, input_shape = _pooled_kernel(layer, kernel)
-        if input_shape != layer.input_shape:  # values outside of complete windows are not read
-            places = np.arange(np.prod(layer.input_shape)).reshape(layer.input_shape)
-            inputs = places[: input_shape[0], : input_shape[1]].ravel().tolist()
+        inputs = _inputs_within(layer, input_shape)
     shapes = {
         "n_filters": layer.shape[-1],
         "input_shape": input_shape,
@@ -261,6 +261,31 @@ def _transform(layer: Layer):
         return nengo.Convolution(padding=layer.padding, init=kernel, **shapes), inputs
     zeros = int(layer.padding) * layer.pool
     return PaddedConvolution(zeros, init=kernel, **shapes), inputs
+
+
+def _inputs_within(layer, input_shape):
+    """Numbers of the inputs in the first rows and columns, or None for all of them.
+
+    Values outside of complete pooling windows are not read.
+    """
+    if input_shape == layer.input_shape:
+        return None
+    places = np.arange(np.prod(layer.input_shape)).reshape(layer.input_shape)
+    return places[: input_shape[0], : input_shape[1]].ravel().tolist()
+
+
+def _population_transform(layer):
+    """A dense layer as a convolution whose only window is the whole input; see `_transform`."""
+    kernel = np.moveaxis(layer.weights.reshape(layer.size, *layer.read_shape), 0, -1)
+    kernel = kernel.repeat(layer.pool, axis=0).repeat(layer.pool, axis=1) / layer.pool**2
+    input_shape = kernel.shape[:3]
+    transform = nengo.Convolution(
+        n_filters=layer.size,
+        input_shape=input_shape,
+        kernel_size=input_shape[:2],
+        init=kernel,
+    )
+    return transform, _inputs_within(layer, input_shape)
 
 
 def _pooled_kernel(layer, kernel):

@@ -39,7 +39,7 @@ REMEDIES = {
     "input axons": "give the layer fewer inputs, by a convolution with a stride before it",
     "output axons": "use fewer filters or units in this layer or the next",
     "AxonCfg registers": "use fewer filters or units in this layer or the next",
-    "synapse words": "give the layer fewer filters or units, or a larger stride",
+    "synapse words": "give the layer fewer inputs, by a stride and fewer filters before it",
 }
 
 

@@ -50,31 +50,35 @@ def axon_cfg_registers(block):
         With and without sharing.  NengoLoihi assumes sharing, but boards have refused networks that
         passed NengoLoihi's count (its issue 326), so the actual number may be between the two.
     """
-    destinations = {}
+    if not block.axons:
+        return 0, 0
+    neurons = np.arange(block.n_neurons)
+    # A column for each of the block's axon objects: the axon that a neuron's spikes go to, or -1.
+    columns = []
     for axon in block.axons:
-        synapse = axon.target
-        spikes = axon.map_spikes(np.arange(block.n_neurons))
-        for neuron, spike in enumerate(spikes):
-            if spike is None or _is_dummy(synapse, spike.axon_idx):
-                continue
-            where = (AXON_CFGS_PER_AXON[synapse.pop_type], id(synapse), int(spike.axon_idx))
-            destinations.setdefault(neuron, []).append((synapse.pop_type, where))
-    runs, unshared = {}, 0
-    for neuron, targets in destinations.items():
-        run = tuple(where for _, where in targets)
-        length = sum(registers for registers, *_ in run)
-        unshared += length
-        is_population = all(pop_type for pop_type, _ in targets)
-        runs[run if is_population else (neuron, run)] = length
-    return sum(runs.values()), unshared
+        numbers = np.array(axon.map_axon(neurons))
+        numbers[(numbers >= 0) & ~_has_targets(axon.target)[numbers]] = -1
+        columns.append(numbers)
+    destinations = np.stack(columns, axis=1)
+    registers = np.array([AXON_CFGS_PER_AXON[axon.pop_type] for axon in block.axons])
+    is_discrete = np.array([not axon.pop_type for axon in block.axons])
+    unshared = (destinations >= 0) @ registers
+    is_population = (destinations[:, is_discrete] < 0).all(axis=1)
+    runs = np.unique(destinations[is_population], axis=0)
+    shared = ((runs >= 0) @ registers).sum() + unshared[~is_population].sum()
+    return int(shared), int(unshared.sum())
 
 
-def _is_dummy(synapse, axon):
-    """True for an axon without targets; such axons are not put on the chip."""
-    return (
-        synapse.axon_compartment_base(axon) is None
-        or synapse.axon_weights_indices(axon)[0].size == 0
-    )
+def _has_targets(synapse):
+    """For each axon of a synapse object whether it has targets; others are not on the chip."""
+    sizes = np.array([weights[0].size for weights in synapse.weights])
+    numbers = np.arange(synapse.n_axons)
+    if synapse.axon_to_weight_map is not None:
+        numbers = np.asarray(synapse.axon_to_weight_map)
+    has_targets = sizes[numbers] > 0
+    if synapse.axon_compartment_bases is not None:
+        has_targets &= np.asarray(synapse.axon_compartment_bases) >= 0
+    return has_targets
 
 
 def synapse_words(synapse):
@@ -122,10 +126,10 @@ def worst_case(block, intervals):
             base = synapse.axon_compartment_base(axon)
             if base is None:
                 continue
-            for atom in range(synapse.axon_populations(axon)):
-                weights, indices = synapse.axon_weights_indices(axon, atom)
-                np.add.at(sums[0], base + indices, np.maximum(weights, 0))
-                np.add.at(sums[1], base + indices, np.maximum(-weights, 0))
+            at = synapse.axon_weight_idx(axon)  # arrays of shape (atoms, synapses)
+            weights, indices = synapse.weights[at], base + synapse.indices[at]
+            np.add.at(sums[0], indices, np.maximum(weights, 0))
+            np.add.at(sums[1], indices, np.maximum(-weights, 0))
         inputs += sums
         currents += sums / (1 - keep ** intervals.get(id(synapse), 1))
     bias = block.compartment.bias.astype(float)

@@ -237,6 +237,9 @@ RUNAWAY = 0.9
 # every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
 # Norse), so that this is what the network was trained for. A board loads the network at the start
 # of each stream, so that it is then loaded for each sample.
+# Settings that the simulation of a graph on images reads: the image, and its spikes.
+IMAGE_READS = ("presentation", "image", "deployment.input_rate", "deployment.input_phase")
+
 FROM_REST = {"input.refractory": 0.0, "presentation.gap": 0, "presentation.stream_length": 1}
 
 
@@ -286,7 +289,7 @@ class NirKind(NetworkKind):
 
     @property
     def steps(self):
-        shown = DECIDES if self.settings.on_events else ("presentation", "image")
+        shown = DECIDES if self.settings.on_events else IMAGE_READS
         reads = ("input", "nir.sha256", "nir.step", "nir.method", "nir.reset", *shown)
         files = ("metrics.json", GRAPH)
         return counts.STEP, Step("nir", "snn", files, reads, self._read, action="reading")

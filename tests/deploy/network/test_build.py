@@ -14,6 +14,7 @@ from deploy.network.loihi_import import nengo_loihi
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
+from deploy.targets.registry import run_target
 from tests.deploy.networks import conv, dense, readout, small_spec
 
 
@@ -174,6 +175,37 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
             assert words <= 1.6 * used["synapse words"] + max(40, np.prod(layer.input_shape))
         assert receiver.axons_from(parts) == used["output axons"]
     assert total == cutting.axons(block)
+
+
+def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
+    """It is the convolution with one window, whose blocks share the weights of averaged pixels."""
+    rng = np.random.default_rng(0)
+    shape = (27, 26, 8)  # 5,616 neurons; averaging leaves out the last row
+    wide = away_from_zero(dense("dense1", shape, 7, rng, pool=2, block_shape=(3,)))
+    plan = make_plan(spec_of(shape, wide))
+    assert plan.problems == []
+    assert [core.used["input axons"] for core in plan.cores] == [26 * 26] * 3
+    assert max(core.used["synapse words"] for core in plan.cores) == 13 * 13 * 8
+    window = wide.weights.reshape(7, 13, 13, 8).transpose(1, 2, 3, 0)
+    cut = (26, 26, 8)
+    one_window = replace(
+        wide, kind="conv", input_shape=cut, shape=(1, 1, 7), kernel=13, weights=window,
+        block_shape=(1, 1, 3),
+    )  # fmt: skip
+    samples = rng.uniform(0, 0.3, (1, *shape))
+    cut_samples = samples[:, :26]
+    expected = run_target(spec_of(cut, one_window), cut_samples, "emulator").spikes["dense1"]
+    assert expected.sum() > 5
+    for target in ("emulator", "fast"):
+        found = run_target(spec_of(shape, wide), samples, target).spikes["dense1"]
+        np.testing.assert_array_equal(found, expected)
+    # As it divides itself, and counted before NengoLoihi makes the blocks
+    own = replace(wide, block_shape=None)
+    from deploy.network.blocks import _Cutting
+
+    block = default_block(own)
+    (used, *_) = (core.used for core in make_plan(spec_of(shape, own)).cores)
+    assert used["synapse words"] <= _Cutting(own).needs([(0, block[0])])[1] <= 16384
 
 
 def test_a_window_along_one_dimension_by_hand():

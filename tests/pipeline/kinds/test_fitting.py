@@ -158,7 +158,7 @@ def test_simulated_recordings_need_only_another_image():
 
 @pytest.mark.parametrize(
     ("kind", "architecture", "resource"),
-    [("image", "100x100-40-4o", "input axons"), ("events", "60x60x2-40-4o", "input axons")],
+    [("image", "100x100-40-4o", "input axons"), ("events", "70x70x2-40-4o", "input axons")],
 )
 def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resource):
     section = "cnn" if kind == "image" else "events"

@@ -236,6 +236,23 @@ def test_a_loop_that_runs_away_is_refused(tmp_path, capsys):
     assert missing(capsys.readouterr().err, "'lif'", "'w_rec'", "runs away") == []
 
 
+def test_a_run_of_a_graph_on_images(tmp_path):
+    """Its step declares the settings of the input's spikes, which the simulation reads."""
+    rng = np.random.default_rng(0)
+    graph = nir.NIRGraph.from_list(
+        nir.Input({"input": np.array([100])}),
+        nir.Affine(rng.normal(0, 1, (6, 100)), np.zeros(6)),
+        nir.LIF(*(np.full(6, x) for x in (0.02, 8.0, 0.0, 1.0))),
+        nir.Affine(rng.normal(0, 1, (10, 6)), np.zeros(10)),
+        nir.Output({"output": np.array([10])}),
+    )
+    nir.write(tmp_path / "some.nir", graph)
+    few = ["--set", "data.samples_per_digit=8", "--samples", "6", "--jobs", "1"]
+    given = ["--nir", tmp_path / "some.nir", "--input", "image", *few]
+    assert stmnist("convert", tmp_path / "run", *given) == 0
+    assert (tmp_path / "run" / "bundle" / "network.json").exists()
+
+
 @pytest.mark.slow
 def test_a_run_of_a_graph(tmp_path, capsys):
     """Convert, ladder, plan; then again, nothing is done anew."""
