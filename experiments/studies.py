@@ -24,6 +24,8 @@ from experiments.variants import VARIANTS, varied
 from pipeline import paper
 from pipeline.commands import options
 from pipeline.kinds import choose_settings
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.faults import add_faults
 from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case
@@ -102,6 +104,11 @@ class Experiment:
     note: str = ""
 
 
+# Stages that test a network on the emulated chip with faulty taxels in its test samples, and the
+# numbers of hot and dead taxels.
+FAULTY_STAGES = {"fast-hot1": (1, 0), "fast-dead5": (0, 5)}
+FAULT_TITLES = {"fast-hot1": "one hot taxel", "fast-dead5": "five dead taxels"}
+
 EMULATED_NOTE = (
     "Emulated Loihi: the target fast, bit-identical to NengoLoihi's emulator; nothing ran on a "
     "chip. Input spikes are made on the host."
@@ -116,6 +123,16 @@ def _chip(name, title, changes=None, **more):
         Line(f"{name}-chip", f"{title}, emulated Loihi, readout on chip", "fast",
              {**changes, **READOUT_ON_CHIP}, **more),
     )  # fmt: skip
+
+
+def _with_faults(name, title, changes=None, **more):
+    """A network on the emulated chip whose test samples have faulty taxels."""
+    return tuple(
+        Line(
+            f"{name}{stage.removeprefix('fast')}", f"{title}, {fault}", stage, changes or {}, **more
+        )
+        for stage, fault in FAULT_TITLES.items()
+    )
 
 
 def _on_events(trained, chip, **more):
@@ -205,6 +222,9 @@ EXPERIMENTS = (
                 input="events",
                 styles=True,
             ),
+            *_with_faults("own-loihi", "ANN-SNN, longer training, emulated Loihi", OWN),
+            *_with_faults("slices", "SNN on slices of time, emulated Loihi", input="slices"),
+            *_with_faults("events-loihi", "SNN on events, emulated Loihi", input="events"),
         ),
         (
             *(("ann-snn", "cnn"), ("loihi", "cnn"), ("loihi", "ann-snn"), ("slayer", "cnn")),
@@ -324,6 +344,8 @@ def _measure_on(dataset, case, networks):
         return study.row_of(case, dataset, index, predictions)
     if case.stage == "fast-200":
         return _draw_check_samples(measure(replace(case, stage="fast"), networks), dataset, case)
+    if case.stage in FAULTY_STAGES:
+        return _measure_with_faults(dataset, case, networks)
     if case.stage not in ("slayer", "slayer-small"):
         return study.measure(case, networks, dataset)
     from experiments.slayer import predictions_of
@@ -332,6 +354,17 @@ def _measure_on(dataset, case, networks):
     checkpoint = networks.path / case.stage / f"{case.split}-{case.seed:02d}.npz"
     predictions, history = predictions_of(dataset, index, case.seed, scale, checkpoint)
     return study.row_of(case, dataset, index, predictions, history=history)
+
+
+def _measure_with_faults(dataset, case, networks):
+    """A row of a network on the emulated chip, with faulty taxels in its test samples."""
+    on_chip = replace(case, stage="fast")
+    study.measure(on_chip, networks, dataset)  # trains it on the recordings as they are
+    hot, dead = FAULTY_STAGES[case.stage]
+    faulty = add_faults(dataset.recordings, hot, dead, [case.seed, 0xFA])
+    tested = Dataset(faulty, dataset.split, dataset.origin, dataset.settings)
+    row = study.measure(on_chip, networks, tested)
+    return {**row, "stage": case.stage}
 
 
 def _draw_check_samples(row, dataset, case):

@@ -12,6 +12,7 @@ from experiments import adapt, document, speed, studies, tables
 from experiments.__main__ import OTHERS, main
 from pipeline.recordings.library import recordings_of
 from pipeline.results.study import Case
+from pipeline.run.artifacts import Library
 from pipeline.run.settings import Settings
 from pipeline.training.adaptation import with_rehearsal
 from tests.command import call, missing
@@ -101,6 +102,24 @@ def test_an_experiment_from_end_to_end(tmp_path, capsys, monkeypatch):
     assert call(*command, main=main) == 0
     assert {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()} == before
     assert json.loads(capsys.readouterr().out)["rows"] == found["rows"]
+
+
+def test_faulty_taxels_are_in_the_test_samples_only(tmp_path):
+    changes = {
+        "data": {"samples_per_digit": 20},
+        "cnn": {"epochs": 1},
+        "snn": {"recipe": "as-is"},
+    }
+    settings = Settings().with_values(changes)
+    networks = Library(tmp_path)
+    rows = [
+        studies.measure(Case(stage, settings, stage), networks)
+        for stage in ("fast", *studies.FAULTY_STAGES)
+    ]
+    assert [row["stage"] for row in rows] == ["fast", *studies.FAULTY_STAGES]
+    assert len({tuple(row["samples"]) for row in rows}) == 1
+    assert len({row["costs"]["operations"] for row in rows}) == 3
+    assert len(list(tmp_path.rglob("weights.npz"))) == 2  # a CNN and its rates, for all three
 
 
 @pytest.mark.slow
