@@ -58,7 +58,6 @@ def predict_test_samples(dataset: Dataset, index, stage: str) -> np.ndarray:
 
 def root_counts(dataset: Dataset) -> np.ndarray:
     """Square roots of counts, float32, shape (n_samples, slices x taxels x polarities)."""
-    training = EventTable.of(dataset.recordings.part(dataset.split.train))
     table = EventTable.of(dataset.recordings)
-    counts = table.sliced_counts(SLICES, training.typical_duration_ms)
+    counts = table.sliced_counts(SLICES, table.typical_duration_of(dataset.split.train))
     return np.sqrt(counts).reshape(len(table), -1)

@@ -405,5 +405,5 @@ def _parts(images):
 
     Calling the model on them is faster than Keras's ``predict``, which traces a graph for one use.
     """
-    images = np.asarray(images, np.float32)
-    return np.split(images, range(512, len(images), 512))
+    starts = range(0, max(len(images), 1), 512)
+    return (np.asarray(images[start : start + 512], np.float32) for start in starts)

@@ -103,6 +103,11 @@ def test_a_corrupt_cache(refused, tmp_path, monkeypatch):
     assert str(cached) in line
     cached.unlink()
     assert call(*command) == 0
+    column = next((tmp_path / "cache").glob("recordings-*-time_ns.npy"))
+    column.write_bytes(column.read_bytes()[:-8])
+    assert str(column) in refused(*command)
+    cached.unlink()
+    assert call(*command) == 0
     (source,) = (tmp_path / "cache").glob("source-*.json")
     source.write_text("{")
     assert str(source) in refused(*command)

@@ -37,6 +37,12 @@ FOLDS = 3
 # Maximum number of samples of the cross-validation, so that it takes a few seconds.
 MOST_SAMPLES = 2400
 
+# Maximum number of training samples that the classifier is fitted to, so that they fit into memory.
+MAX_FITTED_SAMPLES = 20_000
+
+# Samples whose scores are computed at a time.
+SAMPLES_AT_ONCE = 2000
+
 
 @dataclass(frozen=True)
 class Baseline:
@@ -80,50 +86,100 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     -------
     Baseline
     """
-    some = np.random.default_rng(seed).permutation(training)[:MOST_SAMPLES]
+    order = np.random.default_rng(seed).permutation(training)
+    some = order[:MOST_SAMPLES]
     some = some[np.argsort(labels[some], kind="stable")]
     folds = np.arange(len(some)) % FOLDS  # each class is in every fold, if it can be
     best, chosen = -1.0, None
     for slices in (n for n in SLICES if counts.shape[1] % n == 0):
-        parts = counts.reshape(len(labels), slices, -1, *counts.shape[2:]).sum(axis=2)
-        rows = (np.sign(parts) * np.sqrt(np.abs(parts))).reshape(len(labels), -1)
+        rows = _features(counts, slices, some)
         for strength in STRENGTHS:
-            right = [
-                labels[out] == _scores(rows, labels, inside, out, classes, strength).argmax(1)
-                for inside, out in ((some[folds != k], some[folds == k]) for k in range(FOLDS))
-            ]
+            right = []
+            for fold in range(FOLDS):
+                inside, out = folds != fold, folds == fold
+                model = _Model.fit(rows[inside], labels[some[inside]], classes, strength)
+                scores = model.complete(model.logits(rows[out]))
+                right.append(labels[some[out]] == scores.argmax(1))
             if (accuracy := float(np.concatenate(right).mean())) > best:
-                best, chosen = accuracy, (slices, strength, rows)
-    slices, strength, rows = chosen
-    scores = _scores(rows, labels, training, np.arange(len(labels)), classes, strength)
-    return Baseline(scores, slices, strength, best)
+                best, chosen = accuracy, (slices, strength)
+    slices, strength = chosen
+    if len(training) > MAX_FITTED_SAMPLES:
+        training = order[:MAX_FITTED_SAMPLES]
+    model = _Model.fit(_features(counts, slices, training), labels[training], classes, strength)
+    parts = []
+    for start in range(0, len(labels), SAMPLES_AT_ONCE):
+        out = np.arange(start, min(start + SAMPLES_AT_ONCE, len(labels)))
+        parts.append(model.logits(_features(counts, slices, out)))
+    return Baseline(model.complete(np.concatenate(parts)), slices, strength, best)
 
 
-def _scores(rows, labels, inside, out, classes, strength):
-    """Scores of some samples by a classifier fitted to others, shape (len(out), classes).
+def _features(counts, slices, samples):
+    """Square roots of the counts of some samples in a number of slices, a row for each sample."""
+    some = counts[samples]
+    parts = some.reshape(len(some), slices, -1, *some.shape[2:]).sum(axis=2)
+    return (np.sign(parts) * np.sqrt(np.abs(parts))).reshape(len(some), -1)
 
-    A class that is not among the samples of the fit has a score below all others.  If nothing
-    distinguishes these samples, the answer is their most frequent class.
+
+@dataclass(frozen=True)
+class _Model:
+    """The classifier fitted to the features of some samples.
+
+    Attributes
+    ----------
+    classes : int
+        Number of all classes.
+    known : ndarray of int
+        Classes of the samples of the fit, each once.
+    active : ndarray of bool
+        Features that differ between these samples.
+    mean, spread : ndarray
+        Their means and standard deviations.
+    regression : sklearn.linear_model.LogisticRegression or int
+        The most frequent class if nothing distinguishes the samples.
     """
-    from sklearn.linear_model import LogisticRegression  # the import takes a second
 
-    known = np.unique(labels[inside])
-    active = np.ptp(rows[inside], axis=0) > 0 if len(known) > 1 else np.zeros(1, bool)
-    if not active.any():
-        most = np.bincount(labels[inside], minlength=classes).argmax()
-        return np.eye(classes)[np.full(len(out), most)]
-    mean, spread = rows[inside].mean(0), rows[inside].std(0)
-    x, y = ((rows[some][:, active] - mean[active]) / spread[active] for some in (inside, out))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it need not converge to the last digit
-        # A gradient this small is enough: a more exact fit is not more accurate.
-        model = LogisticRegression(C=strength, tol=2e-3, max_iter=100).fit(x, labels[inside])
-    logits = model.decision_function(y)
-    if len(known) == 2:
-        logits = np.stack([-logits, logits], axis=1) / 2
-    scores = np.full((len(out), classes), logits.min(initial=0) - 1.0)
-    scores[:, known] = logits
-    return scores
+    classes: int
+    known: np.ndarray
+    active: np.ndarray
+    mean: np.ndarray
+    spread: np.ndarray
+    regression: object
+
+    @classmethod
+    def fit(cls, rows, labels, classes, strength):
+        from sklearn.linear_model import LogisticRegression  # the import takes a second
+
+        known = np.unique(labels)
+        mean = rows.mean(0)
+        spread = rows.std(0)
+        active = np.ptp(rows, axis=0) > 0 if len(known) > 1 else np.zeros(1, bool)
+        if not active.any():
+            most = int(np.bincount(labels, minlength=classes).argmax())
+            return cls(classes, known, active, mean, spread, most)
+        x = (rows[:, active] - mean[active]) / spread[active]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it need not converge to the last digit
+            # A gradient this small is enough: a more exact fit is not more accurate.
+            regression = LogisticRegression(C=strength, tol=2e-3, max_iter=100).fit(x, labels)
+        return cls(classes, known, active, mean, spread, regression)
+
+    def logits(self, rows):
+        """Logits of the known classes."""
+        if isinstance(self.regression, int):
+            return np.zeros((len(rows), 0))
+        x = (rows[:, self.active] - self.mean[self.active]) / self.spread[self.active]
+        logits = self.regression.decision_function(x)
+        if len(self.known) == 2:
+            return np.stack([-logits, logits], axis=1) / 2
+        return logits
+
+    def complete(self, logits):
+        """Scores of all classes; those of unknown classes are below all others."""
+        if isinstance(self.regression, int):
+            return np.eye(self.classes)[np.full(len(logits), self.regression)]
+        scores = np.full((len(logits), self.classes), logits.min(initial=0) - 1.0)
+        scores[:, self.known] = logits
+        return scores
 
 
 def _versions():
@@ -135,10 +191,11 @@ def _fit(inputs, artifact):
     dataset, seed = inputs.dataset, inputs.settings.seed
     recordings, split = dataset.recordings, dataset.split
     begun = time.perf_counter()
-    duration = EventTable.of(recordings.part(split.train)).typical_duration_ms
+    table = EventTable.of(recordings)
+    duration_ms = table.typical_duration_of(split.train)
     features = 2 * recordings.sensor.rows * recordings.sensor.columns
     slices = max(SLICES) if features * max(SLICES) <= MOST_FEATURES else 1
-    counts = EventTable.of(recordings).sliced_counts(slices, duration)
+    counts = table.sliced_counts(slices, duration_ms)
     classes = len(recordings.sensor.classes)
     baseline = fit_baseline(counts, dataset.labels, split.train, classes, seed)
     seconds = time.perf_counter() - begun

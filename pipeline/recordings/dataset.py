@@ -12,11 +12,12 @@ from deploy.network.provenance import TRAINING_RECORDINGS
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
+from pipeline.recordings.cache import empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.images import AlteredImages, tactile_images
 from pipeline.recordings.library import recordings_of
 from pipeline.recordings.splits import PUBLISHED, Split, split_of, split_problem
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable
 from pipeline.run.artifacts import Origin
 from pipeline.run.settings import SIMULATED, Image, Settings
 
@@ -134,7 +135,13 @@ class Dataset:
     def part(self, name: str):
         """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
         index = getattr(self.split, name)
-        return (self.inputs[index], self.labels[index]) if len(index) else None
+        if not len(index):
+            return None
+        inputs = empty_array((len(index), *self.inputs.shape[1:]), self.inputs.dtype)
+        for start in range(0, len(index), RECORDINGS_AT_ONCE):
+            some = slice(start, start + RECORDINGS_AT_ONCE)
+            inputs[some] = self.inputs[index[some]]
+        return inputs, self.labels[index]
 
     def altered(self, how: str) -> AlteredImages | None:
         """The images of ``part("train")``, altered anew for each epoch; None for ``"none"``.
@@ -146,7 +153,7 @@ class Dataset:
         """
         if how == "none":
             return None
-        return AlteredImages(self.recordings.part(self.split.train), self.settings.image, how)
+        return AlteredImages(self.recordings, self.settings.image, how, self.split.train)
 
 
 def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
@@ -228,6 +235,7 @@ class FramesOnDemand:
     ----------
     shape : tuple of int
         (n_samples, steps, rows, columns, 2).
+    dtype : data type
     """
 
     def __init__(self, recordings: Recordings, settings: Settings):
@@ -235,6 +243,7 @@ class FramesOnDemand:
         self._step_ms = settings.input.step
         self._limits = settings.input.refractory_steps, settings.input.max_spikes
         self.shape = (len(self._table), settings.steps, *self._table.size, 2)
+        self.dtype = np.dtype(np.uint8)
 
     def __len__(self):
         return self.shape[0]

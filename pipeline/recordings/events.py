@@ -304,13 +304,15 @@ class Recordings:
             16 hexadecimal digits for each recording.
         """
         events, taxels = self.events, self.taxels
-        places = np.stack(
-            [taxels.row[events.taxel], taxels.column[events.taxel], events.polarity]
-        ).astype("<i8")
         hashes = []
         for start, end in zip(self.offsets[:-1], self.offsets[1:], strict=True):
             time = events.time_ns[start:end]
-            content = np.vstack([time - time[:1], places[:, start:end]]).astype("<i8")
+            taxel = events.taxel[start:end]
+            content = np.empty((4, end - start), "<i8")
+            content[0] = time - time[:1]
+            content[1] = taxels.row[taxel]
+            content[2] = taxels.column[taxel]
+            content[3] = events.polarity[start:end]
             order = np.lexsort(content[::-1])  # events at the same time have no order
             hashes.append(hashlib.sha256(content[:, order].tobytes()).hexdigest()[:16])
         return tuple(hashes)

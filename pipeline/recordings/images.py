@@ -32,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.recordings.altering import AUGMENTATIONS, move_places
+from pipeline.recordings.cache import empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import draw_faults
 from pipeline.recordings.steps import EventTable
@@ -92,7 +93,12 @@ def tactile_images(recordings: Recordings, image: Image | None = None) -> np.nda
         Default: the default settings.
     """
     image = image or Image()
-    return _as_images(_counts(recordings, image), image)
+    sensor = recordings.sensor
+    shape = (len(recordings), sensor.rows, sensor.columns, image.channels)
+    images = empty_array(shape, np.float32)
+    for span, counts in _counts_of_parts(recordings, image):
+        images[span] = _as_images(counts, image)
+    return images
 
 
 def _as_images(counts, image):
@@ -111,9 +117,16 @@ def _as_images(counts, image):
     return normalise(np.moveaxis(images, 1, 3), image.normalisation).astype(np.float32)
 
 
-def _counts(recordings, image):
-    weights = recordings.events.columns if image.aggregation == "columns" else None
-    return EventTable.of(recordings).sliced_counts(image.slices, image.duration_ms, weights)
+def _counts_of_parts(recordings, image, indices=None):
+    """Counts of all or some recordings, a few recordings at a time; see `EventTable.parts`."""
+    table = EventTable.of(recordings)
+    indices = np.arange(len(table)) if indices is None else np.asarray(indices)
+    for span, events in table.parts(indices):
+        some = indices[span]
+        weights = None
+        if image.aggregation == "columns":
+            weights = recordings.events.columns[table.find_events(some)[1]]
+        yield span, table.count(events, len(some), image.slices, image.duration_ms, weights)
 
 
 class TaxelCounts(NamedTuple):
@@ -134,35 +147,50 @@ class TaxelCounts(NamedTuple):
     polarity: np.ndarray
     value: np.ndarray
 
-    @classmethod
-    def of(cls, counts) -> TaxelCounts:
-        """From an array of shape (n_samples, slices, rows, columns, 2), in the order of samples."""
-        where = np.nonzero(counts)
-        sample, part, row, column, polarity = where
-        return cls(sample, part, row, column, polarity, counts[where].astype(np.int64))
-
     def select(self, chosen) -> TaxelCounts:
         """Some of the rows."""
         return TaxelCounts(*(values[chosen] for values in self))
 
-    def pick(self, offsets, indices) -> TaxelCounts:
-        """The counts of some samples, which are numbered from 0 in the order of ``indices``.
-
-        Parameters
-        ----------
-        offsets : ndarray of int, shape (n_samples + 1,)
-            The rows of sample i are those from ``offsets[i]`` to ``offsets[i + 1]``.
-        indices : ndarray of int
-        """
-        first = offsets[indices]
-        number = offsets[indices + 1] - first
-        sample = np.repeat(np.arange(len(indices)), number)
-        chosen = np.arange(len(sample)) + np.repeat(first - (np.cumsum(number) - number), number)
-        return self.select(chosen)._replace(sample=sample)
-
     def join(self, others: TaxelCounts) -> TaxelCounts:
         """These rows and others."""
         return TaxelCounts(*map(np.concatenate, zip(self, others, strict=True)))
+
+
+class StoredCounts:
+    """The counts above 0 of all samples, of 8 bytes each.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (slices, rows, columns, 2), of the counts of a sample.
+    parts : iterable of ndarray
+        Counts of some samples after the other, in the order of samples.
+    """
+
+    def __init__(self, shape: tuple, parts):
+        self.shape = shape
+        cells = []
+        values = []
+        numbers = [np.zeros(1, int)]
+        for counts in parts:
+            flat = counts.reshape(len(counts), -1)
+            sample, cell = np.nonzero(flat)
+            cells.append(cell.astype(np.int32))
+            values.append(flat[sample, cell].astype(np.int32))
+            numbers.append(np.bincount(sample, minlength=len(counts)))
+        self._cell = np.concatenate([np.empty(0, np.int32), *cells])
+        self._value = np.concatenate([np.empty(0, np.int32), *values])
+        self._offsets = np.cumsum(np.concatenate(numbers))
+
+    def pick(self, indices) -> TaxelCounts:
+        """The counts of some samples, which are numbered from 0 in the order of ``indices``."""
+        first = self._offsets[indices]
+        number = self._offsets[indices + 1] - first
+        sample = np.repeat(np.arange(len(indices)), number)
+        begins = np.cumsum(number) - number
+        chosen = np.arange(len(sample)) + np.repeat(first - begins, number)
+        place = np.unravel_index(self._cell[chosen], self.shape)
+        return TaxelCounts(sample, *place, self._value[chosen].astype(np.int64))
 
 
 class AlteredImages:
@@ -176,18 +204,22 @@ class AlteredImages:
     Parameters
     ----------
     recordings : Recordings
-        The training samples.
     image : pipeline.run.settings.schema.Image
     how : str
         A key of :data:`pipeline.recordings.altering.AUGMENTATIONS`.
+    samples : ndarray of int, optional
+        Indices of the training samples; default: all.
     """
 
-    def __init__(self, recordings: Recordings, image: Image, how: str):
-        counts = _counts(recordings, image)
-        self._counts = TaxelCounts.of(counts)
-        self._offsets = np.searchsorted(self._counts.sample, np.arange(len(counts) + 1))
-        self._size, self._image = counts.shape[2:4], image
-        self._durations_ms = EventTable.of(recordings).duration_ms
+    def __init__(self, recordings: Recordings, image: Image, how: str, samples=None):
+        table = EventTable.of(recordings)
+        samples = np.arange(len(table)) if samples is None else samples
+        shape = (image.slices, *table.size, 2)
+        counts = (part for _, part in _counts_of_parts(recordings, image, samples))
+        self._counts = StoredCounts(shape, counts)
+        self._size = table.size
+        self._image = image
+        self._durations_ms = table.duration_ms[samples]
         self._how = AUGMENTATIONS[how]
 
     def __call__(self, rng, indices) -> np.ndarray:
@@ -199,7 +231,7 @@ class AlteredImages:
     def _alter_some(self, rng, indices):
         how = self._how
         n = len(indices)
-        counts = self._counts.pick(self._offsets, indices)
+        counts = self._counts.pick(indices)
         kept_share = 1 - rng.uniform(0, how.drop, n)
         counts = counts._replace(value=rng.binomial(counts.value, kept_share[counts.sample]))
         if how.is_spatial:

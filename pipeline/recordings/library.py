@@ -1,11 +1,11 @@
 """Loading recordings by the name of their source: simulated or imported on first use, and cached.
 
-The cache has one file for each set of recordings, which is keyed by the source's content.
+The cache has some files for each set of recordings, which are keyed by the source's content.  The
+columns of its events are files of their own, which are memory-mapped: what is used of them is read.
 """
 
 import hashlib
 import json
-import os
 import re
 from dataclasses import astuple
 from pathlib import Path
@@ -17,6 +17,7 @@ from deploy.files import read_arrays, read_json, write_arrays, write_json
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings import source as sources
+from pipeline.recordings.cache import cache_folder, map_column, write_column
 from pipeline.recordings.events import (
     EVENT_DTYPES,
     GRID,
@@ -33,7 +34,7 @@ from pipeline.simulation import parameters
 from pipeline.simulation.simulate import simulate, source_of
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
-FORMAT = 7
+FORMAT = 8
 
 # Maximum number of bytes of a set of recordings, a hundred times that of the published one.
 LARGEST_CACHE = 1 << 34
@@ -176,8 +177,8 @@ def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     recordings = load(path)
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:
-            recordings = simulate(seed, counts, jobs, advance, **how)
-        store(path, recordings)
+            store(path, simulate(seed, counts, jobs, advance, **how))
+        recordings = load(path)
     return recordings
 
 
@@ -190,8 +191,8 @@ def _imported(source, skip_bad, jobs, warn, reading):
     path = _path("imported", source.name, _hash_of(listing), *how)
     recordings = load(path)
     if recordings is None:
-        recordings = sources.read_source(source, jobs, skip_bad, progress, reading)
-        store(path, recordings)
+        store(path, sources.read_source(source, jobs, skip_bad, progress, reading))
+        recordings = load(path)
     if warn is not None:
         for line in sources.reading_lines(source, recordings):
             warn(line)
@@ -210,30 +211,26 @@ def _hash_of(listing):
     return sha256
 
 
-# The cache.
-
-
-def cache_folder() -> Path:
-    """The folder of the cache: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
-    if os.environ.get("STMNIST_CACHE"):  # if empty, it is not set
-        return Path(os.environ["STMNIST_CACHE"])
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stmnist"
-
-
 def _path(*key):
     """The file for recordings that are determined by some plain values."""
     name = hashlib.sha256(json.dumps([FORMAT, *key]).encode()).hexdigest()[:24]
     return cache_folder() / f"recordings-{name}.npz"
 
 
+def _column_path(path, name):
+    """The file of a column of the events of recordings."""
+    return path.with_name(f"{path.stem}-{name}.npy")
+
+
 def store(path, recordings: Recordings):
-    """Save recordings."""
+    """Save recordings; the file at ``path`` is written last, since it marks them as complete."""
+    for name in EVENT_DTYPES:
+        write_column(_column_path(path, name), getattr(recordings.events, name))
     source, sensor, taxels = recordings.source, recordings.sensor, recordings.taxels
     positions = np.empty((0, 2)) if taxels.positions is None else taxels.positions
     write_arrays(
         path,
         compress=False,  # loads faster than compressed arrays
-        **{name: getattr(recordings.events, name) for name in EVENT_DTYPES},
         offsets=recordings.offsets,
         labels=recordings.labels,
         ids=np.array(recordings.ids, dtype=str),
@@ -265,13 +262,18 @@ def load(path) -> Recordings | None:
     if not path.exists():
         return None
     arrays = read_arrays(path, DELETE, LARGEST_CACHE)
+    of_events = [
+        map_column(_column_path(path, name), dtype, DELETE) for name, dtype in EVENT_DTYPES.items()
+    ]
     try:
+        if {len(column) for column in of_events} != {int(arrays["offsets"][-1])}:
+            raise ValueError("another number of events")
         name, sha256, time_unit = (str(text) for text in arrays["source"])
         bin_ms, rise = arrays["bins"].tolist()
         positions = arrays["positions"]
         rows, columns, polarities = arrays["size"]
         recordings = Recordings(
-            events=Events(*(arrays[column] for column in EVENT_DTYPES)),
+            events=Events(*of_events),
             offsets=arrays["offsets"],
             labels=arrays["labels"],
             ids=tuple(arrays["ids"].tolist()),

@@ -2,71 +2,94 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from deploy.network.stimulus import apply_refractory_period, limit_spikes
+from pipeline.recordings.cache import empty_array
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.events import Events, Recordings, TaxelMap
+
+# Recordings whose events are in memory at a time.
+RECORDINGS_AT_ONCE = 2000
 
 
 @dataclass(frozen=True)
 class EventTable:
     """Physical events of recordings, each recording's time counted from its first event.
 
+    Times and places are computed for the recordings that are picked: the columns of large sources
+    are memory-mapped, and a table of their own would not fit into memory.
+
     Attributes
     ----------
-    time_ms : ndarray of float32, shape (n_events,)
-    row, column : ndarray of uint8, shape (n_events,)
-        Position in the tactile image.
-    polarity : ndarray of uint8, shape (n_events,)
-        0 for ON, 1 for OFF.
+    events : Events
     offsets : ndarray of int64, shape (n_samples + 1,)
         Events of recording i are those from ``offsets[i]`` to ``offsets[i + 1]``.
+    taxels : TaxelMap
+        Places in the tactile image.
     size : (int, int)
         Rows and columns of the tactile image.
     """
 
-    time_ms: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-    polarity: np.ndarray
+    events: Events
     offsets: np.ndarray
+    taxels: TaxelMap
     size: tuple = (10, 10)
 
     @classmethod
     def of(cls, recordings: Recordings) -> EventTable:
         """The physical events of recordings, independently of their numbers of columns."""
-        events, offsets = recordings.events, recordings.offsets
-        # A recording without events may use any first event: it has no times to subtract it from.
-        nearest = np.minimum(offsets[:-1], max(len(events.time_ns) - 1, 0))
-        first = events.time_ns[nearest] if len(events.time_ns) else np.zeros(len(recordings))
-        return cls(
-            time_ms=((events.time_ns - first[recordings.sample_of_event]) / 1e6).astype("f4"),
-            row=recordings.taxels.row[events.taxel].astype(np.uint8),
-            column=recordings.taxels.column[events.taxel].astype(np.uint8),
-            polarity=(events.polarity < 0).astype(np.uint8),
-            offsets=offsets,
-            size=(recordings.sensor.rows, recordings.sensor.columns),
-        )
+        size = (recordings.sensor.rows, recordings.sensor.columns)
+        return cls(recordings.events, recordings.offsets, recordings.taxels, size)
 
     def __len__(self):
         return len(self.offsets) - 1
 
-    @property
+    @cached_property
     def duration_ms(self) -> np.ndarray:
         """Time from a recording's first event to its last, float32, shape (n_samples,)."""
-        last = np.maximum(self.offsets[1:] - 1, 0)
-        some = np.diff(self.offsets) > 0
-        return np.where(some, self.time_ms[last] if len(self.time_ms) else 0, 0).astype("f4")
+        if not len(self.events):
+            return np.zeros(len(self), np.float32)
+        last_ns = self.events.time_ns[np.maximum(self.offsets[1:] - 1, 0)]
+        has_events = np.diff(self.offsets) > 0
+        return np.where(has_events, (last_ns - self._first_ns) / 1e6, 0).astype("f4")
+
+    @cached_property
+    def _first_ns(self):
+        """Time of each recording's first event; any time for a recording without events."""
+        if not len(self.events):
+            return np.zeros(len(self), np.int64)
+        return self.events.time_ns[np.minimum(self.offsets[:-1], len(self.events) - 1)]
 
     @property
     def typical_duration_ms(self) -> float:
         """The time that nine recordings in ten do not exceed, in ms; at least 1."""
-        return max(float(np.quantile(self.duration_ms, 0.9)), 1.0) if len(self) else 1.0
+        return self.typical_duration_of(np.arange(len(self)))
 
-    def sliced_counts(self, slices: int, duration_ms: float, weights=None) -> np.ndarray:
+    def typical_duration_of(self, indices) -> float:
+        """The time that nine of ten of some recordings do not exceed, in ms; at least 1."""
+        durations_ms = self.duration_ms[indices]
+        return max(float(np.quantile(durations_ms, 0.9)), 1.0) if len(durations_ms) else 1.0
+
+    def parts(self, indices=None) -> Iterator[tuple]:
+        """Pick the events of all or some recordings, a few recordings at a time.
+
+        Yields
+        ------
+        slice, EventColumns
+            Which of the recordings, and their events; see :meth:`pick`.
+        """
+        indices = np.arange(len(self)) if indices is None else np.asarray(indices, int)
+        for start in range(0, len(indices), RECORDINGS_AT_ONCE):
+            span = slice(start, min(start + RECORDINGS_AT_ONCE, len(indices)))
+            yield span, self.pick(indices[span])
+
+    def sliced_counts(self, slices: int, duration_ms: float, indices=None) -> np.ndarray:
         """Count the events of each taxel and polarity in equal slices of time.
 
         Parameters
@@ -75,36 +98,71 @@ class EventTable:
         duration_ms : float
             Time from a recording's first event that is divided into slices.  Later events are
             counted in the last one.
-        weights : ndarray, shape (n_events,), optional
-            Number that each event counts for; default: 1.
+        indices : ndarray of int, optional
+            Recordings; default: all.
 
         Returns
         -------
         ndarray of float32, shape (n_samples, slices, rows, columns, 2)
             First ON, then OFF.
         """
-        sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
-        part = np.minimum((self.time_ms * np.float32(slices / duration_ms)).astype(int), slices - 1)
-        shape = (len(self), slices, *self.size, 2)
-        cell = np.ravel_multi_index((sample, part, self.row, self.column, self.polarity), shape)
-        counts = np.bincount(cell, weights, minlength=np.prod(shape))
+        indices = np.arange(len(self)) if indices is None else np.asarray(indices)
+        counts = empty_array((len(indices), slices, *self.size, 2), np.float32)
+        for span, events in self.parts(indices):
+            counts[span] = self.count(events, span.stop - span.start, slices, duration_ms)
+        return counts
+
+    def count(
+        self, events: EventColumns, samples: int, slices: int, duration_ms: float, weights=None
+    ) -> np.ndarray:
+        """Count events that were picked; see :meth:`sliced_counts`.
+
+        Parameters
+        ----------
+        events : EventColumns
+        samples : int
+        slices : int
+        duration_ms : float
+        weights : ndarray, shape (n_events,), optional
+            Number that each event counts for; default: 1.
+        """
+        part = (events.time_ms * np.float32(slices / duration_ms)).astype(int)
+        part = np.minimum(part, slices - 1)
+        shape = (samples, slices, *self.size, 2)
+        place = (events.sample, part, events.row, events.column, events.polarity)
+        cell = np.ravel_multi_index(place, shape)
+        counts = np.bincount(cell, weights, minlength=math.prod(shape))
         return counts.astype(np.float32).reshape(shape)
+
+    def find_events(self, indices) -> tuple:
+        """Find the events of some recordings, one recording after the other.
+
+        Returns
+        -------
+        sample, event : ndarray of int, shape (n_events,)
+            Position of the event's recording in ``indices``, and index of the event.
+        """
+        indices = np.asarray(indices, int)
+        first = self.offsets[indices]
+        counts = self.offsets[indices + 1] - first
+        sample = np.repeat(np.arange(len(indices)), counts)
+        begins = np.cumsum(counts) - counts
+        return sample, np.arange(counts.sum()) + np.repeat(first - begins, counts)
 
     def pick(self, indices) -> EventColumns:
         """Events of some recordings, one recording after the other.
 
         Samples are numbered by their position in ``indices``.
         """
-        first = self.offsets[indices]
-        counts = np.diff(self.offsets)[indices]
-        sample = np.repeat(np.arange(len(indices)), counts)
-        event = np.arange(counts.sum()) + np.repeat(first - (np.cumsum(counts) - counts), counts)
+        sample, event = self.find_events(indices)
+        time_ns = self.events.time_ns[event] - self._first_ns[indices][sample]
+        taxel = self.events.taxel[event]
         return EventColumns(
             sample=sample,
-            time_ms=self.time_ms[event],
-            row=self.row[event],
-            column=self.column[event],
-            polarity=self.polarity[event],
+            time_ms=(time_ns / 1e6).astype("f4"),
+            row=self.taxels.row[taxel].astype(np.uint8),
+            column=self.taxels.column[taxel].astype(np.uint8),
+            polarity=(self.events.polarity[event] < 0).astype(np.uint8),
         )
 
     def frames(
@@ -117,19 +175,22 @@ class EventTable:
 
     def lost(self, step_ms: float, refractory: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`spike_frames`."""
-        if not len(self.time_ms):
-            return 0.0
-        sample = np.repeat(np.arange(len(self)), np.diff(self.offsets))
-        place = (sample * self.size[0] + self.row) * self.size[1] + self.column
-        step = (self.time_ms / step_ms).astype(np.int64)
+        spikes = sum(self._count_spikes(events, step_ms, refractory) for _, events in self.parts())
+        return 1 - spikes / self.offsets[-1] if self.offsets[-1] else 0.0
+
+    def _count_spikes(self, events, step_ms, refractory):
+        if not len(events.time_ms):
+            return 0
+        place = (events.sample * self.size[0] + events.row) * self.size[1] + events.column
+        step = (events.time_ms / step_ms).astype(np.int64)
         # One time axis for all: each taxel and polarity follows the previous one after a gap.
-        time = np.sort((2 * place + self.polarity) * (step.max() + refractory + 1) + step)
+        time = np.sort((2 * place + events.polarity) * (step.max() + refractory + 1) + step)
         following = np.searchsorted(time, time + refractory + 1).tolist()
         spikes = event = 0
         while event < len(following):
             spikes = spikes + 1
             event = following[event]
-        return 1 - spikes / len(following)
+        return spikes
 
 
 def spike_frames(

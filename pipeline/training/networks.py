@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -26,6 +27,7 @@ from models.cnn import (
     with_noise,
 )
 from models.keras.keras2 import as_written, tf
+from pipeline.recordings.images import ALTERED_AT_ONCE
 from pipeline.run.settings import Settings
 
 # Quantile of a layer's activations that is scaled to 1 when a CNN's weights are reused.
@@ -37,6 +39,12 @@ SHIFTS = tuple(np.arange(0, 1.01, 0.02).tolist())
 
 # Maximum number of noise values, of 4 bytes each, drawn in advance.
 NOISE_AHEAD = 1 << 23
+
+# Maximum number of values of images that are computed in advance.
+IMAGES_AHEAD = 1 << 24
+
+# Maximum number of training samples on which the activations of the layers are measured.
+MAX_MEASURED_SAMPLES = 1 << 14
 
 # Number of steps whose synaptic operations ``snn.spike_penalty`` penalises. It is independent of
 # the presentation, so that the same weights can be used with any number of steps.
@@ -328,6 +336,11 @@ def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) ->
     return model
 
 
+def select_measured(images) -> np.ndarray:
+    """Images on which activations are measured: all, or some at equal distances of many."""
+    return images[:: -(-len(images) // MAX_MEASURED_SAMPLES) or 1]
+
+
 def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     """Scale a ReLU network's weights so that each layer's activations reach 1.
 
@@ -344,7 +357,7 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     """
     scaled = dict(weights)
     before = 1.0
-    for name, output in TrainedCNN(settings, weights).activations(images).items():
+    for name, output in TrainedCNN(settings, weights).activations(select_measured(images)).items():
         scale = _reach(output)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * (before / scale)
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
@@ -385,7 +398,7 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     snn = settings.snn
     fitted = dict(weights)
     before = 1.0
-    outputs = TrainedCNN(settings, weights).activations(images)
+    outputs = TrainedCNN(settings, weights).activations(select_measured(images))
     for index, (name, output) in enumerate(outputs.items()):
         scale = _reach(output)
         neurons = RateLIF(snn.max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)
@@ -509,17 +522,16 @@ def _draw_samples(model, data, recipe, seed, altered):
     in two thirds of TensorFlow's time, and concurrently with the training steps.
     """
     noisy, dropped = noisy_layers(model), dropped_layers(model)
-    images, labels = np.asarray(data[0], np.float32), np.asarray(data[1], np.int32)
+    images = data[0]
+    labels = np.asarray(data[1], np.int32)
     numbers = sum(int(np.prod(layer.input_shape[1:])) for layer in (*noisy, *dropped))
-    some = recipe.batch_size * max(NOISE_AHEAD // (recipe.batch_size * max(numbers, 1)), 1)
+    some = _samples_ahead(recipe.batch_size, numbers, int(np.prod(images.shape[1:])))
     # Separate random streams, so that no number depends on how many are drawn at once.
     noises = [np.random.default_rng([seed, 0, 1 + index]) for index in range(len(noisy))]
     masks = [np.random.default_rng([seed, 1, 1 + index]) for index in range(len(dropped))]
     for epoch in range(recipe.epochs):
         order = np.random.default_rng([seed, epoch]).permutation(len(labels))
-        shown = images[order]
-        if altered is not None:
-            shown = altered(np.random.default_rng([seed, epoch, 2]), order)
+        alterations = np.random.default_rng([seed, epoch, 2])
         for start in range(0, len(order), some):
             part = slice(start, start + some)
             drawn = []
@@ -531,7 +543,16 @@ def _draw_samples(model, data, recipe, seed, altered):
                 shape = (len(order[part]), *layer.input_shape[1:])
                 values = rng.random(shape, np.float32) >= layer.dropout
                 kept.append(tf.constant(values / np.float32(1 - layer.dropout)))
-            yield tf.constant(shown[part]), tf.constant(labels[order[part]]), drawn, kept
+            shown = images[order[part]] if altered is None else altered(alterations, order[part])
+            shown = tf.constant(np.asarray(shown, np.float32))
+            yield shown, tf.constant(labels[order[part]]), drawn, kept
+
+
+def _samples_ahead(batch_size, numbers, pixels):
+    """Samples that are drawn at once: whole batches, and whole groups of altered images."""
+    unit = math.lcm(batch_size, ALTERED_AT_ONCE)
+    groups = min(NOISE_AHEAD // (unit * max(numbers, 1)), IMAGES_AHEAD // (unit * max(pixels, 1)))
+    return unit * max(groups, 1)
 
 
 def _compute_ahead(values):

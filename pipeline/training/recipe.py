@@ -211,10 +211,11 @@ def find_bin_ms(table: EventTable) -> float | None:
         The largest time in milliseconds of which all times are multiples, if it is at least a
         millisecond and at most `MAX_BIN_MS`.
     """
-    if not len(table.time_ms):
-        return None
-    time_us = np.unique(np.rint(1000 * table.time_ms.astype(float)).astype(np.int64))
-    bin_ms = int(np.gcd.reduce(time_us)) / 1000
+    bin_us = 0
+    for _, events in table.parts():
+        time_us = np.rint(1000 * events.time_ms.astype(float)).astype(np.int64)
+        bin_us = math.gcd(bin_us, int(np.gcd.reduce(np.unique(time_us), initial=0)))
+    bin_ms = bin_us / 1000
     return bin_ms if 1 <= bin_ms <= MAX_BIN_MS else None
 
 

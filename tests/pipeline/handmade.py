@@ -6,7 +6,8 @@ import zipfile
 import numpy as np
 import scipy.io
 
-from pipeline.recordings.events import Events, Source, collect
+from pipeline.recordings.events import Events, Source, TaxelMap, collect
+from pipeline.recordings.steps import EventTable
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 
@@ -22,6 +23,17 @@ def recordings(*samples, labels=None, taxels=None, parts=()):
     each, n = [events(rows) for rows in samples], len(samples)
     ids, labels = [f"0/{i}" for i in range(n)], labels or [0] * n
     return collect(each, labels, ids, [-1] * n, SOURCE, taxels, parts=parts)
+
+
+def event_table(columns, offsets, size=(10, 10)):
+    """A table of events: times in ms, rows, columns, and 0 for ON or 1 for OFF."""
+    time_ms, row, column, polarity = columns
+    rows, side = size
+    taxels = TaxelMap(np.arange(rows * side) // side, np.arange(rows * side) % side)
+    time_ns = np.rint(1e6 * np.asarray(time_ms, float))
+    taxel = np.asarray(row, int) * side + column
+    signs = 1 - 2 * np.asarray(polarity, int)
+    return EventTable(Events(time_ns, taxel, signs, np.ones(len(taxel))), offsets, taxels, size)
 
 
 def spiketrain(n=6):

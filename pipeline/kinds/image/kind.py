@@ -337,8 +337,10 @@ def _train_further(name, function, inputs, artifact):
 
 def _measure_activity(settings, trained, inputs):
     """Shares of silent and saturated neurons of each layer on the training samples."""
+    from pipeline.training.networks import select_measured
+
     fastest = fastest_rate(settings.snn.tau_ref)
-    outputs = trained.activations(inputs)
+    outputs = trained.activations(select_measured(inputs))
     return {
         name: activity(output * settings.snn.max_rate(index), fastest)
         for index, (name, output) in enumerate(outputs.items())

@@ -10,9 +10,9 @@ from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.kinds.events.kind import spec_of_events
-from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Settings
 from pipeline.training.events import EventRecipe, answer_frames, network_of
+from tests.pipeline.handmade import event_table
 
 STEPS, GAP = 40, 60
 
@@ -36,7 +36,7 @@ def table_of(samples=6, events=150, seed=0):
     time -= time[:, :1]
     place = (rng.integers(0, n, samples * events).astype(np.uint8) for n in (10, 10, 2))
     offsets = np.arange(samples + 1) * events
-    return EventTable(time.ravel().astype(np.float32), *place, offsets)
+    return event_table((time.ravel().astype(np.float32), *place), offsets)
 
 
 @pytest.mark.parametrize("target", ["fast", "emulator"])

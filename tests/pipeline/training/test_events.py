@@ -9,7 +9,6 @@ from models.architecture import parse
 from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import AUGMENTATIONS, Alteration
-from pipeline.recordings.steps import EventTable
 from pipeline.training.events import (
     Checkpoint,
     EventRecipe,
@@ -21,6 +20,7 @@ from pipeline.training.events import (
 )
 from pipeline.training.recipe import TAIL_STEPS
 from tests.models import spiking_in_numpy
+from tests.pipeline.handmade import event_table
 
 RECIPE = EventRecipe(
     architecture="10x10x2-6c4s3-16-3o", epochs=6, batch_size=8, learning_rate=0.02, average=0.9,
@@ -42,7 +42,7 @@ def data():
     column[bar] = (labels[:, None] * 3 + rng.integers(1, 3, (72, n)))[bar]
     row, polarity = rng.integers(0, 10, (72, n)), rng.integers(0, 2, (72, n))
     columns = (values.ravel().astype(np.uint8) for values in (row, column, polarity))
-    table = EventTable(time.ravel().astype(np.float32), *columns, offsets)
+    table = event_table((time.ravel().astype(np.float32), *columns), offsets)
     return table, labels, np.arange(54)
 
 
@@ -148,7 +148,9 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
     table, labels, _ = data
     none = replace(trained, recipe=replace(RECIPE, alteration=AUGMENTATIONS["none"]))
     # Not altered but for where in its first step a sample begins.
-    whole = replace(table, time_ms=np.floor(table.time_ms / RECIPE.step_ms) * RECIPE.step_ms)
+    step_ns = int(1e6 * RECIPE.step_ms)
+    whole_ns = table.events.time_ns // step_ns * step_ns
+    whole = replace(table, events=replace(table.events, time_ns=whole_ns))
     plain = answers_to(trained.weights, whole, VALIDATION, 40)
     expected = choose_threshold(
         arriving(plain.outputs, RECIPE),

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.recordings.steps import EventTable
 from pipeline.training import recipe
+from tests.pipeline.handmade import event_table
 
 
 def table_of(counts_of, samples=120, taxels=6, classes=3, length=1000.0):
@@ -16,9 +16,7 @@ def table_of(counts_of, samples=120, taxels=6, classes=3, length=1000.0):
     offsets = np.cumsum([0, *(len(t) for t, _ in events)])
     time, taxel = (np.concatenate(column) for column in zip(*events, strict=True))
     nothing = np.zeros(len(time), np.uint8)
-    table = EventTable(
-        time.astype("f4"), nothing, taxel.astype(np.uint8), nothing, offsets, (1, taxels)
-    )
+    table = event_table((time.astype("f4"), nothing, taxel, nothing), offsets, (1, taxels))
     return table, labels
 
 
@@ -70,7 +68,7 @@ def test_a_period_that_loses_most_events_is_not_chosen():
 def test_the_bin_of_counted_events_is_found(times, expected):
     n = len(times)
     nothing = np.zeros(n, np.uint8)
-    table = EventTable(np.array(times, "f4"), nothing, nothing, nothing, np.array([0, n]))
+    table = event_table((times, nothing, nothing, nothing), np.array([0, n]))
     assert recipe.find_bin_ms(table) == expected
 
 
