@@ -23,7 +23,7 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
-from experiments import adapt, licences, speed, stream, studies, tables
+from experiments import adapt, growth, licences, speed, stream, studies, tables
 from pipeline.results.sweep import sweep_text
 from pipeline.run.settings import Settings, describe
 
@@ -106,6 +106,8 @@ def part(name: str) -> str:
         return markdown(speed.cells(content))
     if kind == "stream":
         return markdown(stream.cells(content))
+    if kind == "growth":
+        return markdown(growth.cells(content))
     experiment = next(one for one in studies.EXPERIMENTS if one.name == kind)
     splits = dict.fromkeys(row["split"] for row in content["rows"])
     parts = [markdown(studies.cells(experiment, content, split)) for split in splits]

@@ -173,7 +173,7 @@ def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     **how
         ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
     """
-    path = _path("simulated", source_of(seed, counts, **how).sha256)
+    path = path_of_simulated(source_of(seed, counts, **how).sha256)
     recordings = load(path)
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:
@@ -220,6 +220,11 @@ def _path(*key):
 def _column_path(path, name):
     """The file of a column of the events of recordings."""
     return path.with_name(f"{path.stem}-{name}.npy")
+
+
+def path_of_simulated(sha256: str) -> Path:
+    """The file for simulated recordings, by the hash of their source."""
+    return _path("simulated", sha256)
 
 
 def store(path, recordings: Recordings):
