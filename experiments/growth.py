@@ -1,6 +1,6 @@
 """Time and memory of a training, by the number of recordings.
 
-Each training is ``stmnist train`` with one epoch in a process of its own, whose peak of resident
+Each training is ``stmnist convert`` with one epoch of each network in a process of its own, whose peak of resident
 memory the operating system counts, including the pages of files that are mapped.  There are as many
 different recordings as the simulation has by default; larger sources repeat them under other ids,
 since simulating 100,000 takes hours and training does not depend on whether they differ.
@@ -23,15 +23,11 @@ from deploy.files import write_json
 from deploy.tables import align_rows
 from experiments.studies import RESULTS, Store, processor
 from pipeline.commands import options
-from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings import library
 from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings
 from pipeline.run.settings import Settings
 
 SIZES = (7_000, 30_000, 100_000)
-
-# Recordings of each digit that are simulated.
-DIFFERENT = min(SAMPLES_PER_DIGIT)
 
 # One epoch of each training.
 EPOCHS = {
@@ -78,7 +74,7 @@ def store_repeated(cache: Path, recordings: Recordings, samples_per_digit: int):
 def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:
     """Train a network for one epoch in a process of its own, and measure it."""
     changes = (f"data.samples_per_digit={samples_per_digit}", *EPOCHS[kind])
-    command = [sys.executable, "-m", "pipeline", "train", str(folder / "run"), "--input", kind]
+    command = [sys.executable, "-m", "pipeline", "convert", str(folder / "run"), "--input", kind]
     for change in changes:
         command += ["--set", change]
     begun = time.perf_counter()
@@ -98,7 +94,7 @@ def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:
 
 def measure(sizes, kinds, out: Path, say=print) -> list:
     """A row for each number of recordings and kind of network."""
-    few = library.load_recordings(samples_per_digit=DIFFERENT)
+    few = library.load_recordings()
     rows = []
     for size in sizes:
         samples_per_digit = size // 10

@@ -14,13 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
+from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
 from deploy.files import write_json
+from deploy.targets.registry import run_target
 from deploy.terminal import show
+from pipeline.live.network import SHIPPED
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.library import simulated
 from pipeline.results.report import figures
-from pipeline.results.report.figures import recordings
+from pipeline.results.report.figures import animation, recordings
 from pipeline.simulation import handwriting, parameters, simulate
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -30,6 +33,7 @@ SHOWN = {
     "recording.png": FIGURES,
     "sheet.png": FIGURES,
     "live.png": ("pipeline/live/page/*", "pipeline/look.css"),
+    "touch.gif": ("pipeline/results/report/figures/animation.py", "pipeline/look.css"),
 }
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
@@ -95,6 +99,14 @@ def _live(path):
             server.wait()
 
 
+def _touch(path):
+    """An animation of the first 8 of the included network's check that it recognises."""
+    bundle = read_bundle(SHIPPED)
+    found = run_target(bundle.spec, bundle.checks.inputs, "fast", bundle.seed)
+    is_shown = (bundle.checks.labels == 8) & (found.scores.argmax(1) == 8)
+    animation.animate(path, bundle, int(np.flatnonzero(is_shown)[0]))
+
+
 def main():
     """Make the pictures of the documents again (needs Chromium)."""
     if not any(map(shutil.which, BROWSERS)):
@@ -106,5 +118,6 @@ def main():
     figures.save(recordings.draw_recording(sample, index), docs / "recording.png")
     figures.save(recordings.sheet(sample), docs / "sheet.png")
     _live(docs / "live.png")
+    _touch(docs / "touch.gif")
     write_json(ROOT / "docs" / "pictures.json", stamps())
     show("\n".join(f"docs/{name}" for name in SHOWN))

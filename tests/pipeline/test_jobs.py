@@ -11,6 +11,7 @@ from joblib import delayed
 from deploy.errors import UserError
 from pipeline import interrupts, jobs
 from pipeline.jobs import Failure, run_jobs
+from pipeline.simulation.simulate import simulate
 
 
 def reciprocal(number):
@@ -160,6 +161,22 @@ def test_jobs_wait_for_a_worker(cluster):
     assert list(run_jobs(reciprocal, [2], 1, cluster.scheduler_address, say)) == [(2, 0.5)]
     assert len(said) == 1
     assert cluster.scheduler_address in said[0]
+
+
+def record_some(seed):
+    """Simulate ten recordings; the process, and the hashes of the recordings."""
+    return os.getpid(), simulate(seed, [1] * 10, jobs=1).hashes
+
+
+@pytest.mark.parametrize("cluster", [{"n_workers": 2, "processes": True}], indirect=True)
+def test_two_workers_make_the_recordings_that_one_process_makes(cluster):
+    seeds = [0, 1, 2, 3]
+    results = dict(run_jobs(record_some, seeds, scheduler=cluster.scheduler_address))
+    processes = {process for process, _ in results.values()}
+    assert len(processes) == 2
+    assert os.getpid() not in processes
+    assert results[1][1] == record_some(1)[1]
+    assert len({hashes for _, hashes in results.values()}) == len(seeds)
 
 
 def die(job):
