@@ -15,6 +15,7 @@ from ..files import read_json
 from ..loading import Limit, WrongValue, between, limited_field, load
 from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
+from ..network.provenance import read_classes
 from ..network.stimulus import last_steps
 from ..terminal import WARNING
 from .intervals import mcnemar, wilson_interval
@@ -81,6 +82,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "simulated": bundle.spec.provenance.get("simulated"),
         "steps_per_sample": presentation.steps,
         "n_samples": len(samples),
+        "classes_without_samples": _find_classes_without_samples(bundle.spec, labels),
         "accuracy": correct / len(samples),
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
         "anytime_accuracy": [float(share) for share in right.mean(0)],
@@ -93,6 +95,12 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "versions": {**versions(), **extra.pop("versions", {})},
         **extra,
     }
+
+
+def _find_classes_without_samples(spec, labels) -> list:
+    """Names of the classes of which there is no sample: no accuracy says anything about them."""
+    presented = set(labels.tolist())
+    return [name for label, name in enumerate(read_classes(spec)) if label not in presented]
 
 
 def _while_written(bundle, decisions, labels, samples) -> dict:
@@ -241,6 +249,7 @@ class _Result:
     versions: Dict[str, str]
     while_written: Optional[_WhileWritten] = None
     data: Optional[_Data] = None
+    classes_without_samples: Optional[List[str]] = None
     classes: Optional[List[str]] = None
     confusion: Optional[List[List[int]]] = None
     per_class: Optional[List[_Part]] = None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..tables import align_rows
-from ..terminal import printable
+from ..tables import align_rows, list_names
+from ..terminal import WARNING, printable
 from .results import Comparison
 
 
@@ -30,8 +30,16 @@ def summary(result: dict) -> str:
         f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the "
         f"{macs} multiply-accumulates of a CNN of this architecture\n"
         f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
-        "samples a second" + _hardware(result)
+        "samples a second" + _hardware(result) + _absent_text(result)
     )
+
+
+def _absent_text(result):
+    """A line that names the classes without samples; empty if there are none."""
+    absent = result.get("classes_without_samples")
+    if not absent:
+        return ""
+    return f"\n{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
 
 
 def others_text(result: dict) -> str:

@@ -147,7 +147,8 @@ def find_classes_without_test(recordings: Recordings, split: Split) -> list:
 def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     """Find a class with too few recordings for a training.
 
-    A class with one recording can be used for training or for testing, but not for both.
+    A class with one recording can be used for training or for testing, but not for both.  A
+    published split may lack a class in its test set: see :func:`find_classes_without_test`.
 
     Parameters
     ----------
@@ -164,14 +165,14 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
         if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
             return f"only one recording of {list_names(single)}; record more, or remove the folder"
         return None
-    remedy = "add some, or use --set split.kind=random"
-    for part, least in (("train", 2), ("test", 1)):
-        in_part = np.array([each == part for each in recordings.parts])
-        counts_in_part = np.bincount(labels[in_part], minlength=len(classes))
-        few = [classes[i] for i in np.flatnonzero((counts_in_part < least) & (counts > 0))]
-        if few:
-            number = "no recording" if least == 1 else "fewer than two recordings"
-            return f"{number} of {list_names(map(repr, few))} in its folder {part}; {remedy}"
+    in_train = np.array([part == "train" for part in recordings.parts])
+    counts_in_train = np.bincount(labels[in_train], minlength=len(classes))
+    few = [repr(classes[i]) for i in np.flatnonzero((counts_in_train < 2) & (counts > 0))]
+    if few:
+        return (
+            f"fewer than two recordings of {list_names(few)} in its folder train; add some, or use "
+            "--set split.kind=random"
+        )
     return None
 
 

@@ -15,7 +15,7 @@ from deploy.check.intervals import wilson_interval
 from deploy.check.results import compare_results
 from deploy.network.provenance import read_positions
 from deploy.network.responses import seconds_per_sample
-from deploy.tables import SIGNIFICANCE, p_text
+from deploy.tables import SIGNIFICANCE, list_names, p_text
 from deploy.targets.registry import TARGETS
 from pipeline import look
 from pipeline.kinds import COMPARED_WITH, REFERENCES
@@ -110,7 +110,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         made=(now or datetime.datetime.now(datetime.UTC)).strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
         **{name: provenance[name] for name in ("source", "source_sha256", "simulated")},
-        warnings=provenance.get("warnings", []),
+        warnings=_warnings(provenance, result),
         settings=_settings(inputs),
         seed=inputs.settings.seed,
         verdict=verdict(inputs.results, inputs.bundle),
@@ -128,6 +128,15 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         neurons_on_chip=sum(row["neurons"] or 0 for row in layers if row["name"] != "input"),
         energy=estimate and _energy(estimate),
     )
+
+
+def _warnings(provenance, result):
+    """What is wrong with the recordings, and the classes that the check has no samples of."""
+    lines = list(provenance.get("warnings", []))
+    if absent := result.get("classes_without_samples"):
+        names = list_names(absent)
+        lines.append(f"no samples of {names}; no accuracy on this page says anything about them")
+    return lines
 
 
 def _settings(inputs):

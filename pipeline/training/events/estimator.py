@@ -14,6 +14,9 @@ EPOCHS = 4
 BATCH_SIZE = 512
 LEARNING_RATE = 0.002
 
+# Columns of the inputs whose deviations are computed at a time.
+COLUMNS_AT_ONCE = 8
+
 
 def train_estimator(outputs, right, seed: int) -> Estimator:
     """Train a confidence estimator on the outputs of a network.
@@ -34,10 +37,8 @@ def train_estimator(outputs, right, seed: int) -> Estimator:
     -------
     Estimator
     """
-    inputs = np.concatenate([estimator_inputs(sample) for sample in outputs])
     right = np.concatenate(right).astype(np.float32)
-    middle, spread = inputs.mean(0), np.maximum(inputs.std(0), 1e-3)
-    inputs = ((inputs - middle) / spread).astype(np.float32)
+    inputs, middle, spread = _scaled_inputs(outputs)
     model, untouched = _estimator_model(inputs.shape[1])
     for variable, value in zip(model.optimizer.variables, untouched, strict=True):
         variable.assign(value)
@@ -52,6 +53,25 @@ def train_estimator(outputs, right, seed: int) -> Estimator:
     # Fold the scaling of the inputs into the first layer.
     first = kernels[0] / spread[:, None]
     return Estimator((first, *kernels[1:]), (biases[0] - middle @ first, *biases[1:]))
+
+
+def _scaled_inputs(outputs):
+    """Inputs of all steps with mean 0 and deviation 1, float32, their means and deviations.
+
+    They are hundreds of megabytes, of which no more copies are made than necessary.
+    """
+    ends = np.cumsum([len(sample) for sample in outputs])
+    width = estimator_inputs(outputs[0]).shape[1]
+    inputs = np.empty((ends[-1], width))
+    for sample, end in zip(outputs, ends, strict=True):
+        inputs[end - len(sample) : end] = estimator_inputs(sample)
+    middle = inputs.mean(0)
+    blocks = np.array_split(np.arange(width), max(width // COLUMNS_AT_ONCE, 1))
+    spread = np.concatenate([inputs[:, some[0] : some[-1] + 1].std(0) for some in blocks])
+    spread = np.maximum(spread, 1e-3)
+    inputs -= middle
+    inputs /= spread
+    return inputs.astype(np.float32), middle, spread
 
 
 @functools.lru_cache(maxsize=1)

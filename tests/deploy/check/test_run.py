@@ -8,6 +8,7 @@ import pytest
 
 from deploy import __version__
 from deploy.check.run import run_check
+from deploy.check.text import summary
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import ImageSpikes
@@ -56,6 +57,10 @@ def test_the_result_has_the_contracts_entries(bundle, whole):
     assert {"python", "numpy", "nengo", "nengo_loihi"} <= whole["versions"].keys()
     assert whole["versions"]["stmnist"] == __version__
     assert whole["simulated"] is True
+    labels = set(bundle.checks.labels.tolist())
+    assert whole["classes_without_samples"] == [str(k) for k in range(10) if k not in labels]
+    assert len(whole["classes_without_samples"]) >= 3
+    assert whole["classes_without_samples"][-1] in summary(whole).splitlines()[-1]
     assert whole["wall_seconds"] > 0
 
 
