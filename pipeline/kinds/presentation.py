@@ -10,7 +10,8 @@ begins.
 import math
 
 from deploy import limits
-from deploy.network.spec import Presentation
+from deploy.network.chip import LOIHI
+from deploy.network.spec import NetworkSpec, Presentation
 from pipeline.recordings.events import Recordings, Sensor
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Settings
@@ -32,6 +33,10 @@ FULL_TIME_CONSTANTS_MS = 500.0
 # Largest share of its threshold that a neuron may receive, in all steps of the next sample
 # together, from the current that is left of a sample.
 MAX_SHARE_LEFT = 0.1
+
+# The same for images, whose neurons receive many thresholds from each sample: with it the default
+# gap is that for the default time constant.
+MAX_SHARE_LEFT_OF_IMAGE = 0.71
 
 # Time constants of currents after the training, in multiples of the initial ones: 0.77 to 1.34
 # were seen.
@@ -158,14 +163,44 @@ def shorten(taus_ms: tuple, presented_ms: float) -> tuple:
     return tuple(float(f"{tau * share:.2g}") for tau in taus_ms)
 
 
-def silent_steps(tau_current: float) -> int:
+def image_gap_choice(settings: Settings) -> tuple:
+    """Choose the gap between images for the time constant of the currents.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Returns
+    -------
+    gap : int or None
+        None if the gap of the settings is the user's or suffices, or each sample begins at rest.
+    reason : str
+    """
+    shown = settings.presentation
+    tau = settings.deployment.synapse / LOIHI.dt
+    gap = silent_steps(tau, MAX_SHARE_LEFT_OF_IMAGE) if tau else 0
+    is_open = settings.is_open("presentation.gap")
+    if not is_open or shown.stream_length == 1 or gap <= shown.gap:
+        return None, ""
+    return gap, (
+        f"gap of {gap} silent steps before each sample, for currents with a time constant of "
+        f"{tau:g} steps (another: --set presentation.gap=...)"
+    )
+
+
+def current_taus(spec: NetworkSpec) -> dict:
+    """Time constants of the currents of a network's layers in steps, as for `short_gap_text`."""
+    layers = (layer for layer in spec.layers if layer.synapse)
+    return {f"{layer.name}.tau_u": layer.synapse / LOIHI.dt for layer in layers}
+
+
+def silent_steps(tau_current: float, share: float = MAX_SHARE_LEFT) -> int:
     """Number of silent steps after which little is left of a sample.
 
     In each step a neuron's current is added to its voltage and then multiplied by
     d = exp(-1 / tau).  After n steps without spikes a current of one threshold, with which a neuron
     fires in every step, has become d^n thresholds, and all later steps together add d^n / (1 - d)
-    thresholds to the voltage.  The result is the smallest n for which this is at most
-    `MAX_SHARE_LEFT`.
+    thresholds to the voltage.  The result is the smallest n for which this is at most ``share``.
 
     The voltage that is left is not counted: it is below one threshold and changes the number of a
     neuron's spikes in the next sample by one at most.
@@ -174,6 +209,8 @@ def silent_steps(tau_current: float) -> int:
     ----------
     tau_current : float
         Time constant of the current in steps.
+    share : float
+        In thresholds.
 
     Returns
     -------
@@ -181,7 +218,7 @@ def silent_steps(tau_current: float) -> int:
         At most :data:`deploy.limits.STEPS`.
     """
     added = -1 / math.expm1(-1 / tau_current)
-    steps = math.ceil(tau_current * math.log(added / MAX_SHARE_LEFT) - 1e-9)
+    steps = math.ceil(tau_current * math.log(added / share) - 1e-9)
     return min(max(steps, 0), limits.STEPS)
 
 
@@ -194,9 +231,11 @@ def short_gap_text(presentation: Presentation, taus: dict) -> str:
     taus : dict of str to float
         The trained time constants of currents, in steps, by names such as ``"conv1.tau_u"``.
     """
+    if presentation.stream_length == 1 or not taus:
+        return ""
     name = max(taus, key=taus.__getitem__)
     needed = silent_steps(taus[name])
-    if presentation.stream_length == 1 or needed <= presentation.gap:
+    if needed <= presentation.gap:
         return ""
     return (
         f"the currents of layer {name.removesuffix('.tau_u')} (time constant {taus[name]:.3g} "

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.kinds.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
+from pipeline.kinds.presentation import image_gap_choice
 from pipeline.recordings.events import Recordings, Sensor, are_digits
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Settings, names_in
@@ -111,6 +112,9 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list:
         and own_channels in (None, 2 * recipe.slices)
     )
     choices, channels = _choose_normalisation(settings), settings.image.channels
+    gap, reason = image_gap_choice(settings)
+    if gap is not None:
+        choices.append(Choice("presentation.gap", gap, reason))
     if is_sliced:
         slices = _choose_slices(settings, recipe, own_channels)
         of_image, channels = _choose_image(settings, slices, EventTable.of(recordings))

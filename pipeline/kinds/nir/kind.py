@@ -31,7 +31,7 @@ from pipeline.kinds import counts
 from pipeline.kinds.architectures import suggest_sensor_size
 from pipeline.kinds.events.kind import DECIDES, confidence_of, require_enough_samples
 from pipeline.kinds.kind import Imported, NetworkKind, Reference, imported_file, is_file
-from pipeline.kinds.presentation import presentation_choices
+from pipeline.kinds.presentation import current_taus, presentation_choices, short_gap_text
 from pipeline.kinds.steps import Step
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset, event_warnings, require_images_fit
@@ -319,7 +319,10 @@ class NirKind(NetworkKind):
         samples = dataset.inputs[chosen]
         stepped = Stepped.of(settings, network)
         provenance = {**provenance, "nir": record_convention(network, stepped)}
-        return spec_of_nir(network, stepped, settings.stimulus, shown, samples, provenance)
+        spec = spec_of_nir(network, stepped, settings.stimulus, shown, samples, provenance)
+        if warning := short_gap_text(shown, current_taus(spec)):
+            inputs.say(f"{WARNING}{warning}")
+        return spec
 
     def choices(self, recordings):
         settings, changes = self.settings, {}

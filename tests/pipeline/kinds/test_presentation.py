@@ -10,6 +10,7 @@ from pipeline.kinds.presentation import (
     MAX_STEPS,
     MIN_STEPS,
     choose_step_ms,
+    image_gap_choice,
     short_gap_text,
     silent_steps,
 )
@@ -85,3 +86,24 @@ def test_a_gap_that_the_trained_network_outlasts_is_told(gap, stream_length, is_
     shown = Presentation(steps=60, gap=gap, stream_length=stream_length)
     text = short_gap_text(shown, {"conv1.tau_u": 3.0, "dense1.tau_u": 300.0})
     assert ("presentation.gap=" in text and "dense1" in text) is is_short
+
+
+@pytest.mark.parametrize(
+    ("presentation", "synapse", "expected"),
+    [
+        ({}, 0.008, None),  # the defaults
+        ({}, 0.004, None),
+        ({}, 0.02, 68),
+        ({"gap": 10}, 0.02, None),  # the user's
+        ({"stream_length": 1}, 0.02, None),
+    ],
+)
+def test_the_gap_between_images_follows_their_currents(presentation, synapse, expected):
+    values = {"presentation": presentation, "deployment": {"synapse": synapse}}
+    gap, reason = image_gap_choice(Settings().with_values(values))
+    assert gap == expected
+    assert (str(expected) in reason) == (expected is not None)
+
+
+def test_a_network_without_filtered_currents_needs_no_gap():
+    assert short_gap_text(Presentation(100, gap=0, stream_length=20), {}) == ""
