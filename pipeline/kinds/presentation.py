@@ -190,8 +190,8 @@ def image_gap_choice(settings: Settings) -> tuple:
 
 def current_taus(spec: NetworkSpec) -> dict:
     """Time constants of the currents of a network's layers in steps, as for `short_gap_text`."""
-    layers = (layer for layer in spec.layers if layer.synapse)
-    return {f"{layer.name}.tau_u": layer.synapse / LOIHI.dt for layer in layers}
+    taus = {f"{layer.name}.tau_u": (layer.synapse or 0.0) / LOIHI.dt for layer in spec.layers}
+    return {name: tau for name, tau in taus.items() if tau}
 
 
 def silent_steps(tau_current: float, share: float = MAX_SHARE_LEFT) -> int:

@@ -189,8 +189,9 @@ class StoredCounts:
         sample = np.repeat(np.arange(len(indices)), number)
         begins = np.cumsum(number) - number
         chosen = np.arange(len(sample)) + np.repeat(first - begins, number)
-        place = np.unravel_index(self._cell[chosen], self.shape)
-        return TaxelCounts(sample, *place, self._value[chosen].astype(np.int64))
+        part, row, column, polarity = np.unravel_index(self._cell[chosen], self.shape)
+        value = self._value[chosen].astype(np.int64)
+        return TaxelCounts(sample, part, row, column, polarity, value)
 
 
 class AlteredImages:

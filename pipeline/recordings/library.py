@@ -178,7 +178,7 @@ def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:
             store(path, simulate(seed, counts, jobs, advance, **how))
-        recordings = load(path)
+        recordings = _load_stored(path)
     return recordings
 
 
@@ -192,7 +192,7 @@ def _imported(source, skip_bad, jobs, warn, reading):
     recordings = load(path)
     if recordings is None:
         store(path, sources.read_source(source, jobs, skip_bad, progress, reading))
-        recordings = load(path)
+        recordings = _load_stored(path)
     if warn is not None:
         for line in sources.reading_lines(source, recordings):
             warn(line)
@@ -254,6 +254,13 @@ def store(path, recordings: Recordings):
         duration_s=np.array(sensor.duration_s),
         classes=np.array(sensor.classes, dtype=str),
     )
+
+
+def _load_stored(path) -> Recordings:
+    """Recordings that were stored just now: from the files, so that they do not take memory."""
+    recordings = load(path)
+    assert recordings is not None
+    return recordings
 
 
 def load(path) -> Recordings | None:
