@@ -9,9 +9,8 @@ import nengo
 import numpy as np
 from nengo.builder import transforms
 
-from .blocks import block_shapes, reads_populations
-from .convolution import PaddedConvolution
-from .geometry import padded_kernel, unpool, windows
+from .blocks import block_shapes
+from .chip import LOIHI, Chip
 from .loihi_import import nengo_loihi
 from .spec import Layer, NetworkSpec, Neurons
 from .stimulus import EventFrames, Feed
@@ -117,7 +116,7 @@ class Built:
     spikes: dict
 
 
-def build(spec: NetworkSpec, seed: int = 0) -> Built:
+def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
     """Build the network in Nengo.
 
     The convolutions onto the chip come from ``Neurons``, with their biases in the ensembles, so
@@ -128,6 +127,8 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
     spec : NetworkSpec
     seed : int
         The network is not random, but NengoLoihi requires a seed.
+    chip : Chip
+        Its limits determine the blocks.
 
     Returns
     -------
@@ -135,7 +136,7 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
     """
     feed = Feed(spec.presentation, int(np.prod(spec.input_shape)))
     spikes = {}
-    blocks = block_shapes(spec.layers)
+    blocks = block_shapes(spec.layers, chip)
     with nengo.Network(label=spec.architecture, seed=seed) as network:
         nengo_loihi.add_params(network)
         pixels = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
@@ -154,7 +155,7 @@ def build(spec: NetworkSpec, seed: int = 0) -> Built:
                     blocks[layer.name], layer.shape
                 )
                 target = ensemble.neurons
-            transform, inputs = _transform(layer)
+            transform, inputs = layer.operation.transform(layer, chip)
             nengo.Connection(
                 source if inputs is None else source[inputs],
                 target,
@@ -214,101 +215,3 @@ def _neurons(n, neuron_type, gain, bias, label):
         eval_points=np.zeros((1, 1)),
         label=label,
     )
-
-
-def _transform(layer: Layer):
-    """The transform of the layer's weights with pooling folded in, and the inputs it reads.
-
-    Average pooling over P x P values without overlap, followed by a convolution with a kernel of
-    size K and a stride S, is one convolution with a kernel of size K P and a stride of S P.
-
-    Returns
-    -------
-    nengo.transforms.Transform
-    inputs : list of int or None
-        None for all of them.
-    """
-    if layer.kind == "dense" and reads_populations(layer):
-        return _population_transform(layer)
-    if layer.kind == "dense":
-        weights = layer.weights
-        before = int(np.prod(layer.input_shape))
-        if layer.pool > 1:
-            by_place = np.moveaxis(weights.reshape(len(weights), *layer.read_shape), 0, -1)
-            by_place = unpool(by_place, layer.input_shape, layer.pool) / layer.pool**2
-            weights = np.moveaxis(by_place, -1, 0).reshape(-1, before)
-        return nengo.Dense((len(weights), before), init=weights), None
-    kernel = layer.weights
-    input_shape = layer.input_shape
-    inputs = None
-    if layer.padding not in ("valid", "same"):
-        sizes = [
-            padded_kernel(n, layer.kernel, layer.stride, layer.padding)
-            for n in layer.read_shape[:2]
-        ]
-        edges = [(0, size - layer.kernel) for size in sizes]
-        kernel = np.pad(kernel, (*edges, (0, 0), (0, 0)))
-    if layer.pool > 1:
-        kernel, input_shape = _pooled_kernel(layer, kernel)
-        inputs = _inputs_within(layer, input_shape)
-    shapes = {
-        "n_filters": layer.shape[-1],
-        "input_shape": input_shape,
-        "kernel_size": kernel.shape[:2],
-        "strides": (layer.stride * layer.pool,) * 2,
-    }
-    if layer.padding in ("valid", "same"):
-        return nengo.Convolution(padding=layer.padding, init=kernel, **shapes), inputs
-    zeros = int(layer.padding) * layer.pool
-    return PaddedConvolution(zeros, init=kernel, **shapes), inputs
-
-
-def _inputs_within(layer, input_shape):
-    """Numbers of the inputs in the first rows and columns, or None for all of them.
-
-    Values outside of complete pooling windows are not read.
-    """
-    if input_shape == layer.input_shape:
-        return None
-    places = np.arange(np.prod(layer.input_shape)).reshape(layer.input_shape)
-    return places[: input_shape[0], : input_shape[1]].ravel().tolist()
-
-
-def _population_transform(layer):
-    """A dense layer as a convolution whose only window is the whole input; see `_transform`."""
-    kernel = np.moveaxis(layer.weights.reshape(layer.size, *layer.read_shape), 0, -1)
-    kernel = kernel.repeat(layer.pool, axis=0).repeat(layer.pool, axis=1) / layer.pool**2
-    input_shape = kernel.shape[:3]
-    transform = nengo.Convolution(
-        n_filters=layer.size,
-        input_shape=input_shape,
-        kernel_size=input_shape[:2],
-        init=kernel,
-    )
-    return transform, _inputs_within(layer, input_shape)
-
-
-def _pooled_kernel(layer, kernel):
-    """A kernel that includes average pooling, and the shape of its input.
-
-    With padding it may need zeros: Nengo puts half of the padding, rounded down, before the values,
-    whereas half of the padding of pooled values is a whole number of windows.
-    """
-    pool = layer.pool
-    stride = layer.stride * layer.pool
-    kernel = kernel.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2
-    if layer.padding == "valid":
-        return kernel, layer.input_shape
-    cut = tuple(n * pool for n in layer.read_shape[:2])
-    if layer.padding != "same":
-        return kernel, (*cut, layer.input_shape[2])
-    wanted = [
-        pool * windows(n, layer.kernel, layer.stride, "same")[1] for n in layer.read_shape[:2]
-    ]
-    for zeros in (0, pool):
-        size = len(kernel) + zeros
-        front = [windows(n, size, stride, "same")[1] - pad for n, pad in zip(cut, wanted)]
-        if all(0 <= n <= zeros for n in front):
-            break
-    pads = [(n, zeros - n) for n in front]
-    return np.pad(kernel, (*pads, (0, 0), (0, 0))), (*cut, layer.input_shape[2])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Dict
 
 
@@ -38,7 +38,7 @@ class Chip:
     name: str
     dt: float
     cores: int
-    limits: Dict[str, int]
+    limits: Dict[str, int] = field(hash=False)
     weight_bits: int
     bias_bits: int
     decay_bits: int
@@ -65,6 +65,21 @@ class Chip:
     def decay_levels(self) -> int:
         """Largest decay."""
         return self.decay_unit - 1
+
+    @property
+    def input_limit(self) -> int:
+        """Magnitude at which one step's synaptic input wraps around."""
+        return 2**self.input_bits
+
+    @property
+    def current_limit(self) -> int:
+        """Magnitude at which the current wraps around."""
+        return 2**self.current_bits
+
+    @property
+    def voltage_limit(self) -> int:
+        """Voltage at which it is clipped; it should be well above the threshold."""
+        return 2**self.voltage_bits - 1
 
     @property
     def refractory_steps(self) -> int:

@@ -87,3 +87,19 @@ def unpool(values, input_shape, size: int) -> np.ndarray:
     result = np.zeros((*input_shape[:2], *values.shape[2:]), values.dtype)
     result[: spread.shape[0], : spread.shape[1]] = spread
     return result
+
+
+def inputs_within(input_shape, read_shape):
+    """Numbers of the inputs in the first rows and columns, or None for all of them.
+
+    Values outside of complete pooling windows are not read.
+
+    Parameters
+    ----------
+    input_shape, read_shape : tuple of int
+        (rows, columns, channels) of the input, and of its part that is read.
+    """
+    if read_shape == input_shape:
+        return None
+    places = np.arange(np.prod(input_shape)).reshape(input_shape)
+    return places[: read_shape[0], : read_shape[1]].ravel().tolist()

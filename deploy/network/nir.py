@@ -30,7 +30,6 @@ from .. import __version__
 from ..errors import UserError
 from ..files import replacing
 from .build import build
-from .geometry import windows
 from .responses import show
 from .spec import DT, Layer, NetworkSpec
 
@@ -62,24 +61,7 @@ def nir_graph(spec: NetworkSpec):
         if layer.pool > 1:
             size = np.array([layer.pool, layer.pool])
             nodes[f"{layer.name}_pool"] = nir.AvgPool2d(size, size, np.array([0, 0]))
-        if layer.kind == "conv":
-            weights, padding = _padded_evenly(layer)
-            nodes[f"{layer.name}_weights"] = nir.Conv2d(
-                input_shape=layer.read_shape[:2],
-                weight=weights.transpose(3, 2, 0, 1) * area,  # filter, channel, row, column
-                stride=layer.stride,
-                padding=padding,
-                dilation=1,
-                groups=1,
-                bias=layer.bias.copy(),
-            )
-        else:
-            nodes[f"{layer.name}_flatten"] = nir.Flatten(
-                {"input": _channels_first(layer.read_shape)}, start_dim=0
-            )
-            nodes[f"{layer.name}_weights"] = nir.Affine(
-                weight=_columns_channels_first(layer) * area, bias=layer.bias.copy()
-            )
+        nodes.update(layer.operation.nir_nodes(layer, nir, area))
         for name, node in _neurons(nir, layer):
             nodes[name] = node
         if layer.neurons is None:
@@ -148,26 +130,8 @@ def _nir():
     return nir
 
 
-def _padded_evenly(layer):
-    """Kernel and padding of a convolution for readers that pad equally before and after.
-
-    If one more zero is needed after the values than before, the kernel gets a zero in front.
-    """
-    if layer.padding != "same":
-        return layer.weights, 0 if layer.padding == "valid" else int(layer.padding)
-    pads = [windows(n, layer.kernel, layer.stride, "same")[1:] for n in layer.read_shape[:2]]
-    front = [(after - before, 0) for before, after in pads]
-    return np.pad(layer.weights, (*front, (0, 0), (0, 0))), tuple(after for _, after in pads)
-
-
 def _channels_first(shape):
     return np.array([shape[-1], *shape[:-1]])
-
-
-def _columns_channels_first(layer):
-    """A dense layer's weights for an input flattened as (channels, rows, columns)."""
-    by_position = layer.weights.reshape(layer.shape[0], *layer.read_shape)
-    return np.moveaxis(by_position, -1, 1).reshape(layer.weights.shape)
 
 
 def _neurons(nir, layer):

@@ -21,7 +21,8 @@ from ..errors import UserError
 from ..loading import Limit, WrongValue, between, check, limited_field, load, one_of
 from .chip import LOIHI
 from .decision import Estimator
-from .geometry import convolution_fan_out, convolution_shape, pooled_shape, unpool
+from .geometry import pooled_shape, unpool
+from .ops import OPERATIONS, Operation
 from .stimulus import KINDS, Stimulus
 
 TAU = between(1e-6, limits.SECONDS, " seconds")
@@ -30,6 +31,7 @@ SHAPE = Limit(
     lambda shape: all(side >= 1 for side in shape) and math.prod(shape) <= limits.NEURONS,
     f"sides of at least 1, with a product of at most {limits.NEURONS}",
 )
+KIND = Limit(lambda kind: kind in OPERATIONS, f"one of {', '.join(OPERATIONS)}")
 PADDING = Limit(
     lambda value: value in ("valid", "same") or (value.isdecimal() and 1 <= int(value) <= 1000),
     "'valid', 'same' or a number from 1 to 1000",
@@ -79,7 +81,7 @@ class Layer:
     name : str
         ``"conv1"``, ``"conv2"``, ..., ``"dense1"``, ..., ``"output"``.
     kind : str
-        ``"conv"`` or ``"dense"``.
+        Of the operation, such as ``"conv"`` or ``"dense"``; see :mod:`deploy.network.ops`.
     input_shape, shape : tuple of int
         (rows, columns, channels) before and after; a dense layer's shape is (units,).
     placement : str
@@ -115,7 +117,7 @@ class Layer:
     """
 
     name: str
-    kind: str = limited_field(one_of("conv", "dense"))
+    kind: str = limited_field(KIND)
     input_shape: Tuple[int, ...] = limited_field(SHAPE)
     shape: Tuple[int, ...] = limited_field(SHAPE)
     placement: str = limited_field(one_of("chip", "host"))
@@ -153,31 +155,30 @@ class Layer:
         if self.block_shape is not None:
             _require(len(self.block_shape) == len(self.shape), where,
                      f"block_shape {self.block_shape} and shape differ in length")  # fmt: skip
-        in_host = self.kind == "dense" and self.neurons is None
-        _require(in_host or self.parts == 1, where, "only a readout on the host has parts")
-        image = self.kind == "conv" or self.pool > 1
-        _require(len(self.input_shape) in ((3,) if image else (1, 3)), where,
+        operation = self.operation
+        reads_out = operation.can_read_out and self.neurons is None
+        _require(reads_out or self.parts == 1, where, "only a readout on the host has parts")
+        is_image = operation.is_spatial or self.pool > 1
+        _require(len(self.input_shape) in ((3,) if is_image else (1, 3)), where,
                  f"input_shape {self.input_shape} has a wrong number of dimensions")  # fmt: skip
-        read = self.read_shape
-        _require(min(read) >= 1, where, "its averaging is larger than its input")
-        if self.kind == "conv":
-            weights = (self.kernel, self.kernel, read[2], self.shape[-1])
-            expected = convolution_shape(
-                read, self.kernel, self.shape[-1], self.stride, self.padding
-            )
-            _require(min(expected) >= 1, where, "its kernel is larger than its input")
-            _require(self.shape == expected, where, f"shape should be {expected}")
-        else:
-            weights = (self.parts * self.shape[0], int(np.prod(read)))
+        _require(min(self.read_shape) >= 1, where, "its averaging is larger than its input")
+        shape, weights = operation.shapes(self)
+        _require(min(shape) >= 1, where, "its kernel is larger than its input")
+        _require(self.shape == shape, where, f"shape should be {shape}")
         _require(self.weights.shape == weights, where,
                  f"weights have shape {self.weights.shape}, not {weights}")  # fmt: skip
         _require(self.bias.shape == self.shape[-1:], where,
                  f"bias has shape {self.bias.shape}, not {self.shape[-1:]}")  # fmt: skip
         if self.recurrent is not None:
-            _require(self.kind == "dense" and self.neurons is not None, where,
+            _require(operation.can_recur and self.neurons is not None, where,
                      "only a dense layer of neurons can be recurrent")  # fmt: skip
             _require(self.recurrent.shape == self.shape * 2, where,
                      f"its recurrent weights have shape {self.recurrent.shape}")  # fmt: skip
+
+    @property
+    def operation(self) -> Operation:
+        """The operation of the weights."""
+        return OPERATIONS[self.kind]
 
     @property
     def arrays(self) -> Tuple[str, ...]:
@@ -219,11 +220,7 @@ class Layer:
     @property
     def read_fan_out(self) -> np.ndarray:
         """Number of synapses of each value that the weights read, of shape `read_shape`."""
-        if self.kind == "dense":
-            return np.full(self.read_shape, self.size)
-        return convolution_fan_out(
-            self.read_shape, self.kernel, self.shape[-1], self.stride, self.padding
-        )
+        return self.operation.fan_out(self)
 
     @property
     def fan_out(self) -> np.ndarray:
@@ -403,7 +400,7 @@ class NetworkSpec:
             where = f"layer {layer.name!r}"
             _require(layer.input_shape == shape, where, f"input_shape should be {shape}")
             last = position == len(self.layers) - 1
-            _require(not last or layer.kind == "dense", where, "the last layer is dense")
+            _require(not last or layer.operation.can_read_out, where, "the last layer is dense")
             _require(last or layer.placement == "chip", where,
                      "only the last layer can be on the host")  # fmt: skip
             _require(last or layer.parts == 1, where, "only the last layer has parts")

@@ -13,23 +13,13 @@ from typing import Dict, List, Tuple
 
 from ..errors import UserError
 from ..network.build import build
-from ..network.chip import LOIHI
+from ..network.chip import LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
 from ..network.spec import DT, NetworkSpec
 from ..tables import in_blocks
-from .resources import (
-    CURRENT_LIMIT,
-    INPUT_LIMIT,
-    LIMITS,
-    VOLTAGE_LIMIT,
-    axon_cfg_registers,
-    used_by,
-    worst_case,
-)
+from .resources import axon_cfg_registers, used_by, worst_case
 
-CORES_PER_CHIP = LOIHI.cores
-
-# Column titles of `LIMITS` in a table.
+# Column titles of a chip's limits in a table.
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
 
 # The remedy for each exceeded limit. Layers are divided into blocks automatically. Therefore only a
@@ -55,7 +45,7 @@ class CorePlan:
     chip, core : int
         Position in the placement.
     used : dict of str to int
-        Number used of each of `LIMITS`.
+        Number used of each of the chip's limited resources.
     unshared_axon_cfgs : int
         AxonCfg registers if the members of a population could not share them.
     pop_types : tuple of int
@@ -64,8 +54,8 @@ class CorePlan:
         Membrane threshold, in the chip's integers.
     worst_input, worst_current : int
         Magnitude of one step's synaptic input and of the current in the worst case: every source
-        fires at its maximum rate, and all weights have the same sign; limits `INPUT_LIMIT` and
-        `CURRENT_LIMIT`.
+        fires at its maximum rate, and all weights have the same sign; see `Chip.input_limit` and
+        `Chip.current_limit`.
     """
 
     layer: str
@@ -78,10 +68,6 @@ class CorePlan:
     threshold: int
     worst_input: int
     worst_current: int
-
-    def share(self, resource: str) -> float:
-        """Share of a limit that is used."""
-        return self.used[resource] / LIMITS[resource]
 
 
 @dataclass(frozen=True)
@@ -97,12 +83,14 @@ class Plan:
         Reasons why it cannot run; empty if it fits.
     warnings : list of str
         Possible problems on a board.
+    chip : Chip
     """
 
     cores: List[CorePlan]
     chips: int
     problems: List[str]
     warnings: List[str]
+    chip: Chip = LOIHI
 
     def to_json(self) -> dict:
         """The plan as plain values."""
@@ -110,17 +98,17 @@ class Plan:
             "schema": "stmnist-plan/1",
             "fits": not self.problems,
             "chips": self.chips,
-            "limits": dict(LIMITS),
-            "input_limit": INPUT_LIMIT,
-            "current_limit": CURRENT_LIMIT,
-            "voltage_limit": VOLTAGE_LIMIT,
+            "limits": dict(self.chip.limits),
+            "input_limit": self.chip.input_limit,
+            "current_limit": self.chip.current_limit,
+            "voltage_limit": self.chip.voltage_limit,
             "cores": [asdict(core) for core in self.cores],
             "problems": self.problems,
             "warnings": self.warnings,
         }
 
 
-def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
+def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     """Plan the placement of a network on the chips.
 
     Parameters
@@ -128,28 +116,30 @@ def make_plan(spec: NetworkSpec, chips: int = 1) -> Plan:
     spec : NetworkSpec
     chips : int
         Maximum number of chips.
+    chip : Chip
 
     Raises
     ------
     UserError
         NengoLoihi cannot make blocks of the network.
     """
-    model, blocks = _blocks(spec)
+    model, blocks = _blocks(spec, chip)
     placed = [(layer, i, block) for layer, made in blocks.items() for i, block in enumerate(made)]
-    needed = -(-len(placed) // CORES_PER_CHIP)
-    places = _placement(model, needed)
+    needed = -(-len(placed) // chip.cores)
+    places = _placement(model, needed, chip)
     intervals = _shortest_intervals(spec, model)
     cores = [
-        _core_plan(layer, part, places[block], block, intervals) for layer, part, block in placed
+        _core_plan(layer, part, places[block], block, worst_case(block, intervals, chip), chip)
+        for layer, part, block in placed
     ]
-    problems = [*_problems(cores), *_refractory_problems(blocks)]
+    problems = [*_problems(cores, chip), *_refractory_problems(blocks, chip)]
     if needed > chips:
         problems.append(
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
             f"{chips} allowed; allow more with --chips, or use larger blocks"
         )
-    warnings = [*_lost_weights(spec, cores), *_warn_of_layers(cores)]
-    return Plan(cores, needed, problems, warnings)
+    warnings = [*_lost_weights(spec, cores), *_warn_of_layers(cores, chip)]
+    return Plan(cores, needed, problems, warnings, chip)
 
 
 def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
@@ -167,9 +157,9 @@ def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
     return plan
 
 
-def _blocks(spec):
+def _blocks(spec, chip):
     """NengoLoihi's discretised blocks: ``(model, {layer: list of blocks})``."""
-    built = build(spec)
+    built = build(spec, chip=chip)
     model = nengo_loihi.builder.Model(dt=DT)
     model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE  # checked here
     try:
@@ -184,34 +174,33 @@ def _blocks(spec):
     return model, blocks
 
 
-def _placement(model, chips):
+def _placement(model, chips, chip):
     """``(chip, core)`` of each block, by the allocator that NengoLoihi uses for a board."""
-    if any(block.compartment.n_compartments > LIMITS["compartments"] for block in model.blocks):
-        # The allocator refuses such blocks; the plan lists them in order, with the problem.
-        return {block: divmod(i, CORES_PER_CHIP) for i, block in enumerate(model.blocks)}
+    largest = max((block.compartment.n_compartments for block in model.blocks), default=0)
+    if chip is not LOIHI or largest > chip.limits["compartments"]:
+        # The allocator is for Loihi 1, and refuses larger blocks; the plan has them in order.
+        return {block: divmod(i, chip.cores) for i, block in enumerate(model.blocks)}
     board = nengo_loihi.hardware.allocators.GreedyInterchip()(model, n_chips=chips)
     return {
-        block: (board.chip_index(chip), chip.core_index(core))
-        for chip in board.chips
-        for core in chip.cores
+        block: (board.chip_index(one), one.core_index(core))
+        for one in board.chips
+        for core in one.cores
         for block in core.blocks
     }
 
 
-def _core_plan(layer, part, place, block, intervals):
-    chip, core = place
-    worst_input, worst_current = worst_case(block, intervals)
+def _core_plan(layer, part, place, block, worst, chip):
     return CorePlan(
         layer=layer,
         part=part,
-        chip=chip,
-        core=core,
-        used=used_by(block),
+        chip=place[0],
+        core=place[1],
+        used=used_by(block, chip),
         unshared_axon_cfgs=axon_cfg_registers(block)[1],
         pop_types=tuple(sorted({synapse.pop_type for synapse in block.synapses})),
         threshold=int(block.compartment.vth.max()),
-        worst_input=worst_input,
-        worst_current=worst_current,
+        worst_input=worst[0],
+        worst_current=worst[1],
     )
 
 
@@ -228,10 +217,10 @@ def _shortest_intervals(spec, model):
     return intervals
 
 
-def _problems(cores):
+def _problems(cores, chip):
     for layer in dict.fromkeys(core.layer for core in cores):
         own = [core for core in cores if core.layer == layer]
-        for resource, limit in LIMITS.items():
+        for resource, limit in chip.limits.items():
             used = [core.used[resource] for core in own]
             if max(used) > limit:
                 over = sum(n > limit for n in used)
@@ -242,9 +231,9 @@ def _problems(cores):
                 )
 
 
-def _refractory_problems(blocks):
+def _refractory_problems(blocks, chip):
     """Layers with a longer refractory period than the chip can count."""
-    most = LOIHI.refractory_steps
+    most = chip.refractory_steps
     for layer, parts in blocks.items():
         steps = max(int(block.compartment.refract_delay.max()) for block in parts) - 1
         if steps > most:
@@ -266,9 +255,9 @@ def _lost_weights(spec, cores):
             )
 
 
-def _warn_of_layers(cores):
+def _warn_of_layers(cores, chip):
     """One line a layer and kind of warning, with the worst core's number."""
-    limit = LIMITS["AxonCfg registers"]
+    limit = chip.limits["AxonCfg registers"]
     for layer in dict.fromkeys(core.layer for core in cores):
         own = [core for core in cores if core.layer == layer]
         unshared = max(
@@ -282,8 +271,8 @@ def _warn_of_layers(cores):
                 f"(NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
             )
         for what, worst, most in (
-            ("one step's input", max(core.worst_input for core in own), INPUT_LIMIT),
-            ("the current", max(core.worst_current for core in own), CURRENT_LIMIT),
+            ("one step's input", max(core.worst_input for core in own), chip.input_limit),
+            ("the current", max(core.worst_current for core in own), chip.current_limit),
         ):
             if worst >= most:
                 yield f"layer {layer}: {what} can wrap around ({worst / most:.1f} x)"
@@ -309,15 +298,15 @@ def plan_text(plan: Plan) -> str:
         cores = [core for core in plan.cores if core.layer == layer]
         kinds = sorted({kind for core in cores for kind in core.pop_types})
         cells = [layer, str(len(cores)), "+".join(map(str, kinds))]
-        for name in LIMITS:
-            fullest = max(cores, key=lambda core: core.used[name])
-            cells.append(f"{fullest.used[name]} {fullest.share(name):.0%}")
+        for name, limit in plan.chip.limits.items():
+            most = max(core.used[name] for core in cores)
+            cells.append(f"{most} {most / limit:.0%}")
         worst_input = max(core.worst_input for core in cores)
         worst_current = max(core.worst_current for core in cores)
         threshold = max(core.threshold for core in cores)
-        cells.append(f"{worst_input / INPUT_LIMIT:.0%}")
-        cells.append(f"{worst_current / CURRENT_LIMIT:.0%}")
-        cells.append(f"{threshold / VOLTAGE_LIMIT:.0%}")
+        cells.append(f"{worst_input / plan.chip.input_limit:.0%}")
+        cells.append(f"{worst_current / plan.chip.current_limit:.0%}")
+        cells.append(f"{threshold / plan.chip.voltage_limit:.0%}")
         rows.append(cells)
     lines = in_blocks(rows, left=3)
     lines.append(f"cores: {len(plan.cores)}, chips: {plan.chips}")

@@ -9,31 +9,21 @@ from typing import Dict
 
 import numpy as np
 
-from ..network.blocks import list_words
-from ..network.chip import LOIHI
-
-# Limits of one core.
-LIMITS = LOIHI.limits
-
-CURRENT_LIMIT = 2**LOIHI.current_bits
-# Limits above which the current and one step's synaptic input wrap around.
-INPUT_LIMIT = 2**LOIHI.input_bits
-
-# Limit at which the membrane voltage is clipped; it should be well above the threshold.
-VOLTAGE_LIMIT = 2**LOIHI.voltage_bits - 1
+from ..network.chip import Chip
+from ..network.ops.base import list_words
 
 # By the type of axon: discrete, or a population's of 32 bits.
 AXON_CFGS_PER_AXON = {0: 1, 32: 2}
 
 
-def used_by(block) -> Dict[str, int]:
-    """Number of each of `LIMITS` that a block needs."""
+def used_by(block, chip: Chip) -> Dict[str, int]:
+    """Number of each of the chip's limited resources that a block needs."""
     return {
         "compartments": int(block.compartment.n_compartments),
         "input axons": int(sum(synapse.n_axons for synapse in block.synapses)),
         "output axons": int(sum(axon.axon_slots() for axon in block.axons)),
         "AxonCfg registers": axon_cfg_registers(block)[0],
-        "synapse words": int(sum(synapse_words(synapse) for synapse in block.synapses)),
+        "synapse words": int(sum(synapse_words(synapse, chip) for synapse in block.synapses)),
     }
 
 
@@ -81,7 +71,7 @@ def _has_targets(synapse):
     return has_targets
 
 
-def synapse_words(synapse):
+def synapse_words(synapse, chip: Chip) -> int:
     """Number of words of synapse memory, where each list of synapses starts with a new word.
 
     A list is what one spike reads: the weights of an axon, for one atom in a population.
@@ -96,11 +86,11 @@ def synapse_words(synapse):
         atoms, length = weights.shape
         for first in range(0, length, per_block):
             n = min(per_block, length - first)
-            words += atoms * list_words(n, bits)
+            words += atoms * list_words(n, bits, chip)
     return words
 
 
-def worst_case(block, intervals):
+def worst_case(block, intervals, chip: Chip):
     """Largest possible magnitude of one step's synaptic input and of the current.
 
     Every source fires at its maximum rate, and only weights of one sign count.
@@ -110,15 +100,16 @@ def worst_case(block, intervals):
     block : nengo_loihi.block.LoihiBlock
     intervals : dict
         Minimum interval in steps between two spikes of a synapse object's sources, by its ``id``.
+    chip : Chip
 
     Returns
     -------
     input, current : int
-        In the chip's integers; the limits are `INPUT_LIMIT` and `CURRENT_LIMIT`.
+        In the chip's integers; the limits are `Chip.input_limit` and `Chip.current_limit`.
     """
     n = block.compartment.n_compartments
     # The chip subtracts one unit more from a current than its decay.
-    keep = (LOIHI.decay_levels - block.compartment.decay_u.astype(float)) / LOIHI.decay_unit
+    keep = (chip.decay_levels - block.compartment.decay_u.astype(float)) / chip.decay_unit
     inputs, currents = np.zeros((2, n)), np.zeros((2, n))
     for synapse in block.synapses:
         sums = np.zeros((2, n))

@@ -14,7 +14,6 @@ import numpy as np
 from deploy.check.energy import EnergyEstimate, estimate_text
 from deploy.check.text import others_text, summary
 from deploy.preflight.plan import Plan, plan_text
-from deploy.preflight.resources import LIMITS
 from pipeline.results.compare import runs_text
 from pipeline.results.ladder import ladder_text
 
@@ -301,10 +300,10 @@ class ChipPlan(Result):
 
     def table(self) -> list:
         """See :meth:`Result.table`."""
-        names = list(LIMITS)
-        rows: list[list] = [["layer", "chip", "core", *names]]
+        limits = self._plan.chip.limits
+        rows: list[list] = [["layer", "chip", "core", *limits]]
         for core in self._plan.cores:
-            used = [f"{core.used[name]} of {LIMITS[name]}" for name in names]
+            used = [f"{core.used[name]} of {limit}" for name, limit in limits.items()]
             rows.append([core.layer, core.chip, core.core, *used])
         return rows
 

@@ -249,11 +249,16 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
 
     rows = [row("input", "input", spec.input_shape, None, int(np.prod(spec.input_shape)))]
     for layer in spec.layers:
-        kind = "dense" if len(layer.starts) == 1 else f"dense in {len(layer.starts)} parts"
-        if layer.kind == "conv":
-            kind = f"{layer.kernel}x{layer.kernel} convolution, stride {layer.stride}"
         neurons = layer.size if layer.neurons is not None else None
-        rows.append(row(layer.name, kind, layer.shape, int(layer.weights.size), neurons))
+        rows.append(
+            row(
+                layer.name,
+                layer.operation.describe(layer),
+                layer.shape,
+                int(layer.weights.size),
+                neurons,
+            )
+        )
     return rows
 
 

@@ -7,10 +7,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.network.blocks import block_shapes, default_block, parts_of, scaled_by_block
-from deploy.network.build import _transform, build
+from deploy.network.blocks import BlockNeeds, block_shapes, default_block, scaled_by_block
+from deploy.network.build import build
+from deploy.network.chip import LOIHI
 from deploy.network.geometry import windows
 from deploy.network.loihi_import import nengo_loihi
+from deploy.network.ops.base import n_blocks, ranges_of
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
@@ -20,7 +22,7 @@ from tests.deploy.networks import conv, dense, readout, small_spec
 
 def matrix_of(layer):
     """What the layer is in Nengo, as a matrix (n_outputs, n_inputs)."""
-    transform, inputs = _transform(layer)
+    transform, inputs = layer.operation.transform(layer, LOIHI)
     with nengo.Network(seed=0) as network:
         source = nengo.Node(size_in=int(np.prod(layer.input_shape)))
         target = nengo.Node(size_in=layer.size)
@@ -153,18 +155,16 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
     block = tuple(data.draw(st.integers(1, n)) for n in layer.shape)
     layer = replace(away_from_zero(layer), block_shape=block)
     plan = make_plan(spec_of(layer.input_shape, layer, after))
-    from deploy.network.blocks import _Cutting, _Receiver
-
-    cutting = _Cutting(layer)
-    receiver = _Receiver(after, block_shapes((after,))["after"])
+    needs = BlockNeeds(layer)
+    receiver = BlockNeeds(after).resources.receiver(block_shapes((after,))["after"])
     cores = [core.used for core in plan.cores if core.layer == layer.name]
-    assert cutting.count(block) == len(cores)
+    assert n_blocks(layer.shape, block) == len(cores)
     import itertools
 
-    places = itertools.product(*(parts_of(n, b) for n, b in zip(layer.shape, block, strict=True)))
+    places = itertools.product(*(ranges_of(n, b) for n, b in zip(layer.shape, block, strict=True)))
     total = 0
     for parts, used in zip(places, cores, strict=True):
-        axons, words = cutting.needs(parts)
+        axons, words = needs.count(parts)
         total += axons
         padded = layer.kind == "conv" and layer.padding == "same" and layer.pool > 1
         if layer.kind == "conv" and not padded:
@@ -173,8 +173,8 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
             assert words >= used["synapse words"]
             # a word more at most for each input, of which some reach nothing
             assert words <= 1.6 * used["synapse words"] + max(40, np.prod(layer.input_shape))
-        assert receiver.axons_from(parts) == used["output axons"]
-    assert total == cutting.axons(block)
+        assert receiver(parts) == used["output axons"]
+    assert total == needs.input_axons(block)
 
 
 def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
@@ -201,11 +201,9 @@ def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
         np.testing.assert_array_equal(found, expected)
     # As it divides itself, and counted before NengoLoihi makes the blocks
     own = replace(wide, block_shape=None)
-    from deploy.network.blocks import _Cutting
-
     block = default_block(own)
     (used, *_) = (core.used for core in make_plan(spec_of(shape, own)).cores)
-    assert used["synapse words"] <= _Cutting(own).needs([(0, block[0])])[1] <= 16384
+    assert used["synapse words"] <= BlockNeeds(own).count([(0, block[0])])[1] <= 16384
 
 
 def test_a_window_along_one_dimension_by_hand():

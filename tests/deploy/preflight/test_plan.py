@@ -7,6 +7,7 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.network.build import build
+from deploy.network.chip import LOIHI
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
@@ -51,7 +52,7 @@ def test_synapse_words_by_hand():
 
     synapse = Synapse(1)
     synapse.set_weights(np.ones((1, 70)))
-    assert synapse_words(synapse) == 9 + 1
+    assert synapse_words(synapse, LOIHI) == 9 + 1
 
 
 @pytest.mark.parametrize(

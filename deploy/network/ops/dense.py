@@ -1,0 +1,146 @@
+"""A dense layer: every neuron reads every value."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..chip import Chip
+from ..geometry import inputs_within, unpool
+from .base import (
+    POPULATION_SLOTS,
+    Operation,
+    Resources,
+    index_bits,
+    input_words,
+    n_blocks,
+)
+
+
+class Dense(Operation):
+    """A dense layer; its weights have the shape (sections * units, inputs)."""
+
+    kind = "dense"
+    can_read_out = True
+    can_recur = True
+
+    def shapes(self, layer):
+        units = layer.shape[0]
+        return (units,), (layer.parts * units, math.prod(layer.read_shape))
+
+    def fan_out(self, layer):
+        return np.full(layer.read_shape, layer.size)
+
+    def by_output(self, layer):
+        return layer.weights
+
+    def transform(self, layer, chip):
+        import nengo
+
+        if reads_populations(layer, chip):
+            return _population_transform(layer)
+        weights = layer.weights
+        inputs = math.prod(layer.input_shape)
+        if layer.pool > 1:
+            by_place = np.moveaxis(weights.reshape(len(weights), *layer.read_shape), 0, -1)
+            by_place = unpool(by_place, layer.input_shape, layer.pool) / layer.pool**2
+            weights = np.moveaxis(by_place, -1, 0).reshape(-1, inputs)
+        return nengo.Dense((len(weights), inputs), init=weights), None
+
+    def resources(self, layer, chip):
+        if reads_populations(layer, chip):
+            return _PopulationResources(layer, chip)
+        return _DenseResources(layer, chip)
+
+    def nir_nodes(self, layer, nir, area):
+        *sides, channels = layer.read_shape
+        flatten = nir.Flatten({"input": np.array([channels, *sides])}, start_dim=0)
+        yield f"{layer.name}_flatten", flatten
+        by_position = layer.weights.reshape(layer.shape[0], *layer.read_shape)
+        weights = np.moveaxis(by_position, -1, 1).reshape(layer.weights.shape)
+        yield f"{layer.name}_weights", nir.Affine(weight=weights * area, bias=layer.bias.copy())
+
+    def describe(self, layer):
+        return "dense" if layer.parts == 1 else f"dense in {layer.parts} parts"
+
+
+DENSE = Dense()
+
+
+def reads_populations(layer, chip: Chip) -> bool:
+    """True if a layer's input spikes name a pixel and, as the axon's atom, a channel.
+
+    A core has fewer input axons than such a layer has inputs.  An axon for each pixel with all its
+    channels, as a convolution has them, is sufficient then; its synapses take more memory, since
+    each has an index.
+    """
+    if layer.placement != "chip" or len(layer.input_shape) != 3:
+        return False
+    limit = chip.limits["input axons"]
+    return math.prod(layer.input_shape) > limit >= math.prod(_pixels_read(layer))
+
+
+def _pixels_read(layer):
+    """(rows, columns) of the input inside of complete pooling windows."""
+    return tuple(n * layer.pool for n in layer.read_shape[:2])
+
+
+def _population_transform(layer):
+    """The layer as a convolution whose only window is the whole input."""
+    import nengo
+
+    kernel = np.moveaxis(layer.weights.reshape(layer.size, *layer.read_shape), 0, -1)
+    kernel = kernel.repeat(layer.pool, axis=0).repeat(layer.pool, axis=1) / layer.pool**2
+    input_shape = kernel.shape[:3]
+    transform = nengo.Convolution(
+        n_filters=layer.size,
+        input_shape=input_shape,
+        kernel_size=input_shape[:2],
+        init=kernel,
+    )
+    return transform, inputs_within(layer.input_shape, input_shape)
+
+
+class _DenseResources(Resources):
+    """A discrete axon for each input into each block."""
+
+    def input_axons(self, block):
+        return math.prod(self.layer.input_shape) * n_blocks(self.layer.shape, block)
+
+    def needs(self, ranges):
+        ((first, last),) = ranges
+        inputs = math.prod(self.layer.input_shape)
+        return inputs, inputs * input_words(last - first, self.chip.weight_bits, self.chip)
+
+    def receiver(self, block):
+        blocks = n_blocks(self.layer.shape, block)
+        return lambda ranges: math.prod(last - first for first, last in ranges) * blocks
+
+
+class _PopulationResources(Resources):
+    """An axon for each pixel, with the channels as its atoms."""
+
+    def input_axons(self, block):
+        return math.prod(_pixels_read(self.layer)) * n_blocks(self.layer.shape, block)
+
+    def needs(self, ranges):
+        ((first, last),) = ranges
+        units = last - first
+        pixels = math.prod(_pixels_read(self.layer))
+        # In a divided layer, the pixels of a pooling window share their lists.
+        is_divided = units < self.layer.size
+        pixels_with_lists = math.prod(self.layer.read_shape[:2]) if is_divided else pixels
+        words = input_words(units, self.chip.weight_bits + index_bits(units), self.chip)
+        return pixels, pixels_with_lists * self.layer.input_shape[2] * words
+
+    def receiver(self, block):
+        blocks = n_blocks(self.layer.shape, block)
+        rows, columns = _pixels_read(self.layer)
+
+        def output_axons(ranges):
+            sides = zip((rows, columns), ranges)
+            pixels = (max(min(last, read) - first, 0) for read, (first, last) in sides)
+            return math.prod(pixels) * blocks * POPULATION_SLOTS
+
+        return output_axons
