@@ -14,8 +14,8 @@ EPOCHS = 4
 BATCH_SIZE = 512
 LEARNING_RATE = 0.002
 
-# Columns of the inputs whose deviations are computed at a time.
-COLUMNS_AT_ONCE = 8
+# Batches that are copied at a time.
+BATCHES_AT_ONCE = 256
 
 
 def train_estimator(outputs, right, seed: int) -> Estimator:
@@ -38,7 +38,7 @@ def train_estimator(outputs, right, seed: int) -> Estimator:
     Estimator
     """
     right = np.concatenate(right).astype(np.float32)
-    inputs, middle, spread = _scaled_inputs(outputs)
+    inputs, middle, spread = _scale_inputs(outputs)
     model, untouched = _estimator_model(inputs.shape[1])
     for variable, value in zip(model.optimizer.variables, untouched, strict=True):
         variable.assign(value)
@@ -48,30 +48,39 @@ def train_estimator(outputs, right, seed: int) -> Estimator:
     rng = np.random.default_rng([seed, 0x10D6])
     for _ in range(EPOCHS):
         order = rng.permutation(len(inputs))
-        model.fit(inputs[order], right[order], batch_size=BATCH_SIZE, shuffle=False, verbose=0)
+        for start in range(0, len(order), BATCHES_AT_ONCE * BATCH_SIZE):
+            some = order[start : start + BATCHES_AT_ONCE * BATCH_SIZE]
+            model.fit(inputs[some], right[some], batch_size=BATCH_SIZE, shuffle=False, verbose=0)
     kernels, biases = zip(*(layer.get_weights() for layer in model.layers), strict=True)
     # Fold the scaling of the inputs into the first layer.
     first = kernels[0] / spread[:, None]
     return Estimator((first, *kernels[1:]), (biases[0] - middle @ first, *biases[1:]))
 
 
-def _scaled_inputs(outputs):
+def _scale_inputs(outputs):
     """Inputs of all steps with mean 0 and deviation 1, float32, their means and deviations.
 
-    They are hundreds of megabytes, of which no more copies are made than necessary.
+    In double precision they would take hundreds of megabytes: they are computed three times.
     """
-    ends = np.cumsum([len(sample) for sample in outputs])
-    width = estimator_inputs(outputs[0]).shape[1]
-    inputs = np.empty((ends[-1], width))
-    for sample, end in zip(outputs, ends, strict=True):
-        inputs[end - len(sample) : end] = estimator_inputs(sample)
-    middle = inputs.mean(0)
-    blocks = np.array_split(np.arange(width), max(width // COLUMNS_AT_ONCE, 1))
-    spread = np.concatenate([inputs[:, some[0] : some[-1] + 1].std(0) for some in blocks])
-    spread = np.maximum(spread, 1e-3)
-    inputs -= middle
-    inputs /= spread
-    return inputs.astype(np.float32), middle, spread
+    count = sum(map(len, outputs))
+    middle = _sum_rows(outputs, lambda rows: rows) / count
+    squares = _sum_rows(outputs, lambda rows: np.square(rows - middle))
+    spread = np.maximum(np.sqrt(squares / count), 1e-3)
+    inputs = np.empty((count, len(middle)), np.float32)
+    end = 0
+    for sample in outputs:
+        begin, end = end, end + len(sample)
+        inputs[begin:end] = (estimator_inputs(sample) - middle) / spread
+    return inputs, middle, spread
+
+
+def _sum_rows(outputs, values):
+    """The sum over all steps, added in their order as by :func:`numpy.sum` of all at once."""
+    total = None
+    for sample in outputs:
+        rows = values(estimator_inputs(sample))
+        total = np.sum(rows if total is None else np.vstack([total, rows]), axis=0)
+    return total
 
 
 @functools.lru_cache(maxsize=1)
