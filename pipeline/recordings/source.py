@@ -55,9 +55,9 @@ LABEL_MARK = "_label_"
 
 VALIDATION = ("validation", "valid", "val", "dev")
 
-# Events of a source. The published recordings have 20 million columns, and a quarter as many
-# events; a million events take up to 75 MB and a tenth of a second.
-MAX_SOURCE_EVENTS = 22_000_000
+# Events of a source: 100,000 recordings of 600. To read a million events takes up to 75 MB, once:
+# then they are in the cache.
+MAX_SOURCE_EVENTS = 60_000_000
 
 # Recordings of a source.
 MAX_FILES = 100_000
