@@ -51,6 +51,14 @@ def test_same_seed_same_weights(cnn, stripes):
     assert not np.array_equal(cnn.weights["output.kernel"], other.weights["output.kernel"])
 
 
+def test_images_that_are_computed_in_parts_give_the_same_weights(cnn, stripes, monkeypatch):
+    monkeypatch.setattr(training, "IMAGES_AHEAD", 1)
+    monkeypatch.setattr(training, "ALTERED_AT_ONCE", 16)
+    again = training.train_cnn(settings(), stripes, seed=0)
+    for name, array in cnn.weights.items():
+        np.testing.assert_array_equal(array, again.weights[name])
+
+
 @pytest.mark.parametrize("recipe", ["paper", "loihi"])
 def test_rate_networks_learn(cnn, stripes, recipe):
     images, labels = stripes
