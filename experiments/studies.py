@@ -30,7 +30,7 @@ from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
-from pipeline.run.settings import Settings
+from pipeline.run.settings import Provenance, Settings
 
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"
@@ -406,7 +406,7 @@ def fit_settings(wanted: dict, recordings, say) -> dict:
             say(text)
 
     for name, settings in wanted.items():
-        key = settings, settings.given
+        key = settings, settings.names_of(Provenance.USER)
         if key not in complete:
             complete[key] = choose_settings(settings, recordings, say=say_once)
         by_line[name] = complete[key]

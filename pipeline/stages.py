@@ -203,7 +203,7 @@ def open_run(
     opened.kind.require_usable(opened.step_inputs(chosen.flat()))
     for line in _notes(opened, lines):
         say(line)
-    run.save_settings(chosen, settings)
+    run.save_settings(chosen)
     artifact = dataset_artifact(run, dataset.origin)
     if not artifact.state().is_current:
         parts = ("train", "validation", "test")

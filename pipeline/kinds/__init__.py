@@ -16,7 +16,7 @@ from pipeline.recordings.dataset import NO_SPLIT, TOO_SMALL
 from pipeline.recordings.events import Recordings, reading_text
 from pipeline.recordings.library import recordings_of
 from pipeline.recordings.splits import PUBLISHED, WRITERS, kind_of, split_of, split_problem
-from pipeline.run.settings import Settings
+from pipeline.run.settings import Choice, Settings, apply_choices, list_reasons
 
 # The first of them that the settings describe is the kind of a run.
 KINDS = [NirKind, EventsKind, ImageKind]
@@ -50,7 +50,7 @@ def kind_of_network(settings: Settings) -> NetworkKind:
 def choose_settings(
     settings: Settings, recordings: Recordings | None = None, check: bool = True, say=None
 ) -> Settings:
-    """Choose the settings that have their defaults, for the recordings.
+    """Choose the settings that the user has not set, for the recordings.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def choose_settings(
         raise SeveralErrors([f"{source}: {split_problem(recordings)}"])
     result = settings
     problems: list[str] = []
-    lines: list[str] = []
+    choices: list[Choice] = []
     try:
-        changes, lines = kind_of_network(settings).choices(recordings)
-        result = settings.with_values(changes, source)
+        choices = kind_of_network(settings).choices(recordings)
+        result = apply_choices(settings, choices, source)
         kind = kind_of_network(result)
         kind.require_fit(recordings)
         problems += kind.chip_problems()
@@ -90,7 +90,7 @@ def choose_settings(
         problems.append(str(error))
     n_test = _test_samples(settings, recordings, problems)
     samples = settings.check.samples
-    if "check.samples" not in settings.given:
+    if not settings.is_users("check.samples"):
         samples = settings.check.drawn(n_test)
     if check and 0 < n_test < samples:
         problems.append(
@@ -104,8 +104,9 @@ def choose_settings(
         raise SeveralErrors(
             line if line.startswith(named) else f"{source}: {line}" for line in problems
         )
-    for line in lines if say is not None else ():
-        say(line)
+    if say is not None:
+        for line in list_reasons(settings, choices):
+            say(line)
     return result
 
 

@@ -44,7 +44,7 @@ from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
 from pipeline.run.artifacts import MISSING, Artifact, Origin, State
 from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings
+from pipeline.run.settings import Choice, Settings
 
 # Maximum number of test samples for the learning curve.
 MOST_WATCHED = 500
@@ -290,22 +290,15 @@ class NetworkKind:
         """
         return None
 
-    def choices(self, recordings: Recordings) -> tuple:
-        """Choose settings that have their defaults, for the recordings.
-
-        Returns
-        -------
-        changes : dict
-            As :meth:`pipeline.run.settings.schema.Settings.with_values` takes them.
-        lines : list of str
-            A line about each choice.
+    def choices(self, recordings: Recordings) -> list[Choice]:
+        """Choose settings that the user has not set, for the recordings.
 
         Raises
         ------
         UserError
             The user's other settings do not fit what is chosen.
         """
-        return {}, []
+        return []
 
     def require_fit(self, recordings: Recordings):
         """Refuse recordings of another sensor or with other classes than the network is for.

@@ -14,7 +14,7 @@ from deploy.network.chip import LOIHI
 from deploy.network.spec import NetworkSpec, Presentation
 from pipeline.recordings.events import Recordings, Sensor
 from pipeline.recordings.steps import EventTable
-from pipeline.run.settings import Settings
+from pipeline.run.settings import Choice, Settings
 
 # Minimum and maximum number of steps of a presentation of events.
 MIN_STEPS = 50
@@ -43,9 +43,9 @@ MAX_SHARE_LEFT_OF_IMAGE = 0.71
 MAX_GROWTH = 1.35
 
 
-def presentation_choices(
+def choose_presentation(
     settings: Settings, recordings: Recordings, may_shorten: bool = False
-) -> tuple:
+) -> list[Choice]:
     """Present events for as long as the recordings last, with a suitable length of steps.
 
     Parameters
@@ -54,26 +54,20 @@ def presentation_choices(
     recordings : Recordings
     may_shorten : bool
         True if the step may also become shorter, for short recordings.
-
-    Returns
-    -------
-    changes : dict
-        As :meth:`pipeline.run.settings.schema.Settings.with_values` takes them.
-    lines : list of str
-        A line about each choice.
     """
     if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
-        return {}, []  # as long as the published recordings: the default fits
+        return []  # as long as the published recordings: the default fits
     longest_ms = float(EventTable.of(recordings).duration_ms.max(initial=0))
     step_ms = settings.input.step
     if settings.is_open("input.step") and settings.is_open("input.refractory"):
         step_ms = choose_step_ms(longest_ms, step_ms, may_shorten)
     steps = min(max(math.floor(longest_ms / step_ms) + 1, MIN_STEPS), MAX_STEPS)
-    changes: dict[str, dict] = {"presentation": {"steps": steps}}
-    if step_ms != settings.input.step:
-        changes["input"] = {"step": step_ms, "refractory": step_ms}
     why = _reason_for(steps, step_ms, longest_ms)
-    return changes, [f"{steps} steps of {step_ms:g} ms: {why}"]
+    choices = [Choice("presentation.steps", steps, f"{steps} steps of {step_ms:g} ms: {why}")]
+    if step_ms != settings.input.step:
+        choices.append(Choice("input.step", step_ms))
+        choices.append(Choice("input.refractory", step_ms))
+    return choices
 
 
 def choose_step_ms(longest_ms: float, default_ms: float, may_shorten: bool = True) -> float:
@@ -117,21 +111,15 @@ def _reason_for(steps, step_ms, longest_ms):
     return "as long as the recordings last"
 
 
-def neuron_choices(settings: Settings) -> tuple:
+def choose_time_constants(settings: Settings) -> list[Choice]:
     """Choose the initial time constants of neurons on events, and the gap between samples.
 
     Parameters
     ----------
     settings : Settings
         With the chosen presentation.
-
-    Returns
-    -------
-    changes, lines
-        As :func:`presentation_choices`.
     """
-    changes: dict[str, dict] = {}
-    lines: list[str] = []
+    choices = []
     currents_ms = settings.events.tau_u_ms
     voltages_ms = settings.events.tau_v_ms
     presented_ms = settings.steps * settings.input.step
@@ -139,22 +127,23 @@ def neuron_choices(settings: Settings) -> tuple:
     if presented_ms < FULL_TIME_CONSTANTS_MS and are_open:
         currents_ms = shorten(currents_ms, presented_ms)
         voltages_ms = shorten(voltages_ms, presented_ms)
-        changes["events"] = {"tau_u_ms": currents_ms, "tau_v_ms": voltages_ms}
-        lines.append(
+        reason = (
             f"initial time constants of {currents_ms[0]:g} ms (current) and {voltages_ms[0]:g} ms "
             f"(voltage), for presentations of {presented_ms:g} ms (others: --set "
             "events.tau_u_ms=[...])"
         )
+        choices.append(Choice("events.tau_u_ms", currents_ms, reason))
+        choices.append(Choice("events.tau_v_ms", voltages_ms))
     if settings.is_open("presentation.gap"):
         gap = silent_steps(MAX_GROWTH * max(currents_ms) / settings.input.step)
         if gap > settings.presentation.gap:
-            changes["presentation"] = {"gap": gap}
-            lines.append(
+            reason = (
                 f"gap of {gap} silent steps before each sample: then the currents that are left of "
                 f"the sample before add at most {MAX_SHARE_LEFT:g} of a neuron's threshold "
                 "(another: --set presentation.gap=...)"
             )
-    return changes, lines
+            choices.append(Choice("presentation.gap", gap, reason))
+    return choices
 
 
 def shorten(taus_ms: tuple, presented_ms: float) -> tuple:

@@ -24,7 +24,7 @@ from pipeline.recordings.library import recordings_of
 from pipeline.recordings.splits import kind_of
 from pipeline.results.study import Case, Workers, study
 from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings, parse_assignments, put
+from pipeline.run.settings import Provenance, Settings, parse_assignments, put
 
 SCHEMA = "stmnist-sweep/3"
 # Share of the training samples held out for the evaluation, if the settings have none.
@@ -143,7 +143,9 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     """
     recordings = recordings_of(settings, workers.processes, say)
     fraction = settings.split.validation_fraction or VALIDATION_FRACTION
-    divided = settings.with_values({"split": {"validation_fraction": fraction}}, "sweep")
+    # A sweep needs validation samples, also where the user has set that there are none.
+    held_out = {"split.validation_fraction": fraction}
+    divided = settings.with_named_values(held_out, "sweep", Provenance.CHOSEN)
     base = choose_settings(divided, recordings)
     combinations = points_of(divided, grid or kind_of_network(base).grid)
     points = [
@@ -156,7 +158,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     for line in _join_notes(points):
         say(line)
     (folder.path / "rows").mkdir(exist_ok=True)  # from now on the folder is no run
-    folder.save_settings(base, settings)
+    folder.save_settings(base)
     cases = [case for point in points for case in point.cases.values()]
     rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
     summary = summarise(points, {row["name"]: row for row in rows}, failed)

@@ -111,8 +111,8 @@ class RunFolder:
             settings = read_own_settings(base or self.experiment)
         return settings.with_values(changes, "command line")
 
-    def save_settings(self, settings: Settings, own: Settings | None = None):
-        """Save the settings for later commands; ``own`` is what the user has set of them.
+    def save_settings(self, settings: Settings):
+        """Save the settings for later commands, with the provenance of each value.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class RunFolder:
         """
         from pipeline.run.settings import write_settings
 
-        write_settings(self.experiment, settings, own)
+        write_settings(self.experiment, settings)
 
     @contextlib.contextmanager
     def locked(self):

@@ -4,7 +4,7 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.run.folder import RunFolder, checks_of
-from pipeline.run.settings import Settings, read_settings
+from pipeline.run.settings import Choice, Provenance, Settings, apply_choices, read_settings
 from pipeline.stages import opened_run
 from tests.command import call
 
@@ -61,9 +61,17 @@ def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
 
 def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
     run, own = RunFolder(tmp_path), Settings().with_values({"seed": 3})
-    chosen = {"input": {"step": 20.0, "refractory": 20.0}, "presentation": {"steps": 171}}
-    run.save_settings(own.with_values(chosen), own)
-    assert read_settings(run.experiment) == own.with_values(chosen)
+    values = {"input.step": 20.0, "input.refractory": 20.0, "presentation.steps": 171}
+    values["events.tau_u_ms"] = (9.0,)  # a list in the file
+    chosen = apply_choices(own, [Choice(name, value) for name, value in values.items()])
+    run.save_settings(chosen)
+    read = read_settings(run.experiment)
+    assert read == chosen
+    assert {name: read.provenance_of(name) for name in read.flat()} == {
+        name: chosen.provenance_of(name) for name in chosen.flat()
+    }
+    assert set(read.names_of(Provenance.CHOSEN)) == set(values)
+    assert read.names_of(Provenance.USER) == ("seed",)
     assert run.resolve_settings(None, {}) == own
     changed = run.resolve_settings(None, {"input": {"step": 5.0}})
     assert changed == own.with_values({"input": {"step": 5.0}})

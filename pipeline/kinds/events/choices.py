@@ -17,13 +17,13 @@ from pipeline.kinds.architectures import (
     is_for,
     operations_of_input,
 )
-from pipeline.kinds.presentation import choose_step_ms, neuron_choices, presentation_choices
+from pipeline.kinds.presentation import choose_presentation, choose_step_ms, choose_time_constants
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import choose_augmentation
 from pipeline.recordings.events import Recordings, is_handwriting
 from pipeline.recordings.splits import split_of
 from pipeline.recordings.steps import EventTable
-from pipeline.run.settings import Settings, merge_values
+from pipeline.run.settings import Choice, Settings, apply_choices
 from pipeline.training.recipe import (
     TAIL_STEPS,
     USUAL_EVENTS,
@@ -57,18 +57,14 @@ class EventChoices:
 
     Attributes
     ----------
-    changes : dict
-        As :meth:`pipeline.run.settings.schema.Settings.with_values` takes them.
-    lines : list of str
-        A line about each choice.
+    choices : list of Choice
     """
 
     def __init__(self, settings: Settings, recordings: Recordings):
         self.settings = settings
         self.recordings = recordings
         self.table = EventTable.of(recordings)
-        self.changes: dict = {}
-        self.lines: list = []
+        self.choices: list[Choice] = []
         self.is_usual = is_handwriting(recordings)
         self.train = _training_samples(settings, recordings)
         self._choose_step()
@@ -82,19 +78,15 @@ class EventChoices:
     @property
     def presented(self) -> Settings:
         """The settings with what is chosen so far."""
-        return self.settings.with_values(self.changes, self.settings.data.source)
+        return apply_choices(self.settings, self.choices, self.settings.data.source)
 
     @property
     def longest_ms(self) -> float:
         """Time of the last event of all recordings in milliseconds."""
         return float(self.table.duration_ms.max(initial=0))
 
-    def _set(self, section, **values):
-        self.changes.setdefault(section, {}).update(values)
-
-    def _add(self, changes, lines):
-        self.changes = merge_values(self.changes, changes)
-        self.lines += lines
+    def _choose(self, setting, value, reason=""):
+        self.choices.append(Choice(setting, value, reason))
 
     def _choose_step(self):
         """Events that are counted in bins get a step for each bin."""
@@ -105,24 +97,23 @@ class EventChoices:
         if bin_ms is None or bin_ms <= settings.input.step:
             return
         step_ms = choose_step_ms(self.longest_ms, bin_ms, may_shorten=False)
-        self._set("input", step=step_ms)
-        if settings.is_open("input.refractory"):
-            self._set("input", refractory=step_ms)
-        self.lines.append(
+        reason = (
             f"steps of {step_ms:g} ms: the times of the recordings are multiples of {bin_ms:g} ms "
             "(another: --set input.step=...)"
         )
+        self._choose("input.step", step_ms, reason)
+        self._choose("input.refractory", step_ms)
 
     def _choose_presentation(self):
         settings = self.presented
-        changes, lines = presentation_choices(settings, self.recordings, may_shorten=True)
-        is_binned = "input" in self.changes
-        if is_binned and not changes and not settings.presentation.steps:
+        choices = choose_presentation(settings, self.recordings, may_shorten=True)
+        is_binned = any(choice.setting == "input.step" for choice in self.choices)
+        if is_binned and not choices and not settings.presentation.steps:
             # The spikes of the last bin need some steps to reach the readout.
             needed = math.floor(self.longest_ms / settings.input.step) + 1 + TAIL_STEPS
-            changes = {"presentation": {"steps": max(needed, settings.steps)}}
-        self._add(changes, lines)
-        self._add(*neuron_choices(self.presented))
+            choices = [Choice("presentation.steps", max(needed, settings.steps))]
+        self.choices += choices
+        self.choices += choose_time_constants(self.presented)
 
     def _choose_architecture(self):
         """The architecture of the size; the default is the one for simulated handwriting."""
@@ -136,8 +127,8 @@ class EventChoices:
         if is_simulated and is_for(settings.events.architecture, sensor, CHANNELS):
             return
         text = event_architecture_for(sensor, size, samples)
-        self._set("events", architecture=text)
-        self.lines.insert(0, f"{chosen_text('events', text, sensor)}; size {size.name}")
+        reason = f"{chosen_text('events', text, sensor)}; size {size.name}"
+        self.choices.insert(0, Choice("events.architecture", text, reason))
         if settings.is_open("events.budget"):
             self._choose_budget(text, size, samples)
 
@@ -150,39 +141,41 @@ class EventChoices:
             budget = OPERATIONS_BY_RECEIVED * received
         budget = float(min(round(max(budget, self.settings.events.budget), 1), MAX_BUDGET))
         if budget != self.settings.events.budget:
-            self._set("events", budget=budget)
+            self._choose("events.budget", budget)
 
     def _choose_augmentation(self):
         if self.settings.events.augment != "auto":
             return
         how = choose_augmentation(self.recordings)
-        self._set("events", augment=how)
-        self.lines.append(
-            f"augmentation: {how} (another: --set events.augment=time, slight, space, none)"
-        )
+        reason = f"augmentation: {how} (another: --set events.augment=time, slight, space, none)"
+        self._choose("events.augment", how, reason)
 
     def _choose_dropout(self):
         default = Settings().events.dropout
         dropout = dropout_for(len(self.train), default)
         if self.settings.is_open("events.dropout") and dropout != default:
-            self._set("events", dropout=dropout)
-            self.lines.append(
+            reason = (
                 f"dropout of {dropout:g}, for few recordings (another: --set events.dropout=...)"
             )
+            self._choose("events.dropout", dropout, reason)
 
     def _choose_reading(self):
         """The refractory period, and the sections of the readout."""
         settings, presented = self.settings, self.presented
-        parts, step_ms = settings.events.parts, presented.input.step
+        step_ms = presented.input.step
+        parts = settings.events.parts
         is_open = settings.is_open("input.refractory")
+        reason = ""
         if is_open or not parts:  # what the user has set needs no estimate, which takes seconds
             reading = self._estimate_reading(presented)
             parts = parts or reading.parts
-            self.lines.append(reading.text(step_ms, parts))
-            if is_open:
-                self._set("input", step=step_ms, refractory=reading.refractory * step_ms)
+            reason = reading.text(step_ms, parts)
+        if is_open:
+            self._choose("input.refractory", reading.refractory * step_ms, reason)
+            reason = ""
         part_ms = settings.events.part or presented.steps * step_ms / parts
-        self._set("events", parts=parts, part=part_ms)
+        self._choose("events.parts", parts, reason)
+        self._choose("events.part", part_ms)
         if settings.is_open("input.max_spikes"):
             self._choose_max_spikes()
 
@@ -192,11 +185,11 @@ class EventChoices:
         max_spikes = choose_max_spikes(self.table, self.train, shown.input, shown.steps)
         if max_spikes == 0:
             return
-        self._set("input", max_spikes=max_spikes)
-        self.lines.append(
+        reason = (
             f"at most {max_spikes} spikes of a taxel and polarity in a recording, so that one that "
             "fires all the time has little weight (another: --set input.max_spikes=...)"
         )
+        self._choose("input.max_spikes", max_spikes, reason)
 
     def _estimate_reading(self, presented):
         step_ms, labels = presented.input.step, self.recordings.labels

@@ -189,8 +189,7 @@ class EventsKind(NetworkKind):
         return spec_of_events(recipe, weights, shown, provenance)
 
     def choices(self, recordings):
-        chosen = EventChoices(self.settings, recordings)
-        return chosen.changes, chosen.lines
+        return EventChoices(self.settings, recordings).choices
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings)

@@ -5,8 +5,7 @@ sets of real touch with 39 and 80 taxels in a strip, and of the simulation.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
 
 from deploy.errors import UserError
 from models.architecture import parse
@@ -14,27 +13,10 @@ from pipeline.kinds.architectures import SMALLEST_GRID, architecture_for, chosen
 from pipeline.kinds.presentation import image_gap_choice
 from pipeline.recordings.events import Recordings, Sensor, are_digits
 from pipeline.recordings.steps import EventTable
-from pipeline.run.settings import Settings, names_in
+from pipeline.run.settings import Choice, Settings, names_in
 
 # Rows and columns of the first convolution's output on slices of time, on average.
 SLICES_MAP = 5
-
-
-class Choice(NamedTuple):
-    """A setting that is chosen for the recordings.
-
-    Attributes
-    ----------
-    setting : str
-        Its dotted name.
-    value
-    reason : str
-        A line for the user; empty if the line of another choice says it too.
-    """
-
-    setting: str
-    value: Any
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -82,18 +64,14 @@ def choose_augmentation(recordings: Recordings) -> str:
     return "slight" if is_grid and are_digits(sensor.classes) else "time"
 
 
-def choose_image_settings(settings: Settings, recordings: Recordings) -> list:
-    """Choose settings of a network on images that have their defaults.
+def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Choice]:
+    """Choose settings of a network on images that the user has not set.
 
     Parameters
     ----------
     settings : Settings
         What the user has set.
     recordings : Recordings
-
-    Returns
-    -------
-    list of Choice
 
     Raises
     ------
@@ -165,7 +143,7 @@ def _choose_image(settings, slices, table):
         "others)"
     )
     first, *others = (Choice(f"image.{name}", value) for name, value in chosen.items())
-    return [first._replace(reason=reason), *others], image.channels
+    return [replace(first, reason=reason), *others], image.channels
 
 
 def _choose_training(settings, recipe):

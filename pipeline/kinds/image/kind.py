@@ -31,7 +31,7 @@ from pipeline.kinds.kind import (
 )
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
-from pipeline.run.settings import Settings, put
+from pipeline.run.settings import Settings
 
 
 def _compute_logits(stage, inputs, samples, advance):
@@ -223,12 +223,7 @@ class ImageKind(NetworkKind):
         return layers_json(spec, rates, activations)
 
     def choices(self, recordings):
-        changes, lines = {}, []
-        for choice in choose_image_settings(self.settings, recordings):
-            put(changes, choice.setting, choice.value, "choices")
-            if choice.reason:
-                lines.append(choice.reason)
-        return changes, lines
+        return choose_image_settings(self.settings, recordings)
 
     def require_presentable(self, dataset):
         require_images_fit(dataset.inputs, self.settings)

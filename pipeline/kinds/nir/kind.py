@@ -31,13 +31,13 @@ from pipeline.kinds import counts
 from pipeline.kinds.architectures import suggest_sensor_size
 from pipeline.kinds.events.kind import DECIDES, confidence_of, require_enough_samples
 from pipeline.kinds.kind import Imported, NetworkKind, Reference, imported_file, is_file
-from pipeline.kinds.presentation import current_taus, presentation_choices, short_gap_text
+from pipeline.kinds.presentation import choose_presentation, current_taus, short_gap_text
 from pipeline.kinds.steps import Step
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset, event_warnings, require_images_fit
 from pipeline.recordings.splits import Split
 from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings, merge_values, put
+from pipeline.run.settings import Choice, Settings, apply_choices
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}
@@ -325,15 +325,12 @@ class NirKind(NetworkKind):
         return spec
 
     def choices(self, recordings):
-        settings, changes = self.settings, {}
-        for name, value in FROM_REST.items():
-            if settings.is_open(name):
-                put(changes, name, value, settings.nir.file)
+        settings = self.settings
+        from_rest = [Choice(name, value) for name, value in FROM_REST.items()]
         if not settings.on_events:
-            return changes, []
-        settings = settings.with_values(changes, settings.nir.file)
-        presented, lines = presentation_choices(settings, recordings)
-        return merge_values(changes, presented), lines
+            return from_rest
+        settings = apply_choices(settings, from_rest, settings.nir.file)
+        return from_rest + choose_presentation(settings, recordings)
 
     def require_fit(self, recordings):
         nir, sensor, events = self.settings.nir, recordings.sensor, self.settings.on_events

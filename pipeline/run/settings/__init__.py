@@ -1,5 +1,6 @@
 """The settings of an experiment: their schema, their file, and their text on the command line."""
 
+from pipeline.run.settings.choices import Choice, Provenance, apply_choices, list_reasons
 from pipeline.run.settings.schema import (
     AGGREGATIONS,
     AUGMENTATIONS,
@@ -45,18 +46,22 @@ __all__ = [
     "SIMULATED",
     "SNN",
     "Check",
+    "Choice",
     "Data",
     "Deployment",
     "EventTraining",
     "Image",
     "Input",
     "PresentationSettings",
+    "Provenance",
     "Section",
     "Settings",
     "SkinSize",
     "SplitShares",
     "UndeclaredSetting",
+    "apply_choices",
     "describe",
+    "list_reasons",
     "merge_values",
     "names_in",
     "parse_assignments",

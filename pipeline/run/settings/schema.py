@@ -20,6 +20,7 @@ from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import NotationError, parse
 from pipeline import paper
+from pipeline.run.settings.choices import Provenance
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
 AUGMENTATIONS = ("auto", "time", "slight", "space", "none")
@@ -52,6 +53,8 @@ AUTOMATIC_AT_0 = {
     *("cnn.epochs", "snn.epochs", "snn.batch_size", "snn.learning_rate", "nir.step"),
     *("events.epochs", "events.parts", "events.part", "presentation.steps"),
 }
+# Settings whose default asks for a choice, also if the user states it.
+CHOSEN_AT_DEFAULT = {"presentation.steps", "events.parts", "events.part", "events.augment"}
 # Files of imported networks, and the settings with their hashes.
 IMPORTED = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
 
@@ -412,10 +415,12 @@ class Settings(Section):
     deployment: Deployment = field(default_factory=Deployment)
     presentation: PresentationSettings = field(default_factory=PresentationSettings)
     check: Check = field(default_factory=Check)
-    # Names of the settings that were set, also those that were set to their defaults.
-    given: tuple = field(default=(), init=False, compare=False, repr=False)
+    # The Provenance of each value that was set or chosen, also if it is the default, by its name.
+    provenance: dict = field(default_factory=dict, init=False, compare=False, repr=False)
 
-    def with_values(self, changes: dict, origin: str = "settings") -> Settings:
+    def with_values(
+        self, changes: dict, origin: str = "settings", provenance: Provenance = Provenance.USER
+    ) -> Settings:
         """These settings with some changed.
 
         Parameters
@@ -424,6 +429,8 @@ class Settings(Section):
             As read from TOML: ``{"seed": 1, "cnn": {"epochs": 5}}``.
         origin : str
             Source of the values, for the error's line.
+        provenance : Provenance
+            Whether the values are the user's, chosen, or defaults again.
 
         Raises
         ------
@@ -442,17 +449,51 @@ class Settings(Section):
         except WrongValue as error:
             raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
         named = [name for name in self.flat() if value_in(changes, name) is not None]
-        return settings.as_given([*self.given, *named])
+        return settings.with_provenance(self.provenance | dict.fromkeys(named, provenance))
 
-    def as_given(self, names) -> Settings:
-        """The same with other names of settings that were set; see :meth:`is_open`."""
+    def with_named_values(
+        self, values: dict, origin: str = "settings", provenance: Provenance = Provenance.USER
+    ) -> Settings:
+        """As :meth:`with_values`, with the values by their dotted names."""
+        changes: dict = {}
+        for name, value in values.items():
+            put(changes, name, value, origin)
+        return self.with_values(changes, origin, provenance)
+
+    def with_provenance(self, provenance: dict) -> Settings:
+        """The same values with the :class:`Provenance` of each by its dotted name."""
         settings = replace(self)
-        object.__setattr__(settings, "given", tuple(dict.fromkeys(names)))
+        object.__setattr__(settings, "provenance", provenance)
         return settings
 
+    def provenance_of(self, name: str) -> Provenance:
+        """Where the value of a setting comes from.
+
+        A value that is not the default is the user's unless it was chosen: the user may have
+        edited the file of the settings.
+        """
+        is_default = self.value(name) == default_of(name)
+        if is_default and name in CHOSEN_AT_DEFAULT:
+            return Provenance.DEFAULT
+        return self.provenance.get(name, Provenance.DEFAULT if is_default else Provenance.USER)
+
+    def names_of(self, provenance: Provenance) -> tuple:
+        """Dotted names of the settings whose values have this provenance."""
+        return tuple(name for name in self.flat() if self.provenance_of(name) is provenance)
+
+    def is_users(self, name: str) -> bool:
+        """True if the value of a setting is the user's, so that no rule may replace it."""
+        return self.provenance_of(name) is Provenance.USER
+
     def is_open(self, name: str) -> bool:
-        """True if a setting was not set, so that it may be chosen for the recordings."""
-        return name not in self.given and self.value(name) == Settings().value(name)
+        """True if a setting was neither set nor chosen, so that it may be chosen."""
+        return self.provenance_of(name) is Provenance.DEFAULT
+
+    def without_choices(self) -> Settings:
+        """What the user has set: values that were chosen for recordings have their defaults."""
+        names = self.names_of(Provenance.CHOSEN)
+        defaults = {name: default_of(name) for name in names}
+        return self.with_named_values(defaults, provenance=Provenance.DEFAULT)
 
     def presented(self, confidence: float | None = None) -> Presentation:
         """The presentation of samples; events are read from the first step on.
@@ -513,11 +554,17 @@ class Settings(Section):
 
     def to_json(self) -> dict:
         """The settings as plain values."""
-        return {name: value for name, value in asdict(self).items() if name != "given"}
+        return {name: value for name, value in asdict(self).items() if name != "provenance"}
 
     def flat(self) -> dict:
         """Values by their dotted names, as ``--set`` takes them."""
         return {name: getattr(section, entry) for name, section, entry in entries_of(self)}
+
+
+@functools.cache
+def default_of(name: str):
+    """The default of a setting by its dotted name."""
+    return Settings().value(name)
 
 
 def put(values: dict, name: str, value, origin: str):

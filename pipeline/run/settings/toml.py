@@ -8,18 +8,31 @@ import tomllib
 from deploy import limits
 from deploy.errors import UserError
 from deploy.files import open_regular, replacing, reporting_os_errors
-from pipeline.run.settings.schema import Settings, put
+from pipeline.run.settings.choices import Provenance
+from pipeline.run.settings.schema import Settings
 
 
 def read_settings(path) -> Settings:
-    """Read ``experiment.toml``: every setting, also those that were chosen for the recordings.
+    """Read ``experiment.toml``: every setting, with its provenance.
+
+    A value is chosen if the file lists it as chosen and the user has not edited it since; it is
+    the user's if the file lists it as given or it is not the default.  In a file without these
+    lists, such as one that the user has written, all values are the user's.
 
     Raises
     ------
     UserError
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
-    return Settings().with_values(_read(path)[0], str(path))
+    values, chosen, given = _read(path)
+    settings = Settings().with_values(values, str(path))
+    if given is None:
+        given = [] if chosen else settings.names_of(Provenance.USER)
+    provenance = dict.fromkeys(given, Provenance.USER)
+    for name, value in chosen.items():
+        is_edited = _without_lists(value) != _without_lists(settings.value(name))
+        provenance[name] = Provenance.USER if is_edited else Provenance.CHOSEN
+    return settings.with_provenance(provenance)
 
 
 def read_own_settings(path) -> Settings:
@@ -30,16 +43,12 @@ def read_own_settings(path) -> Settings:
     UserError
         As :func:`read_settings`.
     """
-    values, chosen, given = _read(path)
-    settings = Settings().with_values(values, str(path))
-    changes: dict = {}
-    given = [*(settings.given if given is None else given)]  # a user's own file may be short
-    for name, value in chosen.items():
-        if settings.value(name) == value:
-            put(changes, name, Settings().value(name), str(path))
-        else:  # the user has edited the file
-            given.append(name)
-    return settings.with_values(changes, str(path)).as_given(given)
+    return read_settings(path).without_choices()
+
+
+def _without_lists(value):
+    """A value with tuples instead of TOML's lists."""
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _read(path):
@@ -60,25 +69,22 @@ def _read(path):
     return values, chosen, given
 
 
-def write_settings(path, settings: Settings, own: Settings | None = None):
-    """Write every setting, resolved; inverse of :func:`read_settings`.
+def write_settings(path, settings: Settings):
+    """Write every setting, resolved, with its provenance; inverse of :func:`read_settings`.
 
     Parameters
     ----------
     path : path-like
     settings : Settings
-    own : Settings, optional
-        What the user has set; the others, which were chosen for the recordings, are also listed in
-        the file.
     """
-    sections, flat = settings.to_json(), settings.flat()
-    before = flat if own is None else own.flat()
-    chosen = [f'"{k}" = {toml_text(v)}' for k, v in flat.items() if v != before[k]]
+    sections = settings.to_json()
+    names = settings.names_of(Provenance.CHOSEN)
+    chosen = [f'"{name}" = {toml_text(settings.value(name))}' for name in names]
+    given = toml_text(settings.names_of(Provenance.USER))
     lines = ["# Every setting of this experiment; 'stmnist settings' lists their meanings."]
     if chosen:
         lines += ["# Chosen for the recordings, and again if these change; edit the values below:"]
         lines += [f"chosen = {{{', '.join(chosen)}}}", ""]
-    given = toml_text((own or settings).given)
     lines += ["# Set by the user, and therefore never chosen:", f"given = {given}", ""]
     lines += [f"{k} = {toml_text(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():

@@ -15,11 +15,20 @@ from pipeline.kinds.kind import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
 from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Image, Settings
+from pipeline.run.settings import Image, Settings, apply_choices, list_reasons, put
 
 
 def settings(**sections):
     return Settings().with_values(sections)
+
+
+def choose(own, made):
+    """The values that are chosen, as ``with_values`` takes them, and the reasons."""
+    choices = kind_of_network(own).choices(made)
+    changes = {}
+    for choice in choices:
+        put(changes, choice.setting, choice.value, "test")
+    return changes, list_reasons(own, choices)
 
 
 def recordings(rows, columns, duration_ms=400):
@@ -33,7 +42,7 @@ def recordings(rows, columns, duration_ms=400):
 
 
 def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
-    changes, lines = kind_of_network(settings()).choices(recordings(1, 30))
+    changes, lines = choose(settings(), recordings(1, 30))
     assert changes["cnn"] == {"architecture": "1x30x16-256-3o"}
     image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
     assert changes["image"] == {**image, "normalisation": "sqrt-clip"}
@@ -48,7 +57,7 @@ SLICES = {"input": {"kind": "slices"}}
 
 
 def test_slices_of_time_on_a_grid_have_a_convolution_with_a_stride():
-    changes, lines = kind_of_network(settings(**SLICES)).choices(recordings(10, 10))
+    changes, lines = choose(settings(**SLICES), recordings(10, 10))
     assert changes["cnn"] == {"architecture": "10x10x16-32c4s2-128-3o"}
     image = {"aggregation": "polarities", "slices": 8, "duration": 400.0}
     assert changes["image"] == {**image, "normalisation": "sqrt-clip"}
@@ -61,20 +70,20 @@ def test_slices_of_time_on_a_grid_have_a_convolution_with_a_stride():
 def test_what_the_user_sets_of_slices_is_kept():
     grid = recordings(10, 10)
     own = settings(**SLICES, image={"slices": 3, "aggregation": "on"}, snn={"dropout": 0.3})
-    changes, _ = kind_of_network(own).choices(grid)
+    changes, _ = choose(own, grid)
     assert changes["image"] == {"duration": 400.0, "normalisation": "sqrt-clip"}
     assert changes["cnn"] == {"architecture": "10x10x3-32c4s2-128-3o"}
     assert "snn" not in changes
     mine = settings(**SLICES, cnn={"architecture": "10x10x8-16c4-3o"})
-    changes, _ = kind_of_network(mine).choices(grid)
+    changes, _ = choose(mine, grid)
     assert changes["image"]["slices"] == 4
     assert "cnn" not in changes
 
 
 def test_a_larger_grid_has_a_larger_stride():
-    changes, _ = kind_of_network(settings(**SLICES)).choices(recordings(40, 30))
+    changes, _ = choose(settings(**SLICES), recordings(40, 30))
     assert changes["cnn"]["architecture"] == "40x30x16-32c8s6-128-3o"
-    changes, _ = kind_of_network(settings(**SLICES)).choices(recordings(2, 30))
+    changes, _ = choose(settings(**SLICES), recordings(2, 30))
     assert changes["cnn"]["architecture"] == "2x30x16-256-3o"
 
 
@@ -94,12 +103,12 @@ def test_digits_on_a_grid_are_altered_in_space():
 
 def test_what_the_user_sets_is_kept():
     strip = recordings(1, 30)
-    changes, _ = kind_of_network(settings(image={"normalisation": "sum"})).choices(strip)
+    changes, _ = choose(settings(image={"normalisation": "sum"}), strip)
     assert changes == {"cnn": {"architecture": "1x30-256-3o"}}
     own = {"snn": {"dropout": 0.1}, "deployment": {"input_rate": 90.0}}
-    changes, _ = kind_of_network(settings(**own)).choices(strip)
+    changes, _ = choose(settings(**own), strip)
     assert not {"snn", "deployment"} & changes.keys()
-    changes, _ = kind_of_network(settings(cnn={"architecture": "1x30-9-3o"})).choices(strip)
+    changes, _ = choose(settings(cnn={"architecture": "1x30-9-3o"}), strip)
     assert changes == {"image": {"normalisation": "sqrt-clip"}}
 
 
@@ -115,7 +124,7 @@ def test_a_model_for_a_run_gets_the_images_of_the_run(tmp_path):
 
 def test_a_model_of_one_s_own_keeps_the_images_that_it_is_for():
     cnn = {"model": "m.keras", "model_sha256": "a", "architecture": "10x10-6c4-3o"}
-    assert kind_of_network(settings(cnn=cnn)).choices(recordings(10, 10)) == ({}, [])
+    assert choose(settings(cnn=cnn), recordings(10, 10)) == ({}, [])
 
 
 @pytest.mark.parametrize(
@@ -126,7 +135,7 @@ def test_a_model_of_one_s_own_keeps_the_images_that_it_is_for():
     ],
 )
 def test_a_network_of_one_s_own_gets_these_channels_if_it_has_as_many(cnn):
-    changes, _ = kind_of_network(settings(cnn=cnn)).choices(recordings(1, 30))
+    changes, _ = choose(settings(cnn=cnn), recordings(1, 30))
     assert "cnn" not in changes
     assert kind_of_network(settings(cnn=cnn, image=changes["image"])).channels == 16
     assert ("snn" in changes) == ("model" not in cnn)
@@ -138,18 +147,18 @@ def test_a_default_that_the_user_gives_is_kept(tmp_path):
         snn={"dropout": default.snn.dropout},
         deployment={"input_rate": default.deployment.input_rate},
     )
-    changes, _ = kind_of_network(given).choices(recordings(1, 30))
+    changes, _ = choose(given, recordings(1, 30))
     assert not {"snn", "deployment"} & changes.keys()
     assert "image" in changes
     image = {"slices": default.image.slices}
-    changed, _ = kind_of_network(settings(image=image)).choices(recordings(1, 30))
+    changed, _ = choose(settings(image=image), recordings(1, 30))
     assert changed["image"] == {"normalisation": "sqrt-clip"}
     own = given.with_values({"seed": 3})
     run = RunFolder(tmp_path)
-    run.save_settings(own.with_values(changes), own)
+    run.save_settings(apply_choices(own, kind_of_network(own).choices(recordings(1, 30))))
     again = run.resolve_settings(None, {})  # by a later command
     assert again == own
-    assert kind_of_network(again).choices(recordings(1, 30))[0] == changes
+    assert choose(again, recordings(1, 30))[0] == changes
     run.save_settings(settings(snn={"dropout": 0.3}))
     run.experiment.write_text(
         run.experiment.read_text().replace("\ndropout = 0.3", f"\ndropout = {default.snn.dropout}")
@@ -158,7 +167,7 @@ def test_a_default_that_the_user_gives_is_kept(tmp_path):
 
 
 def test_a_grid_gets_the_paper_s_image_and_layers():
-    changes, _ = kind_of_network(settings()).choices(recordings(8, 9))
+    changes, _ = choose(settings(), recordings(8, 9))
     architecture = {"architecture": "8x9-6c4-24c3-3o"}
     assert changes == {"cnn": architecture, "image": {"normalisation": "sqrt-clip"}}
 
