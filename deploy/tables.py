@@ -80,6 +80,19 @@ def plain(value) -> str:
     return str(value) if value != "" else "-"
 
 
+def plural(number: int, noun: str, nouns: str = "") -> str:
+    """A number and its noun, such as ``"3 cores"``.
+
+    Parameters
+    ----------
+    number : int
+    noun : str
+    nouns : str
+        The noun for other numbers than one; default: with an "s".
+    """
+    return f"{number:,} {noun if number == 1 else nouns or noun + 's'}"
+
+
 def list_names(names) -> str:
     """The first twelve names, shortened but still different, separated by commas."""
     names = shortened_apart([str(name) for name in names], 24)

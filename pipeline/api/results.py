@@ -14,6 +14,7 @@ import numpy as np
 from deploy.check.energy import EnergyEstimate, estimate_text
 from deploy.check.text import others_text, summary
 from deploy.preflight.plan import Plan, plan_text
+from deploy.tables import plural
 from pipeline.results.compare import runs_text
 from pipeline.results.ladder import ladder_text
 
@@ -294,8 +295,7 @@ class ChipPlan(Result):
 
     def line(self) -> str:
         """See :meth:`Result.line`."""
-        size = f"{self.cores} core{'s'[: self.cores != 1]} of {self.chips} chip"
-        size += "s"[: self.chips != 1]
+        size = f"{plural(self.cores, 'core')} of {plural(self.chips, 'chip')}"
         return f"{size}, fits" if self.fits else f"{size}, does not fit: {self.problems[0]}"
 
     def table(self) -> list:

@@ -10,7 +10,7 @@ from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
 from models.chain import build_network_spec, links_of
-from pipeline.recordings.events import Sensor, size_text
+from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, size_text
 from pipeline.run.settings import Deployment
 from pipeline.training.recipe import NetworkSize, hidden_for
 
@@ -19,9 +19,6 @@ LARGEST_MAP = 14
 
 # More chips than any system has, for whether the cores are large enough.
 ANY_NUMBER = 10_000
-
-# Rows and columns that an image needs for the paper's convolutions.
-SMALLEST_GRID = 6
 
 # The same for a network on events, as in the first layer of the default network.
 EVENT_MAP = 5
@@ -55,7 +52,7 @@ def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels
     if on_events:
         stride = max(3, math.floor(side / EVENT_MAP))
         middle = [f"24c{stride + 1}s{stride}", f"{hidden}"] if smallest > stride else [f"{hidden}"]
-    elif smallest < SMALLEST_GRID:
+    elif smallest < MIN_GRID_SIDE:
         middle = [f"{hidden}"]
     elif side <= LARGEST_MAP + 3:
         middle = ["6c4", "24c3"]

@@ -52,9 +52,6 @@ TIME_ONLY = Alteration(turn=0.0, shift=0.0, scale=0.0, shear=0.0)
 # they take few events to another taxel.
 SLIGHT = Alteration(turn=0.04, shift=0.2, scale=0.04, shear=0.04)
 
-# Rows and columns from which on a sensor is a grid.
-MIN_GRID = 6
-
 # The alterations of each value of ``events.augment`` but ``auto``.
 AUGMENTATIONS = {
     "none": Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -72,8 +69,7 @@ def choose_augmentation(recordings: Recordings) -> str:
     """
     if is_handwriting(recordings):
         return "space"
-    sensor = recordings.sensor
-    return "slight" if min(sensor.rows, sensor.columns) >= MIN_GRID else "time"
+    return "slight" if recordings.sensor.is_grid else "time"
 
 
 def alter(

@@ -17,7 +17,7 @@ from pipeline.recordings.events import Recordings
 from pipeline.recordings.images import AlteredImages, tactile_images
 from pipeline.recordings.library import recordings_of
 from pipeline.recordings.splits import PUBLISHED, Split, split_of, split_problem
-from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable
+from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
 from pipeline.run.artifacts import Origin
 from pipeline.run.settings import SIMULATED, Image, Settings
 
@@ -241,7 +241,7 @@ class FramesOnDemand:
     def __init__(self, recordings: Recordings, settings: Settings):
         self._table = EventTable.of(recordings)
         self._step_ms = settings.input.step
-        self._limits = settings.input.refractory_steps, settings.input.max_spikes
+        self._limits = SpikeLimits.of(settings.input)
         self.shape = (len(self._table), settings.steps, *self._table.size, 2)
         self.dtype = np.dtype(np.uint8)
 
@@ -255,7 +255,7 @@ class FramesOnDemand:
         frames = np.empty((len(some), *self.shape[1:]), np.uint8)
         for part in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
             steps = self.shape[1]
-            made = self._table.frames(some[part], self._step_ms, steps, *self._limits)
+            made = self._table.frames(some[part], self._step_ms, steps, self._limits)
             frames[part] = np.moveaxis(made, 0, 1)
         return frames if np.ndim(samples) else frames[0]
 
@@ -313,8 +313,7 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
         table = EventTable.of(recordings)
         steps = spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
-        spike_limits = stimulus.refractory, stimulus.max_spikes
-        frames = table.frames(np.arange(len(table)), step_ms, steps, *spike_limits)
+        frames = table.frames(np.arange(len(table)), step_ms, steps, SpikeLimits.of(stimulus))
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.get("image")) is not None:
         image = Settings().with_values({"image": recorded}, "provenance of the bundle").image

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from deploy.tables import plural
 from pipeline.paper import DURATION_S
 
 # Taxels of the array, 10 x 10 (paper, Section 2.1).
@@ -24,6 +25,9 @@ TICK_NS = 16
 
 # Taxels along each side of the array.
 GRID = 10
+
+# Rows and columns from which on a sensor is a grid: convolutions need as many.
+MIN_GRID_SIDE = 6
 
 # Classes of the published recordings.
 DIGITS = tuple("0123456789")
@@ -55,6 +59,11 @@ class Sensor:
 
     def __str__(self):
         return f"{self.rows}x{self.columns} taxels, {len(self.classes)} classes"
+
+    @property
+    def is_grid(self) -> bool:
+        """True if it has as many rows and columns as convolutions need."""
+        return min(self.rows, self.columns) >= MIN_GRID_SIDE
 
 
 @dataclass(frozen=True)
@@ -461,7 +470,7 @@ def reading_text(recordings: Recordings) -> str:
     parts = [
         f"{len(recordings)} recordings",
         size_text(sensor),
-        f"{len(sensor.classes)} class{'es' * (len(sensor.classes) != 1)}",
+        plural(len(sensor.classes), "class", "classes"),
         f"{lasts.min():.2g} to {lasts.max():.2g} s",
     ]
     if recordings.source.time_unit:
@@ -474,4 +483,4 @@ def reading_text(recordings: Recordings) -> str:
 def size_text(sensor: Sensor) -> str:
     """Rows and columns in words."""
     rows, columns = sensor.rows, sensor.columns
-    return f"{rows} row{'s'[: rows != 1]} x {columns} column{'s'[: columns != 1]}"
+    return f"{plural(rows, 'row')} x {plural(columns, 'column')}"

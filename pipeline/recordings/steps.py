@@ -9,13 +9,41 @@ from functools import cached_property
 
 import numpy as np
 
-from deploy.network.stimulus import apply_refractory_period, limit_spikes
+from deploy.network.stimulus import EventFrames, apply_refractory_period, limit_spikes
 from pipeline.recordings.cache import empty_array
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Events, Recordings, TaxelMap
+from pipeline.run.settings import Input
 
 # Recordings whose events are in memory at a time.
 RECORDINGS_AT_ONCE = 2000
+
+
+@dataclass(frozen=True)
+class SpikeLimits:
+    """Limits of the spikes of each taxel and polarity in a sample.
+
+    Attributes
+    ----------
+    refractory : int
+        Refractory period in steps: events in it after a spike are ignored, as in an event camera's
+        pixel.
+    max_spikes : int
+        Maximum number of spikes; later events are ignored.  0: no limit.
+    """
+
+    refractory: int = 0
+    max_spikes: int = 0
+
+    @classmethod
+    def of(cls, shown: Input | EventFrames) -> SpikeLimits:
+        """The limits of settings or of a bundle's stimulus."""
+        if isinstance(shown, EventFrames):
+            return cls(shown.refractory, shown.max_spikes)
+        return cls(shown.refractory_steps, shown.max_spikes)
+
+
+NO_LIMITS = SpikeLimits()
 
 
 @dataclass(frozen=True)
@@ -166,12 +194,11 @@ class EventTable:
         )
 
     def frames(
-        self, indices, step_ms: float, steps: int, refractory: int = 0, max_spikes: int = 0
+        self, indices, step_ms: float, steps: int, limits: SpikeLimits = NO_LIMITS
     ) -> np.ndarray:
         """Frames of some recordings; see :func:`spike_frames`."""
         events = self.pick(np.asarray(indices))
-        frames = spike_frames(events, step_ms, len(indices), steps, self.size, refractory)
-        return limit_spikes(frames, max_spikes)
+        return spike_frames(events, step_ms, len(indices), steps, self.size, limits)
 
     def lost(self, step_ms: float, refractory: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`spike_frames`."""
@@ -194,13 +221,17 @@ class EventTable:
 
 
 def spike_frames(
-    events: EventColumns, step_ms: float, samples: int, steps: int, size=(10, 10), refractory=0
+    events: EventColumns,
+    step_ms: float,
+    samples: int,
+    steps: int,
+    size: tuple = (10, 10),
+    limits: SpikeLimits = NO_LIMITS,
 ) -> np.ndarray:
     """Frames that mark the spikes in each step.
 
-    Several events of one taxel and polarity in a step are one spike.  Further events in the next
-    ``refractory`` steps are ignored, as in an event camera's pixel.  Events after the last step are
-    left out.
+    Several events of one taxel and polarity in a step are one spike.  Events after the last step
+    are left out.
 
     Parameters
     ----------
@@ -211,8 +242,7 @@ def spike_frames(
         Numbers of samples and steps.
     size : (int, int)
         Rows and columns.
-    refractory : int
-        Refractory period in steps.
+    limits : SpikeLimits
 
     Returns
     -------
@@ -223,4 +253,5 @@ def spike_frames(
     inside = (step >= 0) & (step < steps)
     sample, _, row, column, polarity = events.select(inside)
     frames[step[inside], sample, row, column, polarity] = 1
-    return apply_refractory_period(frames, refractory)
+    frames = apply_refractory_period(frames, limits.refractory)
+    return limit_spikes(frames, limits.max_spikes)

@@ -21,7 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.recordings.events import Recordings, Sensor, is_handwriting
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.steps import EventTable, SpikeLimits
 from pipeline.run.settings import Input
 
 # Number of steps after a sample's last event in which its spikes still reach the outputs.
@@ -50,9 +50,6 @@ HIDDEN_FEW_SAMPLES = 256
 HIDDEN_MANY_CLASSES = 128
 HIDDEN = 64
 MANY_CLASSES = 10
-
-# Rows and columns of taxels that a convolution needs.
-MIN_GRID = 6
 
 # Events of a recording for which the budgets of the sizes are; they grow with the events.
 USUAL_EVENTS = 500
@@ -114,7 +111,7 @@ class NetworkSize:
 
     def is_for(self, sensor: Sensor, samples: int) -> bool:
         """True if a sensor and a number of training samples suit its convolution."""
-        return min(sensor.rows, sensor.columns) >= MIN_GRID and samples >= FEW
+        return sensor.is_grid and samples >= FEW
 
 
 SIZES = {
@@ -294,7 +291,7 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
     parts = [np.zeros(0, int)]
     for start in range(0, len(some), 64):
         indices = some[start : start + 64]
-        frames = table.frames(indices, shown.step, steps, shown.refractory_steps)
+        frames = table.frames(indices, shown.step, steps, SpikeLimits(shown.refractory_steps))
         parts.append(frames.sum(0, dtype=int).ravel())
     counts = np.concatenate(parts)
     most = steps // (1 + shown.refractory_steps)
@@ -308,9 +305,10 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
 def _spikes(table, indices, step_ms, steps, refractory):
     """Spikes of each sample, finest part, taxel and polarity."""
     part = np.arange(steps) * PARTS[-1] // steps
+    limits = SpikeLimits(refractory)
     counts = []
     for start in range(0, len(indices), 64):
-        frames = table.frames(indices[start : start + 64], step_ms, steps, refractory)
+        frames = table.frames(indices[start : start + 64], step_ms, steps, limits)
         frames = frames.reshape(*frames.shape[:2], -1)
         counts.append([frames[part == k].sum(0, dtype=np.float32) for k in range(PARTS[-1])])
     return np.concatenate([np.stack(some, 1) for some in counts])

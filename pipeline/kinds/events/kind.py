@@ -8,7 +8,6 @@ from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
 from deploy.network.spec import NetworkSpec, Presentation
-from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
 from models import chain
 from models.architecture import parse
@@ -77,14 +76,15 @@ def _compute_logits(stage, inputs, samples, advance):
 
 def _respond(inputs, bundle, advance):
     """Respond to each sample from rest, delayed as on the chip."""
-    from pipeline.training.events import TrainedOnEvents, arriving
+    from pipeline.training.events import TrainedOnEvents, delay_as_on_chip
 
     network = TrainedOnEvents.of(inputs.settings, inputs.weights("events"))
     frames = bundle.checks.inputs.astype(np.uint8)
-    answers = network.answers(frames, advance)
+    made = network.run_on_frames(frames, advance)
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
-    output = np.diff(arriving(answers.outputs, network.recipe).astype(float), axis=1, prepend=0)
-    return read_output(bundle.spec, output, {"input": arrived, **answers.spikes})
+    delayed = delay_as_on_chip(made.outputs, network.recipe).astype(float)
+    output = np.diff(delayed, axis=1, prepend=0)
+    return read_output(bundle.spec, output, {"input": arrived, **made.spikes})
 
 
 class EventsKind(NetworkKind):
@@ -215,14 +215,14 @@ def spec_of_events(
     provenance : dict
         Stored in the bundle.
     """
-    from pipeline.training.events import network_of  # imports TensorFlow
+    from pipeline.training.events import build_network  # imports TensorFlow
 
     architecture = parse(recipe.architecture)
-    integers = network_of(recipe, weights).integers()
+    integers = build_network(recipe, weights).integers()
     links = from_integers(architecture, weights, integers, recipe.starts)
     is_early = presentation.threshold < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
-    stimulus = EventFrames(recipe.step_ms / 1000, recipe.refractory, recipe.max_spikes)
+    stimulus = recipe.stimulus
     return chain.build_network_spec(links, stimulus, presentation, provenance, estimator)
 
 
@@ -258,7 +258,7 @@ def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Thr
     if not len(held_out):
         return Threshold(1.0, 0.0, 1.0)
     loss = settings.presentation.early_loss
-    chosen = trained.threshold(table, labels, held_out, settings.steps, seed, loss)
+    chosen = trained.choose_threshold(table, labels, held_out, settings.steps, seed, loss)
     return require_enough_samples(chosen, len(held_out))
 
 

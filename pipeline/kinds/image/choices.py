@@ -8,10 +8,11 @@ import math
 from dataclasses import dataclass, replace
 
 from deploy.errors import UserError
+from deploy.tables import plural
 from models.architecture import parse
-from pipeline.kinds.architectures import SMALLEST_GRID, architecture_for, chosen_text, is_for
+from pipeline.kinds.architectures import architecture_for, chosen_text, is_for
 from pipeline.kinds.presentation import image_gap_choice
-from pipeline.recordings.events import Recordings, Sensor, are_digits
+from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_digits
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Choice, Settings, names_in
 
@@ -60,8 +61,7 @@ def choose_augmentation(recordings: Recordings) -> str:
         place on another sensor may have a meaning of its own.
     """
     sensor = recordings.sensor
-    is_grid = min(sensor.rows, sensor.columns) >= SMALLEST_GRID
-    return "slight" if is_grid and are_digits(sensor.classes) else "time"
+    return "slight" if sensor.is_grid and are_digits(sensor.classes) else "time"
 
 
 def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Choice]:
@@ -79,7 +79,7 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
         The user's other settings do not fit what is chosen.
     """
     sensor, cnn = recordings.sensor, settings.cnn
-    is_strip = min(sensor.rows, sensor.columns) < SMALLEST_GRID
+    is_strip = not sensor.is_grid
     recipe = STRIP if is_strip else GRID
     is_own = bool(cnn.model) or not settings.is_open("cnn.architecture")
     own_channels = parse(cnn.architecture).input_shape[2] if is_own else None
@@ -166,7 +166,7 @@ def _architecture_of_slices(sensor: Sensor, recipe: SlicedRecipe, channels: int)
     rows, columns = sensor.rows, sensor.columns
     stride = max(2, math.floor(math.sqrt(rows * columns) / SLICES_MAP))
     layers = [f"{rows}x{columns}x{channels}"]
-    if min(rows, columns) >= max(SMALLEST_GRID, stride + 2):
+    if min(rows, columns) >= max(MIN_GRID_SIDE, stride + 2):
         layers.append(f"32c{stride + 2}s{stride}")
     return "-".join([*layers, f"{recipe.hidden}", f"{len(sensor.classes)}o"])
 
@@ -177,6 +177,6 @@ def _require_rates_fit(settings, architecture):
     if len(rates) > layers:
         raise UserError(
             f"'snn.max_rates' has {len(rates)} rates, and {architecture}, chosen for the "
-            f"recordings, has {layers} layer{'' if layers == 1 else 's'} of neurons; give as many "
+            f"recordings, has {plural(layers, 'layer')} of neurons; give as many "
             "rates or one, or choose cnn.architecture"
         )

@@ -11,11 +11,6 @@ from pipeline.results.report.charts import percent
 MAX_PROBABILITY = 0.999
 
 
-def plural(number: int, noun: str) -> str:
-    """A number and its noun, such as ``"3 cores"``."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
-
-
 def points(change: float) -> str:
     """A difference of accuracies in points, with its sign, such as ``"−0.5"``."""
     return f"{100 * change + 0.0:+.1f}".replace("-", "−")

@@ -13,23 +13,23 @@ before exceed it.
 
 from pipeline.training.events.checkpoint import Checkpoint, train_epochs
 from pipeline.training.events.network import (
-    Answers,
+    NetworkOutputs,
     TrainedOnEvents,
-    answer_frames,
-    arriving,
-    network_of,
+    build_network,
+    delay_as_on_chip,
+    run_on_frames,
 )
 from pipeline.training.events.recipe import EventRecipe
 from pipeline.training.events.trainer import train_events
 
 __all__ = [
-    "Answers",
     "Checkpoint",
     "EventRecipe",
+    "NetworkOutputs",
     "TrainedOnEvents",
-    "answer_frames",
-    "arriving",
-    "network_of",
+    "build_network",
+    "delay_as_on_chip",
+    "run_on_frames",
     "train_epochs",
     "train_events",
 ]

@@ -46,16 +46,18 @@ class TrainedOnEvents:
         """The network with given weights that was trained with some settings."""
         return cls(EventRecipe.of(settings), weights)
 
-    def answers(self, frames, advance=None) -> Answers:
-        """Outputs, operations and spikes on event frames; see :func:`answer_frames`."""
-        return answer_frames(self.recipe, self.weights, frames, advance)
+    def run_on_frames(self, frames, advance=None) -> NetworkOutputs:
+        """Outputs, operations and spikes on event frames; see :func:`run_on_frames`."""
+        return run_on_frames(self.recipe, self.weights, frames, advance)
 
     @property
     def estimator(self) -> Estimator:
         """The confidence estimator."""
         return Estimator.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
 
-    def threshold(self, table, labels, held_out, steps: int, seed: int, loss: float) -> Threshold:
+    def choose_threshold(
+        self, table, labels, held_out, steps: int, seed: int, loss: float
+    ) -> Threshold:
         """Choose the confidence for early decisions on held-out samples.
 
         The samples and their augmented copies have equal weight in the choice; see
@@ -77,11 +79,11 @@ class TrainedOnEvents:
         often = np.tile(held_out, COPIES)
         rng = np.random.default_rng([seed, 0x7E57])
         events = self.recipe.alter_samples(rng, table, often)
-        altered = self.recipe.frames_of(events, len(often), steps, table.size)
-        as_they_are = self.recipe.frames_of_samples(table, held_out, steps)
-        shown = self.answers(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
+        altered = self.recipe.make_frames(events, len(often), steps, table.size)
+        as_they_are = self.recipe.make_frames_of_samples(table, held_out, steps)
+        shown = self.run_on_frames(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
         return choose_threshold(
-            arriving(shown.outputs, self.recipe),
+            delay_as_on_chip(shown.outputs, self.recipe),
             np.asarray(labels)[np.concatenate([held_out, often])],
             shown.last_step,
             loss,
@@ -91,11 +93,11 @@ class TrainedOnEvents:
 
     def logits(self, frames) -> np.ndarray:
         """Outputs at the last step, delayed as on the chip, shape (n_samples, classes)."""
-        return arriving(self.answers(frames).outputs, self.recipe)[:, -1]
+        return delay_as_on_chip(self.run_on_frames(frames).outputs, self.recipe)[:, -1]
 
 
 @dataclass(frozen=True)
-class Answers:
+class NetworkOutputs:
     """Outputs of a trained network.
 
     Attributes
@@ -116,7 +118,7 @@ class Answers:
     last_step: np.ndarray
 
 
-def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> Answers:
+def run_on_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> NetworkOutputs:
     """Run a trained network on event frames in the chip's integers, each sample from rest.
 
     Parameters
@@ -130,9 +132,9 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
 
     Returns
     -------
-    Answers
+    NetworkOutputs
     """
-    network = network_of(recipe, weights)
+    network = build_network(recipe, weights)
     run = _compile(recipe)
     values = _now(network.variables_by_name)
     parts = []
@@ -146,17 +148,17 @@ def answer_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> A
             advance(len(part))
     outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
     named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
-    return Answers(outputs.astype(np.float32), costs, named, last_steps(frames))
+    return NetworkOutputs(outputs.astype(np.float32), costs, named, last_steps(frames))
 
 
-def network_of(recipe: EventRecipe, weights: dict) -> SpikingNetwork:
+def build_network(recipe: EventRecipe, weights: dict) -> SpikingNetwork:
     """The network of a recipe with trained weights."""
     network = recipe.network()
     network.set_weights(weights)
     return network
 
 
-def arriving(outputs, recipe: EventRecipe) -> np.ndarray:
+def delay_as_on_chip(outputs, recipe: EventRecipe) -> np.ndarray:
     """Delay outputs as on the chip, where the relay and every layer take one step each.
 
     Parameters

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
-from deploy.network.stimulus import limit_spikes
+from deploy.network.stimulus import EventFrames
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.steps import EventTable, spike_frames
+from pipeline.recordings.steps import EventTable, SpikeLimits, spike_frames
 from pipeline.run.settings import EventTraining, Input, Settings
 from pipeline.training.recipe import epochs_for
 
@@ -31,11 +31,8 @@ class EventRecipe:
         See :mod:`models.architecture`.
     step_ms : float
         Recording time in milliseconds that one step of the chip represents.
-    refractory : int
-        Refractory period of a taxel in steps; see
-        :func:`pipeline.recordings.steps.spike_frames`.
-    max_spikes : int
-        Maximum number of spikes of a taxel and polarity in a sample; 0 for no limit.
+    limits : SpikeLimits
+        Limits of the input's spikes.
     tau_u_ms, tau_v_ms : tuple of float
         Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float
@@ -58,8 +55,7 @@ class EventRecipe:
 
     architecture: str = EventTraining.architecture
     step_ms: float = Input.step
-    refractory: int = Input().refractory_steps
-    max_spikes: int = Input.max_spikes
+    limits: SpikeLimits = field(default_factory=lambda: SpikeLimits.of(Input()))
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
@@ -80,14 +76,15 @@ class EventRecipe:
         events = table.pick(indices)
         return alter(self.alteration, rng, events, len(indices), self.step_ms, table.size)
 
-    def frames_of(self, events: EventColumns, samples: int, steps: int, size: tuple) -> np.ndarray:
+    def make_frames(
+        self, events: EventColumns, samples: int, steps: int, size: tuple
+    ) -> np.ndarray:
         """Frames of events; see :func:`pipeline.recordings.steps.spike_frames`."""
-        frames = spike_frames(events, self.step_ms, samples, steps, size, self.refractory)
-        return limit_spikes(frames, self.max_spikes)
+        return spike_frames(events, self.step_ms, samples, steps, size, self.limits)
 
-    def frames_of_samples(self, table: EventTable, indices, steps: int) -> np.ndarray:
+    def make_frames_of_samples(self, table: EventTable, indices, steps: int) -> np.ndarray:
         """Frames of some samples as they are, shape (steps, n_samples, rows, columns, 2)."""
-        return table.frames(indices, self.step_ms, steps, self.refractory, self.max_spikes)
+        return table.frames(indices, self.step_ms, steps, self.limits)
 
     @classmethod
     def of(cls, settings: Settings) -> EventRecipe:
@@ -100,8 +97,7 @@ class EventRecipe:
             how = replace(how, hot=HOT_SHARE, dead=DEAD_SHARE)
         values |= {
             "step_ms": shown.step,
-            "refractory": shown.refractory_steps,
-            "max_spikes": shown.max_spikes,
+            "limits": SpikeLimits.of(shown),
             "starts": settings.part_starts,
         }
         del values["parts"], values["part"], values["size"]
@@ -113,6 +109,11 @@ class EventRecipe:
             return self
         is_handwriting = self.alteration == AUGMENTATIONS["space"]
         return replace(self, epochs=epochs_for(samples, self.batch_size, is_handwriting))
+
+    @property
+    def stimulus(self) -> EventFrames:
+        """The input of the chip."""
+        return EventFrames(self.step_ms / 1000, self.limits.refractory, self.limits.max_spikes)
 
     @property
     def neuron(self) -> Neuron:

@@ -15,7 +15,7 @@ from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.training.events.checkpoint import Checkpoint, train_epochs
 from pipeline.training.events.estimator import train_estimator
-from pipeline.training.events.network import TrainedOnEvents, arriving
+from pipeline.training.events.network import TrainedOnEvents, delay_as_on_chip
 from pipeline.training.events.optimizer import Adam
 from pipeline.training.events.recipe import EventRecipe
 from pipeline.training.networks import make_deterministic
@@ -173,7 +173,7 @@ class Trainer:
         for frames_of in (self._frames, lambda some: self._alter(some, rng)[0]):
             for some, frames, outputs, _ in self._outputs(indices, frames_of):
                 lengths = last_steps(frames) + 1 + TAIL_STEPS
-                delayed = arriving(outputs, self.recipe)
+                delayed = delay_as_on_chip(outputs, self.recipe)
                 for sample, index, length in zip(delayed, some, lengths, strict=True):
                     every.append(sample[:length])
                     right.append(every[-1].argmax(-1) == self.labels[index])
@@ -246,14 +246,14 @@ class Trainer:
         events = self.recipe.alter_samples(rng, self.table, indices)
         last_step = (events.durations_ms(n) / self.recipe.step_ms).astype(np.int64)
         steps = int(last_step.max()) + 1 + TAIL_STEPS
-        frames = self.recipe.frames_of(events, n, steps, self.table.size)
+        frames = self.recipe.make_frames(events, n, steps, self.table.size)
         return np.moveaxis(frames, 0, 1), last_step
 
     def _frames(self, indices):
         """Frames of samples without augmentation."""
         step_ms = self.recipe.step_ms
         steps = int(self.table.duration_ms[indices].max() / step_ms) + 1 + TAIL_STEPS
-        return np.moveaxis(self.recipe.frames_of_samples(self.table, indices, steps), 0, 1)
+        return np.moveaxis(self.recipe.make_frames_of_samples(self.table, indices, steps), 0, 1)
 
     def _outputs(self, indices, frames_of):
         """For some samples at a time: indices, frames, outputs and operations."""

@@ -11,7 +11,7 @@ from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.kinds.events.kind import spec_of_events
 from pipeline.run.settings import Settings
-from pipeline.training.events import EventRecipe, answer_frames, network_of
+from pipeline.training.events import EventRecipe, build_network, run_on_frames
 from tests.pipeline.handmade import event_table
 
 STEPS, GAP = 40, 60
@@ -60,10 +60,8 @@ def test_every_spike_is_that_of_the_trained_network(architecture, starts, target
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
     assert make_plan(spec).problems == []
     indices = np.arange(len(table))
-    frames = np.moveaxis(
-        table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.refractory), 0, 1
-    )
-    expected = answer_frames(recipe, weights, frames)
+    frames = np.moveaxis(table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.limits), 0, 1)
+    expected = run_on_frames(recipe, weights, frames)
     found = run_target(spec, frames, target)
     for name, spikes in expected.spikes.items():
         assert spikes.sum() > 100
@@ -93,7 +91,7 @@ def test_the_lower_voltage_bound_that_was_trained_is_deployed():
         recipe = EventRecipe(architecture=architecture, floor=floor)
         weights = trained_like(architecture)
         spec = spec_of_events(recipe, weights, presentation, {})
-        integers = network_of(recipe, weights).integers()
+        integers = build_network(recipe, weights).integers()
         for layer in spec.layers[:-1]:
             trained = integers[layer.name]
             expected = trained.floor / trained.threshold
@@ -106,8 +104,8 @@ def test_the_estimator_decides_on_the_chip_as_in_training():
     rng, weights, table = np.random.default_rng(0), trained_like(recipe.architecture), table_of()
     weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Estimator.shapes(10).items()}
     indices, steps = np.arange(len(table)), STEPS + GAP
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.refractory), 0, 1)
-    shown = answer_frames(recipe, weights, frames)
+    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.limits), 0, 1)
+    shown = run_on_frames(recipe, weights, frames)
     late = len(shown.spikes) + 1
     # What arrives is what was said `late` steps before.
     arrived = np.pad(shown.outputs, ((0, 0), (late, 0), (0, 0)))[:, :steps]

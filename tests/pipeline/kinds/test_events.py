@@ -22,7 +22,7 @@ def choice(monkeypatch):
         given.update(held_out=held_out, steps=steps, loss=loss)
         return Threshold(0.9, 1.0, 0.5)
 
-    monkeypatch.setattr(TrainedOnEvents, "threshold", threshold)
+    monkeypatch.setattr(TrainedOnEvents, "choose_threshold", threshold)
     return given
 
 

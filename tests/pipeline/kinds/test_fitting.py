@@ -88,7 +88,7 @@ def test_an_architecture_is_chosen_again_for_other_classes(tmp_path, kind, secti
         chosen = choose_settings(own)
         assert getattr(chosen, section).architecture.endswith(f"-{classes}o")
         run.path.mkdir(exist_ok=True)
-        run.save_settings(chosen, own)
+        run.save_settings(chosen)
         own = run.resolve_settings(None, {})
     mine = getattr(chosen, section).architecture.replace("3o", "4o")
     with pytest.raises(SeveralErrors, match="3 classes"):

@@ -13,7 +13,7 @@ from deploy.targets.registry import run_target as answers_of
 from pipeline.live.deciding import Curve, EventDecider, decider_of
 from pipeline.recordings.dataset import inputs_for, inputs_of
 from pipeline.recordings.events import Events, Sensor
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.steps import EventTable, SpikeLimits
 from pipeline.run.settings import Settings
 from pipeline.simulation.simulate import simulate
 from tests.deploy import networks
@@ -95,7 +95,7 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
     slow = replace(recordings, events=slow)
     decider = decider_of(clocked, Sensor())
     spec = clocked.spec.with_presentation(steps=600, stream_length=1)
-    frames = EventTable.of(slow).frames(np.arange(len(slow)), 10.0, 600, 1)
+    frames = EventTable.of(slow).frames(np.arange(len(slow)), 10.0, 600, SpikeLimits(1))
     expected = answers_of(spec, np.moveaxis(frames, 0, 1), "fast")
     longer = 0
     for index in range(0, len(slow), 3):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.steps import EventTable, spike_frames
+from pipeline.recordings.steps import EventTable, SpikeLimits, spike_frames
 from tests.pipeline.handmade import recordings
 
 MS = 1_000_000
@@ -47,13 +47,13 @@ def test_a_taxel_rests_after_a_spike():
     rows = [(time * MS, 12, 1, 1) for time in (1, 12, 15, 22, 45)]
     rows.insert(2, (12 * MS, 13, 1, 1))
     table = EventTable.of(recordings([(1 * MS, 3, 1, 1)], rows))
-    frames = table.frames([1], step_ms=10, steps=5, refractory=1)[:, 0, :, :, 0]
+    frames = table.frames([1], step_ms=10, steps=5, limits=SpikeLimits(1))[:, 0, :, :, 0]
     # Steps 0, 1, 1, 2, 4 of taxel 12: that of 1 is too soon, which makes 2 late enough.
     assert np.flatnonzero(frames[:, 2, 1]).tolist() == [0, 2, 4]
     assert np.flatnonzero(frames[:, 3, 1]).tolist() == [1]
-    assert table.lost(10, refractory=1) == pytest.approx(2 / 7)
+    assert table.lost(10, limits=SpikeLimits(1)) == pytest.approx(2 / 7)
     assert table.lost(10) == pytest.approx(1 / 7)
-    long = table.frames([1], step_ms=10, steps=5, refractory=100)[:, 0, :, :, 0]
+    long = table.frames([1], step_ms=10, steps=5, limits=SpikeLimits(100))[:, 0, :, :, 0]
     assert np.flatnonzero(long[:, 2, 1]).tolist() == [0]
 
 

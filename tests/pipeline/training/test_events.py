@@ -12,9 +12,9 @@ from pipeline.recordings.altering import AUGMENTATIONS, Alteration
 from pipeline.training.events import (
     Checkpoint,
     EventRecipe,
-    answer_frames,
-    arriving,
+    delay_as_on_chip,
     network,
+    run_on_frames,
     train_events,
     trainer,
 )
@@ -69,14 +69,14 @@ def trained(data, told):
 
 def test_of_whatever_length_samples_are_a_network_is_traced_once(trained):
     for steps, samples in ((32, 100), (48, 100), (32, 7)):
-        trained.answers(np.zeros((samples, steps, 10, 10, 2), np.uint8))
+        trained.run_on_frames(np.zeros((samples, steps, 10, 10, 2), np.uint8))
     assert network._compile(RECIPE).experimental_get_tracing_count() == 1
 
 
 def answers_to(weights, table, indices, steps):
     """What the trained network answers to samples, each from rest."""
-    frames = table.frames(indices, RECIPE.step_ms, steps, RECIPE.refractory)
-    return answer_frames(RECIPE, weights, np.moveaxis(frames, 0, 1))
+    frames = table.frames(indices, RECIPE.step_ms, steps, RECIPE.limits)
+    return run_on_frames(RECIPE, weights, np.moveaxis(frames, 0, 1))
 
 
 def test_it_learns(trained):
@@ -91,7 +91,7 @@ def test_the_estimator_learns_from_samples_as_they_are_and_altered(trained, told
     assert len(told["outputs"]) == len(told["right"]) == 2 * len(train)
     steps = int(table.duration_ms.max() / RECIPE.step_ms) + 1 + TAIL_STEPS
     answers = answers_to(trained.weights, table, order, steps)
-    arrived, differ = arriving(answers.outputs, RECIPE), 0
+    arrived, differ = delay_as_on_chip(answers.outputs, RECIPE), 0
     for sample, seen, changed, right, label in zip(
         arrived, told["outputs"], told["outputs"][len(train) :], told["right"], labels[order],
         strict=False,
@@ -117,7 +117,7 @@ def test_answers_are_the_chips_integers(trained, data):
     answers = answers_to(trained.weights, table, VALIDATION, steps=64)
     network = SpikingNetwork(parse(RECIPE.architecture))
     network.set_weights(trained.weights)
-    frames = table.frames(VALIDATION, RECIPE.step_ms, 64, RECIPE.refractory)
+    frames = table.frames(VALIDATION, RECIPE.step_ms, 64, RECIPE.limits)
     for index in (0, 7):
         conv, dense = spiking_in_numpy.network(
             network.architecture, network.integers(), frames[:, index]
@@ -138,10 +138,10 @@ def test_answers_are_the_chips_integers(trained, data):
 def test_outputs_arrive_a_step_later_for_the_relay_and_each_layer():
     # conv1 and dense1 on the chip: the relay's step, and one for each of the two.
     outputs = np.arange(2 * 5 * 3.0).reshape(2, 5, 3) + 1
-    found = arriving(outputs, RECIPE)
+    found = delay_as_on_chip(outputs, RECIPE)
     assert found[:, :3].tolist() == np.zeros((2, 3, 3)).tolist()
     np.testing.assert_array_equal(found[:, 3:], outputs[:, :2])
-    np.testing.assert_array_equal(arriving(outputs[0, :2], RECIPE), np.zeros((2, 3)))
+    np.testing.assert_array_equal(delay_as_on_chip(outputs[0, :2], RECIPE), np.zeros((2, 3)))
 
 
 def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altered(trained, data):
@@ -153,15 +153,15 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
     whole = replace(table, events=replace(table.events, time_ns=whole_ns))
     plain = answers_to(trained.weights, whole, VALIDATION, 40)
     expected = choose_threshold(
-        arriving(plain.outputs, RECIPE),
+        delay_as_on_chip(plain.outputs, RECIPE),
         labels[VALIDATION],
         plain.last_step,
         estimator=trained.estimator,
     )
-    assert none.threshold(whole, labels, VALIDATION, 40, 0, 0.005) == pytest.approx(expected)
-    altered = trained.threshold(table, labels, VALIDATION, 40, 0, 0.005)
-    assert altered == trained.threshold(table, labels, VALIDATION, 40, 0, 0.005)
-    assert altered.share != none.threshold(table, labels, VALIDATION, 40, 0, 0.005).share
+    assert none.choose_threshold(whole, labels, VALIDATION, 40, 0, 0.005) == pytest.approx(expected)
+    altered = trained.choose_threshold(table, labels, VALIDATION, 40, 0, 0.005)
+    assert altered == trained.choose_threshold(table, labels, VALIDATION, 40, 0, 0.005)
+    assert altered.share != none.choose_threshold(table, labels, VALIDATION, 40, 0, 0.005).share
     assert 0 < altered.share <= 1
 
 
