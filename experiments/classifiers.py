@@ -9,7 +9,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.steps import EventTable
 
 SLICES = 4
 
@@ -58,6 +57,6 @@ def predict_test_samples(dataset: Dataset, index, stage: str) -> np.ndarray:
 
 def root_counts(dataset: Dataset) -> np.ndarray:
     """Square roots of counts, float32, shape (n_samples, slices x taxels x polarities)."""
-    table = EventTable.of(dataset.recordings)
+    table = dataset.recordings.table
     counts = table.sliced_counts(SLICES, table.typical_duration_of(dataset.split.train))
     return np.sqrt(counts).reshape(len(table), -1)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Settings
 
 # The stage that is measured here.
@@ -127,7 +126,7 @@ def predict_test_samples(dataset: Dataset, index, name: str, settings: Settings)
     from pipeline.training.networks import train_cnn  # imports TensorFlow
 
     reading, train = READINGS[name], dataset.split.train
-    table = EventTable.of(dataset.recordings)
+    table = dataset.recordings.table
     counts = table.sliced_counts(1, table.typical_duration_ms)[:, 0]
     images = reading.aggregate(counts[..., 0], counts[..., 1])
     images = reading.normalise(images, images[train])[..., None].astype(np.float32)

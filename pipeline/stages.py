@@ -33,7 +33,7 @@ from deploy.tables import list_names
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.jobs import Failure, run_jobs
-from pipeline.kinds import NetworkKind, choose_settings, kind_of_network, new_run_text, split_text
+from pipeline.kinds import NetworkKind, kind_of_network, new_run_text, prepare_dataset, split_text
 from pipeline.kinds.image.kind import settings_of_model
 from pipeline.kinds.kind import read_weights
 from pipeline.kinds.nir.kind import refuse_early, settings_of_nir
@@ -190,8 +190,8 @@ def open_run(
     """
     lines: list[str] = []
     recordings = recordings_of(settings, jobs, say)
-    chosen = choose_settings(settings, recordings, check, lines.append)
-    dataset = Dataset.of(chosen, jobs, recordings=recordings)
+    dataset = prepare_dataset(settings, recordings, check, lines.append)
+    chosen = dataset.settings
     opened = opened_in(run, chosen, dataset, say)
     if check:
         require_replaceable(run.bundle)
@@ -253,7 +253,6 @@ def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
 def _notes(opened, choices):
     """What the user should know of the recordings and of what was chosen for them."""
     run = opened.run
-    recordings = opened.dataset.recordings
     kind = opened.kind
     if run.experiment.exists():
         was = kind_of_network(read_settings(run.experiment))
@@ -265,8 +264,8 @@ def _notes(opened, choices):
     elif opened.settings.data.source == SIMULATED:
         yield f"{run.path}: a new run, on simulated recordings (others: --data)"
     else:
-        yield new_run_text(run.path, recordings, opened.settings)
-    if run.experiment.exists() and (text := split_text(recordings, opened.settings)):
+        yield new_run_text(run.path, opened.dataset)
+    if run.experiment.exists() and (text := split_text(opened.dataset)):
         yield f"{run.path}: {text}"
     yield from choices
     if kind.imported is not None:

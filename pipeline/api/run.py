@@ -26,7 +26,7 @@ from pipeline.api.results import (
     RunsComparison,
     Training,
 )
-from pipeline.kinds import choose_settings
+from pipeline.kinds import prepare_dataset
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
@@ -125,8 +125,7 @@ class Run:
         """The recordings, their split, and the inputs of the network."""
         self.notes = []
         recordings = recordings_of(self._given, self._jobs, self._say)
-        chosen = choose_settings(self._given, recordings, check=False)
-        return Dataset.of(chosen, self._jobs, recordings=recordings)
+        return prepare_dataset(self._given, recordings, check=False)
 
     @property
     def recordings(self) -> Recordings:

@@ -1,21 +1,23 @@
 """Kinds: all that depends on the kind of network, each in one module; see :mod:`.kind`.
 
-:func:`choose_settings` chooses the settings that the user has left open, for the recordings.  The
+:func:`prepare_dataset` chooses the settings that the user has left open, for the recordings.  The
 defaults are the paper's: its network, 200 samples, two seconds.  If recordings of another sensor
 need other values and the user has not set them, the kind of the network chooses them.  What is
 chosen depends only on the user's settings and the recordings.  A value that the user has set and
 that does not fit is an error; all errors are reported together before anything is trained.
 """
 
+import numpy as np
+
 from deploy.errors import SeveralErrors, UserError
 from pipeline.kinds.events.kind import EventsKind
 from pipeline.kinds.image.kind import ImageKind
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.kind import NirKind
-from pipeline.recordings.dataset import NO_SPLIT, TOO_SMALL
+from pipeline.recordings.dataset import TOO_SMALL, Dataset, split_recordings
 from pipeline.recordings.events import Recordings, reading_text
 from pipeline.recordings.library import recordings_of
-from pipeline.recordings.splits import PUBLISHED, WRITERS, kind_of, split_of, split_problem
+from pipeline.recordings.splits import PUBLISHED, WRITERS, split_problem
 from pipeline.run.settings import Choice, Settings, apply_choices, list_reasons
 
 # The first of them that the settings describe is the kind of a run.
@@ -50,7 +52,14 @@ def kind_of_network(settings: Settings) -> NetworkKind:
 def choose_settings(
     settings: Settings, recordings: Recordings | None = None, check: bool = True, say=None
 ) -> Settings:
-    """Choose the settings that the user has not set, for the recordings.
+    """The settings of :func:`prepare_dataset`."""
+    return prepare_dataset(settings, recordings, check, say).settings
+
+
+def prepare_dataset(
+    settings: Settings, recordings: Recordings | None = None, check: bool = True, say=None
+) -> Dataset:
+    """Split recordings, and choose the settings that the user has not set, for them.
 
     Parameters
     ----------
@@ -65,7 +74,8 @@ def choose_settings(
 
     Returns
     -------
-    Settings
+    Dataset
+        With the complete settings.
 
     Raises
     ------
@@ -74,66 +84,74 @@ def choose_settings(
     """
     if recordings is None:
         recordings = recordings_of(settings)
-    source = settings.data.source
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
-        raise SeveralErrors([f"{source}: {split_problem(recordings)}"])
-    result = settings
+        raise SeveralErrors([f"{settings.data.source}: {split_problem(recordings)}"])
+    split, problems_of_split = _try_to_split(recordings, settings)
+    train = np.empty(0, int) if split is None else split.train
     problems: list[str] = []
     choices: list[Choice] = []
+    complete = settings
     try:
-        choices = kind_of_network(settings).choices(recordings)
-        result = apply_choices(settings, choices, source)
-        kind = kind_of_network(result)
+        choices = kind_of_network(settings).choices(recordings, train)
+        complete = apply_choices(settings, choices, settings.data.source)
+        kind = kind_of_network(complete)
         kind.require_fit(recordings)
         problems += kind.chip_problems()
     except UserError as error:
         problems.append(str(error))
-    n_test = _test_samples(settings, recordings, problems)
-    samples = settings.check.samples
-    if not settings.is_users("check.samples"):
-        samples = settings.check.drawn(n_test)
-    if check and 0 < n_test < samples:
-        problems.append(
-            f"{settings.check.samples} samples requested, the test set has {n_test}; {TOO_SMALL}"
-        )
+    problems += problems_of_split
+    if check and split is not None:
+        problems += _find_too_small_test_set(settings, len(split.test))
     if problem := split_problem(recordings, settings.split.kind):
         problems.append(problem)
-    if problems:
-        imported = kind_of_network(settings).imported
-        named = (source, imported.file) if imported is not None else source
-        raise SeveralErrors(
-            line if line.startswith(named) else f"{source}: {line}" for line in problems
-        )
+    if problems or split is None:
+        raise SeveralErrors(_name_the_file(line, settings) for line in problems)
     if say is not None:
         for line in list_reasons(settings, choices):
             say(line)
-    return result
+    return Dataset.of(complete, recordings=recordings, split=split)
 
 
-def new_run_text(path, recordings: Recordings, settings: Settings) -> str:
+def _try_to_split(recordings, settings):
+    """The split of recordings, or None and the reason why there is none."""
+    try:
+        return split_recordings(recordings, settings), []
+    except UserError as error:
+        return None, [str(error)]
+
+
+def _find_too_small_test_set(settings, n_test):
+    """A problem if the test set has fewer samples than the user's check."""
+    samples = settings.check.drawn(n_test)
+    if settings.is_users("check.samples"):
+        samples = settings.check.samples
+    if 0 < n_test < samples:
+        yield (
+            f"{settings.check.samples} samples requested, the test set has {n_test}; {TOO_SMALL}"
+        )
+
+
+def _name_the_file(line, settings):
+    """A problem with the file that it is about: the user's network, or the recordings."""
+    source = settings.data.source
+    imported = kind_of_network(settings).imported
+    named = source if imported is None else (source, imported.file)
+    return line if line.startswith(named) else f"{source}: {line}"
+
+
+def new_run_text(path, dataset: Dataset) -> str:
     """The first message of a new run: source and properties of its recordings, and their split."""
-    text = ", ".join(filter(None, [reading_text(recordings), split_text(recordings, settings)]))
+    recordings = dataset.recordings
+    text = ", ".join(filter(None, [reading_text(recordings), split_text(dataset)]))
     return f"{path}: a new run, on {recordings.source.name}: {text}"
 
 
-def split_text(recordings: Recordings, settings: Settings) -> str:
+def split_text(dataset: Dataset) -> str:
     """The kind of the split in a few words, unless it is the usual one."""
-    kind = kind_of(settings.split.kind, recordings)
-    parts = recordings.parts
-    if kind == PUBLISHED:
+    recordings = dataset.recordings
+    if dataset.split.kind == PUBLISHED:
+        parts = recordings.parts
         return f"published split: {parts.count('train')} train, {parts.count('test')} test"
-    if kind == WRITERS:
+    if dataset.split.kind == WRITERS:
         return "split by writers"
     return "random split instead of the published one" if recordings.is_split else ""
-
-
-def _test_samples(settings, recordings, problems):
-    """Number of samples in the test set; 0, with a problem, if there can be no split."""
-    shares = settings.split
-    try:
-        fractions = shares.test_fraction, shares.validation_fraction
-        split = split_of(recordings, settings.seed, *fractions, shares.kind)
-    except ValueError as error:
-        problems.append(f"{error}; {NO_SPLIT}")
-        return 0
-    return len(split.test)

@@ -17,7 +17,6 @@ from threadpoolctl import threadpool_limits
 from deploy.files import read_arrays, write_arrays
 from pipeline.kinds.kind import Reference, accuracies, accuracy_text
 from pipeline.kinds.steps import Step
-from pipeline.recordings.steps import EventTable
 from pipeline.run.folder import DELETE_ITS_FOLDER
 
 # Event counts of a sample, at most; a sensor with more has them in one slice of time.
@@ -191,7 +190,7 @@ def _fit(inputs, artifact):
     dataset, seed = inputs.dataset, inputs.settings.seed
     recordings, split = dataset.recordings, dataset.split
     begun = time.perf_counter()
-    table = EventTable.of(recordings)
+    table = recordings.table
     duration_ms = table.typical_duration_of(split.train)
     features = 2 * recordings.sensor.rows * recordings.sensor.columns
     slices = max(SLICES) if features * max(SLICES) <= MOST_FEATURES else 1

@@ -290,8 +290,14 @@ class NetworkKind:
         """
         return None
 
-    def choices(self, recordings: Recordings) -> list[Choice]:
+    def choices(self, recordings: Recordings, train: np.ndarray) -> list[Choice]:
         """Choose settings that the user has not set, for the recordings.
+
+        Parameters
+        ----------
+        recordings : Recordings
+        train : ndarray of int
+            Indices of the training samples; none if there can be no split.
 
         Raises
         ------

@@ -13,7 +13,6 @@ from deploy import limits
 from deploy.network.chip import LOIHI
 from deploy.network.spec import NetworkSpec, Presentation
 from pipeline.recordings.events import Recordings, Sensor
-from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Choice, Settings
 
 # Minimum and maximum number of steps of a presentation of events.
@@ -57,7 +56,7 @@ def choose_presentation(
     """
     if settings.presentation.steps or recordings.sensor.duration_s == Sensor().duration_s:
         return []  # as long as the published recordings: the default fits
-    longest_ms = float(EventTable.of(recordings).duration_ms.max(initial=0))
+    longest_ms = float(recordings.table.duration_ms.max(initial=0))
     step_ms = settings.input.step
     if settings.is_open("input.step") and settings.is_open("input.refractory"):
         step_ms = choose_step_ms(longest_ms, step_ms, may_shorten)

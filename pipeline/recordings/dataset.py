@@ -63,7 +63,12 @@ class Dataset:
 
     @classmethod
     def of(
-        cls, settings: Settings, jobs: int = 1, warn=None, recordings: Recordings | None = None
+        cls,
+        settings: Settings,
+        jobs: int = 1,
+        warn=None,
+        recordings: Recordings | None = None,
+        split: Split | None = None,
     ) -> Dataset:
         """The recordings named in the settings, split with the seed of the settings.
 
@@ -76,6 +81,8 @@ class Dataset:
             Called with one line for each file that was left out.
         recordings : Recordings, optional
             The recordings that the settings name, if they were loaded before.
+        split : Split, optional
+            From :func:`split_recordings`, if they were split before.
 
         Raises
         ------
@@ -85,7 +92,10 @@ class Dataset:
         """
         if recordings is None:
             recordings = recordings_of(settings, jobs, warn)
-        split = _checked_split(recordings, settings)
+        if split is None:
+            split = split_recordings(recordings, settings)
+            if problem := split_problem(recordings, split.kind):
+                raise UserError(f"{settings.data.source}: {problem}")
         origin = dataset_origin(settings, recordings.source.sha256, split.kind)
         return cls(recordings, split, origin, settings)
 
@@ -209,18 +219,25 @@ def require_images_fit(images: np.ndarray, settings: Settings):
         )
 
 
-def _checked_split(recordings, settings):
-    """The split of recordings as in the settings, after checking their number."""
-    source = settings.data.source
-    parts = settings.split
+def split_recordings(recordings: Recordings, settings: Settings) -> Split:
+    """The split of recordings as in the settings.
+
+    Raises
+    ------
+    UserError
+        There are too few recordings, or they do not have what the kind of split needs.
+    """
+    shares = settings.split
     try:
-        shares = parts.test_fraction, parts.validation_fraction
-        split = split_of(recordings, settings.seed, *shares, parts.kind)
+        return split_of(
+            recordings,
+            settings.seed,
+            shares.test_fraction,
+            shares.validation_fraction,
+            shares.kind,
+        )
     except ValueError as error:
-        raise UserError(f"{source}: {error}; {NO_SPLIT}") from error
-    if problem := split_problem(recordings, split.kind):
-        raise UserError(f"{source}: {problem}")
-    return split
+        raise UserError(f"{settings.data.source}: {error}; {NO_SPLIT}") from error
 
 
 class FramesOnDemand:
@@ -239,7 +256,7 @@ class FramesOnDemand:
     """
 
     def __init__(self, recordings: Recordings, settings: Settings):
-        self._table = EventTable.of(recordings)
+        self._table = recordings.table
         self._step_ms = settings.input.step
         self._limits = SpikeLimits.of(settings.input)
         self.shape = (len(self._table), settings.steps, *self._table.size, 2)
@@ -310,7 +327,7 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
     """
     stimulus = spec.stimulus
     if isinstance(stimulus, EventFrames):
-        table = EventTable.of(recordings)
+        table = recordings.table
         steps = spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
         frames = table.frames(np.arange(len(table)), step_ms, steps, SpikeLimits.of(stimulus))
@@ -328,7 +345,7 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     UserError
         No recording has an event.
     """
-    table = EventTable.of(recordings)
+    table = recordings.table
     step = settings.input.step
     steps = settings.steps
     empty = int(np.sum(np.diff(table.offsets) == 0))

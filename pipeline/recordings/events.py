@@ -11,11 +11,15 @@ import hashlib
 import html
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deploy.tables import plural
 from pipeline.paper import DURATION_S
+
+if TYPE_CHECKING:
+    from pipeline.recordings.steps import EventTable
 
 # Taxels of the array, 10 x 10 (paper, Section 2.1).
 N_TAXELS = 100
@@ -299,6 +303,13 @@ class Recordings:
     def is_split(self) -> bool:
         """True if the source has a published split."""
         return any(self.parts)
+
+    @cached_property
+    def table(self) -> EventTable:
+        """The physical events in the form that networks are trained on, made once."""
+        from pipeline.recordings.steps import EventTable  # imports this module
+
+        return EventTable.of(self)
 
     @cached_property
     def hashes(self) -> tuple:

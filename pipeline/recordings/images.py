@@ -35,7 +35,6 @@ from pipeline.recordings.altering import AUGMENTATIONS, move_places
 from pipeline.recordings.cache import empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import draw_faults
-from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Image
 
 # Share of the taxels that are ignored by ``sqrt-clip``, and may be hot; two of 100 taxels.
@@ -119,7 +118,7 @@ def _as_images(counts, image):
 
 def _counts_of_parts(recordings, image, indices=None):
     """Counts of all or some recordings, a few recordings at a time; see `EventTable.parts`."""
-    table = EventTable.of(recordings)
+    table = recordings.table
     indices = np.arange(len(table)) if indices is None else np.asarray(indices)
     for span, events in table.parts(indices):
         some = indices[span]
@@ -213,7 +212,7 @@ class AlteredImages:
     """
 
     def __init__(self, recordings: Recordings, image: Image, how: str, samples=None):
-        table = EventTable.of(recordings)
+        table = recordings.table
         samples = np.arange(len(table)) if samples is None else samples
         shape = (image.slices, *table.size, 2)
         counts = (part for _, part in _counts_of_parts(recordings, image, samples))

@@ -21,7 +21,6 @@ from pipeline.recordings.formats.recording import UNITS
 from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.splits import draw_check_samples
-from pipeline.recordings.steps import EventTable
 from pipeline.recordings.times import MIN_DURATION_S
 from pipeline.results.ladder import confusion_matrix
 from pipeline.run.folder import checks_of, run_around
@@ -214,7 +213,7 @@ def _limits(spec, recordings):
         yield f"there are {'' if has_off else 'no '}OFF events, unlike in those of the training"
     if isinstance(spec.stimulus, EventFrames):
         step_ms, steps = 1000 * spec.stimulus.step_seconds, spec.presentation.steps
-        if line := cut_text(EventTable.of(recordings), step_ms, steps):
+        if line := cut_text(recordings.table, step_ms, steps):
             yield line
 
 

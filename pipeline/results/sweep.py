@@ -17,11 +17,9 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import in_blocks, plain
 from deploy.targets.registry import TARGETS
-from pipeline.kinds import choose_settings, kind_of_network
+from pipeline.kinds import choose_settings, kind_of_network, prepare_dataset
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.dataset import dataset_origin
 from pipeline.recordings.library import recordings_of
-from pipeline.recordings.splits import kind_of
 from pipeline.results.study import Case, Workers, study
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Provenance, Settings, parse_assignments, put
@@ -170,24 +168,22 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
 def _prepare_point(number, changes, asked, recordings) -> Point:
     """Choose the settings of a point, and list its cases."""
     notes: list = []
-    settings = choose_settings(asked, recordings, say=notes.append)
+    dataset = prepare_dataset(asked, recordings, say=notes.append)
+    settings = dataset.settings
     network = kind_of_network(settings)
-    network.require_fit(recordings)
-    split = kind_of(settings.split.kind, recordings)
-    origin = dataset_origin(settings, recordings.source.sha256, split)
     cases = {
         stage: Case(
             name=f"point-{number}-{stage}",
             settings=settings,
             stage=stage,
             seed=settings.seed,
-            split=split,
+            split=dataset.split.kind,
             part="validation",
         )
         for stage in STAGES
         if stage in network.references or stage in TARGETS
     }
-    read = frozenset(network.bundle_origin(origin).settings)
+    read = frozenset(network.bundle_origin(dataset.origin).settings)
     return Point(changes, cases, read, (*notes, *network.notes(recordings)))
 
 

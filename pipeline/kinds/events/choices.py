@@ -21,8 +21,6 @@ from pipeline.kinds.presentation import choose_presentation, choose_step_ms, cho
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import choose_augmentation
 from pipeline.recordings.events import Recordings, is_handwriting
-from pipeline.recordings.splits import split_of
-from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Choice, Settings, apply_choices
 from pipeline.training.recipe import (
     TAIL_STEPS,
@@ -54,19 +52,21 @@ class EventChoices:
     settings : Settings
         What the user has set.
     recordings : Recordings
+    train : ndarray of int
+        Indices of the training samples; none if there can be no split.
 
     Attributes
     ----------
     choices : list of Choice
     """
 
-    def __init__(self, settings: Settings, recordings: Recordings):
+    def __init__(self, settings: Settings, recordings: Recordings, train: np.ndarray):
         self.settings = settings
         self.recordings = recordings
-        self.table = EventTable.of(recordings)
+        self.table = recordings.table
         self.choices: list[Choice] = []
         self.is_usual = is_handwriting(recordings)
-        self.train = _training_samples(settings, recordings)
+        self.train = train
         self._choose_step()
         self._choose_presentation()
         self._choose_architecture()
@@ -198,13 +198,3 @@ class EventChoices:
             return reading
         chosen = presented.input.refractory_steps
         return reading._replace(refractory=chosen, lost=self.table.lost(step_ms, chosen))
-
-
-def _training_samples(settings, recordings):
-    """Indices of the training samples; none if there can be no split."""
-    shares = settings.split
-    fractions = shares.test_fraction, shares.validation_fraction
-    try:
-        return split_of(recordings, settings.seed, *fractions, shares.kind).train
-    except ValueError:
-        return np.empty(0, int)

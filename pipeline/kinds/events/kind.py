@@ -188,8 +188,8 @@ class EventsKind(NetworkKind):
             inputs.say(f"{WARNING}{warning}")
         return spec_of_events(recipe, weights, shown, provenance)
 
-    def choices(self, recordings):
-        return EventChoices(self.settings, recordings).choices
+    def choices(self, recordings, train):
+        return EventChoices(self.settings, recordings, train).choices
 
     def notes(self, recordings):
         return event_warnings(self.settings, recordings)
@@ -238,7 +238,7 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     seed : int
         Seed of :meth:`pipeline.recordings.splits.Split.held_out`.
     """
-    table, (train, held_out) = EventTable.of(dataset.recordings), dataset.split.held_out(seed)
+    train, held_out = dataset.split.held_out(seed)
     if not len(dataset.split.validation) and len(held_out) < FEWEST:
         train = dataset.split.train
         held_out = held_out[:0]
@@ -246,7 +246,7 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
         order = np.random.default_rng([seed, 0x3E1D]).permutation(held_out)
         train = np.sort(np.concatenate([train, order[MAX_HELD_OUT:]]))
         held_out = np.sort(order[:MAX_HELD_OUT])
-    return EventSamples(table, dataset.labels, train, held_out)
+    return EventSamples(dataset.recordings.table, dataset.labels, train, held_out)
 
 
 def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:

@@ -13,7 +13,6 @@ from models.architecture import parse
 from pipeline.kinds.architectures import architecture_for, chosen_text, is_for
 from pipeline.kinds.presentation import image_gap_choice
 from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_digits
-from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Choice, Settings, names_in
 
 # Rows and columns of the first convolution's output on slices of time, on average.
@@ -95,7 +94,7 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
         choices.append(Choice("presentation.gap", gap, reason))
     if is_sliced:
         slices = _choose_slices(settings, recipe, own_channels)
-        of_image, channels = _choose_image(settings, slices, EventTable.of(recordings))
+        of_image, channels = _choose_image(settings, slices, recordings.table)
         choices += of_image + _choose_training(settings, recipe)
     if is_own or (not is_sliced and is_for(cnn.architecture, sensor, channels)):
         return choices

@@ -222,7 +222,7 @@ class ImageKind(NetworkKind):
         activations = network.activations(images)
         return layers_json(spec, rates, activations)
 
-    def choices(self, recordings):
+    def choices(self, recordings, train):
         return choose_image_settings(self.settings, recordings)
 
     def require_presentable(self, dataset):

@@ -324,7 +324,7 @@ class NirKind(NetworkKind):
             inputs.say(f"{WARNING}{warning}")
         return spec
 
-    def choices(self, recordings):
+    def choices(self, recordings, train):
         settings = self.settings
         from_rest = [Choice(name, value) for name, value in FROM_REST.items()]
         if not settings.on_events:

@@ -24,7 +24,7 @@ def settings(**sections):
 
 def choose(own, made):
     """The values that are chosen, as ``with_values`` takes them, and the reasons."""
-    choices = kind_of_network(own).choices(made)
+    choices = kind_of_network(own).choices(made, np.arange(len(made)))
     changes = {}
     for choice in choices:
         put(changes, choice.setting, choice.value, "test")
@@ -155,7 +155,8 @@ def test_a_default_that_the_user_gives_is_kept(tmp_path):
     assert changed["image"] == {"normalisation": "sqrt-clip"}
     own = given.with_values({"seed": 3})
     run = RunFolder(tmp_path)
-    run.save_settings(apply_choices(own, kind_of_network(own).choices(recordings(1, 30))))
+    choices = kind_of_network(own).choices(recordings(1, 30), np.arange(10))
+    run.save_settings(apply_choices(own, choices))
     again = run.resolve_settings(None, {})  # by a later command
     assert again == own
     assert choose(again, recordings(1, 30))[0] == changes
