@@ -17,8 +17,8 @@ import numpy as np
 
 import stmnist
 from experiments import unipen
-from pipeline.recordings.library import simulated
 from pipeline.simulation import parameters
+from pipeline.sources import load_simulated
 
 if __name__ == "__main__":
     known = [trace for trace in unipen.read(Path(sys.argv[1])) if trace.writer >= 0]
@@ -29,7 +29,7 @@ if __name__ == "__main__":
         traces = tuple(replace(t, strokes=s) for t, s in zip(traces, turned, strict=True))
     counts = np.bincount([trace.digit for trace in traces], minlength=10)
     people = parameters.load()  # who press like the people of the network of the live page
-    recordings = simulated(0, counts, 2, traces=traces, parameters=people)
+    recordings = load_simulated(0, counts, 2, traces=traces, parameters=people)
     columns = recordings.taxels.column, recordings.taxels.row
     events = [(*(c[r.taxel] for c in columns), r.time_ns, r.polarity > 0) for r in recordings]
     labels, writers = recordings.labels.tolist(), recordings.writers.tolist()

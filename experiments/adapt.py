@@ -26,10 +26,10 @@ from pipeline.commands import options
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hidden
 from pipeline.recordings.dataset import Dataset, dataset_origin, split_of
-from pipeline.recordings.library import simulated
 from pipeline.results.study import Case, study
 from pipeline.run.settings import SIMULATED
 from pipeline.simulation import parameters
+from pipeline.sources import load_simulated
 from pipeline.stages import opened_in
 from pipeline.training.adaptation import Person, Responder, refit, require_fit, with_rehearsal
 
@@ -79,7 +79,7 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     people = people_of(pen, fold, settings.data.writers)
     seed, each = settings.data.simulation_seed, settings.data.samples_per_digit
     counts = [each] * 10 if each else list(SAMPLES_PER_DIGIT)
-    training = simulated(seed, counts, 1, parameters=people.parameters)
+    training = load_simulated(seed, counts, 1, parameters=people.parameters)
     shares = settings.split.test_fraction, settings.split.validation_fraction
     split = split_of(training, case.seed, *shares)
     dataset = Dataset(training, split, dataset_origin(settings, training.source.sha256), settings)
@@ -89,7 +89,7 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     spec = opened.spec()
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
     counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
-    own = simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
+    own = load_simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
     cases = list(fitted_to_people(spec, dataset.part("test"), own, draws, case.seed))
     return {"recordings": sha256_of(pen), "simulated": True, "people": cases}
 

@@ -42,10 +42,10 @@ from experiments.fidelity import (
 from pipeline.commands import options
 from pipeline.progress import progress
 from pipeline.recordings.events import GRID, N_TAXELS, are_digits
-from pipeline.recordings.library import load_recordings
 from pipeline.simulation import handwriting
 from pipeline.simulation.parameters import FITTED, Parameters, from_fit
 from pipeline.simulation.simulate import begin_sample, list_samples, simulate
+from pipeline.sources import load_recordings
 
 # Recordings of each digit that are needed at least.
 FEWEST_OF_A_DIGIT = 100

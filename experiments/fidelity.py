@@ -19,7 +19,7 @@ from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.recordings.chunks import CHUNK_NS, CHUNKS, chunk_events
 from pipeline.recordings.events import GRID, N_TAXELS, Recordings, are_digits
-from pipeline.recordings.library import load_recordings
+from pipeline.sources import load_recordings
 
 # Slices of a recording for the classifier of digits, and the penalty of its weights.
 SLICES = 10

@@ -23,6 +23,7 @@ from deploy.errors import CheckFailed
 from deploy.files import write_json
 from deploy.tables import align_rows
 from experiments.studies import RESULTS, Store, processor
+from pipeline import sources
 from pipeline.commands import options
 from pipeline.recordings import library
 from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings
@@ -66,10 +67,10 @@ def repeat_recordings(recordings: Recordings, samples_per_digit: int) -> Recordi
 def store_repeated(cache: Path, recordings: Recordings, samples_per_digit: int):
     """Store repeated recordings where a run looks for as many simulated ones."""
     settings = Settings().with_values({"data": {"samples_per_digit": samples_per_digit}})
-    sha256, _ = library.identity_of(settings)
+    sha256, _ = sources.identity_of(settings)
     repeated = repeat_recordings(recordings, samples_per_digit)
     repeated = replace(repeated, source=replace(recordings.source, sha256=sha256))
-    library.store(cache / library.path_of_simulated(sha256).name, repeated)
+    library.store(cache / sources.path_of_simulated(sha256).name, repeated)
 
 
 def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:
@@ -95,7 +96,7 @@ def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:
 
 def measure(sizes, kinds, out: Path, say=print) -> list:
     """A row for each number of recordings and kind of network."""
-    few = library.load_recordings()
+    few = sources.load_recordings()
     rows = []
     for size in sizes:
         samples_per_digit = size // 10

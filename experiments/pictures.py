@@ -21,10 +21,10 @@ from deploy.targets.registry import run_target
 from deploy.terminal import show
 from pipeline.live.network import SHIPPED
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.recordings.library import simulated
 from pipeline.results.report import figures
 from pipeline.results.report.figures import animation, recordings
 from pipeline.simulation import handwriting, parameters, simulate
+from pipeline.sources import load_simulated
 
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ("pipeline/results/report/figures/recordings.py", "pipeline/look.css")
@@ -113,7 +113,7 @@ def main():
         raise UserError(
             "no Chromium here; install one (on Debian and Ubuntu: apt install chromium)"
         )
-    docs, sample = ROOT / "docs", simulated(0, SAMPLES_PER_DIGIT, 2)
+    docs, sample = ROOT / "docs", load_simulated(0, SAMPLES_PER_DIGIT, 2)
     index = sample.ids.index("8/0007")
     figures.save(recordings.draw_recording(sample, index), docs / "recording.png")
     figures.save(recordings.sheet(sample), docs / "sheet.png")

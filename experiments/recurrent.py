@@ -19,8 +19,8 @@ from deploy.terminal import show
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from pipeline.kinds.nir.kind import Stepped, graph_inputs, spec_of_nir
-from pipeline.recordings.dataset import Dataset
 from pipeline.run.settings import Settings
+from pipeline.sources import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -41,7 +41,7 @@ def main(
         "presentation": {"gap": 0, "stream_length": 1},  # as PyTorch trains it
     }
     settings = Settings().with_values(changes, "recurrent")
-    dataset = Dataset.of(settings)
+    dataset = load_dataset(settings)
     rows = [("seed", "snnTorch", "graph", target, "points lost", "same predictions", "same spikes")]
     with tempfile.TemporaryDirectory() as folder:
         frames = Path(folder) / "frames.npz"

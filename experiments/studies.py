@@ -26,11 +26,11 @@ from pipeline.commands import options
 from pipeline.kinds import choose_settings
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.faults import add_faults
-from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Provenance, Settings
+from pipeline.sources import recordings_of
 
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"

@@ -41,12 +41,12 @@ from pipeline.kinds.steps import StepInputs
 from pipeline.progress import hidden, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import facts_of
-from pipeline.recordings.library import recordings_of
 from pipeline.recordings.source import reading_lines
 from pipeline.recordings.splits import PUBLISHED, copies, find_classes_without_test
 from pipeline.run.artifacts import DELETE_IT, Artifact, Library, Origin
 from pipeline.run.folder import RunFolder, working_in
 from pipeline.run.settings import SIMULATED, Settings, read_settings
+from pipeline.sources import recordings_of
 from pipeline.training.adaptation import with_rehearsal
 
 __all__ = [

@@ -64,7 +64,9 @@ FLOORS = {
     "pipeline": [
         {"interrupts", "jobs", "look", "paper", "progress"},
         {"run"},
-        {"recordings", "simulation"},
+        {"recordings"},
+        {"simulation"},
+        {"sources"},
         {"training"},
         {"kinds"},
         {"stages"},

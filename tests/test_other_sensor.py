@@ -9,7 +9,7 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
-from pipeline.recordings.library import load_recordings
+from pipeline.sources import load_recordings
 from tests.command import call
 from tests.pipeline.handmade import archive, npz
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from deploy.files import read_json
 from pipeline.recordings.images import tactile_images
-from pipeline.recordings.library import load_recordings
+from pipeline.sources import load_recordings
 from tests.command import LEAVE_GARBAGE, call, environment
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures, owners_image, write_folder
 

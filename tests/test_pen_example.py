@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 
-from pipeline.recordings.library import load_recordings
+from pipeline.sources import load_recordings
 from tests.command import ROOT, environment
 from tests.experiments.test_unipen import SEVEN
 

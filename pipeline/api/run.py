@@ -30,13 +30,13 @@ from pipeline.kinds import prepare_dataset
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.library import recordings_of
 from pipeline.results import compare, elsewhere
 from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
 from pipeline.run.folder import RunFolder, refuse_other_folders, working_in
 from pipeline.run.settings import SIMULATED, Settings, put, read_settings
+from pipeline.sources import recordings_of
 
 # Source of the settings in the messages of errors.
 ORIGIN = "Run"

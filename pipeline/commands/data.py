@@ -32,7 +32,7 @@ Reading = Annotated[
 
 
 def _recordings(source, reading, jobs, **data):
-    from pipeline.recordings.library import recordings_of
+    from pipeline.sources import recordings_of
 
     return recordings_of(_settings(source, reading, **data), jobs, options.say)
 

@@ -16,9 +16,9 @@ from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.kind import NirKind
 from pipeline.recordings.dataset import TOO_SMALL, Dataset, split_recordings
 from pipeline.recordings.events import Recordings, reading_text
-from pipeline.recordings.library import recordings_of
 from pipeline.recordings.splits import PUBLISHED, WRITERS, split_problem
 from pipeline.run.settings import Choice, Settings, apply_choices, list_reasons
+from pipeline.sources import recordings_of
 
 # The first of them that the settings describe is the kind of a run.
 KINDS = [NirKind, EventsKind, ImageKind]
@@ -109,7 +109,7 @@ def prepare_dataset(
     if say is not None:
         for line in list_reasons(settings, choices):
             say(line)
-    return Dataset.of(complete, recordings=recordings, split=split)
+    return Dataset.of(complete, recordings, split)
 
 
 def _try_to_split(recordings, settings):

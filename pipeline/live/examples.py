@@ -11,10 +11,10 @@ from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
 from pipeline.recordings.events import Events, Recordings
-from pipeline.recordings.library import recordings_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import read_settings
 from pipeline.simulation.writing import START_S
+from pipeline.sources import recordings_of
 
 # Time from an example's last event to its end.
 AFTERWARDS_S = 0.05

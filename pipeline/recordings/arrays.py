@@ -7,7 +7,7 @@ from pathlib import Path
 
 from deploy.errors import SeveralErrors, UserError
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.library import load_recordings
+from pipeline.recordings.library import import_recordings
 from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.writing import write_recordings
 
@@ -20,7 +20,7 @@ UNLABELLED = "unlabelled"
 
 def read_recordings(path, time_unit: str = "") -> Recordings:
     """See :meth:`pipeline.recordings.events.Recordings.read`."""
-    return load_recordings(str(path), reading=ReadingOptions(time_unit=time_unit))
+    return import_recordings(Path(path), reading=ReadingOptions(time_unit=time_unit))
 
 
 def recordings_from_arrays(events, labels=None, **more) -> Recordings:
@@ -35,7 +35,7 @@ def recordings_from_arrays(events, labels=None, **more) -> Recordings:
         path = Path(folder) / NAME
         try:
             write_recordings(path, zip(events, labels, strict=True), **more)
-            return load_recordings(str(path))
+            return import_recordings(path)
         except SeveralErrors as error:
             lines = [line.replace(str(path), "arrays") for line in error.lines]
             raise SeveralErrors(lines) from error

@@ -15,7 +15,6 @@ from deploy.terminal import WARNING
 from pipeline.recordings.cache import empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.images import AlteredImages, tactile_images
-from pipeline.recordings.library import recordings_of
 from pipeline.recordings.splits import PUBLISHED, Split, split_of, split_problem
 from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
 from pipeline.run.artifacts import Origin
@@ -65,33 +64,24 @@ class Dataset:
     def of(
         cls,
         settings: Settings,
-        jobs: int = 1,
-        warn=None,
-        recordings: Recordings | None = None,
+        recordings: Recordings,
         split: Split | None = None,
     ) -> Dataset:
-        """The recordings named in the settings, split with the seed of the settings.
+        """The recordings that the settings name, split with the seed of the settings.
 
         Parameters
         ----------
         settings : Settings
-        jobs : int
-            Processes for recordings that are not in the cache.
-        warn : callable, optional
-            Called with one line for each file that was left out.
-        recordings : Recordings, optional
-            The recordings that the settings name, if they were loaded before.
+        recordings : Recordings
+            From :func:`pipeline.sources.recordings_of`.
         split : Split, optional
             From :func:`split_recordings`, if they were split before.
 
         Raises
         ------
         UserError
-            The source cannot be read, is too small for the split, or has a class with a single
-            recording.
+            They are too few for the split, or there is a class with a single recording.
         """
-        if recordings is None:
-            recordings = recordings_of(settings, jobs, warn)
         if split is None:
             split = split_recordings(recordings, settings)
             if problem := split_problem(recordings, split.kind):

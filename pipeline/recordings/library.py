@@ -1,4 +1,4 @@
-"""Loading recordings by the name of their source: simulated or imported on first use, and cached.
+"""Recordings that are kept in a cache: those of files are imported on first use.
 
 The cache has some files for each set of recordings, which are keyed by the source's content.  The
 columns of its events are files of their own, which are memory-mapped: what is used of them is read.
@@ -14,13 +14,11 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
-from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings import source as sources
 from pipeline.recordings.cache import cache_folder, map_column, write_column
 from pipeline.recordings.events import (
     EVENT_DTYPES,
-    GRID,
     Events,
     Recordings,
     Sensor,
@@ -28,10 +26,7 @@ from pipeline.recordings.events import (
     TaxelMap,
 )
 from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
-from pipeline.recordings.splits import PUBLISHED, RANDOM
-from pipeline.run.settings import SIMULATED, Settings
-from pipeline.simulation import parameters
-from pipeline.simulation.simulate import simulate, source_of
+from pipeline.run.settings import Settings
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
 FORMAT = 8
@@ -40,77 +35,6 @@ FORMAT = 8
 LARGEST_CACHE = 1 << 34
 
 DELETE = "delete it and run the command again to make it again"
-
-
-def load_recordings(  # noqa: PLR0913 - all have defaults; callers name them
-    source: str = SIMULATED,
-    simulation_seed: int = 0,
-    samples_per_digit: int = 0,
-    skip_bad: bool = False,
-    jobs: int = 2,
-    warn=None,
-    reading: ReadingOptions = AS_FOUND,
-    writers: int = parameters.PEOPLE,
-    chunked: float = 0.0,
-) -> Recordings:
-    """Recordings of a source, which are simulated or imported on first use and cached.
-
-    Parameters
-    ----------
-    source : str
-        ``"simulated"``, or the path of a zip or folder of recordings.
-    simulation_seed : int
-        Seed of simulated recordings.
-    samples_per_digit : int
-        Number of simulated recordings; 0 for the published numbers, 6,953 in all.
-    skip_bad : bool
-        True to leave out files that cannot be read instead of stopping.
-    jobs : int
-        Processes.
-    warn : callable, optional
-        Called with one line for each file that was left out.
-    reading : pipeline.recordings.sensor.ReadingOptions
-        Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
-    writers : int
-        Number of simulated people.
-    chunked : float
-        Share of the simulated recordings that keep the order of events and not their time.
-
-    Returns
-    -------
-    Recordings
-
-    Raises
-    ------
-    UserError
-        The source cannot be read, or the cache is damaged.
-    """
-    if source == SIMULATED:
-        size = (reading.rows or GRID, reading.columns or GRID)
-        counts = _counts(samples_per_digit)
-        people = parameters.load(writers, chunked)
-        return simulated(simulation_seed, counts, jobs, size=size, parameters=people)
-    return _imported(Path(source), skip_bad, jobs, warn, reading)
-
-
-def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
-    """Recordings named in the settings; see :func:`load_recordings`."""
-    data = settings.data
-    # An artifact may read only the settings that apply to its recordings (dataset_origin).
-    if data.source == SIMULATED:
-        return load_recordings(
-            SIMULATED,
-            data.simulation_seed,
-            data.samples_per_digit,
-            jobs=jobs,
-            reading=ReadingOptions(settings.skin.rows, settings.skin.columns),
-            writers=data.writers,
-            chunked=data.chunked,
-        )
-    reading = options_from(settings)
-    return load_recordings(
-        data.source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
-    )
 
 
 def options_from(settings: Settings) -> ReadingOptions:
@@ -126,80 +50,49 @@ def options_from(settings: Settings) -> ReadingOptions:
     )
 
 
-def identity_of(settings: Settings) -> tuple:
-    """The hash of the recordings named in the settings and their split, without loading them.
+def import_recordings(
+    source: Path,
+    skip_bad: bool = False,
+    jobs: int = 2,
+    warn=None,
+    reading: ReadingOptions = AS_FOUND,
+) -> Recordings:
+    """Recordings of files, read on first use and cached.
 
-    Returns
-    -------
-    sha256 : str
-        ``source.sha256`` of :func:`recordings_of`.
-    kind : str
-        Kind of the split, see :class:`pipeline.recordings.splits.Split`.
+    Parameters
+    ----------
+    source : Path
+        A zip or folder of recordings.
+    skip_bad : bool
+        True to leave out files that cannot be read instead of stopping.
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with one line for each file that was left out.
+    reading : ReadingOptions
 
     Raises
     ------
     UserError
-        The source does not exist or cannot be read.
+        The source cannot be read, or the cache is damaged.
     """
-    data = settings.data
-    skin = settings.skin
-    kind = settings.split.kind
-    if data.source == SIMULATED:
-        size = (skin.rows or GRID, skin.columns or GRID)
-        counts = _counts(data.samples_per_digit)
-        people = parameters.load(data.writers, data.chunked)
-        sha256 = source_of(data.simulation_seed, counts, people, size=size).sha256
-        return sha256, RANDOM if kind == "auto" else kind
-    listing = sources.list_source(data.source)
-    if kind == "auto":
-        kind = PUBLISHED if listing.entries[0].part else RANDOM
-    return _hash_of(listing), kind
-
-
-def _counts(samples_per_digit):
-    return [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
-
-
-def simulated(seed: int, counts, jobs: int, **how) -> Recordings:
-    """Simulated recordings, from the cache if they are in it.
-
-    Parameters
-    ----------
-    seed : int
-    counts : sequence of 10 int
-        Recordings of each digit.
-    jobs : int
-        Processes.
-    **how
-        ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
-    """
-    path = path_of_simulated(source_of(seed, counts, **how).sha256)
-    recordings = load(path)
-    if recordings is None:
-        with progress("simulate", sum(counts)) as advance:
-            store(path, simulate(seed, counts, jobs, advance, **how))
-        recordings = _load_stored(path)
-    return recordings
-
-
-def _imported(source, skip_bad, jobs, warn, reading):
     listing = sources.list_source(source)
     # An import without the bad files must not be used as a complete import later, and refused
     # files are not in the hash.
     refused = [list(entry) for entry in listing.refused]
     how = (skip_bad, *astuple(reading), refused)
-    path = _path("imported", source.name, _hash_of(listing), *how)
+    path = cache_file("imported", source.name, find_hash(listing), *how)
     recordings = load(path)
     if recordings is None:
-        store(path, sources.read_source(source, jobs, skip_bad, progress, reading))
-        recordings = _load_stored(path)
+        read = sources.read_source(source, jobs, skip_bad, progress, reading)
+        recordings = store_and_load(path, read)
     if warn is not None:
         for line in sources.reading_lines(source, recordings):
             warn(line)
     return recordings
 
 
-def _hash_of(listing):
+def find_hash(listing: sources.Listing) -> str:
     """The content hash of a source, which is read again only if its files have changed."""
     path = cache_folder() / f"source-{sources.fingerprint(listing)[:24]}.json"
     if path.exists():
@@ -211,7 +104,7 @@ def _hash_of(listing):
     return sha256
 
 
-def _path(*key):
+def cache_file(*key) -> Path:
     """The file for recordings that are determined by some plain values."""
     name = hashlib.sha256(json.dumps([FORMAT, *key]).encode()).hexdigest()[:24]
     return cache_folder() / f"recordings-{name}.npz"
@@ -220,11 +113,6 @@ def _path(*key):
 def _column_path(path, name):
     """The file of a column of the events of recordings."""
     return path.with_name(f"{path.stem}-{name}.npy")
-
-
-def path_of_simulated(sha256: str) -> Path:
-    """The file for simulated recordings, by the hash of their source."""
-    return _path("simulated", sha256)
 
 
 def store(path, recordings: Recordings):
@@ -256,8 +144,9 @@ def store(path, recordings: Recordings):
     )
 
 
-def _load_stored(path) -> Recordings:
-    """Recordings that were stored just now: from the files, so that they do not take memory."""
+def store_and_load(path, made: Recordings) -> Recordings:
+    """Save recordings, and load them from the files, so that they do not take memory."""
+    store(path, made)
     recordings = load(path)
     assert recordings is not None
     return recordings

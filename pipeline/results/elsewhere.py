@@ -18,13 +18,13 @@ from pipeline.paper import CHECK_SAMPLES
 from pipeline.recordings.dataset import cut_text, inputs_for, require_sensor_fits
 from pipeline.recordings.events import UNIT_NAMES, Recordings
 from pipeline.recordings.formats.recording import UNITS
-from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.splits import draw_check_samples
 from pipeline.recordings.times import MIN_DURATION_S
 from pipeline.results.ladder import confusion_matrix
 from pipeline.run.folder import checks_of, run_around
 from pipeline.run.settings import Image, Settings, read_settings
+from pipeline.sources import load_recordings
 
 # Name of the folder in a run's results.
 FOLDER = "other"

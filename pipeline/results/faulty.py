@@ -12,9 +12,9 @@ from deploy.files import write_json
 from pipeline.recordings.dataset import inputs_for
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import CHECK_PERIOD_MS, add_faults
-from pipeline.recordings.library import recordings_of
 from pipeline.run.folder import run_around
 from pipeline.run.settings import Image, read_settings
+from pipeline.sources import recordings_of
 
 # Maximum number of faulty taxels of a kind.
 MAX_FAULTS = 1000

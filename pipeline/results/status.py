@@ -13,12 +13,12 @@ from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING, command_text
 from pipeline.kinds import kind_of_network
 from pipeline.recordings.dataset import dataset_origin
-from pipeline.recordings.library import identity_of
 from pipeline.recordings.splits import RANDOM
 from pipeline.results.ladder import BOARDS, ladder_artifact, ladder_stages
 from pipeline.run.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
 from pipeline.run.folder import RunFolder, require_run, run_around
 from pipeline.run.settings import Settings, read_settings
+from pipeline.sources import identity_of
 from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
 
 # Width of the text in columns.

@@ -33,6 +33,7 @@ from pipeline.progress import hidden, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.run.artifacts import DELETE_IT, Library
 from pipeline.run.settings import Settings
+from pipeline.sources import load_dataset
 from pipeline.stages import Opened, opened_in
 
 SCHEMA = "stmnist-row/1"
@@ -278,7 +279,7 @@ def dataset_of(case: Case) -> Dataset:
 @functools.lru_cache(maxsize=1)
 def _split_recordings(settings):
     """The recordings and their split, which the cases of a group share."""
-    return Dataset.of(settings)
+    return load_dataset(settings)
 
 
 def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:

@@ -19,10 +19,10 @@ from deploy.tables import in_blocks, plain
 from deploy.targets.registry import TARGETS
 from pipeline.kinds import choose_settings, kind_of_network, prepare_dataset
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.library import recordings_of
 from pipeline.results.study import Case, Workers, study
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Provenance, Settings, parse_assignments, put
+from pipeline.sources import recordings_of
 
 SCHEMA = "stmnist-sweep/3"
 # Share of the training samples held out for the evaluation, if the settings have none.

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from experiments import classifiers, readings, studies, styles
-from pipeline.recordings.dataset import Dataset
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Settings
+from pipeline.sources import load_dataset
 
 SETTINGS = Settings().with_values({"data": {"samples_per_digit": 40}})
 
 
 @pytest.fixture(scope="module")
 def dataset():
-    return Dataset.of(SETTINGS)
+    return load_dataset(SETTINGS)
 
 
 @pytest.mark.parametrize("stage", classifiers.STAGES)

@@ -14,9 +14,9 @@ from experiments.fidelity import (
 from pipeline.recordings.chunks import CHUNK_NS
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.recordings.formats.mat import read_recording
-from pipeline.recordings.library import load_recordings
 from pipeline.simulation import parameters
 from pipeline.simulation.simulate import simulate
+from pipeline.sources import load_recordings
 
 
 def recordings_of(events, **how):

@@ -10,10 +10,10 @@ import pytest
 from deploy.check.bundle import read_bundle
 from experiments import adapt, document, speed, studies, tables
 from experiments.__main__ import OTHERS, main
-from pipeline.recordings.library import recordings_of
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Settings
+from pipeline.sources import recordings_of
 from pipeline.training.adaptation import with_rehearsal
 from tests.command import call, missing
 from tests.experiments.test_tables import row

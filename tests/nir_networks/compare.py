@@ -18,8 +18,8 @@ from deploy.targets.registry import run_target
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from pipeline.kinds.nir.kind import Stepped, graph_inputs
-from pipeline.recordings.dataset import Dataset
 from pipeline.run.settings import read_settings
+from pipeline.sources import load_dataset
 
 
 def convert(graph, run, *options):
@@ -47,7 +47,7 @@ def figures(graph, answers, run, target="fast"):
     """
     theirs = read_arrays(answers, "train again")
     settings = read_settings(Path(run) / "experiment.toml")
-    dataset, network = Dataset.of(settings), read_nir(graph)
+    dataset, network = load_dataset(settings), read_nir(graph)
     np.testing.assert_array_equal(dataset.split.test, theirs["test"])
     labels, frames = dataset.labels[theirs["test"]], dataset.inputs[theirs["test"]]
     stepped, n = Stepped.of(settings, network), len(theirs["outputs"])

@@ -10,8 +10,8 @@ import sys
 import numpy as np
 
 from deploy.files import write_arrays
-from pipeline.recordings.dataset import Dataset
 from pipeline.run.settings import Settings
+from pipeline.sources import load_dataset
 
 
 def main(file, step_ms, samples_per_digit=0):
@@ -19,7 +19,7 @@ def main(file, step_ms, samples_per_digit=0):
         "input": {"kind": "events", "step": float(step_ms), "refractory": 0.0},
         "data": {"samples_per_digit": int(samples_per_digit)},
     }
-    dataset = Dataset.of(Settings().with_values(changes, "frames"))
+    dataset = load_dataset(Settings().with_values(changes, "frames"))
     frames = np.moveaxis(dataset.inputs, -1, 2)
     write_arrays(
         file,

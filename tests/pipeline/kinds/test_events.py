@@ -6,8 +6,8 @@ import pytest
 from deploy.network.decision import Threshold
 from pipeline.kinds.events import kind as events
 from pipeline.kinds.events.kind import choose, event_samples
-from pipeline.recordings.dataset import Dataset
 from pipeline.run.settings import Settings
+from pipeline.sources import load_dataset
 from pipeline.training.events import TrainedOnEvents
 
 EVENTS = {"input": {"kind": "events", "step": 125.0}, "data": {"samples_per_digit": 6}}
@@ -28,7 +28,7 @@ def choice(monkeypatch):
 
 def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
-    dataset = Dataset.of(settings)
+    dataset = load_dataset(settings)
     samples = event_samples(dataset, 3)
     chosen = choose(settings, samples, TrainedOnEvents.of(settings, {}), 3)
     return dataset.split, samples, chosen

@@ -10,10 +10,10 @@ from models.architecture import parse
 from pipeline.kinds import choose_settings, kind_of_network
 from pipeline.kinds.architectures import architecture_for, event_architecture_for
 from pipeline.recordings.events import Sensor
-from pipeline.recordings.library import load_recordings
 from pipeline.recordings.writing import write_recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
+from pipeline.sources import load_recordings
 from pipeline.training.recipe import SIZES as NETWORK_SIZES
 from tests.command import missing
 from tests.own_sensor import CLASSES, gestures, write_folder

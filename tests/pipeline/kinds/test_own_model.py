@@ -12,9 +12,9 @@ from deploy.files import read_json
 from models.architecture import parse
 from pipeline import stages
 from pipeline.kinds.kind import read_weights
-from pipeline.recordings.dataset import Dataset
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings, read_settings
+from pipeline.sources import load_dataset
 from tests.command import call, missing
 
 DATA = ("--set", "data.samples_per_digit=60")
@@ -26,7 +26,7 @@ ARCHITECTURE = "10x10-6c4-24c3-10o"
 def dataset(tiny_run):
     """The recordings of the small run, which are in the cache with it."""
     changes = {"data": {"samples_per_digit": 60}, "image": {"normalisation": "sqrt-clip"}}
-    return Dataset.of(Settings().with_values(changes, "test"))
+    return load_dataset(Settings().with_values(changes, "test"))
 
 
 @pytest.fixture(scope="module")
@@ -243,4 +243,4 @@ def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     from deploy.errors import UserError
 
     with pytest.raises(UserError, match=r"model\.keras: .*--model"):
-        stages.opened_in(RunFolder(folder), settings, Dataset.of(settings)).make("cnn")
+        stages.opened_in(RunFolder(folder), settings, load_dataset(settings)).make("cnn")

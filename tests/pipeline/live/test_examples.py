@@ -15,10 +15,10 @@ from pipeline.live.deciding import decider_of
 from pipeline.live.examples import Example, Examples, Replayed, check_examples
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.events import Events, Sensor
-from pipeline.recordings.library import recordings_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import read_settings
 from pipeline.simulation.writing import START_S
+from pipeline.sources import recordings_of
 
 
 def line(n=5):

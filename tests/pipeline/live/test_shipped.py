@@ -10,8 +10,8 @@ from deploy.files import read_json
 from deploy.targets.registry import run_target
 from pipeline.live.network import SHIPPED, sensor_of
 from pipeline.recordings.events import Sensor
-from pipeline.recordings.library import identity_of
 from pipeline.run.settings import read_settings
+from pipeline.sources import identity_of
 from tests.command import ROOT, call
 
 RECIPE = SHIPPED.with_name("shipped.toml")

@@ -11,7 +11,7 @@ from pipeline.recordings.activity import (
     measure_polarity_order,
     polarity_text,
 )
-from pipeline.recordings.library import load_recordings
+from pipeline.sources import load_recordings
 from tests.pipeline.handmade import recordings
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"

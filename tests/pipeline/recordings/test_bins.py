@@ -9,9 +9,9 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.recordings.formats.bins import make_binned_recording
-from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.source import read_source
+from pipeline.sources import load_recordings
 from tests.pipeline.handmade import archive
 
 # Real recordings, which are not part of the project.

@@ -6,12 +6,12 @@ import pytest
 from deploy import limits
 from deploy.check.bundle import HEADERS
 from deploy.errors import UserError
-from pipeline.recordings.dataset import Dataset, dataset_origin, inputs_of
+from pipeline.recordings.dataset import dataset_origin, inputs_of
 from pipeline.recordings.images import tactile_images
-from pipeline.recordings.library import identity_of, recordings_of
 from pipeline.recordings.splits import split_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import SIMULATED, Settings, UndeclaredSetting
+from pipeline.sources import identity_of, load_dataset, recordings_of
 from pipeline.stages import open_run
 from tests.own_sensor import write_folder
 from tests.pipeline.handmade import archive, good_members
@@ -23,7 +23,7 @@ SMALL = Settings().with_values(
 
 @pytest.fixture(scope="module")
 def dataset():
-    return Dataset.of(SMALL)
+    return load_dataset(SMALL)
 
 
 @pytest.mark.parametrize("own", [True, False])
@@ -67,8 +67,8 @@ def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_pat
     if source == "imported":
         archive(tmp_path / "mine.zip", good_members(per_digit=6))
         settings = settings.with_values({"data": {"source": str(tmp_path / "mine.zip")}}, "test")
-    opened = Dataset.of(settings)
-    in_a_worker = Dataset.of(opened.origin.view(settings))
+    opened = load_dataset(settings)
+    in_a_worker = load_dataset(opened.origin.view(settings))
     assert in_a_worker.origin == opened.origin
     np.testing.assert_array_equal(in_a_worker.labels, opened.labels)
 
@@ -90,7 +90,7 @@ def test_too_few_samples_are_one_line_with_the_source(tmp_path):
     values = {"data": {"source": str(path)}, "split": {"test_fraction": 0.01}}
     settings = Settings().with_values(values, "test")
     with pytest.raises(UserError, match=r"st\.zip: 10 .* 0.01 .*split\.test_fraction"):
-        Dataset.of(settings)
+        load_dataset(settings)
 
 
 @pytest.mark.parametrize(("kind", "one"), [("image", 100 * 4), ("events", 50 * 200)])

@@ -13,9 +13,9 @@ from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.csv import read_csv
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.images import tactile_images
-from pipeline.recordings.library import load_recordings
 from pipeline.recordings.times import to_ns
 from pipeline.recordings.writing import write_recordings
+from pipeline.sources import load_recordings
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import npz
 

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from deploy.errors import UserError
 from pipeline.recordings.events import Sensor, reading_text
 from pipeline.recordings.images import tactile_images
-from pipeline.recordings.library import load_recordings
 from pipeline.recordings.sensor import ReadingOptions, class_order
 from pipeline.recordings.source import read_source
 from pipeline.run.settings import Image
+from pipeline.sources import load_recordings
 from tests.command import missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import archive, mat5, npz

@@ -12,9 +12,9 @@ from deploy.files import sha256_of
 from pipeline.recordings import source
 from pipeline.recordings.events import Sensor, TaxelMap
 from pipeline.recordings.formats.mat import lookup_table_bytes
-from pipeline.recordings.library import load_recordings
 from pipeline.recordings.source import list_source, read_source
 from pipeline.recordings.writing import write_zip
+from pipeline.sources import load_recordings
 from tests.pipeline.handmade import (
     archive,
     assert_same,

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from deploy.errors import CheckFailed, UserError
-from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.library import recordings_of
 from pipeline.results import study
 from pipeline.results.study import Case, Workers
 from pipeline.run.settings import Settings
+from pipeline.sources import load_dataset, recordings_of
 
 SMALL = Settings().with_values(
     {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"
@@ -78,7 +77,7 @@ def test_cases_that_differ_in_deployment_share_networks():
 
 
 def test_validation_samples_are_never_test_samples():
-    whole = Dataset.of(SMALL)
+    whole = load_dataset(SMALL)
     dataset = study.dataset_of(Case("a", SMALL, "fast", part="validation"))
     assert len(dataset.split.test) == 0
     assert len(dataset.split.validation) == 24  # of 96 that are not for testing

@@ -14,10 +14,11 @@ from deploy.targets.registry import run_target
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
 from pipeline.kinds.image.kind import deployed, to_spec
-from pipeline.recordings.dataset import Dataset, inputs_for
+from pipeline.recordings.dataset import inputs_for
 from pipeline.results.elsewhere import trained_on
 from pipeline.results.report.figures.animation import animate
 from pipeline.run.settings import Settings
+from pipeline.sources import load_dataset
 from pipeline.training import nengodl
 from pipeline.training import networks as training
 from pipeline.training.nengodl import nengo_dl
@@ -167,7 +168,7 @@ def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
     chosen = settings_of("10x10-4c3s3-10o").with_values(
         {"data": {"source": "simulated", "samples_per_digit": 4}, "image": image}
     )
-    dataset, weights = Dataset.of(chosen), random_weights("10x10-4c3s3-10o")
+    dataset, weights = load_dataset(chosen), random_weights("10x10-4c3s3-10o")
     for provenance in ({}, dataset.provenance):
         spec = deployed(chosen, weights, provenance, dataset.part("train"))
         np.testing.assert_array_equal(inputs_for(spec, dataset.recordings), dataset.inputs)

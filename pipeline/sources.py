@@ -1,0 +1,175 @@
+"""Recordings by the name of their source: simulated ones, or those of a zip or folder.
+
+The only module that knows both: :mod:`pipeline.recordings` reads files and has no simulator.
+"""
+
+from pathlib import Path
+
+from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.progress import progress
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.events import GRID, Recordings
+from pipeline.recordings.library import (
+    cache_file,
+    find_hash,
+    import_recordings,
+    load,
+    options_from,
+    store_and_load,
+)
+from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
+from pipeline.recordings.source import list_source
+from pipeline.recordings.splits import PUBLISHED, RANDOM
+from pipeline.run.settings import SIMULATED, Settings
+from pipeline.simulation import parameters
+from pipeline.simulation.simulate import simulate, source_of
+
+
+def load_recordings(  # noqa: PLR0913 - all have defaults; callers name them
+    source: str = SIMULATED,
+    simulation_seed: int = 0,
+    samples_per_digit: int = 0,
+    skip_bad: bool = False,
+    jobs: int = 2,
+    warn=None,
+    reading: ReadingOptions = AS_FOUND,
+    writers: int = parameters.PEOPLE,
+    chunked: float = 0.0,
+) -> Recordings:
+    """Recordings of a source, which are simulated or imported on first use and cached.
+
+    Parameters
+    ----------
+    source : str
+        ``"simulated"``, or the path of a zip or folder of recordings.
+    simulation_seed : int
+        Seed of simulated recordings.
+    samples_per_digit : int
+        Number of simulated recordings; 0 for the published numbers, 6,953 in all.
+    skip_bad : bool
+        True to leave out files that cannot be read instead of stopping.
+    jobs : int
+        Processes.
+    warn : callable, optional
+        Called with one line for each file that was left out.
+    reading : pipeline.recordings.sensor.ReadingOptions
+        Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
+    writers : int
+        Number of simulated people.
+    chunked : float
+        Share of the simulated recordings that keep the order of events and not their time.
+
+    Returns
+    -------
+    Recordings
+
+    Raises
+    ------
+    UserError
+        The source cannot be read, or the cache is damaged.
+    """
+    if source == SIMULATED:
+        size = (reading.rows or GRID, reading.columns or GRID)
+        counts = count_samples(samples_per_digit)
+        people = parameters.load(writers, chunked)
+        return load_simulated(simulation_seed, counts, jobs, size=size, parameters=people)
+    return import_recordings(Path(source), skip_bad, jobs, warn, reading)
+
+
+def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
+    """Recordings named in the settings; see :func:`load_recordings`."""
+    data = settings.data
+    # An artifact may read only the settings that apply to its recordings (dataset_origin).
+    if data.source == SIMULATED:
+        return load_recordings(
+            SIMULATED,
+            data.simulation_seed,
+            data.samples_per_digit,
+            jobs=jobs,
+            reading=ReadingOptions(settings.skin.rows, settings.skin.columns),
+            writers=data.writers,
+            chunked=data.chunked,
+        )
+    reading = options_from(settings)
+    return load_recordings(
+        data.source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
+    )
+
+
+def load_dataset(settings: Settings, jobs: int = 1, warn=None) -> Dataset:
+    """The recordings named in the settings, split with the seed of the settings.
+
+    Parameters
+    ----------
+    settings : Settings
+    jobs, warn
+        As in :func:`load_recordings`.
+
+    Raises
+    ------
+    UserError
+        As :func:`load_recordings` and :meth:`pipeline.recordings.dataset.Dataset.of`.
+    """
+    return Dataset.of(settings, recordings_of(settings, jobs, warn))
+
+
+def identity_of(settings: Settings) -> tuple:
+    """The hash of the recordings named in the settings and their split, without loading them.
+
+    Returns
+    -------
+    sha256 : str
+        ``source.sha256`` of :func:`recordings_of`.
+    kind : str
+        Kind of the split, see :class:`pipeline.recordings.splits.Split`.
+
+    Raises
+    ------
+    UserError
+        The source does not exist or cannot be read.
+    """
+    data = settings.data
+    skin = settings.skin
+    kind = settings.split.kind
+    if data.source == SIMULATED:
+        size = (skin.rows or GRID, skin.columns or GRID)
+        counts = count_samples(data.samples_per_digit)
+        people = parameters.load(data.writers, data.chunked)
+        sha256 = source_of(data.simulation_seed, counts, people, size=size).sha256
+        return sha256, RANDOM if kind == "auto" else kind
+    listing = list_source(data.source)
+    if kind == "auto":
+        kind = PUBLISHED if listing.entries[0].part else RANDOM
+    return find_hash(listing), kind
+
+
+def count_samples(samples_per_digit: int) -> list:
+    """Simulated recordings of each digit; 0 for the published numbers."""
+    return [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
+
+
+def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
+    """Simulated recordings, from the cache if they are in it.
+
+    Parameters
+    ----------
+    seed : int
+    counts : sequence of 10 int
+        Recordings of each digit.
+    jobs : int
+        Processes.
+    **how
+        ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
+    """
+    path = path_of_simulated(source_of(seed, counts, **how).sha256)
+    recordings = load(path)
+    if recordings is None:
+        with progress("simulate", sum(counts)) as advance:
+            made = simulate(seed, counts, jobs, advance, **how)
+            recordings = store_and_load(path, made)
+    return recordings
+
+
+def path_of_simulated(sha256: str) -> Path:
+    """The file for simulated recordings in the cache, by the hash of their source."""
+    return cache_file("simulated", sha256)
