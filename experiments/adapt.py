@@ -90,7 +90,7 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
     counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
     own = load_simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
-    cases = list(fitted_to_people(spec, dataset.part("test"), own, draws, case.seed))
+    cases = list(fitted_to_people(spec, dataset.subset("test"), own, draws, case.seed))
     return {"recordings": sha256_of(pen), "simulated": True, "people": cases}
 
 
@@ -118,7 +118,7 @@ def fitted_to_people(spec, others, recordings, draws: int, seed: int):
     responder, readout, kept = Responder(spec, seed), spec.layers[-1], spec.rehearsal
     elsewhere = responder.responses(others[0]), others[1]
     for who in np.unique(recordings.writers[recordings.writers >= 0]):
-        mine = recordings.part(np.flatnonzero(recordings.writers == who))
+        mine = recordings.subset(np.flatnonzero(recordings.writers == who))
         classes = len(recordings.sensor.classes)
         if np.bincount(mine.labels, minlength=classes).min() <= max(EACH):
             continue

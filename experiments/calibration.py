@@ -486,7 +486,7 @@ def read_target(source: Path, jobs: int) -> tuple:
     if not are_digits(recordings.sensor.classes):
         raise UserError(f"{source}: its classes are not the ten digits; give recordings of digits")
     kept = np.flatnonzero([part != "test" for part in recordings.parts])
-    recordings = recordings.part(kept)
+    recordings = recordings.subset(kept)
     counts = np.bincount(recordings.labels, minlength=10)
     if counts.min() < FEWEST_OF_A_DIGIT:
         raise UserError(

@@ -265,7 +265,7 @@ def main(
     is not used.
     """
     real = load_recordings(str(data), jobs=jobs)
-    real = real.part(np.flatnonzero([part != "test" for part in real.parts]))
+    real = real.subset(np.flatnonzero([part != "test" for part in real.parts]))
     if not are_digits(real.sensor.classes):
         raise UserError(f"{data}: its classes are not the ten digits; give recordings of digits")
     made = load_recordings(simulation_seed=seed, jobs=jobs, chunked=1.0)

@@ -345,7 +345,7 @@ def convert(opened: Opened) -> Bundle:
     }
     spec = opened.spec(provenance)
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
-    some = recordings.part(chosen)
+    some = recordings.subset(chosen)
     checks = CheckSet(dataset.inputs[chosen], some.labels, some.ids, view.seed)
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")

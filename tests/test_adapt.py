@@ -161,8 +161,8 @@ def named(recordings: Recordings) -> Recordings:
 
 def test_bad_input_is_one_line_and_nothing_is_written(run, person, tmp_path, capsys):
     whole = strange_hand(1)
-    write_zip(tmp_path / "nine.zip", whole.part(range(9)))
-    write_zip(tmp_path / "one.zip", whole.part([3]))
+    write_zip(tmp_path / "nine.zip", whole.subset(range(9)))
+    write_zip(tmp_path / "one.zip", whole.subset([3]))
     (tmp_path / "empty").mkdir()
     small = simulate(0, [1] * 10, 1, size=(8, 8))
     write_zip(tmp_path / "small.zip", small)

@@ -91,7 +91,7 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
     assert set(predictions.names) <= set(CLASSES)
     assert predictions.to_dict()[recordings.ids[0]] == predictions.names[0]
     assert is_one_line(predictions)
-    backwards = recordings.part(range(7, -1, -1))
+    backwards = recordings.subset(range(7, -1, -1))
     assert run.predict(backwards).to_dict() == predictions.to_dict()
     unlabelled = Recordings.from_arrays(events, time_unit="s")
     by_press = [recordings.ids.index(name) for name in sorted(recordings.ids, key=_number)]

@@ -9,9 +9,7 @@ from pathlib import Path, PurePath
 
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.check.energy import estimate_energy
-from deploy.check.run import run_check
 from deploy.errors import UserError
-from deploy.files import write_json
 from deploy.network.provenance import read_classes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
@@ -27,11 +25,11 @@ from pipeline.api.results import (
     Training,
 )
 from pipeline.kinds import prepare_dataset
-from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
 from pipeline.results import compare, elsewhere
 from pipeline.results.ladder import measure_ladder
+from pipeline.results.others import OtherRecordings, TargetCheck, check_on_others
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
 from pipeline.run.folder import RunFolder, refuse_other_folders, working_in
@@ -200,7 +198,7 @@ class Run:
             With ``data``: number of recordings that are drawn at random; 0 for all, default 200.
         """
         if data is not None:
-            return self._check_on(target, data, samples)
+            return self._check_on_others(target, data, samples)
         with self._opened() as opened:
             if target not in opened.kind.references and target not in TARGETS:
                 known = ", ".join((*opened.kind.references, *TARGETS))
@@ -279,25 +277,14 @@ class Run:
         with tempfile.TemporaryDirectory() as folder:
             yield recordings.write(Path(folder) / f"{PurePath(recordings.source.name).stem}.zip")
 
-    def _check_on(self, target, data, samples):
+    def _check_on_others(self, target, data, samples):
         """The check on other recordings, as ``stmnist check run --data``."""
         self.notes = []
         bundle = self.bundle
-        settings = elsewhere.settings_around(bundle)
+        check = TargetCheck(target, bundle.seed)
         with self._on_disk(data) as path:
-            recordings = elsewhere.recordings_for(
-                bundle, str(path), settings, self._jobs, self._say
-            )
-        for line in elsewhere.warnings_on(bundle, recordings):
-            self._say(line)
-        presented, indices = elsewhere.with_recordings(
-            bundle, recordings, samples, bundle.seed, settings.image
-        )
-        path = elsewhere.result_path(bundle, recordings, len(indices), target)
-        with progress(f"check {target}", len(indices)) as advance:
-            result = run_check(presented, target, path, bundle.seed, advance)
-        result = elsewhere.with_accuracies(result, bundle, recordings, indices)
-        write_json(path, result)
+            others = OtherRecordings(str(path), samples, jobs=self._jobs)
+            result, _ = check_on_others(bundle, others, check, self._say)
         return CheckResult(result, read_classes(bundle.spec))
 
 

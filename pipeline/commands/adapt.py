@@ -105,4 +105,4 @@ def _of_one(recordings, writer) -> tuple:
         return recordings, str(known[0]) if known and known[0] >= 0 else Path(source).stem
     if writer not in known:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")
-    return recordings.part((recordings.writers == writer).nonzero()[0]), str(writer)
+    return recordings.subset((recordings.writers == writer).nonzero()[0]), str(writer)

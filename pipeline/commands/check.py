@@ -1,8 +1,7 @@
 """``stmnist check``: the 200-sample check."""
 
 import contextlib
-from dataclasses import dataclass, fields
-from functools import partial
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +12,7 @@ from deploy.errors import UserError
 from deploy.targets import NAMES, BoardOptions
 from deploy.terminal import WARNING
 from pipeline.commands import options
+from pipeline.results.others import OtherRecordings, TargetCheck, check_on_others
 from pipeline.run.folder import checks_of
 
 
@@ -29,31 +29,6 @@ Board = Annotated[
         BoardOptions, **{each.name: _board_option(each) for each in fields(BoardOptions)}
     ),
 ]
-
-
-@dataclass(frozen=True)
-class OtherRecordings:
-    """Recordings on which a bundle is checked instead of its own samples.
-
-    Attributes
-    ----------
-    data : str or None
-        Zip or folder; None for the bundle's own samples.
-    samples : int or None
-        Number of recordings drawn at random; 0 for all, None for at most 200.
-    skip_bad : bool
-        True to leave out files that cannot be read.
-    time_unit : str
-        Unit of times in files of events; empty: the files' own, or that of the training.
-    jobs : int
-        Number of processes that read the recordings.
-    """
-
-    data: str | None = None
-    samples: int | None = None
-    skip_bad: bool = False
-    time_unit: str = ""
-    jobs: int = 2
 
 
 Others = Annotated[
@@ -116,34 +91,30 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from deploy.check.text import others_text, summary
     from deploy.files import require_ending, write_json
     from deploy.targets.registry import options_for
-    from pipeline.results import faulty
-    from pipeline.results.faulty import FaultCounts
+    from pipeline.results.faulty import FaultCounts, fault_path
 
-    chosen = options_for(target, **vars(board))
+    target_options = options_for(target, **vars(board))
     if out is not None:
         require_ending(out, ".json")
-    alone = "--skip-bad" if others.skip_bad else "--samples" if others.samples is not None else None
-    if alone and others.data is None:
-        raise UserError(f"{alone}: needs other recordings; give them with --data FILE")
-    counts = FaultCounts.parse(fault) if fault else None
+    _require_data(others)
+    faults = FaultCounts.parse(fault) if fault else None
     bundle = options.bundle_in(bundle)
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)
-    if seed is None:
-        seed = opened.seed
-    check = partial(_run_check, target=target, seed=seed, chosen=chosen)
+    check = TargetCheck(target, opened.seed if seed is None else seed, target_options)
     if others.data is not None:
-        result, path = _on_others(opened, target, others, seed, out, check, counts)
+        result, path = check_on_others(opened, others, check, options.say, faults, out)
         options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
         return
-    path = out or checks_of(opened.path) / f"{target}.json"
-    if counts is not None:
-        path = out or faulty.fault_path(path, counts)
-        result = _check_with_faults(opened, counts, others.jobs, path, check)
+    path = checks_of(opened.path) / f"{target}.json"
+    if faults is not None:
+        path = out or fault_path(path, faults)
+        result = _check_with_faults(opened, faults, others.jobs, path, check)
         options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
         return
-    result = check(opened, path)
-    if number := _fitted_to(opened.spec):
+    path = out or path
+    result = check.run(opened, path)
+    if number := _count_samples_of_fit(opened.spec):
         options.say(
             f"{WARNING}{bundle}: was fitted to {number} of the {len(opened.checks)} samples of its "
             "check; its accuracy on them says little about others"
@@ -151,26 +122,28 @@ def run(  # noqa: PLR0913 - each is an option of the command
         result["trained_on"] = number
         write_json(path, result)
     options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
-    if loss := _loss(opened, result):
+    if loss := _loss_text(opened, result):
         options.say(f"check: {loss}")
 
 
-def _fitted_to(spec):
+def _require_data(others):
+    """Refuse options that are about other recordings where there are none."""
+    if others.data is not None:
+        return
+    if others.skip_bad:
+        raise UserError("--skip-bad: needs other recordings; give them with --data FILE")
+    if others.samples is not None:
+        raise UserError("--samples: needs other recordings; give them with --data FILE")
+
+
+def _count_samples_of_fit(spec):
     """Number of the check's samples that an adapted network was fitted to."""
     adapted = spec.provenance.get("adapted")
     number = adapted.get("in_check") if isinstance(adapted, dict) else None
     return number if type(number) is int else 0
 
 
-def _run_check(bundle, path, target, seed, chosen):
-    from deploy.check.run import run_check
-    from pipeline.progress import progress
-
-    with progress(f"check {target}", len(bundle.checks)) as advance:
-        return run_check(bundle, target, path, seed, advance, chosen)
-
-
-def _loss(bundle, result):
+def _loss_text(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
     from deploy.check.results import loss_text, read_result
     from pipeline.kinds import COMPARED_WITH
@@ -189,31 +162,7 @@ def _check_with_faults(bundle, counts, jobs, path, check):
 
     recordings, image = faulty.recordings_of_check(bundle, jobs, options.say)
     presented = faulty.with_faults(bundle, recordings, counts, image)
-    return faulty.add_note(check(presented, path), path, counts)
-
-
-def _on_others(bundle, target, others, seed, out, check, counts):
-    """Run the check on other recordings; return the result and its file."""
-    from deploy.files import write_json
-    from pipeline.results import elsewhere, faulty
-
-    settings = elsewhere.settings_around(bundle, others.skip_bad, others.time_unit)
-    recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, options.say)
-    for line in elsewhere.warnings_on(bundle, recordings):
-        options.say(line)
-    presented, indices = elsewhere.with_recordings(
-        bundle, recordings, others.samples, seed, settings.image
-    )
-    usual_path = elsewhere.result_path(bundle, recordings, len(indices), target)
-    path = out or (usual_path if counts is None else faulty.fault_path(usual_path, counts))
-    if counts is not None:
-        drawn = recordings.part(indices)
-        presented = faulty.with_faults(presented, drawn, counts, settings.image)
-    result = elsewhere.with_accuracies(check(presented, path), bundle, recordings, indices)
-    if counts is not None:
-        return faulty.add_note(result, path, counts), path
-    write_json(path, result)
-    return result, path
+    return faulty.add_note(check.run(presented, path), path, counts)
 
 
 def compare_checks(

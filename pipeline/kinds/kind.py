@@ -396,7 +396,7 @@ def select_curve_samples(dataset: Dataset):
 
     No result depends on them.
     """
-    if (validation := dataset.part("validation")) is not None:
+    if (validation := dataset.subset("validation")) is not None:
         return validation
     index = dataset.split.test
     index = index[:: max(1, -(-len(index) // MOST_WATCHED))]

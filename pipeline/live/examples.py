@@ -139,7 +139,7 @@ def recorded_examples(run: RunFolder, bundle: Bundle) -> list:
         raise UserError(f"{settings.data.source}: has changed since the network was trained")
     index = {name: i for i, name in enumerate(recordings.ids)}
     some = [index[name] for name in bundle.checks.ids if name in index]
-    part = recordings.part([i for i in some if recordings.offsets[i] < recordings.offsets[i + 1]])
+    part = recordings.subset([i for i in some if recordings.offsets[i] < recordings.offsets[i + 1]])
     return [
         Example(_from_start(_column_by_column(part, i)), int(part.labels[i]), part.ids[i])
         for i in range(len(part))

@@ -122,7 +122,7 @@ def alter_recordings(
     Recordings
         In the order of the indices.
     """
-    chosen = recordings.part(indices)
+    chosen = recordings.subset(indices)
     rng = np.random.default_rng(seed)
     taxels, sensor, old = chosen.taxels, chosen.sensor, chosen.events
     sample = chosen.sample_of_event

@@ -132,7 +132,7 @@ class Dataset:
         """The class of each sample, shape (n_samples,)."""
         return self.recordings.labels
 
-    def part(self, name: str):
+    def subset(self, name: str):
         """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
         index = getattr(self.split, name)
         if not len(index):
@@ -143,8 +143,12 @@ class Dataset:
             inputs[some] = self.inputs[index[some]]
         return inputs, self.labels[index]
 
-    def altered(self, how: str) -> AlteredImages | None:
-        """The images of ``part("train")``, altered anew for each epoch; None for ``"none"``.
+    def part(self, name: str):
+        """As :meth:`subset`."""
+        return self.subset(name)
+
+    def make_altered_images(self, how: str) -> AlteredImages | None:
+        """The images of ``subset("train")``, altered anew for each epoch; None for ``"none"``.
 
         Parameters
         ----------

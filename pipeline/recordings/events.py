@@ -283,7 +283,7 @@ class Recordings:
         span = slice(self.offsets[index], self.offsets[index + 1])
         return Events(*(getattr(self.events, name)[span] for name in EVENT_DTYPES))
 
-    def part(self, indices) -> Recordings:
+    def subset(self, indices) -> Recordings:
         """Some of the recordings, in the order of their indices."""
         indices = np.asarray(indices, int)
         counts = np.diff(self.offsets)[indices]
@@ -298,6 +298,10 @@ class Recordings:
             writers=self.writers[indices],
             parts=tuple(self.parts[index] for index in indices),
         )
+
+    def part(self, indices) -> Recordings:
+        """As :meth:`subset`."""
+        return self.subset(indices)
 
     @property
     def is_split(self) -> bool:

@@ -256,7 +256,7 @@ def with_recordings(
         raise UserError(
             f"{recordings.source.name}: {count} samples requested, only {n} exist"
         ) from error
-    spec, drawn = bundle.spec, recordings.part(chosen)
+    spec, drawn = bundle.spec, recordings.subset(chosen)
     inputs = inputs_for(spec, drawn, image)
     if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
         raise UserError(f"{recordings.source.name}: {problem}")

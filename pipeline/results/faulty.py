@@ -89,7 +89,7 @@ def recordings_of_check(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
             f"{settings.data.source}: does not have the recording {missing[0]} of the check any "
             "more; give others with --data FILE"
         )
-    return recordings.part([number[name] for name in bundle.checks.ids]), settings.image
+    return recordings.subset([number[name] for name in bundle.checks.ids]), settings.image
 
 
 def with_faults(

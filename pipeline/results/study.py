@@ -222,7 +222,7 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
         See :func:`row_of`; of a target also its ``costs``, see :func:`costs_of`.
     """
     dataset = dataset or dataset_of(case)
-    inputs, _ = dataset.part(case.part)
+    inputs, _ = dataset.subset(case.part)
     index = getattr(dataset.split, case.part)
     with hidden():
         opened = opened_in(networks, case.resolved, dataset, _silent)

@@ -339,7 +339,9 @@ class Responder:
         The inputs on events of 500 recordings of a large sensor need gigabytes.
         """
         for start in range(0, len(recordings), AT_ONCE):
-            yield self.inputs(recordings.part(np.arange(len(recordings))[start : start + AT_ONCE]))
+            yield self.inputs(
+                recordings.subset(np.arange(len(recordings))[start : start + AT_ONCE])
+            )
 
     def responses_to(self, recordings: Recordings) -> np.ndarray:
         """:meth:`responses` to recordings."""

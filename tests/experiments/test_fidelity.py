@@ -70,7 +70,7 @@ def test_the_published_arrays_are_chunks_of_the_files(shared_data):
     published = load_recordings(str(shared_data / "stmnist-train.zip"), jobs=1)
     index = published.ids.index("0/5153")
     raw = read_recording((shared_data / "sample_stmnist.mat").read_bytes()).events
-    bits = chunk_recordings(published.part([index]))
+    bits = chunk_recordings(published.subset([index]))
     np.testing.assert_array_equal(chunk_recordings(recordings_of(raw)), bits)
 
 
@@ -80,8 +80,8 @@ def test_the_share_of_simulated_recordings_in_chunks():
     is_chunked = [not (half[index].time_ns % CHUNK_NS).any() for index in range(len(half))]
     assert sum(is_chunked) == 20
     np.testing.assert_array_equal(
-        chunk_recordings(half.part(np.flatnonzero(is_chunked))),
-        chunk_recordings(whole.part(np.flatnonzero(is_chunked))),
+        chunk_recordings(half.subset(np.flatnonzero(is_chunked))),
+        chunk_recordings(whole.subset(np.flatnonzero(is_chunked))),
     )
 
 

@@ -199,7 +199,7 @@ class ImageKind(NetworkKind):
         from pipeline.training.networks import train_rate_network
 
         trained, metrics = _train_further("rate-lif", train_rate_network, inputs, artifact)
-        images, _ = inputs.dataset.part("train")
+        images, _ = inputs.dataset.subset("train")
         metrics["neurons"] = _measure_activity(inputs.settings, trained, images)
         inputs.say(accuracy_text("rate-lif", metrics))
         for line in training_lines(metrics["neurons"]):
@@ -209,7 +209,7 @@ class ImageKind(NetworkKind):
     def spec(self, inputs, provenance):
         inputs.weights("cnn")  # a damaged CNN is found now, not when its predictions are compared
         weights = inputs.weights("rate-lif")
-        return deployed(inputs.settings, weights, provenance, inputs.dataset.part("train"))
+        return deployed(inputs.settings, weights, provenance, inputs.dataset.subset("train"))
 
     def fidelity(self, inputs, bundle, advance=None):
         from pipeline.training.networks import TrainedRates
@@ -274,8 +274,8 @@ def _train_cnn(settings, dataset, weights=None):
     """Train the CNN from given weights or from new ones; return it and the seconds."""
     from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
 
-    data, how = dataset.part("train"), settings.cnn.augment
-    altered = dataset.altered("none" if how == "auto" else how)
+    data, how = dataset.subset("train"), settings.cnn.augment
+    altered = dataset.make_altered_images("none" if how == "auto" else how)
     epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
     arguments = settings, data, settings.seed, select_curve_samples(dataset)
     return time_training("cnn", epochs, train_cnn, *arguments, altered=altered, weights=weights)
@@ -309,13 +309,13 @@ def _train_further(name, function, inputs, artifact):
     from pipeline.training.networks import snn_recipe
 
     settings, dataset = inputs.settings, inputs.dataset
-    data, how = dataset.part("train"), "none"
+    data, how = dataset.subset("train"), "none"
     if settings.snn.recipe == "loihi":
         how = settings.cnn.augment
         if how == "auto":
             how = choose_augmentation(dataset.recordings)
     epochs = snn_recipe(settings.snn, len(data[0])).epochs
-    altered = dataset.altered(how)
+    altered = dataset.make_altered_images(how)
     arguments = (
         settings,
         data,
@@ -424,7 +424,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
     from models.cnn import predict
 
-    images, labels = dataset.part("train")
+    images, labels = dataset.subset("train")
     logits = predict(original_network(model), images)
     right = int((logits.argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)

@@ -35,7 +35,7 @@ def files(tmp_path_factory, dataset):
     from models.keras.keras2 import tf
 
     folder = tmp_path_factory.mktemp("models")
-    images, labels = dataset.part("train")
+    images, labels = dataset.subset("train")
     layers = tf.keras.layers
 
     def network():
@@ -124,7 +124,7 @@ def test_without_retraining_the_weights_are_only_fitted(run, dataset):
         factor = np.sum(array * snn[name]) / np.sum(array * array)
         if name.endswith("kernel"):
             np.testing.assert_allclose(snn[name], factor * array, rtol=1e-4, atol=1e-6)
-    images = dataset.part("train")[0]
+    images = dataset.subset("train")[0]
     wanted = TrainedCNN(settings, cnn).logits(images)
 
     def error(weights):

@@ -38,7 +38,7 @@ def test_a_hot_taxel_is_found():
     assert activity.throughout[77] == pytest.approx(0.25)
     assert activity.throughout[50] == 0
     assert activity.recordings.max() <= 1
-    assert find_hot_taxels(made.part([i for i in range(40) if i % 4 and i % 10])) == []
+    assert find_hot_taxels(made.subset([i for i in range(40) if i % 4 and i % 10])) == []
 
 
 def test_where_every_taxel_fires_throughout_none_is_hot():

@@ -54,7 +54,7 @@ def test_inputs_and_labels_are_those_of_the_recordings(dataset):
 def test_the_split_is_of_the_settings_seed_and_fractions(dataset):
     expected = split_of(dataset.recordings, 3, 0.2, 0.25)
     for name in ("train", "validation", "test"):
-        inputs, labels = dataset.part(name)
+        inputs, labels = dataset.subset(name)
         index = getattr(expected, name)
         np.testing.assert_array_equal(inputs, dataset.inputs[index])
         np.testing.assert_array_equal(labels, dataset.labels[index])

@@ -12,7 +12,7 @@ def test_inputs_are_made_for_some_recordings_at_a_time(monkeypatch):
     recordings = simulate(seed=0, samples_per_digit=[1] * 10, jobs=1)
     responder = adaptation.Responder(read_bundle(SHIPPED).spec)
     at_once = responder.responses(responder.inputs(recordings))
-    copies, made = responder.copies(recordings.part([0]), 1), []
+    copies, made = responder.copies(recordings.subset([0]), 1), []
     monkeypatch.setattr(adaptation, "AT_ONCE", 4)
     original = adaptation.inputs_for
     monkeypatch.setattr(
@@ -21,5 +21,5 @@ def test_inputs_are_made_for_some_recordings_at_a_time(monkeypatch):
         lambda spec, some, image: made.append(len(some)) or original(spec, some, image),
     )
     np.testing.assert_array_equal(responder.responses_to(recordings), at_once)
-    np.testing.assert_array_equal(responder.copies(recordings.part([0]), 1), copies)
+    np.testing.assert_array_equal(responder.copies(recordings.subset([0]), 1), copies)
     assert made == [4, 4, 2, 4, 4, 2]

@@ -170,7 +170,7 @@ def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
     )
     dataset, weights = load_dataset(chosen), random_weights("10x10-4c3s3-10o")
     for provenance in ({}, dataset.provenance):
-        spec = deployed(chosen, weights, provenance, dataset.part("train"))
+        spec = deployed(chosen, weights, provenance, dataset.subset("train"))
         np.testing.assert_array_equal(inputs_for(spec, dataset.recordings), dataset.inputs)
         checks = CheckSet(dataset.inputs[:2], dataset.labels[:2], ("a", "b"), 0)
         bundle = write_bundle(tmp_path / f"b{len(provenance)}", spec, checks)

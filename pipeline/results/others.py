@@ -1,0 +1,121 @@
+"""The check on other recordings than the bundle's, for the command line and for Python."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deploy.check.bundle import Bundle
+    from pipeline.results.faulty import FaultCounts
+
+
+@dataclass(frozen=True)
+class OtherRecordings:
+    """Recordings on which a bundle is checked instead of its own samples.
+
+    Attributes
+    ----------
+    data : str or None
+        Zip or folder; None for the bundle's own samples.
+    samples : int or None
+        Number of recordings drawn at random; 0 for all, None for at most 200.
+    skip_bad : bool
+        True to leave out files that cannot be read.
+    time_unit : str
+        Unit of times in files of events; empty: the files' own, or that of the training.
+    jobs : int
+        Number of processes that read the recordings.
+    """
+
+    data: str | None = None
+    samples: int | None = None
+    skip_bad: bool = False
+    time_unit: str = ""
+    jobs: int = 2
+
+
+@dataclass(frozen=True)
+class TargetCheck:
+    """A target, and what it is run with.
+
+    Attributes
+    ----------
+    target : str
+    seed : int
+        Given to the simulator.
+    options : object or None
+        See :func:`deploy.targets.registry.options_for`.
+    """
+
+    target: str
+    seed: int
+    options: object = None
+
+    def run(self, bundle: Bundle, path: Path) -> dict:
+        """Run the target on a bundle's samples, with a progress bar; write the result."""
+        from deploy.check.run import run_check
+        from pipeline.progress import progress
+
+        with progress(f"check {self.target}", len(bundle.checks)) as advance:
+            return run_check(bundle, self.target, path, self.seed, advance, self.options)
+
+
+def check_on_others(
+    bundle: Bundle,
+    others: OtherRecordings,
+    check: TargetCheck,
+    say,
+    faults: FaultCounts | None = None,
+    out: Path | None = None,
+) -> tuple:
+    """Run a target on other recordings, and write the result.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    others : OtherRecordings
+    check : TargetCheck
+        Its seed also determines which recordings are drawn.
+    say : callable
+        Called with each warning.
+    faults : FaultCounts, optional
+        Faulty taxels in each recording.
+    out : Path, optional
+        Default: a file beside the bundle, one for each set of recordings.
+
+    Returns
+    -------
+    result : dict
+    path : Path
+        Its file.
+
+    Raises
+    ------
+    UserError
+        The recordings cannot be read, are of another sensor or other classes, or are too few.
+    """
+    from deploy.files import write_json
+    from pipeline.results import elsewhere, faulty
+
+    assert others.data is not None, "the bundle's own samples are no other recordings"
+    settings = elsewhere.settings_around(bundle, others.skip_bad, others.time_unit)
+    recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, say)
+    for line in elsewhere.warnings_on(bundle, recordings):
+        say(line)
+    presented, indices = elsewhere.with_recordings(
+        bundle, recordings, others.samples, check.seed, settings.image
+    )
+    path = elsewhere.result_path(bundle, recordings, len(indices), check.target)
+    if faults is not None:
+        path = faulty.fault_path(path, faults)
+        drawn = recordings.subset(indices)
+        presented = faulty.with_faults(presented, drawn, faults, settings.image)
+    path = out or path
+    result = check.run(presented, path)
+    result = elsewhere.with_accuracies(result, bundle, recordings, indices)
+    if faults is not None:
+        return faulty.add_note(result, path, faults), path
+    write_json(path, result)
+    return result, path
