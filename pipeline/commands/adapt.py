@@ -40,9 +40,12 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     from pipeline.results import elsewhere
     from pipeline.training import adaptation  # Nengo takes a second to import
 
-    path, alone = options.bundle_in(run), run.absolute()
+    path = options.bundle_in(run)
     bundle = read_bundle(path)
-    beside = run / "adapted" if path != run else alone.with_name(f"{alone.name}-adapted")
+    beside = run / "adapted"
+    if path == run:
+        alone = run.absolute()
+        beside = alone.with_name(f"{alone.name}-adapted")
     options.warn_if_outdated(bundle.path)
     settings = elsewhere.settings_around(bundle, skip_bad, time_unit)
     everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
@@ -63,19 +66,26 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
         place = None
     else:
         write_bundle(place, adapted.spec, bundle.checks)
-    summary = {
-        "before": float(adapted.fit.before.mean()),
-        "after": float(adapted.fit.after.mean()),
+    trained_on = int(elsewhere.trained_on(bundle, recordings).sum())
+    summary = _summarise(adapted, place, len(recordings), trained_on)
+    options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
+
+
+def _summarise(adapted, place, samples, trained_on):
+    """What the fit has changed, for ``--json``."""
+    fit = adapted.fit
+    return {
+        "before": float(fit.before.mean()),
+        "after": float(fit.after.mean()),
         "others_before": _mean(adapted.others_before),
         "others_after": _mean(adapted.others_after),
-        "kept_before": float(adapted.fit.kept_before.mean()),
-        "kept_after": float(adapted.fit.kept_after.mean()),
+        "kept_before": float(fit.kept_before.mean()),
+        "kept_after": float(fit.kept_after.mean()),
         "bundle": None if place is None else str(place),
-        "samples": len(recordings),
-        "trained_on": int(elsewhere.trained_on(bundle, recordings).sum()),
+        "samples": samples,
+        "trained_on": trained_on,
         "in_check": adapted.fitted,
     }
-    options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
 
 
 def _require_same_person(place, old, bundle, recordings):

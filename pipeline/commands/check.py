@@ -89,7 +89,7 @@ def run(  # noqa: PLR0913 - each is an option of the command
     """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
     from deploy.check.bundle import read_bundle
     from deploy.check.text import others_text, summary
-    from deploy.files import require_ending, write_json
+    from deploy.files import require_ending
     from deploy.targets.registry import options_for
     from pipeline.results.faulty import FaultCounts, fault_path
 
@@ -110,20 +110,27 @@ def run(  # noqa: PLR0913 - each is an option of the command
     if faults is not None:
         path = out or fault_path(path, faults)
         result = _check_with_faults(opened, faults, others.jobs, path, check)
-        options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
-        return
-    path = out or path
-    result = check.run(opened, path)
-    if number := _count_samples_of_fit(opened.spec):
+    else:
+        path = out or path
+        result = _check_own_samples(opened, path, check)
+    options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
+    if faults is None and (loss := _loss_text(opened, result)):
+        options.say(f"check: {loss}")
+
+
+def _check_own_samples(bundle, path, check):
+    """Run the check on the bundle's samples; say if the network was fitted to some of them."""
+    from deploy.files import write_json
+
+    result = check.run(bundle, path)
+    if number := _count_samples_of_fit(bundle.spec):
         options.say(
-            f"{WARNING}{bundle}: was fitted to {number} of the {len(opened.checks)} samples of its "
-            "check; its accuracy on them says little about others"
+            f"{WARNING}{bundle.path}: was fitted to {number} of the {len(bundle.checks)} samples "
+            "of its check; its accuracy on them says little about others"
         )
         result["trained_on"] = number
         write_json(path, result)
-    options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
-    if loss := _loss_text(opened, result):
-        options.say(f"check: {loss}")
+    return result
 
 
 def _require_data(others):

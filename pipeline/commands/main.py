@@ -107,14 +107,14 @@ class _Deferred(TyperCommand):
     """Placeholder in the list for a verb whose modules are imported when it is chosen."""
 
     @cached_property
-    def chosen(self):
+    def command(self):
         made = _typer(self.help, add_completion=False)
         for name, verb in _import_verbs(self.name).items():
             made.command(name)(for_typer(verb))
         return typer.main.get_command(made)  # a single command, or a group of them
 
     def make_context(self, *arguments, **options):
-        return self.chosen.make_context(*arguments, **options)
+        return self.command.make_context(*arguments, **options)
 
 
 def _typer(help_text, **options) -> typer.Typer:
@@ -151,7 +151,7 @@ def with_every_verb() -> TyperGroup:
     """:func:`command_line` with all verbs imported, for the documentation."""
     group = command_line()
     group.commands = {
-        name: verb.chosen for name, verb in group.commands.items() if isinstance(verb, _Deferred)
+        name: verb.command for name, verb in group.commands.items() if isinstance(verb, _Deferred)
     }
     return group
 

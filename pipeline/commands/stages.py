@@ -57,14 +57,7 @@ def convert(  # noqa: PLR0913 - each is an option of the command
     With --model: scale that model to the neurons' range, make it spike, write the bundle.
     With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
     """
-    if retrain and model is None:
-        raise UserError("--retrain: needs a Keras model; give it with --model FILE")
-    if model is not None and nir is not None:
-        raise UserError("--model and --nir: a run has one network; give only one of them")
-    if step is not None and nir is None:
-        raise UserError("--step: needs a NIR graph; give it with --nir FILE")
-    if strict and nir is None:
-        raise UserError("--strict: needs a NIR graph; give it with --nir FILE")
+    _require_consistent(model, nir, step, strict, retrain)
     from pipeline import stages
 
     changes = {}
@@ -87,6 +80,18 @@ def convert(  # noqa: PLR0913 - each is an option of the command
         for stage in opened.kind.deployed_stages:
             stages.check_stage(opened, bundle, stage)
     options.suggest("ladder", run)
+
+
+def _require_consistent(model, nir, step, strict, retrain):
+    """Refuse options that need another one, and two networks."""
+    if retrain and model is None:
+        raise UserError("--retrain: needs a Keras model; give it with --model FILE")
+    if model is not None and nir is not None:
+        raise UserError("--model and --nir: a run has one network; give only one of them")
+    if step is not None and nir is None:
+        raise UserError("--step: needs a NIR graph; give it with --nir FILE")
+    if strict and nir is None:
+        raise UserError("--strict: needs a NIR graph; give it with --nir FILE")
 
 
 def _images_of(run):

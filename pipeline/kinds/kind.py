@@ -47,7 +47,7 @@ from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Choice, Settings
 
 # Maximum number of test samples for the learning curve.
-MOST_WATCHED = 500
+MAX_CURVE_SAMPLES = 500
 
 # Settings that change if another file is imported.
 FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
@@ -254,7 +254,8 @@ class NetworkKind:
 
     def artifact(self, name: str, place, dataset: Origin) -> Artifact:
         """The artifact of a step, in a run's folder or in a library."""
-        step, origin = self.step(name), self.origin(name, dataset)
+        step = self.step(name)
+        origin = self.origin(name, dataset)
         folder = place.folder(step.folder, origin)
         record, *files = (folder / file for file in step.files)
         return Artifact(name, record, origin, tuple(files))
@@ -313,10 +314,12 @@ class NetworkKind:
         ------
         UserError
         """
-        sensor, classes = recordings.sensor, len(recordings.sensor.classes)
+        sensor = recordings.sensor
+        classes = len(sensor.classes)
         if is_for(self.architecture, sensor, self.channels):
             return
-        size, parsed = f"{sensor.rows}x{sensor.columns}x{self.channels}", parse(self.architecture)
+        size = f"{sensor.rows}x{sensor.columns}x{self.channels}"
+        parsed = parse(self.architecture)
         if self.imported is not None:
             has = "x".join(map(str, parsed.input_shape))
             remedy = suggest_sensor_size(parsed.input_shape[:2], (sensor.rows, sensor.columns))
@@ -399,7 +402,7 @@ def select_curve_samples(dataset: Dataset):
     if (validation := dataset.subset("validation")) is not None:
         return validation
     index = dataset.split.test
-    index = index[:: max(1, -(-len(index) // MOST_WATCHED))]
+    index = index[:: max(1, -(-len(index) // MAX_CURVE_SAMPLES))]
     return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
 
 
@@ -418,8 +421,13 @@ def write_network(folder: Path, trained, on_test: bool):
     write_arrays(folder / "weights.npz", **trained.weights)
     history = trained.history
     if on_test:
-        history = [{k.replace("val_", "test_"): v for k, v in row.items()} for row in history]
+        history = [_name_test_columns(row) for row in history]
     write_history(folder / "history.csv", history)
+
+
+def _name_test_columns(row):
+    """A row of a history whose validation samples are those of the test set."""
+    return {name.replace("val_", "test_"): value for name, value in row.items()}
 
 
 def write_history(path, history: list):
@@ -455,10 +463,8 @@ def read_history(path) -> list:
             open_regular(path, "r", newline="", encoding="utf-8") as file,
         ):
             text = file.read(limits.SETTINGS_BYTES * 16)
-        rows = [
-            {key: float(value) for key, value in row.items()}
-            for row in csv.DictReader(io.StringIO(text, newline=""), strict=True)
-        ]
+        table = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+        rows = [dict(zip(row, map(float, row.values()), strict=True)) for row in table]
     except (ValueError, TypeError, csv.Error) as error:
         raise UserError(f"{path}: not a learning curve ({error}); {DELETE_ITS_FOLDER}") from error
     finite = all(math.isfinite(value) for row in rows for value in row.values())
@@ -512,7 +518,8 @@ def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dic
         Time of the training.
     versions : dict
     """
-    inputs, predicted = dataset.inputs, []
+    inputs = dataset.inputs
+    predicted = []
     for start in range(0, len(inputs), SAMPLES_AT_ONCE):
         logits = trained.logits(inputs[start : start + SAMPLES_AT_ONCE])
         predicted.append(np.argmax(logits, axis=1))
@@ -531,26 +538,27 @@ def accuracies(right, dataset: Dataset) -> dict:
     Parameters
     ----------
     right : ndarray of bool, shape (n_samples,)
-        Whether the answer to each sample of the dataset is right.
+        Whether the prediction of each sample of the dataset is right.
     dataset : Dataset
     """
-    parts = {part: getattr(dataset.split, part) for part in ("train", "validation", "test")}
-    accuracy = {part: float(right[index].mean()) for part, index in parts.items() if len(index)}
-    part = list(accuracy)[-1]  # the validation samples if there is no test set, as in a sweep
-    n_samples = len(parts[part])
+    indices = {name: getattr(dataset.split, name) for name in ("train", "validation", "test")}
+    accuracy = {name: float(right[index].mean()) for name, index in indices.items() if len(index)}
+    subset = list(accuracy)[-1]  # the validation samples if there is no test set, as in a sweep
+    n_samples = len(indices[subset])
+    n_right = int(right[indices[subset]].sum())
     return {
         "simulated": dataset.recordings.source.simulated,
         "accuracy": accuracy,
-        f"{part}_accuracy_ci95": list(wilson_interval(int(right[parts[part]].sum()), n_samples)),
-        f"n_{part}": n_samples,
+        f"{subset}_accuracy_ci95": list(wilson_interval(n_right, n_samples)),
+        f"n_{subset}": n_samples,
     }
 
 
 def accuracy_text(name: str, metrics: dict) -> str:
     """A line about the accuracy of a network."""
-    part = list(metrics["accuracy"])[-1]
+    subset = list(metrics["accuracy"])[-1]
     return (
-        f"{name}: {part} accuracy {metrics['accuracy'][part]:.3f} on {metrics[f'n_{part}']} "
+        f"{name}: {subset} accuracy {metrics['accuracy'][subset]:.3f} on {metrics[f'n_{subset}']} "
         f"samples, {metrics['seconds']:.0f} s"
     )
 

@@ -28,7 +28,7 @@ from deploy.errors import UserError, line_of
 from pipeline.live.deciding import Answer, Decider
 from pipeline.live.examples import Examples, Replayed
 from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper
-from pipeline.recordings.events import Events, joined
+from pipeline.recordings.events import Events, join_events
 from pipeline.recordings.formats.mat import MatRecording
 from pipeline.simulation.writing import MARGIN, START_S, PenPoint, Writing
 
@@ -167,7 +167,7 @@ class OpenRecording:
 
     def _advance(self, until_s):
         ends = np.arange(self.writing.time_s + PIECE_S, until_s, PIECE_S).tolist()
-        return joined([self.writing.advance(end_s) for end_s in (*ends, until_s)])
+        return join_events([self.writing.advance(end_s) for end_s in (*ends, until_s)])
 
 
 class Session:

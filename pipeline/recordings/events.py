@@ -347,13 +347,16 @@ class Recordings:
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
 
-def joined(parts) -> Events:
+def join_events(parts) -> Events:
     """Join a list of events, in this order."""
-    columns = (
-        np.concatenate([getattr(part, name) for part in parts]) if parts else np.empty(0, dtype)
-        for name, dtype in EVENT_DTYPES.items()
+    if not parts:
+        return Events(*(np.empty(0, dtype) for dtype in EVENT_DTYPES.values()))
+    return Events(
+        time_ns=np.concatenate([part.time_ns for part in parts]),
+        taxel=np.concatenate([part.taxel for part in parts]),
+        polarity=np.concatenate([part.polarity for part in parts]),
+        columns=np.concatenate([part.columns for part in parts]),
     )
-    return Events(*columns)
 
 
 def collect(  # noqa: PLR0913 - the columns of a table of recordings
@@ -373,7 +376,7 @@ def collect(  # noqa: PLR0913 - the columns of a table of recordings
         Part of the published split of each recording.
     """
     return Recordings(
-        events=joined(samples),
+        events=join_events(samples),
         offsets=np.concatenate([[0], np.cumsum([len(each) for each in samples])]).astype(np.int64),
         labels=np.asarray(labels, np.int64),
         ids=tuple(ids),

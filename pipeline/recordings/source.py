@@ -410,11 +410,8 @@ def _examine_label(label, folders, layout):
 
 def _find_empty_classes(entries, folders):
     """Folders beside those of the classes that have no recording."""
-    classes = {
-        folder
-        for folder in (PurePosixPath(entry.member).parent for entry in entries)
-        if folder.name.lower() not in SUBSETS and folder.name
-    }
+    parents = {PurePosixPath(entry.member).parent for entry in entries}
+    classes = {folder for folder in parents if folder.name.lower() not in SUBSETS and folder.name}
     beside = {folder.parent for folder in classes}
     return [
         (str(folder), "is a class without a recording; remove the folder")
@@ -452,25 +449,8 @@ def read_source(
         all files of a class.
     """
     listing = list_source(path)
-    entries = []
-    read = []
-    refused = list(listing.refused)
-    chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
-    names = [[entry.member for entry in chunk] for chunk in chunks]
-    calls = (delayed(_read_members)(listing.path, some) for some in names)
-    n_events = 0
-    bar = progress("import", len(listing.entries))
-    with results_of(calls, jobs) as work, bar as advance:
-        for chunk, results in zip(chunks, work, strict=True):
-            for entry, recording in zip(chunk, results, strict=True):
-                if isinstance(recording, str):
-                    refused.append((entry.member, recording))
-                else:
-                    entries.append(entry)
-                    read.append(recording)
-            n_events += sum(_size_of(recording) for recording in results)
-            _require_few(listing.path, n_events)
-            advance(len(chunk))
+    entries, read, bad = _read_entries(listing, jobs, progress)
+    refused = [*listing.refused, *bad]
     lookup, positions = _tables_of(listing)
     if not read:
         raise SeveralErrors(_refusals(path, refused, listing.total, False))
@@ -480,32 +460,74 @@ def read_source(
     refused += [(entries[index].member, why) for index, why in found.refused.items()]
     if refused and not skip_bad:
         raise SeveralErrors(_refusals(path, refused, listing.total))
-    entries, read = ([values[index] for index in found.kept] for values in (entries, read))
+    entries = [entries[index] for index in found.kept]
+    read = [read[index] for index in found.kept]
     classes = {entry.of_class for entry in entries}
     if lost := sorted({entry.of_class for entry in listing.entries} - classes):
         head = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or remove them"
         raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
     the_sensor = found.make_sensor(classes)
     ids = [entry.id for entry in entries]
+    left_out = tuple(f"{_shorten(name)}: {reason}" for name, reason in refused)
     return collect(
         samples=found.events,
         labels=[the_sensor.classes.index(entry.of_class) for entry in entries],
         ids=ids if len(set(ids)) == len(ids) else [entry.member for entry in entries],
         writers=[recording.writer for recording in read],
-        source=Source(
-            name=listing.path.name,
-            sha256=content_hash(listing),
-            simulated=any(recording.simulated for recording in read),
-            written=all(recording.written for recording in read),
-            left_out=tuple(f"{_shorten(name)}: {reason}" for name, reason in refused),
-            time_unit=found.time_unit,
-            bin_ms=found.bin_ms,
-            rise=found.rise,
-            remarks=(*_order_remarks(order), *found.remarks),
-        ),
+        source=_describe_source(listing, read, found, left_out, order),
         taxels=found.taxels,
         sensor=the_sensor,
         parts=[entry.part for entry in entries],
+    )
+
+
+def _read_entries(listing, jobs, progress):
+    """Read the files of a listing.
+
+    Returns
+    -------
+    entries : list
+        Those that can be read.
+    read : list of EventRecording
+        Their recordings.
+    bad : list of (str, str)
+        The other files, each with the reason.
+    """
+    entries = []
+    read = []
+    bad = []
+    chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
+    calls = (
+        delayed(_read_members)(listing.path, [entry.member for entry in chunk]) for chunk in chunks
+    )
+    n_events = 0
+    bar = progress("import", len(listing.entries))
+    with results_of(calls, jobs) as work, bar as advance:
+        for chunk, results in zip(chunks, work, strict=True):
+            for entry, recording in zip(chunk, results, strict=True):
+                if isinstance(recording, str):
+                    bad.append((entry.member, recording))
+                else:
+                    entries.append(entry)
+                    read.append(recording)
+            n_events += sum(map(_size_of, results))
+            _require_few(listing.path, n_events)
+            advance(len(chunk))
+    return entries, read, bad
+
+
+def _describe_source(listing, read, found, left_out, order):
+    """The source of recordings that were read."""
+    return Source(
+        name=listing.path.name,
+        sha256=content_hash(listing),
+        simulated=any(recording.simulated for recording in read),
+        written=all(recording.written for recording in read),
+        left_out=left_out,
+        time_unit=found.time_unit,
+        bin_ms=found.bin_ms,
+        rise=found.rise,
+        remarks=(*_order_remarks(order), *found.remarks),
     )
 
 

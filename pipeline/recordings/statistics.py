@@ -57,13 +57,13 @@ def recordings_text(facts: dict, recordings: Recordings) -> str:
     )
     source = printable(facts["source"])
     text = f"{facts['samples']} {kind} in {source}; of each class: {of_each}\n"
-    text += _counted(facts)
+    text += _count_text(facts)
     if sensor != Sensor():
         text += f"\n{reading_text(recordings)}"
     return text
 
 
-def _counted(facts, polarities=""):
+def _count_text(facts, polarities=""):
     if facts["columns"] == facts["events"]:
         return f"{facts['events']} events{polarities}"
     return f"{facts['events']} physical events{polarities} in {facts['columns']} columns"
@@ -147,7 +147,7 @@ def file_text(name: str, facts: dict) -> str:
     if facts.get("source") == "written":
         kind = " (written by hand on the simulated sensor)"
     polarities = f" ({facts['on']} ON, {facts['off']} OFF)"
-    text = f"{printable(name)}{kind}: {_counted(facts, polarities)} of {facts['taxels']} taxels"
+    text = f"{printable(name)}{kind}: {_count_text(facts, polarities)} of {facts['taxels']} taxels"
     if "sensor" in facts:
         text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
     text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
@@ -298,9 +298,11 @@ def table1_text(recordings) -> str:
 
 
 def _plain(row):
-    return {
-        JSON_NAMES.get(name, name): (
-            [None if math.isnan(v) else v for v in value] if isinstance(value, tuple) else value
-        )
-        for name, value in row.items()
-    }
+    return {JSON_NAMES.get(name, name): _without_nan(value) for name, value in row.items()}
+
+
+def _without_nan(value):
+    """A mean and its deviation for JSON, which has no NaN; other values as they are."""
+    if not isinstance(value, tuple):
+        return value
+    return [None if math.isnan(number) else number for number in value]

@@ -33,7 +33,7 @@ from pipeline.run.settings import Settings
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
 # percentage point, is less than half a sample.
-FEWEST = 100
+MIN_HELD_OUT = 100
 
 # Settings that the confidence depends on.
 DECIDES = ("presentation.steps", "presentation.early_loss")
@@ -45,7 +45,7 @@ MAX_HELD_OUT = 300
 CHECKPOINT = "checkpoint.npz"
 
 # Maximum number of held-out samples for the learning curve.
-MOST_WATCHED = 200
+MAX_CURVE_SAMPLES = 200
 
 
 class EventSamples(NamedTuple):
@@ -138,20 +138,26 @@ class EventsKind(NetworkKind):
         """Train the network; an interrupted training continues after its last epoch."""
         from pipeline.training import events  # TensorFlow takes seconds to import
 
-        settings, dataset = inputs.settings, inputs.dataset
-        table, labels, indices, held_out = event_samples(dataset, settings.seed)
-        recipe = events.EventRecipe.of(settings).for_samples(len(indices))
-        updates = recipe.epochs * -(-len(indices) // recipe.batch_size)
-        inputs.say(
-            f"events: {recipe.epochs} epochs, {updates:,} updates, on {len(indices):,} samples"
-        )
+        settings = inputs.settings
+        samples = event_samples(inputs.dataset, settings.seed)
+        n_train = len(samples.train)
+        recipe = events.EventRecipe.of(settings).for_samples(n_train)
+        updates = recipe.epochs * -(-n_train // recipe.batch_size)
+        inputs.say(f"events: {recipe.epochs} epochs, {updates:,} updates, on {n_train:,} samples")
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
-        arguments = recipe, table, labels, indices, settings.seed
-        curve = held_out[:: -(-len(held_out) // MOST_WATCHED) or 1]
+        curve = samples.held_out[:: -(-len(samples.held_out) // MAX_CURVE_SAMPLES) or 1]
         trained, seconds = time_training(
-            *("events", recipe.epochs, events.train_events, *arguments),
-            validation=curve, checkpoint=checkpoint,
-        )  # fmt: skip
+            "events",
+            recipe.epochs,
+            events.train_events,
+            recipe,
+            samples.table,
+            samples.labels,
+            samples.train,
+            settings.seed,
+            validation=curve,
+            checkpoint=checkpoint,
+        )
         write_network(artifact.folder, trained, on_test=False)
         epochs = len(trained.history)
         return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
@@ -161,15 +167,17 @@ class EventsKind(NetworkKind):
         """Choose the confidence for early decisions of the network; measure its accuracy."""
         from pipeline.training.events import TrainedOnEvents
 
-        settings, dataset = inputs.settings, inputs.dataset
+        settings = inputs.settings
+        dataset = inputs.dataset
         trained = TrainedOnEvents.of(settings, inputs.weights("events"))
         samples = event_samples(dataset, settings.seed)
         held_out = samples.held_out
-        chosen = choose(settings, samples, trained, settings.seed)
+        chosen = choose_confidence(settings, samples, trained, settings.seed)
         training = inputs.artifact("events")
         with reporting_damage(training.record, DELETE_ITS_FOLDER):
             record = training.state().record
-            seconds, epochs = float(record["seconds"]), int(record["epochs"])
+            seconds = float(record["seconds"])
+            epochs = int(record["epochs"])
         metrics = metrics_of(trained, dataset, seconds, training_versions())
         metrics["epochs"] = epochs
         metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
@@ -239,7 +247,7 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
         Seed of :meth:`pipeline.recordings.splits.Split.held_out`.
     """
     train, held_out = dataset.split.held_out(seed)
-    if not len(dataset.split.validation) and len(held_out) < FEWEST:
+    if not len(dataset.split.validation) and len(held_out) < MIN_HELD_OUT:
         train = dataset.split.train
         held_out = held_out[:0]
     elif not len(dataset.split.validation) and len(held_out) > MAX_HELD_OUT:
@@ -249,7 +257,7 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     return EventSamples(dataset.recordings.table, dataset.labels, train, held_out)
 
 
-def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
+def choose_confidence(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
     """Choose the confidence for early decisions on the held-out samples.
 
     See :func:`require_enough_samples`.
@@ -263,11 +271,11 @@ def choose(settings: Settings, samples: EventSamples, trained, seed: int) -> Thr
 
 
 def require_enough_samples(chosen: Threshold, samples: int) -> Threshold:
-    """A confidence for early decisions, or 1 if it was chosen on fewer samples than `FEWEST`.
+    """A confidence for early decisions, or 1 if it was chosen on fewer samples than `MIN_HELD_OUT`.
 
     With a confidence of 1 the network decides at the end of each recording.
     """
-    return chosen if samples >= FEWEST else chosen._replace(confidence=1.0, share=1.0)
+    return chosen if samples >= MIN_HELD_OUT else chosen._replace(confidence=1.0, share=1.0)
 
 
 def confidence_of(artifact) -> float | None:
@@ -286,9 +294,9 @@ def _decision_text(chosen, samples):
             f"{chosen.share:.0%} of a recording on {samples} held-out samples"
         )
     why = ""
-    if samples < FEWEST:
+    if samples < MIN_HELD_OUT:
         why = (
-            f", since fewer than {FEWEST} samples could be held out to choose a confidence on "
-            "(more: split.validation_fraction)"
+            f", since fewer than {MIN_HELD_OUT} samples could be held out to choose a confidence "
+            "on (more: split.validation_fraction)"
         )
     return f"no early decisions, the network decides at the end of each recording{why}"

@@ -136,13 +136,14 @@ class ImageKind(NetworkKind):
         if self.settings.cnn.model:
             is_trained = self.settings.snn.recipe == "loihi"
             cnn = ["cnn.model_sha256", "snn.recipe", *(cnn if is_trained else [])]
-        files, further = ("metrics.json", "weights.npz"), SNN_SETTINGS[self.settings.snn.recipe]
+        files = ("metrics.json", "weights.npz")
+        further = SNN_SETTINGS[self.settings.snn.recipe]
         reads = ("input.kind", "image", "cnn.architecture", *cnn)
         return (
             counts.STEP,
-            Step("cnn", "cnn", files, reads, self._cnn),
-            Step("cnn-matched", "cnn-matched", files, further, self._matched, uses=("cnn",)),
-            Step("rate-lif", "snn", files, further, self._rates, uses=("cnn",)),
+            Step("cnn", "cnn", files, reads, self._train_cnn),
+            Step("cnn-matched", "cnn-matched", files, further, self._train_matched, uses=("cnn",)),
+            Step("rate-lif", "snn", files, further, self._train_rates, uses=("cnn",)),
         )
 
     @property
@@ -168,9 +169,10 @@ class ImageKind(NetworkKind):
         return parse(self.settings.cnn.architecture).weight_shapes
 
     @staticmethod
-    def _cnn(inputs, artifact):
+    def _train_cnn(inputs, artifact):
         """Train the CNN, or read the user's own."""
-        settings, dataset = inputs.settings, inputs.dataset
+        settings = inputs.settings
+        dataset = inputs.dataset
         if settings.cnn.model:
             path, model = take_over(artifact.folder, settings, dataset)
             trained, seconds = _adopt(model, settings, dataset, inputs.say)
@@ -185,7 +187,7 @@ class ImageKind(NetworkKind):
         return metrics
 
     @staticmethod
-    def _matched(inputs, artifact):
+    def _train_matched(inputs, artifact):
         """Train the CNN further, as the rate-based network is trained."""
         from pipeline.training.networks import train_matched
 
@@ -194,7 +196,7 @@ class ImageKind(NetworkKind):
         return metrics
 
     @staticmethod
-    def _rates(inputs, artifact):
+    def _train_rates(inputs, artifact):
         """Train the rate-LIF network, starting from the CNN."""
         from pipeline.training.networks import train_rate_network
 
@@ -209,13 +211,16 @@ class ImageKind(NetworkKind):
     def spec(self, inputs, provenance):
         inputs.weights("cnn")  # a damaged CNN is found now, not when its predictions are compared
         weights = inputs.weights("rate-lif")
-        return deployed(inputs.settings, weights, provenance, inputs.dataset.subset("train"))
+        return describe_network(
+            inputs.settings, weights, provenance, inputs.dataset.subset("train")
+        )
 
     def fidelity(self, inputs, bundle, advance=None):
         from pipeline.training.networks import TrainedRates
 
         settings = inputs.settings
-        spec, images = bundle.spec, bundle.checks.inputs
+        spec = bundle.spec
+        images = bundle.checks.inputs
         start = spec.presentation.readout_start
         rates = firing_rates(spec, images, settings.seed, start, advance)
         network = TrainedRates(settings, inputs.weights("rate-lif"))
@@ -234,7 +239,7 @@ class ImageKind(NetworkKind):
             take_over(artifact.folder, self.settings, inputs.dataset)
 
 
-def deployed(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
+def describe_network(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
     """Describe the spiking network on images with the given weights.
 
     Parameters
@@ -263,8 +268,9 @@ def deployed(settings: Settings, weights: dict, provenance: dict, data) -> Netwo
 
 
 def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:
-    """As :func:`deployed`; ``range_of`` is that of :func:`models.chain.from_rates`."""
-    architecture, synapse = parse(settings.cnn.architecture), settings.deployment.synapse
+    """As :func:`describe_network`; ``range_of`` is that of :func:`models.chain.from_rates`."""
+    architecture = parse(settings.cnn.architecture)
+    synapse = settings.deployment.synapse
     links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
     provenance = {"image": asdict(settings.image), **provenance}  # for other recordings
     return chain.build_network_spec(links, settings.stimulus, settings.presented(), provenance)
@@ -274,7 +280,8 @@ def _train_cnn(settings, dataset, weights=None):
     """Train the CNN from given weights or from new ones; return it and the seconds."""
     from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
 
-    data, how = dataset.subset("train"), settings.cnn.augment
+    data = dataset.subset("train")
+    how = settings.cnn.augment
     altered = dataset.make_altered_images("none" if how == "auto" else how)
     epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
     arguments = settings, data, settings.seed, select_curve_samples(dataset)
@@ -295,10 +302,10 @@ def _adopt(model, settings, dataset, say):
     trained, seconds = _train_cnn(settings, dataset, model.weights)
     logits.append(trained.logits(dataset.inputs))
     rows = [accuracies(one.argmax(1) == dataset.labels, dataset)["accuracy"] for one in logits]
-    part = list(rows[0])[-1]
-    before, replaced, after = (f"{row[part]:.3f}" for row in rows)
+    subset = list(rows[0])[-1]
+    before, replaced, after = (f"{row[subset]:.3f}" for row in rows)
     say(
-        f"cnn: {part} accuracy {before} as in the file, {replaced} with what was replaced, "
+        f"cnn: {subset} accuracy {before} as in the file, {replaced} with what was replaced, "
         f"{after} after further training"
     )
     return trained, seconds
@@ -308,8 +315,10 @@ def _train_further(name, function, inputs, artifact):
     """Train a network that starts from the CNN; write it, and return it and its metrics."""
     from pipeline.training.networks import snn_recipe
 
-    settings, dataset = inputs.settings, inputs.dataset
-    data, how = dataset.subset("train"), "none"
+    settings = inputs.settings
+    dataset = inputs.dataset
+    data = dataset.subset("train")
+    how = "none"
     if settings.snn.recipe == "loihi":
         how = settings.cnn.augment
         if how == "auto":
@@ -369,9 +378,11 @@ def settings_of_model(path: Path, retrain: bool = False, before: Settings | None
         The file cannot be read, is not a Keras model, or does not fit any chip.
     """
     path = Path(path)
-    skin, channels = (before or Settings()).skin, (before or Settings()).image.channels
-    grid = (skin.rows, skin.columns, channels) if skin.rows and skin.columns else None
-    model, sha256 = read_keras(path, retrain, grid), sha256_of(path)
+    before = before or Settings()
+    skin = before.skin
+    grid = (skin.rows, skin.columns, before.image.channels) if skin.rows and skin.columns else None
+    model = read_keras(path, retrain, grid)
+    sha256 = sha256_of(path)
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
         "input": {"kind": "image"},

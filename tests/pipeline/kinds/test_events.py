@@ -5,7 +5,7 @@ import pytest
 
 from deploy.network.decision import Threshold
 from pipeline.kinds.events import kind as events
-from pipeline.kinds.events.kind import choose, event_samples
+from pipeline.kinds.events.kind import choose_confidence, event_samples
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
 from pipeline.training.events import TrainedOnEvents
@@ -30,7 +30,7 @@ def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = load_dataset(settings)
     samples = event_samples(dataset, 3)
-    chosen = choose(settings, samples, TrainedOnEvents.of(settings, {}), 3)
+    chosen = choose_confidence(settings, samples, TrainedOnEvents.of(settings, {}), 3)
     return dataset.split, samples, chosen
 
 
@@ -43,7 +43,7 @@ def test_few_samples_are_all_trained_on(choice):
 
 
 def test_without_validation_some_training_samples_are_held_out(choice, monkeypatch):
-    monkeypatch.setattr(events, "FEWEST", 3)
+    monkeypatch.setattr(events, "MIN_HELD_OUT", 3)
     split, samples, chosen = chosen_on({})
     assert choice["steps"] == 16
     np.testing.assert_array_equal(choice["held_out"], samples.held_out)
