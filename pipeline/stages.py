@@ -195,7 +195,8 @@ def open_run(
     opened = opened_in(run, chosen, dataset, say)
     if check:
         require_replaceable(run.bundle)
-        sensor, stimulus = recordings.sensor, chosen.stimulus
+        sensor = recordings.sensor
+        stimulus = chosen.stimulus
         shape = (sensor.rows, sensor.columns, opened.kind.channels)
         samples = chosen.check.drawn(len(dataset.split.test))
         require_room(samples, stimulus.sample_shape(shape, chosen.steps), stimulus)
@@ -285,7 +286,8 @@ COPIES = (
 
 def _notes_on_recordings(opened):
     """Lines on what is not presented, on parts that are not independent, and on what is missing."""
-    recordings, split = opened.dataset.recordings, opened.dataset.split
+    recordings = opened.dataset.recordings
+    split = opened.dataset.split
     yield from opened.kind.notes(recordings)
     if split.kind == PUBLISHED or not recordings.source.simulated:
         for pairs, what in zip(copies(recordings, split), COPIES, strict=True):
@@ -472,7 +474,8 @@ def check_stages(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
 
 def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):
     """Results of targets by name; each remaining stream is a job if any of the targets is slow."""
-    checks, failures = {}, {}
+    checks = {}
+    failures = {}
     with contextlib.ExitStack() as stack:
         for name, path in paths.items():
             report = partial(advance, note=name)

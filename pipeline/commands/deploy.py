@@ -53,7 +53,8 @@ def export(
     write_nir(out, opened.spec)
     show(f"written to {out}")
     if not (shown := opened.spec.stimulus).static:
-        step, silent = 1000 * shown.step_seconds, 1000 * shown.step_seconds * shown.refractory
+        step = 1000 * shown.step_seconds
+        silent = 1000 * shown.step_seconds * shown.refractory
         show(f"convert with --step {step:g} --set input.refractory={silent:g} for the same input")
     elif opened.spec.input_shape[-1] > 1:
         show("convert with --input image and the settings image.* of the run for the same input")

@@ -89,18 +89,21 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     some = order[:MOST_SAMPLES]
     some = some[np.argsort(labels[some], kind="stable")]
     folds = np.arange(len(some)) % FOLDS  # each class is in every fold, if it can be
-    best, chosen = -1.0, None
+    best = -1.0
+    chosen = None
     for slices in (n for n in SLICES if counts.shape[1] % n == 0):
         rows = _features(counts, slices, some)
         for strength in STRENGTHS:
             right = []
             for fold in range(FOLDS):
-                inside, out = folds != fold, folds == fold
+                inside = folds != fold
+                out = folds == fold
                 model = _Model.fit(rows[inside], labels[some[inside]], classes, strength)
                 scores = model.complete(model.logits(rows[out]))
                 right.append(labels[some[out]] == scores.argmax(1))
             if (accuracy := float(np.concatenate(right).mean())) > best:
-                best, chosen = accuracy, (slices, strength)
+                best = accuracy
+                chosen = (slices, strength)
     slices, strength = chosen
     if len(training) > MAX_FITTED_SAMPLES:
         training = order[:MAX_FITTED_SAMPLES]
@@ -187,8 +190,10 @@ def _versions():
 
 def _fit(inputs, artifact):
     """Fit the classifier; keep its scores of the test samples."""
-    dataset, seed = inputs.dataset, inputs.settings.seed
-    recordings, split = dataset.recordings, dataset.split
+    dataset = inputs.dataset
+    seed = inputs.settings.seed
+    recordings = dataset.recordings
+    split = dataset.split
     begun = time.perf_counter()
     table = recordings.table
     duration_ms = table.typical_duration_of(split.train)

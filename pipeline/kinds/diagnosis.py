@@ -112,7 +112,8 @@ def layers_text(layers: list) -> str:
     rows = [("layer", "correlation", "worst error", "mean error", "silent", "saturated")]
     for layer in layers:
         r = layer["correlation"]
-        chip, rate = layer["chip"], layer["rate_network"]
+        chip = layer["chip"]
+        rate = layer["rate_network"]
         shares = (f"{chip[name]:.1%} ({rate[name]:6.1%})" for name in ("silent", "saturated"))
         errors = (f"{layer['worst_error']:.3f}", f"{layer['mean_error']:.4f}")
         rows.append((layer["layer"], "-" if r is None else f"{r:.4f}", *errors, *shares))

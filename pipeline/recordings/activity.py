@@ -47,8 +47,10 @@ class TaxelActivity:
 
 def measure_activity(recordings: Recordings) -> TaxelActivity:
     """In how many recordings each taxel fires, and through how much of each."""
-    n_taxels, n = len(recordings.taxels), len(recordings)
-    events, sample = recordings.events, recordings.sample_of_event
+    n_taxels = len(recordings.taxels)
+    n = len(recordings)
+    events = recordings.events
+    sample = recordings.sample_of_event
     offsets = recordings.offsets
     first = np.zeros(n, np.int64)
     span = np.ones(n, np.int64)
@@ -59,7 +61,8 @@ def measure_activity(recordings: Recordings) -> TaxelActivity:
     pair = sample * n_taxels + events.taxel
     fires = np.unique(pair * SLICES + slices) // SLICES
     pairs, number = np.unique(fires, return_counts=True)
-    taxel, share = pairs % n_taxels, number / SLICES
+    taxel = pairs % n_taxels
+    share = number / SLICES
     in_recordings = np.bincount(taxel, minlength=n_taxels)
     extent = np.bincount(taxel, share, n_taxels) / np.maximum(in_recordings, 1)
     is_throughout = share >= MIN_THROUGHOUT_SHARE
@@ -93,7 +96,8 @@ def _choose_hot(activity):
 
 def activity_json(recordings: Recordings) -> dict:
     """:func:`measure_activity` and the hot taxels as plain values; rows and columns from 0."""
-    activity, taxels = measure_activity(recordings), recordings.taxels
+    activity = measure_activity(recordings)
+    taxels = recordings.taxels
     each = [
         {
             "taxel": index,
@@ -110,7 +114,8 @@ def activity_json(recordings: Recordings) -> dict:
 
 def activity_text(recordings: Recordings) -> str:
     """:func:`measure_activity` and the hot taxels in a few lines."""
-    activity, taxels = measure_activity(recordings), recordings.taxels
+    activity = measure_activity(recordings)
+    taxels = recordings.taxels
     fires = activity.recordings > 0
     if not fires.any():
         return "taxels: none fires"

@@ -124,7 +124,9 @@ def alter_recordings(
     """
     chosen = recordings.subset(indices)
     rng = np.random.default_rng(seed)
-    taxels, sensor, old = chosen.taxels, chosen.sensor, chosen.events
+    taxels = chosen.taxels
+    sensor = chosen.sensor
+    old = chosen.events
     sample = chosen.sample_of_event
     some = np.diff(chosen.offsets) > 0
     begins = np.zeros(len(chosen), np.int64)
@@ -185,7 +187,8 @@ def move_places(how: Alteration, rng, samples: int, sample, place, size) -> np.n
         In whole taxels; places outside of ``size`` are beyond the edge.
     """
     angle = rng.normal(0, how.turn, samples)
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     turned = np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
     slanted = np.tile(np.eye(2), (samples, 1, 1))
     slanted[:, 1, 0] = rng.normal(0, how.shear, samples)  # columns move with the row

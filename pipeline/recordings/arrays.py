@@ -45,7 +45,8 @@ def recordings_from_arrays(events, labels=None, **more) -> Recordings:
 
 def write_zip(recordings: Recordings, path) -> Path:
     """See :meth:`pipeline.recordings.events.Recordings.write`."""
-    taxels, names = recordings.taxels, recordings.sensor.classes
+    taxels = recordings.taxels
+    names = recordings.sensor.classes
 
     def events_of(index):
         events = recordings[index]

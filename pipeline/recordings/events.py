@@ -327,7 +327,8 @@ class Recordings:
         tuple of str
             16 hexadecimal digits for each recording.
         """
-        events, taxels = self.events, self.taxels
+        events = self.events
+        taxels = self.taxels
         hashes = []
         for start, end in zip(self.offsets[:-1], self.offsets[1:], strict=True):
             time = events.time_ns[start:end]
@@ -448,7 +449,8 @@ def is_handwriting(recordings: Recordings) -> bool:
     This is what people wrote on the simulated skin, and digits that were simulated or are in
     ST-MNIST's format on its array.
     """
-    source, sensor = recordings.source, recordings.sensor
+    source = recordings.source
+    sensor = recordings.sensor
     is_simulated = source.simulated and are_digits(sensor.classes)
     is_matrix = not source.time_unit and not source.bin_ms
     is_st_mnist = is_written(sensor.rows, sensor.columns, sensor.classes) and is_matrix
@@ -457,7 +459,8 @@ def is_handwriting(recordings: Recordings) -> bool:
 
 def facts_of(recordings: Recordings) -> dict:
     """The source, the sensor and the number of recordings of each class, as plain values."""
-    source, sensor = recordings.source, recordings.sensor
+    source = recordings.source
+    sensor = recordings.sensor
     counts = np.bincount(recordings.labels, minlength=len(sensor.classes)).tolist()
     return {
         "source": source.name,
@@ -500,5 +503,6 @@ def reading_text(recordings: Recordings) -> str:
 
 def size_text(sensor: Sensor) -> str:
     """Rows and columns in words."""
-    rows, columns = sensor.rows, sensor.columns
+    rows = sensor.rows
+    columns = sensor.columns
     return f"{plural(rows, 'row')} x {plural(columns, 'column')}"

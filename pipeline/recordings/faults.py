@@ -142,7 +142,8 @@ def _draw_hot(share, rng, durations_ms, size):
     taxel = np.tile(np.arange(n), 2)
     polarity = np.repeat([0, 1], n)
     sends = (only[taxel] < 0) | (only[taxel] == polarity)
-    taxel, polarity = taxel[sends], polarity[sends]
+    taxel = taxel[sends]
+    polarity = polarity[sends]
     return HotSources(
         sample[taxel],
         place[taxel] // size[1],
@@ -236,7 +237,9 @@ def add_faults(recordings: Recordings, hot: int, dead: int, seed) -> Recordings:
     ValueError
         The sensor has fewer taxels.
     """
-    taxels, sensor, old = recordings.taxels, recordings.sensor, recordings.events
+    taxels = recordings.taxels
+    sensor = recordings.sensor
+    old = recordings.events
     size = (sensor.rows, sensor.columns)
     begins_ns = np.zeros(len(recordings), np.int64)
     some = np.diff(recordings.offsets) > 0

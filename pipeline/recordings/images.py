@@ -102,7 +102,8 @@ def tactile_images(recordings: Recordings, image: Image | None = None) -> np.nda
 
 def _as_images(counts, image):
     """Images of the counts of :meth:`EventTable.sliced_counts`."""
-    on, off = counts[..., 0], counts[..., 1]
+    on = counts[..., 0]
+    off = counts[..., 1]
     channels = {
         "count": [on + off],
         "columns": [on + off],  # these counts are of columns already

@@ -119,7 +119,9 @@ def store(path, recordings: Recordings):
     """Save recordings; the file at ``path`` is written last, since it marks them as complete."""
     for name in EVENT_DTYPES:
         write_column(_column_path(path, name), getattr(recordings.events, name))
-    source, sensor, taxels = recordings.source, recordings.sensor, recordings.taxels
+    source = recordings.source
+    sensor = recordings.sensor
+    taxels = recordings.taxels
     positions = np.empty((0, 2)) if taxels.positions is None else taxels.positions
     write_arrays(
         path,

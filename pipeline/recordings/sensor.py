@@ -217,9 +217,11 @@ def _find_number_of_taxels(path, recordings, subsets, lookup):
     if len(set(usual.values())) > 1:
         _refuse_subsets(path, {subset: f"{n} taxels" for subset, n in usual.items()})
     if lookup is None:
-        n, which = next(iter(usual.values())), "most have"
+        n = next(iter(usual.values()))
+        which = "most have"
     else:
-        n, which = len(lookup), "LUT.mat says"
+        n = len(lookup)
+        which = "LUT.mat says"
     # A spiketrain has a further row for the time.
     unit, further = ("taxels", 0) if recordings[0].bins is not None else ("rows", 1)
     refused = {
@@ -244,7 +246,8 @@ def _find_other_shapes(recordings):
 
 def _arrange(path, n, has_bins, is_strip, options):
     """Rows and columns of numbered taxels without a look-up table."""
-    rows, columns = options.rows, options.columns
+    rows = options.rows
+    columns = options.columns
     if not rows and not columns:
         side = math.isqrt(n)
         is_square = n == N_TAXELS if has_bins else side * side == n
@@ -350,10 +353,12 @@ def _interpret_places(path, recordings, subsets, lookup, is_strip, options):
     fitting = [recordings[index] for index in kept]
     if lookup is not None:
         rows, columns = size_from_lookup(path, lookup, options.rows, options.columns)
-        rows_in_files, taxels = 1, lookup
+        rows_in_files = 1
+        taxels = lookup
     else:
         rows, columns = _find_size(path, fitting, side, options)
-        rows_in_files, taxels = rows, TaxelMap.grid(rows, columns)
+        rows_in_files = rows
+        taxels = TaxelMap.grid(rows, columns)
     from_first = times.is_clock([recording.time for recording in fitting], unit)
     events = [r.to_events(rows_in_files, times.to_ns(r.time, unit, from_first)) for r in fitting]
     return Interpretation(
@@ -427,7 +432,8 @@ def _compare_subsets(path, recordings, extents, subsets, options):
     small test set may have no events at the edge.  Files that state different sizes, and extents of
     which one is a multiple of the other in both directions, are of different sensors.
     """
-    sizes, reached = {}, {}
+    sizes = {}
+    reached = {}
     for subset in sorted(set(subsets)):
         chosen = np.array([each == subset for each in subsets])
         stated = Counter(r.size for r, is_in in zip(recordings, chosen, strict=True) if is_in)

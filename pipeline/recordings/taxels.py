@@ -82,7 +82,8 @@ def size_from_lookup(path, lookup: TaxelMap, rows: int, columns: int) -> tuple:
         The table has places outside of the stated rows and columns.
     """
     needed = int(lookup.row.max()) + 1, int(lookup.column.max()) + 1
-    rows, columns = rows or needed[0], columns or needed[1]
+    rows = rows or needed[0]
+    columns = columns or needed[1]
     if rows < needed[0] or columns < needed[1]:
         raise UserError(
             f"{path}: recordings of a sensor of {needed[0]} x {needed[1]} taxels (LUT.mat), "

@@ -77,7 +77,8 @@ class Person:
 
     def learned(self, indices) -> tuple:
         """Responses and labels for the fit: some samples and their copies."""
-        own, copies = self.responses[indices], self.copies[indices]
+        own = self.responses[indices]
+        copies = self.copies[indices]
         every = np.concatenate([own[:, None], copies], axis=1)
         return every.reshape(-1, own.shape[1]), np.repeat(self.labels[indices], every.shape[1])
 
@@ -136,7 +137,8 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     Refit
         The best fit; see :attr:`Refit.helps` for its use.
     """
-    weights, bias = np.asarray(weights, float), np.asarray(bias, float)
+    weights = np.asarray(weights, float)
+    bias = np.asarray(bias, float)
     problem = _Problem(weights, bias, person, kept, scale)
     folds = _folds(person.labels, seed)
     kept_folds = np.random.default_rng([seed, 1]).permutation(len(kept)) % (folds.max() + 1)
@@ -186,7 +188,9 @@ class _Problem:
     """The regression's constants: old weights, kept samples, units."""
 
     def __init__(self, weights, bias, person, kept, scale):
-        self.weights, self.bias, self._scale = weights, bias, scale
+        self.weights = weights
+        self.bias = bias
+        self._scale = scale
         self._kept = kept.responses.astype(float)
         self._classes = np.eye(len(weights))
         self._kept_labels = self._classes[kept.labels]

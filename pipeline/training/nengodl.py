@@ -160,7 +160,8 @@ def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray
 
 def _convert(settings, weights, kind, synapse):
     """Convert the network to a kind of neurons; returns converter, input node and output probe."""
-    snn, architecture = settings.snn, parse(settings.cnn.architecture)
+    snn = settings.snn
+    architecture = parse(settings.cnn.architecture)
     gains = {
         name: gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         for index, name in enumerate(architecture.spiking)

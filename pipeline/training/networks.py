@@ -252,7 +252,8 @@ def snn_recipe(snn, n_samples: int) -> Recipe:
 
 def build_rate_network(settings: Settings) -> tf.keras.Model:
     """Build the network with rate-LIF neurons, as ``snn.recipe`` defines it."""
-    snn, architecture = settings.snn, parse(settings.cnn.architecture)
+    snn = settings.snn
+    architecture = parse(settings.cnn.architecture)
     on_chip = snn.is_on_chip
     is_noisy = snn.recipe == "loihi"
     costs = _spike_costs(settings, architecture) if is_noisy and snn.spike_penalty else None
@@ -403,7 +404,8 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
         scale = _reach(output)
         neurons = RateLIF(snn.max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)
         shift, factor = _best_shift(neurons, output[output > 0] / scale)
-        kernel, bias = weights[f"{name}.kernel"], weights[f"{name}.bias"]
+        kernel = weights[f"{name}.kernel"]
+        bias = weights[f"{name}.bias"]
         fitted[f"{name}.kernel"] = kernel * (before / scale * (1 + shift))
         fitted[f"{name}.bias"] = bias / scale * (1 + shift) - shift
         before = scale * factor
@@ -521,7 +523,8 @@ def _draw_samples(model, data, recipe, seed, altered):
     Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
     in two thirds of TensorFlow's time, and concurrently with the training steps.
     """
-    noisy, dropped = noisy_layers(model), dropped_layers(model)
+    noisy = noisy_layers(model)
+    dropped = dropped_layers(model)
     images = data[0]
     labels = np.asarray(data[1], np.int32)
     numbers = sum(int(np.prod(layer.input_shape[1:])) for layer in (*noisy, *dropped))

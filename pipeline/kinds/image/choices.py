@@ -77,7 +77,8 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     UserError
         The user's other settings do not fit what is chosen.
     """
-    sensor, cnn = recordings.sensor, settings.cnn
+    sensor = recordings.sensor
+    cnn = settings.cnn
     is_strip = not sensor.is_grid
     recipe = STRIP if is_strip else GRID
     is_own = bool(cnn.model) or not settings.is_open("cnn.architecture")
@@ -88,7 +89,8 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
         and all(map(settings.is_open, names_in("image")))
         and own_channels in (None, 2 * recipe.slices)
     )
-    choices, channels = _choose_normalisation(settings), settings.image.channels
+    choices = _choose_normalisation(settings)
+    channels = settings.image.channels
     gap, reason = image_gap_choice(settings)
     if gap is not None:
         choices.append(Choice("presentation.gap", gap, reason))
@@ -162,7 +164,8 @@ def _choose_training(settings, recipe):
 
 def _architecture_of_slices(sensor: Sensor, recipe: SlicedRecipe, channels: int) -> str:
     """A convolution with a stride, then a dense layer; on a strip only the latter."""
-    rows, columns = sensor.rows, sensor.columns
+    rows = sensor.rows
+    columns = sensor.columns
     stride = max(2, math.floor(math.sqrt(rows * columns) / SLICES_MAP))
     layers = [f"{rows}x{columns}x{channels}"]
     if min(rows, columns) >= max(MIN_GRID_SIDE, stride + 2):
@@ -172,7 +175,8 @@ def _architecture_of_slices(sensor: Sensor, recipe: SlicedRecipe, channels: int)
 
 def _require_rates_fit(settings, architecture):
     """Refuse more of the user's rates than the chosen network has layers of neurons."""
-    rates, layers = settings.snn.max_rates, len(parse(architecture).spiking)
+    rates = settings.snn.max_rates
+    layers = len(parse(architecture).spiking)
     if len(rates) > layers:
         raise UserError(
             f"'snn.max_rates' has {len(rates)} rates, and {architecture}, chosen for the "

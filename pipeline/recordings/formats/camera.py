@@ -41,7 +41,8 @@ def read_camera(content: bytes, name: str) -> EventRecording:
     with tempfile.TemporaryDirectory() as folder:  # faery opens files by their names only
         path = Path(folder) / f"recording{suffix}"
         path.write_bytes(content)
-        parts, number = [], 0
+        parts = []
+        number = 0
         try:
             stream = faery.events_stream_from_file(path)
             columns, rows = stream.dimensions()

@@ -38,7 +38,8 @@ def settings_text(described: list, width: int = 80) -> str:
         if row["section"] != section:
             section = row["section"]
             lines += ["", f"# {section}"]
-        value, default = toml_text(row["value"]), toml_text(row["default"])
+        value = toml_text(row["value"])
+        default = toml_text(row["default"])
         star, otherwise = ("*", f"  (default {default})") if value != default else (" ", "")
         lines.append(f"{star} {row['name']} = {value}{otherwise}")
         text = textwrap.fill(row["meaning"], width - 6, break_on_hyphens=False)
