@@ -94,6 +94,12 @@ class LadderRow:
     mcnemar_p: float | None
 
 
+def _make_ladder_row(values):
+    """A row of the ladder, of its values by their names."""
+    names = [field.name for field in fields(LadderRow)]
+    return LadderRow(*(values[name] for name in names))
+
+
 class Ladder(Result):
     """The loss ladder: ``ladder["emulator"].accuracy``.
 
@@ -104,8 +110,7 @@ class Ladder(Result):
 
     def __init__(self, values: dict):
         super().__init__(values)
-        names = [field.name for field in fields(LadderRow)]
-        self.rows = [LadderRow(*(row[name] for name in names)) for row in values["rows"]]
+        self.rows = [_make_ladder_row(row) for row in values["rows"]]
 
     def __getitem__(self, stage: str) -> LadderRow:
         for row in self.rows:

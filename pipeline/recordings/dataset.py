@@ -296,7 +296,8 @@ def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):
     ------
     UserError
     """
-    (rows, columns), sensor = spec.input_shape[:2], recordings.sensor
+    rows, columns = spec.input_shape[:2]
+    sensor = recordings.sensor
     if (sensor.rows, sensor.columns) != (rows, columns):
         raise UserError(
             f"{recordings.source.name}: recordings of {sensor.rows}x{sensor.columns} taxels; the "

@@ -43,7 +43,8 @@ from pipeline.recordings.formats.mat import read_lookup_table
 from pipeline.recordings.formats.recording import MAX_FILE_BYTES, BadRecording, read_limited
 from pipeline.recordings.taxels import read_positions
 
-LOOKUP_TABLE, POSITIONS = "lut.mat", "taxels.csv"
+LOOKUP_TABLE = "lut.mat"
+POSITIONS = "taxels.csv"
 IGNORED = ("readme*", "license*", "*.md")
 # Recordings if there are no others, and ignored otherwise.
 TEXT_SUFFIX = ".txt"
@@ -497,9 +498,7 @@ def _read_entries(listing, jobs, progress):
     read = []
     bad = []
     chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
-    calls = (
-        delayed(_read_members)(listing.path, [entry.member for entry in chunk]) for chunk in chunks
-    )
+    calls = (delayed(_read_files)(listing.path, chunk) for chunk in chunks)
     n_events = 0
     bar = progress("import", len(listing.entries))
     with results_of(calls, jobs) as work, bar as advance:
@@ -588,7 +587,8 @@ def _refusals(path, refused, total, can_skip=True):
         kinds.setdefault(re.sub(r"'[^']*'|-?[\d.]+", "*", reason), []).append((name, reason))
     lines = []
     for files in list(kinds.values())[:MAX_LISTED]:
-        (name, reason), others = files[0], [_shorten(other) for other, _ in files[1:3]]
+        name, reason = files[0]
+        others = [_shorten(other) for other, _ in files[1:3]]
         if len(files) > 3:
             others.append(f"{len(files) - 3} more")
         also = f" (also {', '.join(others)})" if others else ""
@@ -612,14 +612,14 @@ def _shorten(name, longest=120):
 # Reading.
 
 
-def _read_members(path, names):
-    """Read some members: each recording, or the reason to refuse it."""
+def _read_files(path, entries):
+    """Read the files of some entries: each recording, or the reason to refuse it."""
     reader = _reader(path)
     results = []
     n_events = 0
-    for name in names:
+    for entry in entries:
         try:
-            results.append(read_file(reader.read(name), name))
+            results.append(read_file(reader.read(entry.member), entry.member))
         except BadRecording as error:
             results.append(str(error))
         n_events += _size_of(results[-1])

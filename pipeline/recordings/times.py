@@ -133,7 +133,8 @@ def is_clock(times, unit: str) -> bool:
     than the longest one lasts, or that ends later than any can last, shows that the recordings
     were cut from a longer one, also those from its first minute.
     """
-    first, last = (max((float(time[i]) for time in times), default=0) for i in (0, -1))
+    first = max((float(time[0]) for time in times), default=0)
+    last = max((float(time[-1]) for time in times), default=0)
     longest = max(map(find_span, times), default=0)
     return last * UNITS[unit] > MAX_DURATION_S or first > longest > 0
 

@@ -77,7 +77,8 @@ def settle_orders(recordings) -> tuple:
     tables = [recording for recording in recordings if recording.orders]
     if not tables:
         return list(recordings), ""
-    common = [o for o in ORDERS if all(o in recording.orders for recording in tables)]
+    possible = set(ORDERS).intersection(*(recording.orders for recording in tables))
+    common = [order for order in ORDERS if order in possible]
     if not common:
         raise BadRecording(
             f"recordings have four columns without names, and not all in one order; {NAME_THEM}"
@@ -106,6 +107,9 @@ def _find_orders(table) -> tuple:
     is_place = ((table >= 0) & (table <= MAX_PLACE) & (table == np.floor(table))).all(axis=0)
     is_polarity = np.isin(table, (-1, 0, 1)).all(axis=0)
     fits = {"t": is_time, "x": is_place, "y": is_place, "p": is_polarity}
-    return tuple(
-        order for order in ORDERS if all(fits[name][index] for index, name in enumerate(order))
-    )
+    return tuple(order for order in ORDERS if _fits_all_columns(order, fits))
+
+
+def _fits_all_columns(order, fits):
+    """True if each column can be what it is called in an order."""
+    return all(fits[name][index] for index, name in enumerate(order))

@@ -73,12 +73,14 @@ class Section:
 
 
 SEED = between(0, 2**31 - 1)
-EPOCHS, BATCH = between(1, limits.EPOCHS), between(1, limits.BATCH)
-OWN_EPOCHS, OWN_BATCH = between(0, limits.EPOCHS), between(0, limits.BATCH)
-STEPS, STEPS_OR_NONE = between(1, limits.STEPS), between(0, limits.STEPS)
-MOST_DOWNSAMPLED = 64
-MOST_PARTS = 64
-SAMPLES, SAMPLES_OR_ALL = between(1, limits.SAMPLES), between(0, limits.SAMPLES)
+EPOCHS_OR_AUTOMATIC = between(0, limits.EPOCHS)
+BATCH = between(1, limits.BATCH)
+BATCH_OR_AUTOMATIC = between(0, limits.BATCH)
+STEPS_OR_NONE = between(0, limits.STEPS)
+MAX_DOWNSAMPLING = 64
+MAX_SECTIONS = 64
+SAMPLES = between(1, limits.SAMPLES)
+SAMPLES_OR_ALL = between(0, limits.SAMPLES)
 TAU = between(1e-6, limits.SECONDS, " seconds")
 TAU_OR_NONE = between(0, limits.SECONDS, " seconds")
 REFRACTORY = between(1e-9, limits.REFRACTORY_S, " seconds")
@@ -121,7 +123,7 @@ class Data(Section):
     #: taxels, otherwise 0.
     rise: Annotated[int, between(-1, 1)] = -1
     #: Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels.
-    downsample: Annotated[int, between(1, MOST_DOWNSAMPLED)] = 1
+    downsample: Annotated[int, between(1, MAX_DOWNSAMPLING)] = 1
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,7 @@ class CNN(Section):
     #: Input, convolutions (``6c4``: six filters of 4x4) and outputs.
     architecture: str = "10x10-6c4-24c3-10o"
     #: Passes over the training samples; 0 for the paper's 20, or more on few samples.
-    epochs: Annotated[int, OWN_EPOCHS] = 0
+    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
     #: Samples per training step.  Not given in the paper; 20 epochs with Keras's default, 32, are
     #: too few updates for an accuracy as high as the paper's.
     batch_size: Annotated[int, BATCH] = 8
@@ -242,9 +244,9 @@ class SNN(Section):
     #: to the neurons' range and response curve without further training.
     recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
     #: Passes over the training samples; 0 for the default of the recipe, or more on few samples.
-    epochs: Annotated[int, OWN_EPOCHS] = 0
+    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
     #: Samples per training step; 0 for the default of the recipe.
-    batch_size: Annotated[int, OWN_BATCH] = 0
+    batch_size: Annotated[int, BATCH_OR_AUTOMATIC] = 0
     #: Initial learning rate; 0 for the default of the recipe.
     learning_rate: Annotated[float, AT_LEAST_0] = 0.0
     #: Standard deviation of the noise on each neuron's input while training, relative to the
@@ -308,12 +310,12 @@ class EventTraining(Section):
     architecture: str = "10x10x2-24c4s3-64-10o"
     #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
     #: which is one for handwriting.
-    parts: Annotated[int, between(0, MOST_PARTS)] = 0
+    parts: Annotated[int, between(0, MAX_SECTIONS)] = 0
     #: Length of each part in milliseconds, the last one is open; 0: the presentation, divided
     #: among the parts; for handwriting two seconds.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
     #: Passes over the training samples; 0: as the recipe's updates need.
-    epochs: Annotated[int, OWN_EPOCHS] = 0
+    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
     #: Samples per training step.
     batch_size: Annotated[int, BATCH] = 32
     #: Share of a layer's neurons whose spikes are left out of a training sample.
