@@ -9,6 +9,7 @@ from deploy.errors import SeveralErrors, UserError
 from models.architecture import parse
 from pipeline.kinds import choose_settings, kind_of_network
 from pipeline.kinds.architectures import architecture_for, event_architecture_for
+from pipeline.kinds.image import choices
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.writing import write_recordings
 from pipeline.run.folder import RunFolder
@@ -64,6 +65,14 @@ def test_images_of_a_sensor_of_one_s_own(own):
     assert chosen.check.drawn(12) == 12  # a fifth of sixty
     assert choose_settings(chosen) == chosen
     assert any("9x12-6c4-24c3-4o" in line for line in said)
+
+
+def test_many_real_images_have_more_epochs_unless_the_user_says(own, monkeypatch):
+    assert choose_settings(settings_of(own)).snn.epochs == 0  # as many as the recipe says
+    monkeypatch.setattr(choices, "MIN_RECORDINGS_FOR_EPOCHS", 60)
+    assert choose_settings(settings_of(own)).snn.epochs == choices.EPOCHS_ON_REAL_IMAGES
+    assert choose_settings(settings_of(own, snn={"epochs": 5})).snn.epochs == 5
+    assert choose_settings(settings_of(own, input={"kind": "slices"})).snn.epochs == 0
 
 
 @pytest.mark.parametrize("samples", [199, 200])
