@@ -220,7 +220,6 @@ EXPERIMENTS = (
                 "fast",
                 {"events": {"size": "small"}},
                 input="events",
-                styles=True,
             ),
             *_with_faults("own-loihi", "ANN-SNN, longer training, emulated Loihi", OWN),
             *_with_faults("slices", "SNN on slices of time, emulated Loihi", input="slices"),
