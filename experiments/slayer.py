@@ -149,7 +149,7 @@ class SlayerNetwork:
         """
         signal, layers, kernels = tf.cast(frames, tf.float32), [], iter(self.kernels)
         for layer in self.architecture.layers:
-            if layer.kind == "pool":
+            if not layer.has_neurons:
                 signal = _pooled(signal, layer.size)
             else:
                 layers.append(fire(weighted_sums(layer, next(kernels), signal), self.recipe))

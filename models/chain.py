@@ -21,10 +21,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deploy.network.geometry import convolution_fan_out, pooled_shape, unpool
+from deploy.network import ops as deployed_ops
+from deploy.network.geometry import pooled_shape, unpool
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import Stimulus
-from models.architecture import Architecture, Convolution, Dense, Pooling
+from models.architecture import Architecture
+from models.ops import OPERATIONS, Operation, Pooling
 
 
 @dataclass(frozen=True)
@@ -110,13 +112,23 @@ class Link:
     @property
     def fan_out(self) -> np.ndarray:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        read = self.input_shape if self.pool == 1 else pooled_shape(self.input_shape, self.pool)
-        if self.kind == "dense":
-            reached = np.full(read, self.size, np.int64)
-        else:
-            windows = len(self.weights), self.shape[-1], self.stride, self.padding
-            reached = convolution_fan_out(read, *windows)
+        reached = deployed_ops.OPERATIONS[self.kind].fan_out(self)
         return reached if self.pool == 1 else unpool(reached, self.input_shape, self.pool)
+
+    @property
+    def operation(self) -> type[Operation]:
+        """The class of its operation."""
+        return OPERATIONS[self.kind]
+
+    @property
+    def read_shape(self) -> tuple:
+        """Shape of the values that the weights read: of the input, after averaging."""
+        return self.input_shape if self.pool == 1 else pooled_shape(self.input_shape, self.pool)
+
+    @property
+    def kernel(self) -> int:
+        """Side length of the filters; 0 without filters."""
+        return len(self.weights) if self.operation.is_spatial else 0
 
 
 def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
@@ -141,26 +153,23 @@ def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
     for name, layer, (read, shape) in zip(
         architecture.names, architecture.layers, shapes, strict=True
     ):
-        if layer.kind == "pool":
+        if isinstance(layer, Pooling):
             pool *= layer.size
             continue
         arrays = {}
         for array, sizes in layer.weight_shapes(read).items():
             value = weights.get(f"{name}.{array}")
             arrays[array] = np.broadcast_to(0.0, sizes) if value is None else value.astype(float)
-        geometry = {}
-        if layer.kind == "conv":
-            geometry = {"stride": layer.stride, "padding": layer.padding}
         links.append(
             Link(
                 name,
-                "conv" if layer.kind == "conv" else "dense",
+                "dense" if layer.output else layer.kind,
                 before,
                 shape,
                 arrays["kernel"],
                 arrays["bias"],
                 pool=pool,
-                **geometry,
+                **layer.geometry(),
             )
         )
         before = shape
@@ -269,10 +278,6 @@ def build_network_spec(
 
 
 def _layer(link):
-    is_conv = link.kind == "conv"
-    if not is_conv:
-        by_part = link.weights.reshape(len(link.starts), -1, link.size).swapaxes(1, 2)
-        by_part = by_part.reshape(-1, by_part.shape[2])
     return Layer(
         name=link.name,
         kind=link.kind,
@@ -281,9 +286,9 @@ def _layer(link):
         placement="host" if link.neuron is None else "chip",
         neurons=link.neuron,
         synapse=link.tau_syn,
-        kernel=len(link.weights) if is_conv else 0,
+        kernel=link.kernel,
         block_shape=None,
-        weights=link.weights if is_conv else by_part,
+        weights=link.operation.deployed_weights(link),
         bias=link.bias,
         stride=link.stride,
         padding=link.padding,
@@ -302,7 +307,4 @@ def _notation(chain) -> Iterator:
     for link in chain:
         if link.pool > 1:
             yield Pooling(link.pool)
-        if link.kind == "conv":
-            yield Convolution(link.shape[-1], len(link.weights), link.stride, link.padding)
-        else:
-            yield Dense(link.size, output=link is chain[-1])
+        yield link.operation.from_link(link, output=link is chain[-1])

@@ -272,34 +272,16 @@ def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.kera
     signal = inputs = tf.keras.Input(architecture.input_shape, name="image")
     index = 0
     for name, layer in zip(architecture.names, architecture.layers, strict=True):
-        if layer.kind in ("dense", "output") and len(signal.shape) > 2:
+        if not layer.is_spatial and len(signal.shape) > 2:
             signal = tf.keras.layers.Flatten(name="flatten")(signal)
-        if layer.kind == "pool":
-            signal = tf.keras.layers.AveragePooling2D(layer.size, name=name)(signal)
-        elif layer.kind == "output":
-            signal = tf.keras.layers.Dense(layer.units, name=name)(signal)
-        else:
-            signal = _sums(layer, name, gain and gain(index))(signal)
+        has_neurons = layer.has_neurons and not layer.output
+        signal = layer.keras_layer(name, gain(index) if gain and has_neurons else None)(signal)
+        if has_neurons:
             neurons = activation(index)
             neurons._name = f"{name}_neurons"
             signal = neurons(signal)
             index += 1
     return tf.keras.Model(inputs, signal)
-
-
-def _sums(layer, name, gain):
-    """The Keras layer for the weighted sums of a convolution or a hidden dense layer."""
-    if layer.kind == "dense":
-        size = (layer.units,)
-        options = {"name": name}
-        plain = tf.keras.layers.Dense
-        on_chip = OnChipDense
-    else:
-        size = (layer.filters, layer.kernel)
-        options = {"name": name, "strides": layer.stride, "padding": layer.padding}
-        plain = tf.keras.layers.Conv2D
-        on_chip = OnChipConv2D
-    return plain(*size, **options) if gain is None else on_chip(*size, gain, **options)
 
 
 def get_weights(model: tf.keras.Model) -> dict:

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.network.chip import LOIHI
-from deploy.network.geometry import windows
+from deploy.network.chip import LOIHI, Chip
 from deploy.network.spec import Neurons
 from models.architecture import Architecture
 from models.chain import Link, links_of
@@ -30,12 +29,11 @@ MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
 
 DECAY_UNIT = LOIHI.decay_unit
 BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
-MAX_BIAS = BIAS_MANTISSA * 2**7
+MAX_BIAS_FACTOR = 2**7
 
 # In 4096ths.
 LEAST_KEEP_U = 1
 LEAST_KEEP_V = 2
-MOST_KEEP = DECAY_UNIT - 1
 
 # The chip's lowest voltage, for neurons without a lower bound.
 FLOOR = -(2**23) + 1
@@ -184,30 +182,12 @@ def currents(link: Link, weights, spikes) -> np.ndarray:
     -------
     ndarray, shape (n_samples, steps, neurons)
     """
-    lead = spikes.shape[:2]
-    if link.kind == "dense":
-        return (spikes.reshape(-1, spikes.shape[-1]) @ weights).reshape(*lead, -1)
-    return np.tensordot(_sum_windows(link, spikes), weights, ((3, 4, 5), (2, 0, 1))).reshape(
-        *lead, -1
-    )
+    return link.operation.currents(link, weights, spikes)
 
 
-def _sum_windows(link, spikes):
-    """Windows (frames, rows, columns, channels, kernel's rows, columns) of sums over squares."""
-    frames = spikes.reshape(-1, *link.input_shape)
-    if link.pool > 1:
-        rows, columns = (n // link.pool for n in link.input_shape[:2])
-        channels = link.input_shape[2]
-        cut = frames[:, : rows * link.pool, : columns * link.pool]
-        frames = cut.reshape(-1, rows, link.pool, columns, link.pool, channels).sum((2, 4))
-    side = link.weights.shape[0]
-    pads = [windows(n, side, link.stride, link.padding)[1:] for n in frames.shape[1:3]]
-    frames = np.pad(frames, ((0, 0), *pads, (0, 0)))
-    seen = np.lib.stride_tricks.sliding_window_view(frames, (side, side), (1, 2))
-    return seen[:, :: link.stride, :: link.stride]
-
-
-def simulate_spikes(link: Link, spikes, integers: Integers | None = None) -> np.ndarray:
+def simulate_spikes(
+    link: Link, spikes, integers: Integers | None = None, chip: Chip = LOIHI
+) -> np.ndarray:
     """Spikes of a link's neurons, from rest.
 
     Parameters
@@ -218,6 +198,7 @@ def simulate_spikes(link: Link, spikes, integers: Integers | None = None) -> np.
         In the chip's order.
     integers : Integers, optional
         The chip's integers; default: the link's real numbers.
+    chip : Chip
 
     Returns
     -------
@@ -237,7 +218,7 @@ def simulate_spikes(link: Link, spikes, integers: Integers | None = None) -> np.
         unit = WEIGHT_UNIT * 2.0**integers.exponent
         added = added * unit
         loop = None if integers.loop is None else integers.loop * unit
-        keep_u, keep_v = integers.keep_u / DECAY_UNIT, integers.keep_v / DECAY_UNIT
+        keep_u, keep_v = integers.keep_u / chip.decay_unit, integers.keep_v / chip.decay_unit
         threshold, floor = integers.threshold, integers.floor
     cut = (lambda x: x) if integers is None else np.trunc
     bias = np.tile(bias, added.shape[2] // bias.size)
@@ -256,7 +237,7 @@ def simulate_spikes(link: Link, spikes, integers: Integers | None = None) -> np.
 # --- rounding -------------------------------------------------------------------------------------
 
 
-def in_integers(chain, spikes, height: float = 1.0) -> tuple:
+def in_integers(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple:
     """A chain whose neurons are given by their decays, with the chip's integers.
 
     Parameters
@@ -266,6 +247,7 @@ def in_integers(chain, spikes, height: float = 1.0) -> tuple:
         Input on training samples, on which the scales of the weights are chosen.
     height : float
         Area of an input spike in units of the chip's time step.
+    chip : Chip
 
     Returns
     -------
@@ -283,12 +265,12 @@ def in_integers(chain, spikes, height: float = 1.0) -> tuple:
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(link, weights=link.weights * factor)
-        made.append(on_loihi(link, choose_integers(scaled, spikes), factor))
+        made.append(on_loihi(link, choose_integers(scaled, spikes, chip), factor))
         spikes = simulate_spikes(scaled, spikes)
     return tuple(made)
 
 
-def choose_integers(link: Link, spikes) -> Integers:
+def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
     """The link's integers, with the scale and rounding of weights that change the spikes least.
 
     Parameters
@@ -296,6 +278,7 @@ def choose_integers(link: Link, spikes) -> Integers:
     link : Link
     spikes : ndarray
         Input on training samples, as for :func:`simulate_spikes`.
+    chip : Chip
     """
     spiked = simulate_spikes(link, spikes)
     wanted = spiked.sum(1, dtype=float)
@@ -304,8 +287,8 @@ def choose_integers(link: Link, spikes) -> Integers:
     if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
         ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
     for clip, moments in itertools.product(CLIPS, ways):
-        integers = round_to_integers(link, clip, moments)
-        error = simulate_spikes(link, spikes, integers).sum(1, dtype=float) - wanted
+        integers = round_to_integers(link, clip, moments, chip)
+        error = simulate_spikes(link, spikes, integers, chip).sum(1, dtype=float) - wanted
         tried.append((float(np.square(error).mean()), -clip, integers))
     return min(tried, key=lambda entry: entry[:2])[2]
 
@@ -315,18 +298,19 @@ def _with_own(spikes, own):
     return np.concatenate([spikes, np.pad(own[:, :-1], ((0, 0), (1, 0), (0, 0)))], 2)
 
 
-def round_to_integers(link: Link, clip: float = 1.0, moments=None) -> Integers:
+def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = LOIHI) -> Integers:
     """Round a link of neurons to the chip's integers.
 
     Parameters
     ----------
     link : Link
     clip : float
-        Share of the largest weight that becomes 127.
+        Share of the largest weight that becomes the chip's largest, 127 on Loihi.
     moments : ndarray, shape (inputs, inputs), optional
         From :func:`moments_of`: the rounding error of a weight is then compensated by the
         following weights, if their inputs are active together.  The inputs of a recurrent link
         include its own spikes, last.
+    chip : Chip
 
     Returns
     -------
@@ -337,6 +321,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None) -> Integers:
     UserError
         Threshold and bias do not fit with any exponent of the weights.
     """
+    levels = chip.weight_levels
     decays = link.decays.keep_u, link.decays.keep_v
     real = link.weights / link.pool**2  # the link's weights are those of averages
     if link.loop is not None:
@@ -351,27 +336,28 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None) -> Integers:
         raise UserError(f"{link}: all its weights are 0; train it, or leave it out")
     # The threshold, a whole number of units, is rounded up: only the largest weights are clipped.
     with np.errstate(over="ignore"):
-        units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * WEIGHT_LEVELS / largest - 1e-9)
+        units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * levels / largest - 1e-9)
     units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as the loop below finds
     scale = WEIGHT_UNIT / THRESHOLD_UNIT / max(units, 1)
     if moments is None:
-        weights = np.clip(np.rint(real / scale), -WEIGHT_LEVELS, WEIGHT_LEVELS)
+        weights = np.clip(np.rint(real / scale), -levels, levels)
     else:
-        weights = _round_with_compensation(real / scale, moments)
+        weights = _round_with_compensation(real / scale, moments, levels)
     keep_u, keep_v = (
-        int(np.clip(np.rint(DECAY_UNIT * keep), least, MOST_KEEP))
+        int(np.clip(np.rint(chip.decay_unit * keep), least, chip.decay_levels))
         for keep, least in zip(decays, (LEAST_KEEP_U, LEAST_KEEP_V), strict=True)
     )
-    if largest > 1.5 * WEIGHT_LEVELS * scale:
+    if largest > 1.5 * levels * scale:
         raise UserError(
             f"{link}: its weights are too large beside its threshold for the chip's integers, "
             f"{largest:.3g} of it; scale the weights or the threshold in training"
         )
+    largest_bias = _mantissa(chip) * MAX_BIAS_FACTOR
     for lowered in range(WEIGHT_EXPONENTS):
         per_threshold = WEIGHT_UNIT * 2.0**-lowered / scale
         threshold = THRESHOLD_UNIT * round(per_threshold / THRESHOLD_UNIT)
         bias = link.bias * threshold
-        if 0 < threshold <= MAX_THRESHOLD and np.abs(bias).max() <= MAX_BIAS:
+        if 0 < threshold <= MAX_THRESHOLD and np.abs(bias).max() <= largest_bias:
             break
     else:
         raise UserError(
@@ -381,11 +367,11 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None) -> Integers:
         )
     weights, own = np.split(weights.astype(np.int32), [len(link.weights)])
     loop = None if link.loop is None else own
-    bias = _twelve_bits(bias)
+    bias = _round_bias(bias, chip)
     return Integers(weights, bias, threshold, FLOOR, keep_u, keep_v, -lowered, loop)
 
 
-def _round_with_compensation(real, moments) -> np.ndarray:
+def _round_with_compensation(real, moments, levels) -> np.ndarray:
     """Whole numbers near ``real``, such that the error of weighted sums is small.
 
     The inputs are rounded one after the other, and the remaining ones compensate the error by least
@@ -398,7 +384,7 @@ def _round_with_compensation(real, moments) -> np.ndarray:
     moments = moments[np.ix_(order, order)]
     upper = np.linalg.cholesky(np.linalg.inv(moments)).T
     for i in range(len(left)):
-        whole = np.clip(np.rint(left[i]), -WEIGHT_LEVELS, WEIGHT_LEVELS)
+        whole = np.clip(np.rint(left[i]), -levels, levels)
         error = (left[i] - whole) / upper[i, i]
         left[i] = whole
         left[i + 1 :] -= np.outer(upper[i, i + 1 :], error)
@@ -427,16 +413,20 @@ def moments_of(link: Link, spikes) -> np.ndarray:
         if t % MOMENTS_EVERY == 0:
             left.append(v)
     seen = np.stack(left, 1)
-    if link.kind == "conv":
-        seen = np.moveaxis(_sum_windows(link, seen), 3, 5)  # channels last, as in the weights
-    inputs = math.prod(seen.shape[3:]) if link.kind == "conv" else seen.shape[2]
+    seen = link.operation.windows(link, seen)
+    inputs = seen.shape[-1]
     seen = seen.reshape(-1, inputs)
     moments = seen.T @ seen / len(seen)
     return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)
 
 
-def _twelve_bits(bias):
-    """Round to 12 bits times a power of two, as NengoLoihi does."""
-    share = np.maximum(np.abs(np.rint(bias)) / BIAS_MANTISSA, 1)
+def _round_bias(bias, chip):
+    """Round to the bits of a mantissa times a power of two, as NengoLoihi does."""
+    share = np.maximum(np.abs(np.rint(bias)) / _mantissa(chip), 1)
     unit = 2.0 ** np.ceil(np.log2(share))
     return (np.rint(np.rint(bias) / unit) * unit).astype(np.int32)
+
+
+def _mantissa(chip):
+    """Largest mantissa of a bias."""
+    return 2**chip.bias_bits - 1

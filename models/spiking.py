@@ -126,10 +126,9 @@ class SpikingNetwork(tf.Module):
         quiet_compiler()
         self.architecture, self.neuron = architecture, neuron or Neuron()
         self.starts = tuple(starts)
-        kinds = [layer.kind for layer in architecture.layers]
-        if "pool" in kinds:
+        if not all(layer.has_neurons for layer in architecture.layers):
             raise ValueError(f"{architecture}: spikes are not pooled; use a stride")
-        if len(kinds) < 2:
+        if len(architecture.layers) < 2:
             raise ValueError(f"{architecture}: there is no layer of neurons before the output")
         self.names = architecture.names[:-1]
         rng = np.random.default_rng(seed)
@@ -334,11 +333,7 @@ def weighted_sums(layer, kernel, signal):
     tensor, shape (steps, samples, ...)
     """
     steps, samples = _length(signal, 0), _length(signal, 1)
-    if layer.kind == "conv":
-        frames = tf.reshape(signal, (-1, *signal.shape[2:]))
-        sums = tf.nn.conv2d(frames, kernel, layer.stride, layer.padding.upper())
-    else:
-        sums = tf.matmul(tf.reshape(signal, (-1, kernel.shape[0])), kernel)
+    sums = layer.sums(kernel, tf.reshape(signal, (-1, *signal.shape[2:])))
     return tf.reshape(sums, (steps, samples, *sums.shape[1:]))
 
 

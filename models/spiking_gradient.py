@@ -33,45 +33,6 @@ from models.spiking import BIAS_CAP, BIAS_EXPONENTS, OUTPUT_SCALE, Neuron
 SAMPLES_IN_GROUP = 4
 
 
-class Synapses(NamedTuple):
-    """The synapses of a layer by its inputs; see :mod:`models.spiking_kernels`.
-
-    Attributes
-    ----------
-    first : ndarray of int64, shape (inputs + 1,)
-    place, row : ndarray of int64, shape (synapses,)
-    """
-
-    first: np.ndarray
-    place: np.ndarray
-    row: np.ndarray
-
-    @classmethod
-    def of(cls, layer, input_shape) -> Synapses:
-        """The synapses of a convolution or a dense layer."""
-        inputs = int(np.prod(input_shape))
-        if layer.kind != "conv":
-            return cls(np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs))
-        rows, columns, channels = input_shape
-        (top, _), (left, _) = layer.pads(input_shape)
-        out_rows, out_columns, _ = layer.shape(input_shape)
-        out_row, out_column, kernel_row, kernel_column, channel = np.indices(
-            (out_rows, out_columns, layer.kernel, layer.kernel, channels)
-        ).reshape(5, -1)
-        row = out_row * layer.stride + kernel_row - top
-        column = out_column * layer.stride + kernel_column - left
-        source = (row * columns + column) * channels + channel
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        order = np.flatnonzero(inside)
-        order = order[np.argsort(source[order], kind="stable")]
-        counts = np.bincount(source[order], minlength=inputs)
-        return cls(
-            np.concatenate([[0], np.cumsum(counts)]),
-            (out_row * out_columns + out_column)[order],
-            ((kernel_row * layer.kernel + kernel_column) * channels + channel)[order],
-        )
-
-
 class ChipLayer(NamedTuple):
     """A layer in the chip's integers, as float32.
 
@@ -184,7 +145,7 @@ class SpikingGradient:
         self.names = architecture.names[:-1]
         self.neurons = [architecture.neurons[name] for name in self.names]
         hidden = zip(architecture.layers[:-1], architecture.shapes, strict=False)
-        self.synapses = [Synapses.of(layer, before) for layer, before in hidden]
+        self.synapses = [layer.synapses(before) for layer, before in hidden]
         self.fan_out = [fan_out.ravel() for fan_out in architecture.fan_out.values()]
 
     def on_chip(self, values: dict) -> list:
@@ -340,7 +301,7 @@ class SpikingGradient:
         filters = layer.kernel.shape[1]
         by_row = error.reshape(-1, filters) @ layer.kernel.T
         inputs = self.neurons[index - 1]
-        if self.architecture.layers[index].kind == "dense":
+        if not self.architecture.layers[index].is_spatial:
             return by_row.reshape(samples, steps, inputs)
         to_inputs = np.empty((samples * steps, inputs), np.float32)
         by_row = by_row.reshape(samples * steps, -1, layer.kernel.shape[0])

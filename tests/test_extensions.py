@@ -1,13 +1,21 @@
-"""What another package can add without a change of ours: a format, a target and a kind."""
+"""What another package can add: a format, a target, a kind, an operation and a chip."""
 
 import json
-from dataclasses import replace
+import re
+from dataclasses import dataclass, replace
 
+import nengo
 import numpy as np
 
 from deploy.check.run import run_check
+from deploy.network import ops as deployed_ops
+from deploy.network.chip import LOIHI
 from deploy.network.responses import Responses
-from deploy.targets.registry import TARGETS, Target
+from deploy.preflight.plan import make_plan
+from deploy.targets.registry import TARGETS, Target, run_target
+from models import ops
+from models.chain import Decays, Link
+from models.integers import choose_integers, simulate_spikes
 from pipeline import kinds, stages
 from pipeline.kinds.architectures import make_untrained_network
 from pipeline.kinds.kind import NetworkKind
@@ -16,7 +24,7 @@ from pipeline.recordings import formats
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.source import read_source
 from pipeline.run.settings import Settings
-from tests.deploy.networks import bundle_at
+from tests.deploy.networks import bundle_at, small_spec
 
 
 def read_toy(content, name):
@@ -101,3 +109,86 @@ def test_a_kind(tmp_path, monkeypatch):
         assert opened.artifact("random").state().is_current
         bundle = stages.convert(opened)
     assert bundle.spec.layers[-1].size == 10
+
+
+@dataclass(frozen=True)
+class OneToOne(ops.Operation):
+    """A weight for each value, in the notation ``own``."""
+
+    kind = "own"
+    token = re.compile("own")
+
+    @classmethod
+    def from_token(cls, match):
+        return cls()
+
+    @classmethod
+    def from_link(cls, link, output):
+        return cls()
+
+    def shape(self, input_shape):
+        return (int(np.prod(input_shape)),)
+
+    def weight_shapes(self, input_shape):
+        return dict.fromkeys(("kernel", "bias"), self.shape(input_shape))
+
+    @staticmethod
+    def deployed_weights(link):
+        return link.weights
+
+    def __str__(self):
+        return "own"
+
+
+class DeployedOneToOne(deployed_ops.Operation):
+    kind = "own"
+
+    def shapes(self, layer):
+        return ((int(np.prod(layer.read_shape)),),) * 2
+
+    def fan_out(self, layer):
+        return np.ones(layer.read_shape, int)
+
+    def transform(self, layer, chip):
+        return nengo.Dense((layer.size,) * 2, init=np.diag(layer.weights)), None
+
+    def resources(self, layer, chip):
+        return deployed_ops.OPERATIONS["dense"].resources(layer, chip)
+
+
+def test_an_operation(monkeypatch):
+    """Each bright pixel has a neuron, and all of them have the same spikes."""
+    monkeypatch.setitem(ops.OPERATIONS, "own", OneToOne)
+    monkeypatch.setitem(deployed_ops.OPERATIONS, "own", DeployedOneToOne())
+    spec = make_untrained_network("5x5-own-3o", False, Settings().deployment)
+    assert spec.architecture == "5x5-own-3o"
+    assert spec.multiply_accumulates == {"own1": 25, "output": 75}
+    assert make_plan(spec).problems == []
+    own, output = spec.layers
+    spec = replace(spec, layers=(replace(own, weights=np.full(25, 3.0)), output))
+    images = np.ones((2, 5, 5, 1))
+    images[0, 0] = 0  # 20 bright pixels of 25
+    found = {target: run_target(spec, images, target) for target in ("fast", "emulator")}
+    np.testing.assert_array_equal(*(one.spike_hashes for one in found.values()))
+    spikes = found["fast"].spikes["own1"]
+    assert spikes[0] > 0
+    assert spikes[0] / 20 == spikes[1] / 25
+
+
+def test_a_chip():
+    """Half the compartments take twice the cores, and six bits of weight make smaller integers."""
+    small = replace(LOIHI, name="small", weight_bits=6, limits={**LOIHI.limits, "compartments": 32})
+    spec = small_spec()  # layers of 64 and 72 neurons
+    assert len(make_plan(spec).cores) == 2
+    plan = make_plan(spec, chip=small)
+    assert plan.problems == []
+    assert max(core.used["compartments"] for core in plan.cores) <= 32
+    assert plan.to_json()["limits"]["compartments"] == 32
+    rng = np.random.default_rng(0)
+    weights = rng.normal(0, 0.3, (20, 5))
+    link = Link("dense1", "dense", (20,), (5,), weights, np.zeros(5), Decays(0.8, 0.9))
+    spikes = (rng.random((4, 50, 20)) < 0.2).astype(float)
+    integers = choose_integers(link, spikes, small)
+    assert np.abs(integers.weights).max() == small.weight_levels == 31
+    counts = (simulate_spikes(link, spikes, *more).sum() for more in ((), (integers, small)))
+    assert np.ptp(list(counts)) < 0.1 * spikes.sum()

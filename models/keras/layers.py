@@ -26,13 +26,11 @@ from models.architecture import (
     MAX_VALUES,
     MAX_WEIGHTS,
     Architecture,
-    Convolution,
-    Dense,
-    Pooling,
 )
 from models.keras.files import ModelFileError
 from models.keras.model import KerasModel, Layer, MaxPool
 from models.keras.signal import Signal
+from models.ops import Convolution, Dense, Pooling
 
 # Maximum number of weights of a convolution that is written as a matrix.
 MAX_MATRIX_WEIGHTS = 20_000_000
@@ -139,7 +137,7 @@ class Chain:
     @property
     def ends_dense(self) -> bool:
         """True if the last layer built is dense."""
-        return bool(self.layers) and self.layers[-1].kind == "dense"
+        return bool(self.layers) and isinstance(self.layers[-1], Dense)
 
     # --- a layer ----------------------------------------------------------------------------------
 
@@ -197,7 +195,7 @@ class Chain:
         layers = (*self.layers[:-1], replace(self.layers[-1], output=True))
         architecture = Architecture(self.input_shape, layers)
         names = architecture.names
-        weighted = [name for name, one in zip(names, layers, strict=True) if one.kind != "pool"]
+        weighted = [name for name, one in zip(names, layers, strict=True) if one.has_neurons]
         weights = {}
         for name, sums in zip(weighted, self.sums, strict=True):
             with np.errstate(over="ignore"):  # infinite values are refused below
@@ -273,7 +271,7 @@ class Chain:
     def weigh_dense(self, layer, kernel, bias):
         """Append a dense layer; one that follows another without an activation is multiplied."""
         kernel, bias = self.signal.map.T @ kernel, self.signal.offset @ kernel + bias
-        if self.layers and self.layers[-1].kind == "pool":
+        if self.layers and isinstance(self.layers[-1], Pooling):
             self.require_curve(layer)
         if self.is_linear:
             before = self.linear_dense()
@@ -286,7 +284,7 @@ class Chain:
     def linear_dense(self) -> _Sums:
         """The last sums, which have no activation, as those of a dense layer."""
         last, made = self.sums[-1], self.layers[-1]
-        if made.kind == "dense":
+        if isinstance(made, Dense):
             return last
         before = self.input_shape
         for layer in self.layers[:-1]:

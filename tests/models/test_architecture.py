@@ -6,12 +6,10 @@ from hypothesis import strategies as st
 from models.architecture import (
     MAX_LAYERS,
     Architecture,
-    Convolution,
-    Dense,
     NotationError,
-    Pooling,
     parse,
 )
+from models.ops import Convolution, Dense, Pooling
 
 
 def test_the_papers_networks():

@@ -667,7 +667,7 @@ def _check_relations(s: Settings):
          "with so few steps give it too, such as "
          f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
     layers = _parse_architecture(s.events.architecture, "events.architecture").layers
-    need(len(layers) > 1 and all(layer.kind != "pool" for layer in layers),
+    need(len(layers) > 1 and all(layer.has_neurons for layer in layers),
          "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
     n_spiking = len(_parse_architecture(s.cnn.architecture, "cnn.architecture").spiking)
     need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")

@@ -1,0 +1,68 @@
+"""Average pooling; a link and a deployed layer have it as a property."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.network.geometry import count_windows
+from models.ops.base import NUMBER, Operation
+
+
+@dataclass(frozen=True)
+class Pooling(Operation):
+    """Average pooling over square windows that do not overlap.
+
+    Attributes
+    ----------
+    size : int
+        Side length of a window, and the stride.
+    """
+
+    size: int
+    kind = "pool"
+    noun = "a pooling"
+    token = re.compile(f"{NUMBER}a")
+    is_spatial = True
+    has_neurons = False
+
+    def __post_init__(self):
+        if self.size < 1:
+            raise ValueError(f"{self}: the size must be at least 1")
+
+    @classmethod
+    def from_token(cls, match):
+        return cls(int(match[1]))
+
+    def shape(self, input_shape) -> tuple:
+        """(rows, columns, channels) of the output.
+
+        Raises
+        ------
+        ValueError
+            The window is larger than the input.
+        """
+        rows, columns, channels = input_shape
+        if self.size > min(rows, columns):
+            raise ValueError(f"does not fit: its window is larger than its {rows}x{columns} input")
+        return (rows // self.size, columns // self.size, channels)
+
+    def weight_shapes(self, input_shape) -> dict:
+        """An empty dict: pooling has no weights."""
+        return {}
+
+    def fan_out(self, input_shape) -> np.ndarray:
+        """Synapses that leave each input position, int64: 1, or 0 outside of complete windows."""
+        reach = [
+            count_windows(n, outputs, self.size, self.size, 0)
+            for n, outputs in zip(input_shape[:2], self.shape(input_shape), strict=False)
+        ]
+        return np.repeat(np.outer(*reach)[..., None], input_shape[2], axis=2)
+
+    def keras_layer(self, name, gain=None):
+        from models.keras.keras2 import tf
+
+        return tf.keras.layers.AveragePooling2D(self.size, name=name)
+
+    def __str__(self):
+        return f"{self.size}a"
