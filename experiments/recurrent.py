@@ -18,7 +18,9 @@ from deploy.targets.registry import run_target
 from deploy.terminal import show
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
-from pipeline.kinds.nir.kind import Stepped, graph_inputs, spec_of_nir
+from pipeline.kinds.nir.conversion import spec_of_nir
+from pipeline.kinds.nir.importing import Stepped
+from pipeline.kinds.nir.simulation import graph_inputs
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
 

@@ -36,7 +36,7 @@ from pipeline.jobs import Failure, run_jobs
 from pipeline.kinds import NetworkKind, kind_of_network, new_run_text, prepare_dataset, split_text
 from pipeline.kinds.image.kind import settings_of_model
 from pipeline.kinds.kind import read_weights
-from pipeline.kinds.nir.kind import refuse_early, settings_of_nir
+from pipeline.kinds.nir.importing import refuse_early, settings_of_nir
 from pipeline.kinds.steps import StepInputs
 from pipeline.progress import hidden, progress
 from pipeline.recordings.dataset import Dataset

@@ -8,7 +8,8 @@ import pytest
 from models.nir.equations import METHODS
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
-from pipeline.kinds.nir.kind import Stepped, conversion_notes, settings_of_nir
+from pipeline.kinds.nir.conversion import conversion_notes
+from pipeline.kinds.nir.importing import Stepped, settings_of_nir
 from pipeline.run.settings import Settings
 from tests.models.nir_graphs import affine, cuba_lif, lif, network_of
 

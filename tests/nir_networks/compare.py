@@ -17,7 +17,8 @@ from deploy.files import read_arrays
 from deploy.targets.registry import run_target
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
-from pipeline.kinds.nir.kind import Stepped, graph_inputs
+from pipeline.kinds.nir.importing import Stepped
+from pipeline.kinds.nir.simulation import graph_inputs
 from pipeline.run.settings import read_settings
 from pipeline.sources import load_dataset
 

@@ -19,7 +19,9 @@ from models.integers import choose_integers, round_to_integers, simulate_spikes
 from models.nir.chain import from_nir
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
-from pipeline.kinds.nir.kind import Stepped, graph_inputs, require_fit, settings_of_nir, spec_of_nir
+from pipeline.kinds.nir.conversion import spec_of_nir
+from pipeline.kinds.nir.importing import Stepped, require_fit, settings_of_nir
+from pipeline.kinds.nir.simulation import graph_inputs
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings, read_settings
 from tests.command import call as stmnist

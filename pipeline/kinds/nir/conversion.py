@@ -1,0 +1,140 @@
+"""The deployed network of a NIR graph, and what its conversion changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.network.chip import LOIHI
+from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.stimulus import EventFrames, Stimulus
+from deploy.terminal import WARNING
+from models import chain
+from models.integers import FLOOR, in_integers, round_to_integers
+from models.nir.chain import from_nir
+from models.nir.graph import NirNetwork
+from pipeline.kinds.nir.importing import Stepped
+from pipeline.run.settings import Settings
+
+# Lowest voltage, in thresholds, above which the end of the chip's registers is mentioned.
+FLOOR_IN_THRESHOLDS = -8
+
+
+def record_convention(network: NirNetwork, stepped: Stepped) -> dict:
+    """What a graph was recognised as and how it is run, for the bundle's provenance."""
+    found = network.convention
+    return {
+        "framework": found.framework,
+        "recognised_by": found.evidence,
+        "equation": found.equation if stepped.method == found.method else stepped.method,
+        "method": stepped.method,
+        "step_seconds": stepped.seconds,
+        "reset": stepped.reset,
+    }
+
+
+def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, settings: Settings):
+    """Yield how a graph is read, what its conversion changes and what may be wrong.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    layers : tuple of Link
+        As :func:`models.nir.chain.from_nir` gives them.
+    stepped : Stepped
+    settings : Settings
+    """
+    found = network.convention
+    record = record_convention(network, stepped)
+    yield (
+        f"read as {found.framework}, by {found.evidence}: {record['equation']}; a step is "
+        f"{1000 * stepped.seconds:g} ms of the graph's time, reset: {stepped.reset}"
+    )
+    is_as_recognised = (settings.nir.step, settings.nir.method) == (0, "auto")
+    if found.doubt and is_as_recognised and settings.nir.reset == "auto":
+        yield f"{WARNING}{found.doubt}"
+    for node in network.nodes:
+        yield from _doubtful_times(node, stepped.seconds, settings.steps)
+    for layer in layers:
+        windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
+        is_matrix = layer.neuron is not None and layer.kind == "dense"
+        if is_matrix and windows and len(windows[0].input_shape) > 1:
+            yield (
+                f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
+                "(square kernels, equal strides and paddings) or its neurons' parameters differ "
+                "within a channel"
+            )
+    height = settings.stimulus.area / LOIHI.dt
+    for index, layer in enumerate(layers):
+        if layer.neuron is None:
+            continue
+        scaled = replace(layer, weights=layer.weights * (1.0 if index else height))
+        floor = FLOOR / round_to_integers(scaled).threshold
+        if floor > FLOOR_IN_THRESHOLDS:
+            yield f"{layer}: the chip's voltages end at {-floor:.1f} thresholds below the reset"
+    for node in network.nodes:
+        if node.kind == "IF":
+            yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
+        if node.kind == "CubaLI":
+            yield f"{node}: only its longer time constant is kept"
+
+
+def _doubtful_times(node, step, steps):
+    """Yield a warning for time constants that no network is trained with."""
+    for name in ("tau", "tau_syn", "tau_mem"):
+        if name not in node.parameters:
+            continue
+        shortest = float(node[name].min())
+        problem = ""
+        if shortest > step * steps:
+            problem = f"longer than a whole sample, {steps} steps of {1000 * step:g} ms"
+        elif shortest < step * (1 - 1e-6):
+            problem = f"shorter than a step of {1000 * step:g} ms"
+        if problem:
+            yield (
+                f"{WARNING}{node}: a {name} of {1000 * shortest:g} ms is {problem}; if it is "
+                "counted in other units, give --set nir.step (the graph's time per step, in ms)"
+            )
+
+
+def spec_of_nir(
+    network: NirNetwork,
+    stepped: Stepped,
+    stimulus: Stimulus,
+    presentation: Presentation,
+    samples,
+    provenance: dict,
+) -> NetworkSpec:
+    """Describe the deployed network of a NIR graph.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    stepped : Stepped
+    stimulus : Stimulus
+    presentation : Presentation
+    samples : ndarray
+        Training samples in the format of the stimulus, on which the scales of weights are chosen.
+    provenance : dict
+        Stored in the bundle.
+    """
+    read = range(presentation.readout_start, presentation.steps)
+    links = from_nir(network, stepped.seconds, stepped.method, samples.shape[-3:], read)
+    spikes = input_spikes(stimulus, samples, presentation.steps)
+    links = in_integers(links, spikes, stimulus.area / LOIHI.dt)
+    return chain.build_network_spec(links, stimulus, presentation, provenance)
+
+
+def input_spikes(stimulus, samples, steps):
+    """Spikes of the input neurons, 0 or 1, shape (n_samples, steps, values)."""
+    if isinstance(stimulus, EventFrames):
+        return samples.reshape(*samples.shape[:2], -1).astype(float)
+    added = samples.reshape(len(samples), -1) * (stimulus.max_rate * LOIHI.dt)
+    voltage = np.full(added.shape, stimulus.initial_phase)
+    spikes = np.empty((len(samples), steps, added.shape[1]))
+    for t in range(steps):
+        voltage += added
+        spikes[:, t] = voltage >= 1
+        voltage -= spikes[:, t]
+    return spikes

@@ -1,0 +1,186 @@
+"""A graph's accuracy, the cost of the chip's reset, and its confidence for early decisions."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.intervals import wilson_interval
+from deploy.errors import UserError
+from deploy.files import copy_file
+from deploy.network.decision import choose_threshold, delay_outputs
+from deploy.network.stimulus import last_steps
+from models.nir.chain import from_nir
+from models.nir.graph import NirNetwork
+from pipeline.kinds.events.kind import require_enough_samples
+from pipeline.kinds.nir.conversion import conversion_notes, record_convention
+from pipeline.kinds.nir.importing import GRAPH, Stepped, graph_for, shape_of_inputs
+from pipeline.kinds.nir.simulation import NUMPY, predictions_of, simulate_samples
+from pipeline.progress import progress
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.splits import Split
+from pipeline.run.settings import Settings
+
+# Maximum number of training samples on which the confidence for early decisions is chosen.
+MAX_CONFIDENCE_SAMPLES = 300
+
+# Maximum number of training samples on which the two resets are compared.
+MAX_RESET_SAMPLES = 200
+
+# Share of the steps with spikes from which a neuron counts as one that never rests.
+RUNAWAY_SPIKE_SHARE = 0.9
+
+RESET_TEXT = (
+    "nir: neurons reset to v_reset on the chip, not by subtraction: an accuracy of {accuracy:.3f} "
+    "instead of {accuracy_as_trained:.3f} on {samples} training samples, {agreement:.1%} of their "
+    "predictions are the same"
+)
+
+CHANCE_TEXT = (
+    "nir: hardly better than chance; was the graph trained on inputs in this order (ON, OFF, rows, "
+    "columns), with this --step, input.refractory and order of the classes, and with the step, "
+    "equation and reset that are printed above ('nir.step', 'nir.method', 'nir.reset')?"
+)
+
+
+def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
+    """Copy the user's graph into a network's folder, and measure its accuracy.
+
+    Parameters
+    ----------
+    folder : Path
+    settings, dataset
+        With `settings.nir.file`.
+    say : callable
+
+    Returns
+    -------
+    dict
+        Metrics of the graph, for its record.
+
+    Raises
+    ------
+    UserError
+        As :func:`graph_for`.
+    """
+    begun = time.perf_counter()
+    source, network = graph_for(folder, settings, dataset)
+    stepped = Stepped.of(settings, network)
+    layers = from_nir(network, stepped.seconds, stepped.method, shape_of_inputs(dataset))
+    for line in conversion_notes(network, layers, stepped, settings):
+        say(f"nir: {line}")
+    cost = None
+    if stepped.reset != "value":
+        cost = reset_cost(network, stepped, settings, dataset)
+        say(RESET_TEXT.format(**cost))
+    part = "test" if len(dataset.split.test) else "validation"
+    index = getattr(dataset.split, part)
+    with progress("simulate nir", len(index)) as advance:
+        inputs = dataset.inputs[index]
+        outputs, spikes = simulate_samples(network, stepped, inputs, settings, advance)
+    _refuse_runaway(network, spikes, settings.steps)
+    right = predictions_of(outputs, settings) == dataset.labels[index]
+    accuracy = float(right.mean())
+    interval = wilson_interval(int(right.sum()), len(right))
+    metrics = {
+        "simulated": dataset.recordings.source.simulated,
+        "accuracy": {part: accuracy},
+        f"{part}_accuracy_ci95": list(interval),
+        f"n_{part}": len(index),
+        "epochs": 0,
+        "convention": record_convention(network, stepped),
+        "reset": cost,
+        "decides_by_itself": choose_confidence(network, stepped, layers, settings, dataset),
+        "versions": NUMPY,
+    }
+    if source != folder / GRAPH:
+        _replace_network(folder, source)
+    metrics["seconds"] = time.perf_counter() - begun
+    say(
+        f"nir: {part} accuracy of the graph {accuracy:.3f} on {len(index)} samples, "
+        f"{metrics['seconds']:.0f} s"
+    )
+    likeliest = float(np.bincount(dataset.labels[index]).max() / len(index))
+    if interval[0] <= likeliest:
+        say(CHANCE_TEXT)
+    return metrics
+
+
+def _replace_network(folder, source):
+    """Copy a graph into a folder, without the records of the network before."""
+    for record in ("metrics.json", "training.json", "history.csv"):
+        (folder / record).unlink(missing_ok=True)
+    copy_file(source, folder / GRAPH)
+
+
+def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
+    """Effect of the chip's reset on the predictions of a graph that was trained with another.
+
+    Returns
+    -------
+    dict
+        Training ``samples``; ``accuracy`` with the chip's reset and ``accuracy_as_trained``;
+        ``agreement``, the share of samples with the same prediction.
+    """
+    rng = np.random.default_rng([settings.seed, 0x5EB])
+    some = np.sort(rng.permutation(dataset.split.train)[:MAX_RESET_SAMPLES])
+    inputs = dataset.inputs[some]
+    labels = dataset.labels[some]
+    chip, trained = (
+        predictions_of(simulate_samples(network, run, inputs, settings)[0], settings)
+        for run in (replace(stepped, reset="value"), stepped)
+    )
+    return {
+        "samples": len(some),
+        "accuracy": float((chip == labels).mean()),
+        "accuracy_as_trained": float((trained == labels).mean()),
+        "agreement": float((chip == trained).mean()),
+    }
+
+
+def _refuse_runaway(network, spikes, steps):
+    """Refuse a recurrent layer most of whose neurons spike at almost every step.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    spikes : dict of str to ndarray, shape (n_samples, neurons)
+        Number of spikes by the node's name.
+    steps : int
+    """
+    for node in network.nodes:
+        if node.loop is None:
+            continue
+        share = (spikes[node.name] > RUNAWAY_SPIKE_SHARE * steps).mean()
+        if share > 0.5:
+            raise UserError(
+                f"{node}: its connection to itself through {node.loop.name!r} runs away: "
+                f"{share:.0%} of its neurons spike at almost every step of these recordings; "
+                "correct the step (--step), or train it on inputs of this density"
+            )
+
+
+def choose_confidence(network, stepped, layers, settings, dataset):
+    """The confidence for early decisions of networks on events."""
+    if not settings.on_events or network.outputs < 2:
+        return None
+    held_out = draw_held_out(dataset.split, settings.seed)
+    inputs = dataset.inputs[held_out]
+    outputs = simulate_samples(network, stepped, inputs, settings)[0]
+    sums = delay_outputs(np.cumsum(outputs, 1), len(layers))
+    loss = settings.presentation.early_loss
+    threshold = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs), loss)
+    return {**require_enough_samples(threshold, len(held_out))._asdict(), "samples": len(held_out)}
+
+
+def draw_held_out(split: Split, seed: int) -> np.ndarray:
+    """Indices of the held-out samples on which the confidence is chosen, of every class.
+
+    Held-out samples are in the order of the recordings, which is usually that of the classes, so
+    they are drawn at random.
+    """
+    held_out = split.held_out(seed)[1]
+    return np.random.default_rng([seed, 0xDEC]).permutation(held_out)[:MAX_CONFIDENCE_SAMPLES]

@@ -1,0 +1,121 @@
+"""Simulation of a run's graph in floating point, on the samples of the run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.check.bundle import Bundle
+from deploy.network.responses import Responses, read_output
+from models.nir.chain import merges_polarities
+from models.nir.graph import NirNetwork
+from models.nir.simulator import SAMPLES_AT_ONCE, simulate
+from pipeline.kinds.nir.importing import Stepped, graph_in
+from pipeline.run.settings import Settings
+
+# Versions of the packages that simulate a graph.
+NUMPY = {"numpy": np.__version__}
+
+
+def simulate_samples(network, stepped, inputs, settings, advance=None):
+    """Simulate the graph on samples of a run.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    stepped : Stepped
+    inputs : ndarray
+        Images or frames of events, as in :func:`graph_inputs`.
+    settings : Settings
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+
+    Returns
+    -------
+    outputs : ndarray, shape (n_samples, steps, classes)
+    spikes : dict of str to ndarray of int, shape (n_samples, neurons)
+        Number of spikes of each neuron, by the name of its node.
+    """
+    outputs = []
+    counts = []
+    for start in range(0, len(inputs), SAMPLES_AT_ONCE):
+        batch = inputs[start : start + SAMPLES_AT_ONCE]
+        presented = graph_inputs(network, batch, settings.steps)
+        found = simulate(network, presented, stepped.seconds, stepped.method, stepped.reset)
+        outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
+        counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
+        if advance is not None:
+            advance(len(batch))
+    joined = {}
+    for name in counts[0]:
+        joined[name] = np.concatenate([batch[name] for batch in counts])
+    return np.concatenate(outputs), joined
+
+
+def predictions_of(outputs, settings):
+    """Predictions from the mean outputs in the readout window."""
+    start = 0 if settings.on_events else settings.presentation.readout_start
+    return outputs[:, start:].mean(1).argmax(1)
+
+
+def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
+    """Samples of a run in the form of a graph's input.
+
+    Parameters
+    ----------
+    network : NirNetwork
+    inputs : ndarray
+        Images (n_samples, rows, columns, channels), which are presented for ``steps`` steps, or
+        frames of events (n_samples, steps, rows, columns, 2).
+    steps : int
+
+    Returns
+    -------
+    ndarray, shape (n_samples, steps, ...)
+        Channels first, or flat.
+    """
+    if inputs.ndim == 4:
+        inputs = np.broadcast_to(inputs[:, None], (len(inputs), steps, *inputs.shape[1:]))
+    if merges_polarities(network, inputs.shape[-3:]):
+        inputs = inputs.max(-1, keepdims=True)
+    first = np.moveaxis(inputs, -1, 2)
+    return first.reshape(*first.shape[:2], *network.input_shape)
+
+
+def _in_places(values):
+    """Values (n, channels, rows, columns), or flat, converted to the chip's order and flattened."""
+    return (np.moveaxis(values, 1, -1) if values.ndim > 2 else values).reshape(len(values), -1)
+
+
+def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=None) -> Responses:
+    """Responses of the original graph to a bundle's samples, in floating point, each from rest.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the graph.
+    settings : Settings
+    bundle : Bundle
+    advance : callable, optional
+        Called with the number of samples done since the last call.
+    """
+    network = graph_in(folder, settings)
+    inputs = bundle.checks.inputs
+    spec = bundle.spec
+    stepped = Stepped.of(settings, network)
+    outputs, counts = simulate_samples(network, stepped, inputs, settings, advance)
+    readout = spec.layers[-1]
+    if readout.neurons is None:
+        outputs = outputs - readout.bias  # which read_output adds
+    if spec.stimulus.static:  # a graph takes the image itself, not spikes
+        sizes = {"input": int(np.prod(spec.input_shape))}
+        sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
+        silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}
+        responses = read_output(replace(spec, estimator=None), outputs, silent)
+        return replace(responses, spikes={}, operations={})
+    spikes = {"input": inputs.reshape(*inputs.shape[:2], -1).sum(1, dtype=np.int64)}
+    names = [name for name in spec.spiking_layers if name != "input"]
+    spikes |= dict(zip(names, counts.values(), strict=True))
+    return read_output(spec, outputs, spikes)
