@@ -80,8 +80,8 @@ def test_a_network_from_pytorch(tmp_path):
     shutil.copy(FOLDER / "network.nir", tmp_path)
     printed_by(CODE, "3-from-pytorch", env=users_environment(), cwd=tmp_path)
     of_torch = accuracies(tmp_path / "runs" / "torch")
-    assert 0.2 < of_torch["nir"] < 0.9  # its graph was trained on an earlier simulation
-    assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.1
+    assert of_torch["nir"] > 0.75
+    assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.04
 
 
 @pytest.mark.slow
