@@ -228,13 +228,15 @@ def from_rates(
         kernel = gain * link.weights
         bias = 1 + gain * link.bias
         if snn.is_on_chip:
-            kernel, bias = eight_bits(kernel).numpy(), twelve_bits(bias).numpy()
+            kernel = eight_bits(kernel).numpy()
+            bias = twelve_bits(bias).numpy()
         chain.append(spiking(link, rate, kernel, bias))
     if range_of is not None:
         # One LIF neuron per class: what the largest wrong logit usually exceeds maps to the
         # threshold, and the largest right logits to the full rate, so that the range covers what
         # decides.
-        logits, labels = np.array(range_of[0], float), np.asarray(range_of[1])
+        logits = np.array(range_of[0], float)
+        labels = np.asarray(range_of[1])
         right = logits[np.arange(len(labels)), labels]
         logits[np.arange(len(labels)), labels] = -np.inf
         threshold = np.percentile(logits.max(axis=1), OUTPUT_THRESHOLD)

@@ -109,7 +109,8 @@ def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
     dt = LOIHI.dt
     decay_u = DECAY_UNIT - 1 - layer.keep_u
     decay_v = DECAY_UNIT - layer.keep_v
-    sum_u, sum_v = _sum_of_decays(layer.keep_u), _sum_of_decays(layer.keep_v)
+    sum_u = _sum_of_decays(layer.keep_u)
+    sum_v = _sum_of_decays(layer.keep_v)
     share_u = (decay_u + 1) / (DECAY_UNIT - 1)
     share_v = decay_v / (DECAY_UNIT - 1)
     per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
@@ -208,8 +209,10 @@ def simulate_spikes(
     spikes = np.asarray(spikes, float)
     if integers is None:
         added = currents(link, link.weights / link.pool**2, spikes)
-        bias, loop = link.bias, link.loop
-        keep_u, keep_v = link.decays.keep_u, link.decays.keep_v
+        bias = link.bias
+        loop = link.loop
+        keep_u = link.decays.keep_u
+        keep_v = link.decays.keep_v
         threshold = 1.0
         floor = -np.inf
     else:
@@ -218,8 +221,10 @@ def simulate_spikes(
         unit = WEIGHT_UNIT * 2.0**integers.exponent
         added = added * unit
         loop = None if integers.loop is None else integers.loop * unit
-        keep_u, keep_v = integers.keep_u / chip.decay_unit, integers.keep_v / chip.decay_unit
-        threshold, floor = integers.threshold, integers.floor
+        keep_u = integers.keep_u / chip.decay_unit
+        keep_v = integers.keep_v / chip.decay_unit
+        threshold = integers.threshold
+        floor = integers.floor
     cut = (lambda x: x) if integers is None else np.trunc
     bias = np.tile(bias, added.shape[2] // bias.size)
     u, v = np.zeros((2, len(added), added.shape[2]))

@@ -364,7 +364,7 @@ def join(parts) -> Responses:
     """Concatenate the responses to consecutive samples."""
     parts = list(parts)
 
-    def joined(name):
+    def concatenate(name):
         values = [getattr(part, name) for part in parts]
         if isinstance(values[0], dict):
             return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
@@ -374,7 +374,7 @@ def join(parts) -> Responses:
     for name in ("stopped_at", "spike_hashes"):
         if any(getattr(part, name) is None for part in parts):
             names.remove(name)
-    return Responses(**{name: joined(name) for name in names})
+    return Responses(**{name: concatenate(name) for name in names})
 
 
 def seconds_per_sample(spec: NetworkSpec) -> float:

@@ -110,7 +110,8 @@ def worst_case(block, intervals, chip: Chip):
     n = block.compartment.n_compartments
     # The chip subtracts one unit more from a current than its decay.
     keep = (chip.decay_levels - block.compartment.decay_u.astype(float)) / chip.decay_unit
-    inputs, currents = np.zeros((2, n)), np.zeros((2, n))
+    inputs = np.zeros((2, n))
+    currents = np.zeros((2, n))
     for synapse in block.synapses:
         sums = np.zeros((2, n))
         for axon in range(synapse.n_axons):
@@ -118,7 +119,8 @@ def worst_case(block, intervals, chip: Chip):
             if base is None:
                 continue
             at = synapse.axon_weight_idx(axon)  # arrays of shape (atoms, synapses)
-            weights, indices = synapse.weights[at], base + synapse.indices[at]
+            weights = synapse.weights[at]
+            indices = base + synapse.indices[at]
             np.add.at(sums[0], indices, np.maximum(weights, 0))
             np.add.at(sums[1], indices, np.maximum(-weights, 0))
         inputs += sums

@@ -130,7 +130,8 @@ class Chain:
         self.max_pools = {}  # by the index of their layer
         self.is_linear = False  # no activation since the last weighted sums
         self.end = None  # (layer, activation) of an output, if it is one
-        self.notes, self.replaced = [], []
+        self.notes = []
+        self.replaced = []
         self.signal = Signal(self.input_shape)
         self.signal.arrange(self.input_order)
 
@@ -172,7 +173,8 @@ class Chain:
             self.end = self.sums[-1].layer, "relu"
         elif not is_dense:
             self.read_out()
-        last, curve = self.sums[-1], "linear"
+        last = self.sums[-1]
+        curve = "linear"
         if self.end is not None:
             layer, curve = self.end
             self.notes.append(
@@ -218,7 +220,8 @@ class Chain:
     # --- layers with weights ----------------------------------------------------------------------
 
     def convolve(self, layer):
-        (rows, columns), strides = layer.pair("kernel_size"), layer.pair("strides")
+        rows, columns = layer.pair("kernel_size")
+        strides = layer.pair("strides")
         if not self.signal.is_image:
             layer.refuse("its input has no rows and columns")
         if rows != columns:
@@ -270,12 +273,14 @@ class Chain:
 
     def weigh_dense(self, layer, kernel, bias):
         """Append a dense layer; one that follows another without an activation is multiplied."""
-        kernel, bias = self.signal.map.T @ kernel, self.signal.offset @ kernel + bias
+        bias = self.signal.offset @ kernel + bias
+        kernel = self.signal.map.T @ kernel
         if self.layers and isinstance(self.layers[-1], Pooling):
             self.require_curve(layer)
         if self.is_linear:
             before = self.linear_dense()
-            kernel, bias = before.kernel @ kernel, before.bias @ kernel + bias
+            bias = before.bias @ kernel + bias
+            kernel = before.kernel @ kernel
             self.notes.append(f"{before.layer}: folded into {layer}, since it has no activation")
             self.layers.pop()
             self.sums.pop()
@@ -283,7 +288,8 @@ class Chain:
 
     def linear_dense(self) -> _Sums:
         """The last sums, which have no activation, as those of a dense layer."""
-        last, made = self.sums[-1], self.layers[-1]
+        last = self.sums[-1]
+        made = self.layers[-1]
         if isinstance(made, Dense):
             return last
         before = self.input_shape
@@ -530,7 +536,8 @@ class Chain:
         )
         if (scales != scales[0]).any() or (offsets != offsets[0]).any():
             return False
-        last.kernel, last.bias = last.kernel * scales[0], last.bias * scales[0] + offsets[0]
+        last.kernel = last.kernel * scales[0]
+        last.bias = last.bias * scales[0] + offsets[0]
         return True
 
 

@@ -180,9 +180,11 @@ class _Section:
 
     def make_link(self, read) -> Link:
         """The link, as yet without a name."""
-        filters, gains = self.find_filter(), self.find_gains()
+        filters = self.find_filter()
+        gains = self.find_gains()
         loop = None if self.neuron is None else self.neuron.loop
-        keep_u, once = gains.keep_u, gains.once
+        keep_u = gains.keep_u
+        once = gains.once
         if filters:
             keep_u = self.filter_keep(filters[0])
             once = once if self.neuron is None else once * (1 - keep_u)
@@ -280,7 +282,8 @@ class _Section:
     def find_windows(self, gain, bias) -> dict | None:
         """The link's parameters as a convolution, or None if it is none on the chip."""
         channels = self.shape[0]
-        gain, bias = gain.reshape(channels, -1), bias.reshape(channels, -1)
+        gain = gain.reshape(channels, -1)
+        bias = bias.reshape(channels, -1)
         if (gain != gain[:, :1]).any():
             return None
         if not np.allclose(bias, bias[:, :1], rtol=1e-12, atol=1e-15):
@@ -300,7 +303,8 @@ class _Section:
 
     def make_dense(self, maps, offset, gain, bias, loop, common) -> Link:
         """The link with a matrix."""
-        outputs, inputs = math.prod(self.shape), math.prod(self.before)
+        outputs = math.prod(self.shape)
+        inputs = math.prod(self.before)
         if outputs * inputs > limits.WEIGHTS:
             raise NirError(
                 f"{self.nodes[0]}: as a matrix, which its windows need on the chip, it has "

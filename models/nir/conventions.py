@@ -17,11 +17,13 @@ from models.nir.equations import voltage_time
 TOLERANCE = 1e-3
 
 # The step that snnTorch's and SpikingJelly's exporters write, whatever the training had; Norse's.
-EXPORTED_STEP, NORSE_STEP = 1e-4, 1e-3
+EXPORTED_STEP = 1e-4
+NORSE_STEP = 1e-3
 
 # Time constants, in seconds, below which a graph with gains of 1 cannot be in seconds: Norse's
 # exporter multiplies them with its step, SpikingJelly's has multiples of 0.1 ms.
-SHORTEST_SPIKINGJELLY, SHORTEST_IN_SECONDS = 1e-4, 5e-3
+SHORTEST_SPIKINGJELLY = 1e-4
+SHORTEST_IN_SECONDS = 5e-3
 
 
 @dataclass(frozen=True)
@@ -198,7 +200,8 @@ def recognise_spikingjelly(nodes, _):
             return None
         evidence = f"IF with r = 1 / {_time(h)}"
     else:
-        h, evidence = EXPORTED_STEP, "LIF with r = 1 and time constants of some tenths of a ms"
+        h = EXPORTED_STEP
+        evidence = "LIF with r = 1 and time constants of some tenths of a ms"
         taus = np.concatenate([node["tau"].ravel() for node in leaky])
         is_short = (taus >= SHORTEST_SPIKINGJELLY * (1 - TOLERANCE)) & (taus < SHORTEST_IN_SECONDS)
         if not is_short.all() or not _gains_are_one(leaky):

@@ -57,7 +57,8 @@ def solve_exactly(node, h) -> StepEquation:
     if "tau_syn" not in node.parameters:
         return StepEquation(b, (1 - b) * node["r"], (1 - b) * node["v_leak"])
     syn, mem, r, w = (node[name] for name in ("tau_syn", "tau_mem", "r", "w_in"))
-    a, same = np.exp(-h / syn), np.isclose(syn, mem, rtol=1e-9, atol=0)
+    a = np.exp(-h / syn)
+    same = np.isclose(syn, mem, rtol=1e-9, atol=0)
     k = np.where(same, h * b / mem, syn * (a - b) / np.where(same, 1.0, syn - mem))
     direct = r * w * (1 - b - k)
     return StepEquation(b, direct, (1 - b) * node["v_leak"], a, (1 - a) * w, r * k)
@@ -79,7 +80,8 @@ def step_by_euler(node, h) -> StepEquation:
     added = (1 - b) * node["v_leak"]
     if "tau_syn" not in node.parameters:
         return StepEquation(b, (1 - b) * node["r"], added)
-    a, gain = _euler_decay(h, node["tau_syn"]), (1 - b) * node["r"]
+    a = _euler_decay(h, node["tau_syn"])
+    gain = (1 - b) * node["r"]
     into = (1 - a) * node["w_in"]
     return StepEquation(b, gain * into, added, a, into, gain * a)
 
@@ -126,7 +128,8 @@ def step_as_spyx(node, h) -> StepEquation:
     if node.kind == "IF":
         return _integrate(_whole_input(node, h))
     b = _euler_decay(h, node[voltage_time(node)])
-    added, whole = (1 - b) * node["v_leak"], np.ones_like(b)
+    added = (1 - b) * node["v_leak"]
+    whole = np.ones_like(b)
     if "tau_syn" not in node.parameters:
         return StepEquation(b, whole, added)
     a = _euler_decay(h, node["tau_syn"])

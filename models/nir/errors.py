@@ -7,7 +7,7 @@ class NirError(UserError):
     """A file or graph is not NIR, or has parts that cannot be used; the message is one line."""
 
 
-def shown(text) -> str:
+def quote(text) -> str:
     """Text from a file for a message: quoted, on one line, and shortened."""
     text = repr(str(text)[:60])
     return text if len(text) <= 80 else text[:77] + "...'"

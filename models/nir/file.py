@@ -10,7 +10,7 @@ import io
 import h5py
 
 from deploy import limits
-from models.nir.errors import NirError, shown
+from models.nir.errors import NirError, quote
 
 # Maximum number of groups within groups of a file.
 MAX_DEPTH = 20
@@ -52,5 +52,5 @@ def _read_group(group, depth=0) -> dict:
         elif isinstance(item, h5py.Dataset) and item.nbytes <= limits.ARRAY_BYTES:
             values[name] = item[()]
         else:
-            raise NirError(f"{shown(name)} is a link or too large; write the graph again")
+            raise NirError(f"{quote(name)} is a link or too large; write the graph again")
     return values

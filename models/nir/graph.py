@@ -24,7 +24,7 @@ import numpy as np
 from deploy import limits
 from deploy.files import reporting_os_errors
 from models.nir.conventions import Convention, recognise
-from models.nir.errors import NirError, shown
+from models.nir.errors import NirError, quote
 
 # Nodes whose output is spikes.
 SPIKING = ("IF", "LIF", "CubaLIF", "Threshold")
@@ -63,7 +63,7 @@ class Node:
     loop: Node | None = None
 
     def __str__(self):
-        return f"node {shown(self.name)} ({self.kind})"
+        return f"node {quote(self.name)} ({self.kind})"
 
     def __getitem__(self, name):
         return self.parameters[name]
@@ -181,10 +181,10 @@ def _node(name, values, shape) -> Node:
     handler = _HANDLERS.get(kind)
     if handler is None:
         raise NirError(
-            f"node {shown(name)}: {shown(kind)} cannot be used; "
+            f"node {quote(name)}: {quote(kind)} cannot be used; "
             + _INSTEAD.get(kind, "use " + ", ".join(_HANDLERS))
         )
-    reader = _Values(f"node {shown(name)} ({kind})", values)
+    reader = _Values(f"node {quote(name)} ({kind})", values)
     after, parameters = handler(reader, shape)
     if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
         reader.refuse(
@@ -199,21 +199,22 @@ def _node(name, values, shape) -> Node:
 
 def _flat(tree, prefix="") -> tuple:
     """Nodes by name, and edges, with subgraphs replaced by their nodes and edges."""
-    nodes, inside = {}, {}
+    nodes = {}
+    inside = {}
     edges = {(prefix + _text(a), prefix + _text(b)) for a, b in tree["edges"]}
     for name, node in ((prefix + name, node) for name, node in tree["nodes"].items()):
         if _kind(node) != "NIRGraph":
             nodes[name] = node
             continue
         own, own_edges = _flat(node, f"{name}.")
-        inside[name] = [_end(own, kind, f"graph {shown(name)}: ") for kind in ("Input", "Output")]
+        inside[name] = [_end(own, kind, f"graph {quote(name)}: ") for kind in ("Input", "Output")]
         nodes |= own
         edges |= own_edges
     edges = {
         (inside[a][1] if a in inside else a, inside[b][0] if b in inside else b) for a, b in edges
     }
     for name in {name for pair in edges for name in pair} - nodes.keys():
-        raise NirError(f"an edge to {shown(name)}, which does not exist; write it again")
+        raise NirError(f"an edge to {quote(name)}, which does not exist; write it again")
     for end in itertools.chain(*inside.values()):  # remove nodes that only pass values on
         before = [a for a, b in edges if b == end]
         after = [b for a, b in edges if a == end]
@@ -227,7 +228,7 @@ def _end(nodes, kind, where="") -> str:
     """Name of the only node of a kind."""
     names = [name for name, node in nodes.items() if _kind(node) == kind]
     if len(names) != 1:
-        listed = f" ({', '.join(map(shown, names[:5]))})" if names else ""
+        listed = f" ({', '.join(map(quote, names[:5]))})" if names else ""
         raise NirError(
             f"{where}has {len(names)} nodes of kind {kind}{listed}; a chain from one Input to one "
             "Output can be used"
@@ -249,8 +250,8 @@ def _loops(nodes, edges) -> dict:
         (layer,) = before
         if layer in loops:
             raise NirError(
-                f"node {shown(layer)}: is connected to itself twice, through "
-                f"{shown(loops[layer][0])} and {shown(name)}; add their weights in one node"
+                f"node {quote(layer)}: is connected to itself twice, through "
+                f"{quote(loops[layer][0])} and {quote(name)}; add their weights in one node"
             )
         loops[layer] = name, nodes.pop(name)
         edges -= {(layer, name), (name, layer)}
@@ -259,15 +260,16 @@ def _loops(nodes, edges) -> dict:
 
 def _chain(nodes, edges) -> tuple:
     """Name of the input node, and names of the nodes between input and output, in order."""
-    first, last = _end(nodes, "Input"), _end(nodes, "Output")
+    first = _end(nodes, "Input")
+    last = _end(nodes, "Output")
     after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
     order: list[str] = []
     name = first
     while name != last:
         if len(after[name]) != 1 or len(order) > len(nodes):
-            leads = " and ".join(map(shown, after[name][:3])) or "nothing"
+            leads = " and ".join(map(quote, after[name][:3])) or "nothing"
             raise NirError(
-                f"node {shown(name)} ({_kind(nodes[name])}) leads to {leads}; a chain from input "
+                f"node {quote(name)} ({_kind(nodes[name])}) leads to {leads}; a chain from input "
                 "to output can be used, in which a layer of neurons may also be connected to "
                 "itself, through one Linear or Affine and without delays"
             )
@@ -277,7 +279,7 @@ def _chain(nodes, edges) -> tuple:
     aside = sorted(nodes.keys() - {first, last, *order})
     if aside:
         raise NirError(
-            f"node {shown(aside[0])} is on a branch or leads nowhere; a chain of nodes without "
+            f"node {quote(aside[0])} is on a branch or leads nowhere; a chain of nodes without "
             "branches from input to output can be used"
         )
     if not order:
@@ -318,7 +320,7 @@ def _input_shapes(name, node, following) -> list:
     if not usable or min(shape) < 1:
         sizes = "x".join(map(str, shape[:6])) or "nothing"
         raise NirError(
-            f"node {shown(name)} (Input): a shape of {sizes}; write the graph with a sample of "
+            f"node {quote(name)} (Input): a shape of {sizes}; write the graph with a sample of "
             "shape (channels, rows, columns) or (values,), without dimensions for time and samples"
         )
     return usable
@@ -340,7 +342,8 @@ class _Values:
     """Reads a node's values and refuses invalid ones."""
 
     def __init__(self, where, values):
-        self.where, self.values = where, values
+        self.where = where
+        self.values = values
 
     def refuse(self, problem) -> NoReturn:
         raise NirError(f"{self.where}: {problem}")
@@ -459,7 +462,7 @@ def _padding(values, dimensions, reach, stride):
             return ((0, 0),) * dimensions
         if _text(padding) != "same" or max(stride) > 1:
             values.refuse(
-                f"padding {shown(_text(padding))} with a stride of {max(stride)}; give the padding "
+                f"padding {quote(_text(padding))} with a stride of {max(stride)}; give the padding "
                 "as a number"
             )
         return tuple(((r - 1) // 2, (r - 1) - (r - 1) // 2) for r in reach)

@@ -52,7 +52,8 @@ def find_window(nodes, shape, scale_of) -> Window | None:
             has_kernel = True
             window = _convolve(window, node)
         elif node.kind in ("AvgPool2d", "SumPool2d") and not any(map(any, node["padding"])):
-            size, stride = node["kernel_size"], node["stride"]
+            size = node["kernel_size"]
+            stride = node["stride"]
             factor = 1.0 if node.kind == "SumPool2d" else 1 / math.prod(size)
             is_square = window.pool == 1 and size == stride and size[0] == size[1]
             if has_kernel:
@@ -85,7 +86,8 @@ def fit_to_chip(window: Window, rows_and_columns, counts) -> dict | None:
     """
     if window.stride[0] != window.stride[1]:
         return None
-    reach, stride = window.kernel.shape[2:], window.stride[0]
+    reach = window.kernel.shape[2:]
+    stride = window.stride[0]
     sizes = [n // window.pool for n in rows_and_columns]
     zeros = range(1, max(*window.before, *reach) + 1)
     for padding in ("valid", "same", *map(str, zeros)):
@@ -115,7 +117,9 @@ def _scale(window, factors):
 
 def _convolve(window, node):
     """A convolution, without groups and dilation, of channels that were only scaled before."""
-    weight, groups, dilation = node["weight"], node["groups"], node["dilation"]
+    weight = node["weight"]
+    groups = node["groups"]
+    dilation = node["dilation"]
     filters, channels, *size = weight.shape
     reach = [(k - 1) * d + 1 for k, d in zip(size, dilation, strict=True)]
     kernel = np.zeros((filters, channels * groups, *reach))
@@ -134,7 +138,8 @@ def _sum_windows(window, size, stride, factor):
     kernel = 0.0
     for row in range(size[0]):
         for column in range(size[1]):
-            above, left = row * window.stride[0], column * window.stride[1]
+            above = row * window.stride[0]
+            left = column * window.stride[1]
             below = (size[0] - 1) * window.stride[0] - above
             right = (size[1] - 1) * window.stride[1] - left
             kernel = kernel + np.pad(window.kernel, ((0, 0), (0, 0), (above, below), (left, right)))

@@ -20,6 +20,7 @@ EPOCHS = 3
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.timeout(3 * 3600),  # longer than all of its commands may take
     pytest.mark.skipif(
         not PYTHON.exists() or not os.environ.get("TEST_NIR"),
         reason="trains for minutes in .venv-nir; 'make test-nir'",

@@ -34,7 +34,8 @@ class Convolution(Operation):
     is_spatial = True
 
     def shapes(self, layer):
-        read, filters = layer.read_shape, layer.shape[-1]
+        read = layer.read_shape
+        filters = layer.shape[-1]
         shape = convolution_shape(read, layer.kernel, filters, layer.stride, layer.padding)
         return shape, (layer.kernel, layer.kernel, read[2], filters)
 
@@ -197,7 +198,7 @@ class _ConvolutionResources(Resources):
 
     def needs(self, ranges):
         lengths = [last - first for first, last in ranges]
-        columns, filters = lengths[1], lengths[2]
+        _, columns, filters = lengths
         reach = [line.reach(*ends) for line, ends in zip(self.lines, ranges)]
         seen = [np.flatnonzero(number) for _, number, _ in reach]
         (low_r, n_r, at_r), (low_c, n_c, at_c) = (
