@@ -72,8 +72,9 @@ MAX_COUNTED_SAMPLES = 1000
 LONGEST_MS = 1000
 MAX_LOST_EVENT_SHARE = 0.72
 
-# Difference of accuracies that does not matter.
-NEARLY = 0.005
+# Difference of accuracies that does not matter.  It is as large as the chance in the choice of the
+# samples that are compared.
+NEARLY = 0.01
 
 # Strengths of the regularisation of the linear classifier, among which the best is taken.
 RIDGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
