@@ -123,12 +123,13 @@ def predict_test_samples(dataset: Dataset, index, name: str, settings: Settings)
     -------
     ndarray of int, shape (n,)
     """
-    from pipeline.training.networks import train_cnn  # imports TensorFlow
+    from pipeline.training.networks import TrainingSamples, train_cnn  # imports TensorFlow
 
     reading, train = READINGS[name], dataset.split.train
     table = dataset.recordings.table
     counts = table.sliced_counts(1, table.typical_duration_ms)[:, 0]
     images = reading.aggregate(counts[..., 0], counts[..., 1])
     images = reading.normalise(images, images[train])[..., None].astype(np.float32)
-    network = train_cnn(settings, (images[train], dataset.labels[train]), settings.seed)
+    samples = TrainingSamples(images[train], dataset.labels[train])
+    network = train_cnn(settings, samples, settings.seed)
     return network.logits(images[index]).argmax(1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -163,34 +164,45 @@ class TrainedRates(Trained):
         return build_rate_network(settings)
 
 
+@dataclass(frozen=True)
+class TrainingSamples:
+    """What a network on images is trained on.
+
+    Attributes
+    ----------
+    images : ndarray, shape (n_samples, rows, columns, channels)
+    labels : ndarray of int, shape (n_samples,)
+    altered : callable, optional
+        ``altered(rng, indices)`` returns the images of some samples for an epoch, such as
+        :meth:`pipeline.recordings.dataset.Dataset.make_altered_images`.  Default: the images
+        themselves, whatever ``cnn.augment`` is.
+    validation : (images, labels), optional
+        Samples that are evaluated for the history only.
+    """
+
+    images: np.ndarray
+    labels: np.ndarray
+    altered: Callable | None = None
+    validation: tuple | None = None
+
+    def __len__(self):
+        return len(self.labels)
+
+
 def train_cnn(
-    settings: Settings,
-    data,
-    seed: int,
-    validation=None,
-    advance=None,
-    altered=None,
-    weights=None,
+    settings: Settings, samples: TrainingSamples, seed: int, advance=None, weights=None
 ) -> TrainedCNN:
     """Train the paper's CNN (Section 3.2.1).
 
     Parameters
     ----------
     settings : Settings
-    data : (images, labels)
-        The training samples.
+    samples : TrainingSamples
     seed : int
         The weights are reproducible on the same kind of processor, for any number of cores, if
         TensorFlow has computed nothing in this process before.
-    validation : (images, labels), optional
-        Samples that are evaluated for the history only.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
-    altered : callable, optional
-        ``altered(rng, indices)`` returns the images of some training samples for an epoch, such as
-        :meth:`pipeline.recordings.dataset.Dataset.altered`.  Default: the images themselves,
-        whatever
-        ``cnn.augment`` is.
     weights : dict, optional
         Weights at the beginning.  Default: new ones.
 
@@ -201,13 +213,13 @@ def train_cnn(
     model = new_cnn(settings, seed)
     if weights is not None:
         set_weights(model, weights)
-    recipe = cnn_recipe(settings.cnn, len(data[0]))
-    history = fit(model, recipe, data, seed, validation, advance, altered)
+    recipe = cnn_recipe(settings.cnn, len(samples))
+    history = fit(model, recipe, samples, seed, advance)
     return TrainedCNN(settings, get_weights(model), history)
 
 
 def train_matched(
-    settings: Settings, data, seed: int, cnn_weights, altered=None, validation=None, advance=None
+    settings: Settings, samples: TrainingSamples, seed: int, cnn_weights, advance=None
 ) -> TrainedCNN:
     """Train the paper's CNN further, as :func:`train_rate_network` trains the spiking network.
 
@@ -217,7 +229,7 @@ def train_matched(
 
     Parameters
     ----------
-    settings, data, seed, cnn_weights, validation, advance, altered
+    settings, samples, seed, cnn_weights, advance
         As in :func:`train_rate_network`, with ``snn.recipe = "loihi"``.
 
     Returns
@@ -227,9 +239,9 @@ def train_matched(
     make_deterministic(seed)
     snn = settings.snn
     model = build_cnn(parse(settings.cnn.architecture), lambda index: relu(snn.noise, snn.dropout))
-    set_weights(model, scale_to_unit(settings, cnn_weights, data[0]))
-    recipe = snn_recipe(snn, len(data[0]))
-    history = fit(model, recipe, data, seed, validation, advance, altered)
+    set_weights(model, scale_to_unit(settings, cnn_weights, samples.images))
+    recipe = snn_recipe(snn, len(samples))
+    history = fit(model, recipe, samples, seed, advance)
     return TrainedCNN(settings, get_weights(model), history)
 
 
@@ -294,13 +306,7 @@ def _spike_costs(settings, architecture):
 
 
 def train_rate_network(
-    settings: Settings,
-    data,
-    seed: int,
-    cnn_weights=None,
-    altered=None,
-    validation=None,
-    advance=None,
+    settings: Settings, samples: TrainingSamples, seed: int, cnn_weights=None, advance=None
 ) -> TrainedRates:
     """Train the network with rate-LIF neurons (paper, Section 3.2.2).
 
@@ -311,7 +317,7 @@ def train_rate_network(
 
     Parameters
     ----------
-    settings, data, seed, validation, advance, altered
+    settings, samples, seed, advance
         As in :func:`train_cnn`.
     cnn_weights : dict, optional
         Required for ``"loihi"`` and ``"as-is"``.
@@ -321,10 +327,10 @@ def train_rate_network(
     TrainedRates
     """
     if settings.snn.recipe == "as-is":
-        return TrainedRates(settings, fit_to_rates(settings, cnn_weights, data[0]))
-    model = new_rate_network(settings, seed, data[0], cnn_weights)
-    recipe = snn_recipe(settings.snn, len(data[0]))
-    history = fit(model, recipe, data, seed, validation, advance, altered)
+        return TrainedRates(settings, fit_to_rates(settings, cnn_weights, samples.images))
+    model = new_rate_network(settings, seed, samples.images, cnn_weights)
+    recipe = snn_recipe(settings.snn, len(samples))
+    history = fit(model, recipe, samples, seed, advance)
     return TrainedRates(settings, get_weights(model), history)
 
 
@@ -427,9 +433,7 @@ def _best_shift(neurons, activations):
     return min(errors)[1:]
 
 
-def fit(
-    model, recipe: Recipe, data, seed: int, validation=None, advance=None, altered=None
-) -> list:
+def fit(model, recipe: Recipe, samples: TrainingSamples, seed: int, advance=None) -> list:
     """Train a model with logit outputs with sparse categorical cross-entropy.
 
     Parameters
@@ -437,13 +441,11 @@ def fit(
     model : tf.keras.Model
         Trained in place; losses added by its layers are included.
     recipe : Recipe
-    data, validation : (images, labels)
+    samples : TrainingSamples
     seed : int
         Seed of the order of the samples, and of the noise.
     advance : callable, optional
         ``advance(1, note)`` after each epoch.
-    altered : callable, optional
-        See :func:`train_cnn`.
 
     Returns
     -------
@@ -451,16 +453,17 @@ def fit(
         The history, one row per epoch.
     """
     history: list[dict] = []
-    for row in epochs_of(model, recipe, data, seed, altered):
+    for row in train_epochs(model, recipe, samples, seed):
         history.append({"epoch": len(history) + 1, **row})
-        if validation is not None:
-            history[-1] |= _evaluate(predict(model, validation[0]), validation[1])
+        if samples.validation is not None:
+            images, labels = samples.validation
+            history[-1] |= _evaluate(predict(model, images), labels)
         if advance is not None:
             advance(1, f"accuracy {row['accuracy']:.3f}")
     return history
 
 
-def epochs_of(model, recipe: Recipe, data, seed: int, altered=None):
+def train_epochs(model, recipe: Recipe, samples: TrainingSamples, seed: int):
     """Train a model as :func:`fit` does; each value requested trains one epoch.
 
     An epoch is one call of a compiled loop over its batches, or a few calls if there is much noise.
@@ -472,16 +475,16 @@ def epochs_of(model, recipe: Recipe, data, seed: int, altered=None):
     dict
         ``loss`` and ``accuracy`` of the epoch.
     """
-    count = len(data[0])
+    count = len(samples)
     rule = optimizer(recipe, count)
     rule.build(model.trainable_variables)
     train_on = _compiled_batches(model, rule, recipe.batch_size)
-    samples = _compute_ahead(_draw_samples(model, data, recipe, seed, altered))
+    batches = _compute_ahead(_draw_samples(model, samples, recipe, seed))
     for _ in range(recipe.epochs):
         sums = tf.zeros(2)
         shown = 0
         while shown < count:
-            images, labels, *draws = next(samples)
+            images, labels, *draws = next(batches)
             sums += train_on(images, labels, *draws)
             shown += len(labels)
         loss, right = (float(n) / count for n in sums.numpy())
@@ -517,7 +520,7 @@ def _compiled_batches(model, rule, batch_size):
     return train_on
 
 
-def _draw_samples(model, data, recipe, seed, altered):
+def _draw_samples(model, samples, recipe, seed):
     """The training samples of all epochs: images, labels, noise and masks for dropout.
 
     Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
@@ -525,8 +528,8 @@ def _draw_samples(model, data, recipe, seed, altered):
     """
     noisy = noisy_layers(model)
     dropped = dropped_layers(model)
-    images = data[0]
-    labels = np.asarray(data[1], np.int32)
+    images = samples.images
+    labels = np.asarray(samples.labels, np.int32)
     numbers = sum(int(np.prod(layer.input_shape[1:])) for layer in (*noisy, *dropped))
     some = _samples_ahead(recipe.batch_size, numbers, int(np.prod(images.shape[1:])))
     # Separate random streams, so that no number depends on how many are drawn at once.
@@ -546,7 +549,10 @@ def _draw_samples(model, data, recipe, seed, altered):
                 shape = (len(order[part]), *layer.input_shape[1:])
                 values = rng.random(shape, np.float32) >= layer.dropout
                 kept.append(tf.constant(values / np.float32(1 - layer.dropout)))
-            shown = images[order[part]] if altered is None else altered(alterations, order[part])
+            if samples.altered is None:
+                shown = images[order[part]]
+            else:
+                shown = samples.altered(alterations, order[part])
             shown = tf.constant(np.asarray(shown, np.float32))
             yield shown, tf.constant(labels[order[part]]), drawn, kept
 

@@ -280,12 +280,20 @@ def _train_cnn(settings, dataset, weights=None):
     """Train the CNN from given weights or from new ones; return it and the seconds."""
     from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
 
-    data = dataset.subset("train")
     how = settings.cnn.augment
-    altered = dataset.make_altered_images("none" if how == "auto" else how)
-    epochs = cnn_recipe(settings.cnn, len(data[0])).epochs
-    arguments = settings, data, settings.seed, select_curve_samples(dataset)
-    return time_training("cnn", epochs, train_cnn, *arguments, altered=altered, weights=weights)
+    samples = _collect_samples(dataset, "none" if how == "auto" else how)
+    epochs = cnn_recipe(settings.cnn, len(samples)).epochs
+    seed = settings.seed
+    return time_training("cnn", epochs, train_cnn, settings, samples, seed, weights=weights)
+
+
+def _collect_samples(dataset, how):
+    """The training samples, how they are altered, and those of the learning curve."""
+    from pipeline.training.networks import TrainingSamples
+
+    images, labels = dataset.subset("train")
+    altered = dataset.make_altered_images(how)
+    return TrainingSamples(images, labels, altered, select_curve_samples(dataset))
 
 
 def _adopt(model, settings, dataset, say):
@@ -317,23 +325,16 @@ def _train_further(name, function, inputs, artifact):
 
     settings = inputs.settings
     dataset = inputs.dataset
-    data = dataset.subset("train")
     how = "none"
     if settings.snn.recipe == "loihi":
         how = settings.cnn.augment
         if how == "auto":
             how = choose_augmentation(dataset.recordings)
-    epochs = snn_recipe(settings.snn, len(data[0])).epochs
-    altered = dataset.make_altered_images(how)
-    arguments = (
-        settings,
-        data,
-        settings.seed,
-        inputs.weights("cnn"),
-        altered,
-        select_curve_samples(dataset),
+    samples = _collect_samples(dataset, how)
+    epochs = snn_recipe(settings.snn, len(samples)).epochs
+    trained, seconds = time_training(
+        name, epochs, function, settings, samples, settings.seed, inputs.weights("cnn")
     )
-    trained, seconds = time_training(name, epochs, function, *arguments)
     write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = metrics_of(trained, dataset, seconds, training_versions())
     return trained, {**metrics, "augment": how}

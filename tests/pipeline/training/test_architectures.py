@@ -152,10 +152,10 @@ def test_training_with_strides_pooling_and_dense_layers():
     }
     settings = Settings().with_values(changes, "test")
     labels = np.arange(80) % 10
-    data = images(80), labels
+    samples = training.TrainingSamples(images(80), labels)
     with untraced():
-        cnn = training.train_cnn(settings, data, 0)
-        single = training.train_rate_network(settings, data, 0, cnn.weights)
+        cnn = training.train_cnn(settings, samples, 0)
+        single = training.train_rate_network(settings, samples, 0, cnn.weights)
     shapes = parse(settings.cnn.architecture).weight_shapes
     assert {name: array.shape for name, array in single.weights.items()} == shapes
     assert np.isfinite(single.logits(images())).all()

@@ -33,7 +33,7 @@ def accuracy(logits, labels):
 
 @pytest.fixture(scope="module")
 def cnn(stripes):
-    return training.train_cnn(settings(), stripes, seed=0)
+    return training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=0)
 
 
 def test_the_weights_are_the_trained_ones(cnn, stripes):
@@ -44,8 +44,8 @@ def test_the_weights_are_the_trained_ones(cnn, stripes):
 
 
 def test_same_seed_same_weights(cnn, stripes):
-    again = training.train_cnn(settings(), stripes, seed=0)
-    other = training.train_cnn(settings(), stripes, seed=1)
+    again = training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=0)
+    other = training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=1)
     for name, array in cnn.weights.items():
         np.testing.assert_array_equal(array, again.weights[name])
     assert not np.array_equal(cnn.weights["output.kernel"], other.weights["output.kernel"])
@@ -54,7 +54,7 @@ def test_same_seed_same_weights(cnn, stripes):
 def test_images_that_are_computed_in_parts_give_the_same_weights(cnn, stripes, monkeypatch):
     monkeypatch.setattr(training, "IMAGES_AHEAD", 1)
     monkeypatch.setattr(training, "ALTERED_AT_ONCE", 16)
-    again = training.train_cnn(settings(), stripes, seed=0)
+    again = training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=0)
     for name, array in cnn.weights.items():
         np.testing.assert_array_equal(array, again.weights[name])
 
@@ -63,7 +63,9 @@ def test_images_that_are_computed_in_parts_give_the_same_weights(cnn, stripes, m
 def test_rate_networks_learn(cnn, stripes, recipe):
     images, labels = stripes
     chosen = settings(recipe=recipe, epochs=8, batch_size=16)
-    trained = training.train_rate_network(chosen, stripes, 0, cnn.weights)
+    trained = training.train_rate_network(
+        chosen, training.TrainingSamples(*stripes), 0, cnn.weights
+    )
     assert accuracy(trained.logits(images), labels) > 0.9
 
 
@@ -93,9 +95,10 @@ def test_the_number_of_cores_does_not_matter(stripes, tmp_path):
 IN_ANOTHER = """
 import numpy as np
 from pipeline.run.settings import read_settings
-from pipeline.training.networks import train_cnn, train_rate_network
+from pipeline.training.networks import TrainingSamples, train_cnn, train_rate_network
 
-chosen, stripes = read_settings("chosen.toml"), list(np.load("data.npz").values())
+chosen = read_settings("chosen.toml")
+stripes = TrainingSamples(*np.load("data.npz").values())
 cnn = train_cnn(chosen, stripes, 0)
 np.savez("cnn.npz", **cnn.weights)
 np.savez("rates.npz", **train_rate_network(chosen, stripes, 0, cnn.weights).weights)
@@ -106,8 +109,8 @@ def test_noise_is_normal_with_the_settings_deviation():
     chosen = settings(recipe="loihi", epochs=2, batch_size=64, noise=0.3)
     model = training.build_rate_network(chosen)
     recipe = training.snn_recipe(chosen.snn, 200)
-    data = np.arange(200.0).reshape(-1, 1, 1, 1), np.arange(200)
-    drawn = list(training._draw_samples(model, data, recipe, 4, None))
+    samples = training.TrainingSamples(np.arange(200.0).reshape(-1, 1, 1, 1), np.arange(200))
+    drawn = list(training._draw_samples(model, samples, recipe, 4))
     assert [len(labels) for _, labels, _, _ in drawn] == [200, 200]
     assert sorted(drawn[0][1].numpy()) == list(range(200))
     assert not np.array_equal(drawn[0][1], drawn[1][1])
@@ -121,8 +124,7 @@ def test_noise_is_normal_with_the_settings_deviation():
     first, second = drawn[0][2][0].numpy(), drawn[1][2][0].numpy()
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02
     again, other = (
-        next(training._draw_samples(model, data, recipe, seed, None))[2][0].numpy()
-        for seed in (4, 5)
+        next(training._draw_samples(model, samples, recipe, seed))[2][0].numpy() for seed in (4, 5)
     )
     np.testing.assert_array_equal(again, first)
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.02
@@ -132,7 +134,9 @@ def test_a_price_on_spikes_saves_spikes(cnn, stripes):
     totals = []
     for penalty in (0.0, 5.0):
         chosen = settings(spike_penalty=penalty, epochs=6, batch_size=16)
-        trained = training.train_rate_network(chosen, stripes, 0, cnn.weights)
+        trained = training.train_rate_network(
+            chosen, training.TrainingSamples(*stripes), 0, cnn.weights
+        )
         model = training.build_rate_network(chosen)
         training.set_weights(model, trained.weights)
         totals.append(activations(model, stripes[0])["conv1"].sum())
@@ -156,8 +160,10 @@ def test_validation_samples_are_watched_and_not_trained_on():
     images = rng.uniform(size=(40, 10, 10, 1)).astype(np.float32)
     labels = rng.integers(0, 10, 40)
     chosen = Settings().with_values({"cnn": {"epochs": 1}}, "test")
-    watched = training.train_cnn(chosen, (images, labels), 0, (images[:8], labels[:8]))
-    unwatched = training.train_cnn(chosen, (images, labels), 0)
+    watched = training.train_cnn(
+        chosen, training.TrainingSamples(images, labels, None, (images[:8], labels[:8])), 0
+    )
+    unwatched = training.train_cnn(chosen, training.TrainingSamples(images, labels), 0)
     logits = watched.logits(images[:8])
     right = float(np.mean(logits.argmax(1) == labels[:8]))
     shares = np.exp(logits - logits.max(1, keepdims=True))
@@ -191,9 +197,9 @@ def test_the_best_shift_brings_a_lif_neuron_near_a_rectified_unit():
 def test_dropout_keeps_the_mean():
     chosen = settings(recipe="loihi", epochs=1, batch_size=64, dropout=0.25)
     model = training.build_rate_network(chosen)
-    data = np.zeros((200, 1, 1, 1)), np.zeros(200, int)
+    samples = training.TrainingSamples(np.zeros((200, 1, 1, 1)), np.zeros(200, int))
     *_, masks = next(
-        training._draw_samples(model, data, training.snn_recipe(chosen.snn, 200), 4, None)
+        training._draw_samples(model, samples, training.snn_recipe(chosen.snn, 200), 4)
     )
     assert [layer.shape for layer in masks] == [(200, 7, 7, 6), (200, 5, 5, 24)]
     for mask in masks:
@@ -214,7 +220,7 @@ def test_small_data_sets_get_more_epochs():
 def test_the_matched_cnn_is_trained_like_the_rate_network(cnn, stripes):
     images, labels = stripes
     chosen = settings(epochs=8, batch_size=16)
-    matched = training.train_matched(chosen, stripes, 0, cnn.weights)
+    matched = training.train_matched(chosen, training.TrainingSamples(*stripes), 0, cnn.weights)
     assert [row["epoch"] for row in matched.history] == list(range(1, 9))
     assert accuracy(matched.logits(images), labels) > 0.9
     untrained = training.scale_to_unit(chosen, cnn.weights, images)
@@ -232,6 +238,6 @@ def test_altered_images_take_the_place_of_the_samples(stripes):
         return images[(indices + 1) % len(images)]  # of the next class
 
     few = Settings().with_values({"cnn": {"epochs": 8, "batch_size": 16}})
-    trained = training.train_cnn(few, stripes, 0, altered=altered)
+    trained = training.train_cnn(few, training.TrainingSamples(*stripes, altered), 0)
     assert len(seen) == 8
     assert np.mean(trained.logits(images).argmax(1) == (labels - 1) % 10) > 0.8
