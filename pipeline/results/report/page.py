@@ -15,7 +15,7 @@ from deploy.check.intervals import wilson_interval
 from deploy.check.results import compare_results
 from deploy.network.provenance import read_positions
 from deploy.network.responses import seconds_per_sample
-from deploy.tables import SIGNIFICANCE, list_names, p_text
+from deploy.tables import SIGNIFICANCE, list_names, p_text, plural
 from deploy.targets.registry import TARGETS
 from pipeline import look
 from pipeline.kinds import COMPARED_WITH, REFERENCES
@@ -123,6 +123,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         over_time=over_time(spec),
         stories=_stories(inputs, groups),
         prose=prose,
+        plural=plural,
         curves=_learning_curves(inputs.histories),
         layers=layers,
         neurons_on_chip=sum(row["neurons"] or 0 for row in layers if row["name"] != "input"),
@@ -240,7 +241,7 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
             "shape": "x".join(map(str, np.atleast_1d(shape))),
             "weights": weights,
             "neurons": neurons,
-            "where": f"{used}\u00a0core{'' if used == 1 else 's'}" if used else "host",
+            "where": plural(used, "core").replace(" ", "\u00a0") if used else "host",
             "spikes": None if spikes is None else spikes / n,
             "rate": None if spikes is None else spikes / n / neurons / seconds,
             "operations": None if operations is None else operations / n,
