@@ -1,5 +1,6 @@
 """The folder of the cache, and arrays in it that are read from the disk as they are used."""
 
+import mmap
 import os
 import tempfile
 from pathlib import Path
@@ -35,6 +36,18 @@ def empty_array(shape: tuple, dtype) -> np.ndarray:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder) as file:  # unlinked: the mapping keeps it
         return np.memmap(file, dtype, "w+", shape=shape)
+
+
+def release_pages(array: np.ndarray):
+    """Give the memory of a mapped array back; what is used again is read again.
+
+    The system does so by itself only where memory is short.  Other arrays stay as they are.
+    """
+    base = array
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        base.madvise(mmap.MADV_DONTNEED)
 
 
 def write_column(path: Path, column: np.ndarray):

@@ -17,6 +17,7 @@ import numpy as np
 
 from deploy.tables import plural
 from pipeline.paper import DURATION_S
+from pipeline.recordings.cache import release_pages
 
 if TYPE_CHECKING:
     from pipeline.recordings.steps import EventTable
@@ -340,6 +341,8 @@ class Recordings:
             content[3] = events.polarity[start:end]
             order = np.lexsort(content[::-1])  # events at the same time have no order
             hashes.append(hashlib.sha256(content[:, order].tobytes()).hexdigest()[:16])
+        for name in EVENT_DTYPES:
+            release_pages(getattr(events, name))
         return tuple(hashes)
 
     @property

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from deploy.network.stimulus import EventFrames, apply_refractory_period, limit_spikes
-from pipeline.recordings.cache import empty_array
+from pipeline.recordings.cache import empty_array, release_pages
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import Events, Recordings, TaxelMap
+from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings, TaxelMap
 from pipeline.run.settings import Input
 
 # Recordings whose events are in memory at a time.
@@ -116,6 +116,12 @@ class EventTable:
         for start in range(0, len(indices), RECORDINGS_AT_ONCE):
             span = slice(start, min(start + RECORDINGS_AT_ONCE, len(indices)))
             yield span, self.pick(indices[span])
+        self.release()
+
+    def release(self):
+        """Give back the memory of mapped columns, after all recordings were used."""
+        for name in EVENT_DTYPES:
+            release_pages(getattr(self.events, name))
 
     def sliced_counts(self, slices: int, duration_ms: float, indices=None) -> np.ndarray:
         """Count the events of each taxel and polarity in equal slices of time.

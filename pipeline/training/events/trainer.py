@@ -145,6 +145,7 @@ class Trainer:
         sums = np.zeros(3)
         for index, batch in enumerate(self._batches(rng)):
             sums += self._train_on(batch, rng, epoch * self.batches + index)
+        self.table.release()
         loss, accuracy, cost = sums / self.batches
         return {"loss": loss, "accuracy": accuracy, "operations": cost}
 
