@@ -43,7 +43,7 @@ def release_pages(array: np.ndarray):
 
     The system does so by itself only where memory is short.  Other arrays stay as they are.
     """
-    base = array
+    base: object = array
     while isinstance(base, np.ndarray):
         base = base.base
     if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
