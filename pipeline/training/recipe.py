@@ -120,7 +120,6 @@ SIZES = {
     for size in (
         NetworkSize("small", 24, 3, 1, hidden=64, width=0.5, budget=0.8),
         NetworkSize("standard", 32, 2, 2, hidden=128, width=1.0, budget=2.0),
-        NetworkSize("large", 64, 2, 2, hidden=256, width=2.0, budget=6.0),
     )
 }
 

@@ -197,14 +197,13 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
     [
         ("small", "10x10x2-24c4s3-64-10o"),
         ("standard", "10x10x2-32c4s2-128-10o"),
-        ("large", "10x10x2-64c4s2-256-10o"),
     ],
 )
 def test_an_architecture_for_every_size(size, expected):
     assert event_architecture_for(Sensor(), NETWORK_SIZES[size], 5000) == expected
     strip = Sensor(1, 39, classes=CLASSES)
     few = parse(event_architecture_for(strip, NETWORK_SIZES[size], 500)).layers[0].units
-    assert few == {"small": 128, "standard": 256, "large": 512}[size]
+    assert few == {"small": 128, "standard": 256}[size]
 
 
 def test_a_size_of_the_user_s_for_simulated_handwriting():
@@ -213,9 +212,9 @@ def test_a_size_of_the_user_s_for_simulated_handwriting():
             "data": {"samples_per_digit": 20},
             "check": {"samples": 10},
             "input": {"kind": "events"},
-            "events": {"size": "large"},
+            "events": {"size": "standard"},
         }
     )
     chosen = choose_settings(settings)
-    assert chosen.events.architecture == "10x10x2-24c4s3-512-10o"  # few recordings
+    assert chosen.events.architecture == "10x10x2-24c4s3-256-10o"  # few recordings
     assert choose_settings(chosen) == chosen
