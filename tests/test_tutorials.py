@@ -9,7 +9,10 @@ import pytest
 
 from experiments.tutorials import FOLDER, executed
 from pipeline.recordings.writing import write_recordings
-from tests.command import printed_by, users_environment
+from tests.command import ROOT, printed_by, users_environment
+
+# The published training part of ST-MNIST, which is not in the repository.
+REAL = ROOT.parent / "shared" / "data" / "stmnist-train.zip"
 
 CODE = """
 import json, sys
@@ -84,18 +87,42 @@ def test_a_network_from_pytorch(tmp_path):
     assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.04
 
 
-@pytest.mark.slow
-def test_real_touch(tmp_path):
-    """Two epochs on recordings that stand in for the real ones, each class on taxels of its own."""
+def write_objects(folder):
+    """Recordings that stand in for the real objects, each class on taxels of its own."""
     rng, recordings, parts = np.random.default_rng(0), [], []
     for label, part in itertools.product(range(21), ("train", "train", "train", "test")):
         x, t = rng.integers(label, label + 3, 60), np.sort(rng.uniform(0, 2, 60))
         recordings.append(((x, np.zeros(60, int), t, rng.integers(0, 2, 60)), label))
         parts.append(part)
     names = [str(label) for label in range(21)]
-    data = write_recordings(tmp_path / "objects.zip", recordings, names, "s", parts=parts)
-    quick = r"quiet=True -> quiet=True, **{\"events.epochs\": 2}"
-    env = {**users_environment(), "TOUCH": str(data)}
+    return write_recordings(folder / "objects.zip", recordings, names, "s", parts=parts)
+
+
+def write_digits(folder):
+    """Recordings that stand in for the real digits: each in rows of its own, one hot taxel."""
+    rng, recordings = np.random.default_rng(0), []
+    for number in range(500):
+        digit, n = number % 10, 60
+        x, y = rng.integers(0, 10, n), rng.integers(digit, min(digit + 3, 10), n)
+        x[:20], y[:20] = 1, 4
+        t = np.sort(rng.integers(0, 100, n)) * 20_000
+        recordings.append(((x, y, t, rng.integers(0, 2, n)), str(digit)))
+    names = [str(digit) for digit in range(10)]
+    return write_recordings(folder / "digits.zip", recordings, names, "us")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_real", [False, True])
+def test_real_touch(tmp_path, is_real):
+    """On objects that stand in, with two epochs; on digits that stand in, and on the real ones."""
+    if is_real and not REAL.exists():
+        pytest.skip(f"{REAL.name}, real recordings, is not here")
+    quick = (
+        r"data=OBJECTS, input=\"events\", quiet=True -> "
+        r"data=OBJECTS, input=\"events\", quiet=True, **{\"events.epochs\": 2}"
+    )
+    digits = REAL if is_real else write_digits(tmp_path)
+    env = {**users_environment(), "TOUCH": str(write_objects(tmp_path)), "DIGITS": str(digits)}
     printed_by(CODE, "4-real-touch", quick, env=env, cwd=tmp_path)
     run = tmp_path / "runs" / "objects"
     assert accuracies(run).keys() == {"counts", "trained", "emulator"}
