@@ -13,7 +13,7 @@ OTHERS = {
     "growth": ("growth", "Time and memory of a training, by the number of recordings", "40 min"),
     "stream": ("stream", "Latency of a running sensor's decisions, highest event rate", "4 min"),
     "recurrent": ("recurrent", "A recurrent network from snnTorch on the emulator", "15 min"),
-    "calibrate": ("calibration", "Fit the simulation to real recordings", "10 min"),
+    "calibrate": ("calibration", "Fit the simulation to real recordings", "3 min"),
     "fidelity": ("fidelity", "Compare simulated recordings with real ones", "3 min"),
     "handwriting": ("handwriting", "Estimate the model of handwriting", "1 min"),
     "tutorials": ("tutorials", "Execute the notebooks of the tutorials", "5 min"),

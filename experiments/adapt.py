@@ -66,7 +66,8 @@ def people_of(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> People:
     traces = unipen.read(pen)
     people = set(sorted({trace.writer for trace in traces if trace.writer >= 0})[fold::FOLDS])
     try:
-        shapes = handwriting.estimate([t for t in traces if t.writer not in people])
+        others = [trace for trace in traces if trace.writer not in people]
+        shapes = handwriting.add_straight_one(handwriting.estimate(others))
     except ValueError as error:
         raise UserError(f"{pen}: {error}, without fold {fold}; give more people") from error
     own = tuple(trace for trace in traces if trace.writer in people)

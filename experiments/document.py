@@ -23,7 +23,7 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
-from experiments import adapt, growth, licences, speed, stream, studies, tables
+from experiments import adapt, fidelity, growth, licences, speed, stream, studies, tables
 from pipeline.results.sweep import sweep_text
 from pipeline.run.settings import Settings, describe
 
@@ -102,6 +102,8 @@ def part(name: str) -> str:
         return f"```\n{sweep_text(content).partition(chr(10) + '* on')[0]}\n```"
     if kind.startswith("adapt"):
         return markdown(adapt.cells(content))
+    if kind == "fidelity":
+        return markdown(fidelity.cells(content))
     if kind == "speed":
         return markdown(speed.cells(content))
     if kind == "stream":

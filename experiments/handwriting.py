@@ -33,12 +33,21 @@ MOST_ALLOGRAPHS = 10
 LEAST_DIGITS, LEAST_WRITERS = 15, 3
 
 MOST_COMPONENTS = 12
+
+# Share of the variation that is assumed to be a person's, where writers are not known.
+UNKNOWN_SHARE = 0.5
+
 # Share of the variance that an allograph's components explain, within their maximum number.
 EXPLAINED = 0.97
 
 
-def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
+def estimate(
+    traces, seed: int = 0, about: dict | None = None, most: int = MOST_ALLOGRAPHS
+) -> ShapeModel:
     """Estimate the model.
+
+    If no writer has two of the traces, the writers are not known: half of the variance of each way,
+    and half of the choices of a way, are assumed to be a person's.
 
     Parameters
     ----------
@@ -48,6 +57,8 @@ def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
         Seed of the start of the search for allographs.
     about : dict, optional
         Source of the trajectories.
+    most : int
+        Largest number of ways of writing with an equal number of strokes.
 
     Returns
     -------
@@ -64,27 +75,19 @@ def estimate(traces, seed: int = 0, about: dict | None = None) -> ShapeModel:
     missing = sorted(set(range(DIGITS)) - set(digits.tolist()))
     if missing:
         raise ValueError(f"no known writer wrote a {missing[0]}")
-    slants, widths = _traits(traces, digits, writers)
-    upright = [
-        Trace(t.digit, t.writer, tuple(_without(s, slants[t.writer], widths[t.writer])
-                                       for s in t.strokes))
-        for t in traces
-    ]  # fmt: skip
     allographs, loyalty = [], []
     for digit in range(DIGITS):
-        mine = [trace for trace in upright if trace.digit == digit]
-        ways, share = _ways_of(mine, seed)
+        mine = [trace for trace in traces if trace.digit == digit]
+        ways, share = _ways_of(mine, seed, most)
         if not ways:
             raise ValueError(f"too few people wrote a {digit} in any one way")
         allographs.append(ways)
         loyalty.append(share)
     tempo, trial_tempo = _tempo(traces, digits, writers)
-    known = {"writers": len(set(writers.tolist())), "digits": len(traces), **(about or {})}
-    model = ShapeModel(
-        tuple(allographs), tuple(loyalty), _spread(slants), _spread(widths), tempo, trial_tempo,
-        known,
-    )  # fmt: skip
-    return add_straight_one(model)
+    known = {"digits": len(traces), **(about or {})}
+    if len(set(writers.tolist())) < len(traces):
+        known["writers"] = len(set(writers.tolist()))
+    return ShapeModel(tuple(allographs), tuple(loyalty), tempo, trial_tempo, known)
 
 
 def add_straight_one(model: ShapeModel) -> ShapeModel:
@@ -103,37 +106,6 @@ def add_straight_one(model: ShapeModel) -> ShapeModel:
     ways = list(model.allographs)
     ways[1] = (*ways[1], straight)
     return replace(model, allographs=tuple(ways))
-
-
-def _spread(of_writer):
-    return float(np.std(list(of_writer.values()), ddof=1))
-
-
-def slant_of(strokes) -> float:
-    """The slant of a digit: the slope of right against up, by least squares."""
-    points = np.concatenate(strokes)
-    down, right = (points - points.mean(axis=0)).T
-    return float(-(down * right).sum() / max((down**2).sum(), 1e-9))
-
-
-def _traits(traces, digits, writers):
-    """Each writer's slant and logarithm of width, relative to the usual values of the digits."""
-    values = np.array(
-        [
-            (slant_of(t.strokes), np.log(max(np.ptp(np.concatenate(t.strokes)[:, 1]), 0.1)))
-            for t in traces
-        ]
-    )
-    for digit in range(DIGITS):
-        values[digits == digit] -= values[digits == digit].mean(axis=0)
-    means = {int(w): values[writers == w].mean(axis=0) for w in np.unique(writers)}
-    return {w: mean[0] for w, mean in means.items()}, {w: mean[1] for w, mean in means.items()}
-
-
-def _without(stroke, slant, width):
-    """A stroke without its writer's slant and width."""
-    down, right = stroke.T
-    return np.stack([down, (right + slant * down) * np.exp(-width)], 1)
 
 
 def _tempo(traces, digits, writers):
@@ -158,7 +130,7 @@ def _tempo(traces, digits, writers):
     return float(np.std(list(means.values()), ddof=1)), float(left.std())
 
 
-def _ways_of(traces, seed):
+def _ways_of(traces, seed, most):
     """The allographs of a digit, and the share of digits in a person's habitual one."""
     used, ways, usage = 0, [], []
     writers = sorted({trace.writer for trace in traces})
@@ -167,7 +139,7 @@ def _ways_of(traces, seed):
         points = _points_of(mine, count)
         vectors = np.array([vector(trace, points) for trace in mine])
         who = np.array([trace.writer for trace in mine])
-        for members in _clusters(vectors, who, seed):
+        for members in _clusters(vectors, who, seed, most):
             ways.append((len(members), points, vectors[members], who[members]))
             usage.append(
                 np.bincount(np.searchsorted(writers, who[members]), minlength=len(writers))
@@ -192,7 +164,7 @@ def vector(trace: Trace, points) -> np.ndarray:
     return np.concatenate([*places, last[1:] - last[0]])
 
 
-def _clusters(vectors, writers, seed):
+def _clusters(vectors, writers, seed, most):
     """Indices of each allograph's trajectories (k-means), without those of rare allographs.
 
     An allograph that is too rare is removed, and its trajectories are assigned to the nearest other
@@ -200,7 +172,7 @@ def _clusters(vectors, writers, seed):
     """
     if not _common(np.arange(len(vectors)), writers):
         return []
-    count = min(MOST_ALLOGRAPHS, len(vectors) // LEAST_DIGITS)
+    count = min(most, len(vectors) // LEAST_DIGITS)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # one that becomes empty is dissolved below
         centres, _ = kmeans2(vectors, count, iter=50, minit="++", seed=seed)
@@ -233,6 +205,9 @@ def _allograph(share, points, vectors, writers):
 def _covariances(scores, writers):
     """Covariances between and within persons, by the moments of a one-way analysis of variance."""
     people, index = np.unique(writers, return_inverse=True)
+    if len(people) == len(scores):
+        total = scores.T @ scores / len(scores)
+        return UNKNOWN_SHARE * total, (1 - UNKNOWN_SHARE) * total
     counts = np.bincount(index)
     means = np.array([scores[index == i].mean(axis=0) for i in range(len(people))])
     left = scores - means[index]
@@ -262,6 +237,8 @@ def _loyalty(usage):
     usage : ndarray of int, shape (writers, ways)
     """
     usage = usage[usage.sum(axis=1) >= 2]
+    if not len(usage):
+        return UNKNOWN_SHARE
     n = usage.sum(axis=1)
     same = (usage * (usage - 1)).sum() / (n * (n - 1)).sum()
     chance = ((usage.sum(axis=0) / usage.sum()) ** 2).sum()
@@ -286,7 +263,7 @@ def main(
     content = sha256_of(file)
     about = {"sha256": content, **KNOWN_HANDWRITING.get(content, {"source": file.name})}
     try:
-        model = estimate(traces, seed, about)
+        model = add_straight_one(estimate(traces, seed, about))
     except ValueError as error:
         raise UserError(f"{file}: {error}; give digits of more people") from error
     shape_model.write(out, model)

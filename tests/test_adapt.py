@@ -32,7 +32,7 @@ def strange_hand(each, seed=5):
     traces = []
     for digit in np.repeat(np.arange(10), each):
         shape = handwriting.draw_shape(digit, who, rng, p.shapes)
-        strokes = handwriting.write(digit, shape, who, p.shapes, p.forms[digit])
+        strokes = handwriting.write(digit, shape, who, p)
         traces.append(Trace(int(digit), 7, boxed(stroke @ LEANING for stroke in strokes)))
     return simulate(seed, [each] * 10, 1, traces=traces)
 

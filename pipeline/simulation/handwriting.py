@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.special import expit
 
-from pipeline.simulation.shape_model import DIGITS, ShapeModel, boxed, even_out
+from pipeline.simulation.shape_model import DIGITS, ShapeModel, even_out
 
 
 @dataclass(frozen=True)
@@ -69,19 +69,11 @@ class Writer:
         :meth:`pipeline.simulation.shape_model.Allograph.strokes`.
     backwards : ndarray of float, shape (10,)
         From 0 to 1: a digit is drawn from its end to its beginning if this is less than the share
-        of the people who do so (:class:`pipeline.simulation.parameters.Form`).
-    slant : float
-        Shear to the right, as its tangent.
-    width : float
-        Logarithm of this person's factor on the width of digits.
-    size : float
-        Logarithm of this person's factor on the height and the width of digits.
-    down, right : float
-        Offset of this person's writing from the usual place, in taxels.
+        of the people who do so (``backwards`` in ``parameters.toml``).
+    placing : ndarray, shape (3,)
+        Standard normal draws of this person's place and size; see :func:`draw_placing`.
     tempo, force, scrape : float
         Logarithm of the factor on the speed, the force, and the vibration of the sliding tip.
-    sloppiness : float
-        Factor on the variation of place and size from one digit to the next.
     even : float
         Share, from 0 to 1, by which this person evens out the speed.
     session : float
@@ -92,15 +84,10 @@ class Writer:
     allographs: tuple = ()
     offsets: np.ndarray = field(default_factory=lambda: np.zeros((DIGITS, 0, 0)))
     backwards: np.ndarray = field(default_factory=lambda: np.ones(DIGITS))
-    slant: float = 0.0
-    width: float = 0.0
-    size: float = 0.0
-    down: float = 0.0
-    right: float = 0.0
+    placing: np.ndarray = field(default_factory=lambda: np.zeros(3))
     tempo: float = 0.0
     force: float = 0.0
     scrape: float = 0.0
-    sloppiness: float = 1.0
     even: float = 0.0
     session: float = 0.0
 
@@ -118,23 +105,17 @@ def draw_writer(rng, p) -> Writer:
     p : pipeline.simulation.parameters.Parameters
     """
     ways = p.shapes.allographs
-    spread = p.writers
-    trials = p.trials
     size = DIGITS, max(map(len, ways)), max(way.rank for mine in ways for way in mine)
-    slant, width, larger, lower, righter, faster, harder, rougher, sloppier = rng.standard_normal(9)
+    faster, harder, rougher = rng.standard_normal(3)
+    own = np.sqrt(p.writers.habit)
     return Writer(
         allographs=tuple(draw_way(rng, mine) for mine in ways),
         offsets=rng.standard_normal(size),
         backwards=rng.random(DIGITS),
-        slant=p.shapes.slant * slant,
-        width=p.shapes.width * width,
-        size=spread.habit * trials.height * larger,
-        down=spread.habit * trials.place[0] * lower,
-        right=spread.habit * trials.place[1] * righter,
+        placing=rng.standard_normal(3),
         tempo=p.shapes.tempo * faster,
-        force=spread.habit * trials.force * harder,
-        scrape=spread.habit * trials.scrape * rougher,
-        sloppiness=np.exp(spread.sloppiness * sloppier),
+        force=own * p.trials.force * harder,
+        scrape=own * p.trials.scrape * rougher,
         even=rng.random(),
         session=rng.random(),
     )
@@ -172,7 +153,7 @@ def draw_shape(digit: int, who: Writer, rng, shapes: ShapeModel) -> Shape:
     return Shape(choice, way.between @ person + way.within @ trial)
 
 
-def write(digit: int, shape: Shape, who: Writer, shapes: ShapeModel, form) -> tuple:
+def write(digit: int, shape: Shape, who: Writer, p) -> tuple:
     """The strokes of one digit.
 
     Parameters
@@ -180,49 +161,41 @@ def write(digit: int, shape: Shape, who: Writer, shapes: ShapeModel, form) -> tu
     digit : int
     shape : Shape
     who : Writer
-    shapes : ShapeModel
-    form : pipeline.simulation.parameters.Form
+    p : pipeline.simulation.parameters.Parameters
 
     Returns
     -------
     tuple of ndarray, shape (n, 2)
         As in a :class:`Trace`.
     """
-    strokes = shapes.allographs[digit][shape.way].strokes(shape.along)
-    leaning = np.array([[1.0, -who.slant - form.shear], [0.0, np.exp(who.width)]])
-    strokes = boxed(even_out(stroke, who.even) @ leaning for stroke in strokes)
-    if who.backwards[digit] < form.backwards:
+    strokes = p.shapes.allographs[digit][shape.way].strokes(shape.along)
+    strokes = tuple(even_out(stroke, who.even) for stroke in strokes)
+    if who.backwards[digit] < p.writers.backwards[digit]:
         return tuple(stroke[::-1] for stroke in strokes[::-1])
     return strokes
 
 
-def draw_placing(who: Writer, rng, p, form, width):
+def draw_placing(who: Writer, rng, form, habit: float):
     """Draw the position and size of a digit's box on the skin in one trial.
 
     Parameters
     ----------
     who : Writer
     rng : numpy.random.Generator
-    p : section ``[trials]`` of the parameters
     form : pipeline.simulation.parameters.Form
-        Usual height and place of the digit.
-    width : float
-        Width in taxels of a shape that is as wide as high: ``form.width``, or ``form.height`` to
-        keep the proportions.
+        Place and height of the digit.
+    habit : float
+        Share of the variance that is between persons.
 
     Returns
     -------
     callable
         Function from points of shape (n, 2), in a box of height 1 around 0, to points in taxels.
     """
-    higher, wider, lower, righter = who.sloppiness * rng.standard_normal(4)
-    size = np.array([form.height, width])
-    scale = size * np.exp(who.size + np.array([p.height * higher, p.width * wider]))
-    centre = (
-        form.down + who.down + p.place[0] * lower,
-        form.right + who.right + p.place[1] * righter,
-    )
-    return lambda points: points * scale + centre
+    drawn = np.sqrt(habit) * who.placing + np.sqrt(1 - habit) * rng.standard_normal(3)
+    usual = np.array([form.down, form.right, np.log(form.height)])
+    *centre, log_height = usual + np.array(form.variation) @ np.clip(drawn, -2.5, 2.5)
+    return lambda points: points * np.exp(log_height) + centre
 
 
 def length_s(strokes, p) -> float:

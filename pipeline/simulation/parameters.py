@@ -1,8 +1,10 @@
 """Parameters of the simulation: those that were assumed, and those that were fitted.
 
-``parameters.toml`` has the assumed ones, with the reason for each.  ``fitted.json`` has those that
-``python -m experiments calibrate`` estimated from real recordings, with their source.
-``handwriting.npz`` has the model of handwriting (:mod:`pipeline.simulation.shape_model`).
+``parameters.toml`` has the assumed ones, with the reason for each.  ``fitted.json`` and
+``fitted.npz`` have those that ``python -m experiments calibrate`` estimated from real recordings,
+with their source: the latter is a model of how people write on the sensor
+(:mod:`pipeline.simulation.shape_model`).  ``handwriting.npz`` is the model of people who write on a
+tablet.
 """
 
 import dataclasses
@@ -19,6 +21,7 @@ from pipeline.simulation.shape_model import ShapeModel
 
 ASSUMED = Path(__file__).with_name("parameters.toml")
 FITTED = Path(__file__).with_name("fitted.json")
+FITTED_SHAPES = FITTED.with_suffix(".npz")
 
 # Simulated people, so many that a network does not learn single ones.
 PEOPLE = 1000
@@ -30,30 +33,24 @@ class Form:
 
     Attributes
     ----------
-    height : float
-        Usual height of the digit, in taxels.
-    width : float
-        Width in taxels of a shape that is as wide as high.
     down, right : float
         Usual centre of the digit's box, in taxels from the centre of the first taxel.
-    shear : float
-        Usual slant to the right, as its tangent, in addition to that of the model of handwriting.
+    height : float
+        Usual height of the digit, in taxels.
+    variation : tuple of tuple of float, shape (3, 3)
+        Square root of the covariance of centre and logarithm of the height.
     force : float
         Logarithm of the usual force.
     contact : float
         Logarithm of the factor on the width of the contact.
-    backwards : float
-        Share of the people who draw the digit's line from its end to its beginning.
     """
 
-    height: float
-    width: float
     down: float
     right: float
-    shear: float
+    height: float
+    variation: tuple
     force: float
     contact: float
-    backwards: float
 
 
 @dataclass(frozen=True)
@@ -102,19 +99,21 @@ class Parameters:
 @functools.cache
 def load(people: int = PEOPLE, chunked: float = 0.0) -> Parameters:
     """The built-in parameters, with a number of writers and a share of chunked recordings."""
-    fitted = from_fit(json.loads(FITTED.read_text("utf-8")), people)
+    fit = json.loads(FITTED.read_text("utf-8"))
+    fitted = from_fit(fit, shape_model.read(FITTED_SHAPES), people)
     return dataclasses.replace(fitted, chunked=chunked)
 
 
-def from_fit(fit: dict, people: int = PEOPLE) -> Parameters:
+def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
     """The assumed parameters together with fitted ones.
 
     Parameters
     ----------
     fit : dict
-        Content of ``fitted.json``: the sections, each with its fitted parameters; ``digits``, for
-        each digit its :class:`Form`; ``ways``, for each digit and way of writing it the values of
-        :meth:`pipeline.simulation.shape_model.ShapeModel.adapted`.
+        Content of ``fitted.json``: the sections, each with its fitted parameters, and ``digits``,
+        for each digit its :class:`Form`.
+    shapes : ShapeModel
+        How people write on the sensor; a share of the digits is written as on a tablet.
     people : int
         Number of writers.
     """
@@ -123,10 +122,11 @@ def from_fit(fit: dict, people: int = PEOPLE) -> Parameters:
         name: _section(name, {**entries, **fit["sections"].get(name, {})})
         for name, entries in assumed.items()
     }
+    forms = [{key: _frozen(value) for key, value in form.items()} for form in fit["digits"]]
     return Parameters(
         **sections,
-        forms=tuple(Form(**values) for values in fit["digits"]),
-        shapes=shape_model.load().adapted(fit["ways"]),
+        forms=tuple(Form(**form) for form in forms),
+        shapes=shape_model.load().join(shapes, 1 - sections["writers"].tablet),
         people=people,
     )
 

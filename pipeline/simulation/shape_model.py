@@ -12,11 +12,11 @@ from one digit to the next:
 It is a point distribution model (T. F. Cootes et al., "Active shape models", Computer Vision and
 Image Understanding 61, 1995) with time as the correspondence of the points, and its two covariances
 are those of the two-covariance model of speaker recognition (N. Bruemmer and E. de Villiers, "The
-speaker partitioning problem", Odyssey 2010).  The slant and width of a person in all digits are
-removed first, and are drawn for each writer.
+speaker partitioning problem", Odyssey 2010).
 
-``handwriting.npz`` has the parameters of the built-in model and the source of the data;
-:mod:`experiments.handwriting` estimates them.
+Two files have the parameters of models and the sources of their data: ``handwriting.npz``, of
+people who write on a tablet (:mod:`experiments.handwriting` estimates it), and ``fitted.npz``, of
+people who write on the sensor (:mod:`experiments.calibration`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import numpy as np
 
 from deploy.files import read_arrays, write_arrays
 
-# The built-in model.
+# The model of people who write on a tablet.
 MODEL = Path(__file__).with_name("handwriting.npz")
 
 # Positions of a trajectory, all of its strokes together.
@@ -73,17 +73,6 @@ class Allograph:
         """Number of components."""
         return len(self.components)
 
-    def adapted(self, share, shift, spread) -> Allograph:
-        """This way with another share, mean and variation; see :meth:`ShapeModel.adapted`."""
-        spread = np.asarray(spread)[:, None]
-        return replace(
-            self,
-            share=share,
-            mean=self.mean + np.asarray(shift) @ self.components,
-            between=spread * self.between,
-            within=spread * self.within,
-        )
-
     def strokes(self, along) -> tuple:
         """The strokes of one digit.
 
@@ -117,10 +106,6 @@ class ShapeModel:
     loyalty : tuple of float
         For each digit, the share that a person writes in the habitual way; the other digits are
         written in any way, with the frequencies among people.
-    slant : float
-        Standard deviation of the shear to the right between persons, as its tangent.
-    width : float
-        Standard deviation between persons of the logarithm of the factor on the width.
     tempo, trial_tempo : float
         Standard deviations of the logarithm of the pen's speed, between persons and from one digit
         of a person to the next.
@@ -131,19 +116,16 @@ class ShapeModel:
 
     allographs: tuple
     loyalty: tuple
-    slant: float
-    width: float
     tempo: float
     trial_tempo: float
     about: dict
 
     def arrays(self) -> dict:
         """The parameters as arrays, for a file; the inverse of :meth:`from_arrays`."""
-        traits = [self.slant, self.width, self.tempo, self.trial_tempo]
         arrays = {
             "about": np.array(json.dumps(self.about, sort_keys=True)),
             "loyalty": np.array(self.loyalty),
-            "traits": np.array(traits),
+            "tempo": np.array([self.tempo, self.trial_tempo]),
         }
         for digit, ways in enumerate(self.allographs):
             arrays |= {f"{digit}.{part}": array for part, array in _packed(ways).items()}
@@ -156,29 +138,39 @@ class ShapeModel:
             _unpacked({part: arrays[f"{digit}.{part}"] for part in PARTS})
             for digit in range(DIGITS)
         )
-        slant, width, tempo, trial_tempo = arrays["traits"].astype(float).tolist()
+        tempo, trial_tempo = arrays["tempo"].astype(float).tolist()
         return cls(
             allographs=ways,
             loyalty=tuple(arrays["loyalty"].astype(float).tolist()),
-            slant=slant,
-            width=width,
             tempo=tempo,
             trial_tempo=trial_tempo,
             about=json.loads(str(arrays["about"])),
         )
 
-    def adapted(self, ways) -> ShapeModel:
-        """The model for other people: other shares of the ways, means and variations.
+    def join(self, other: ShapeModel, share: float) -> ShapeModel:
+        """This model, and for a share of the digits the ways of writing of other people.
 
         Parameters
         ----------
-        ways : sequence of sequences of dict
-            For each digit and way: ``share``; ``shift``, the change of the mean in units of each
-            component; ``spread``, the factor on the standard deviation along each component.
+        other : ShapeModel
+            Its speeds and habits are left out.
+        share : float
+            From 0 to 1.
         """
         allographs = tuple(
-            tuple(way.adapted(**change) for way, change in zip(mine, changes, strict=True))
-            for mine, changes in zip(self.allographs, ways, strict=True)
+            (*scale_shares(mine, 1 - share), *scale_shares(more, share))
+            for mine, more in zip(self.allographs, other.allographs, strict=True)
+        )
+        return replace(self, allographs=allographs)
+
+    def vary(self, factor: float) -> ShapeModel:
+        """The model with another factor on all deviations from the means."""
+        allographs = tuple(
+            tuple(
+                replace(way, between=factor * way.between, within=factor * way.within)
+                for way in ways
+            )
+            for ways in self.allographs
         )
         return replace(self, allographs=allographs)
 
@@ -189,6 +181,12 @@ class ShapeModel:
             if name != "about":
                 digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+
+def scale_shares(ways, total: float) -> tuple:
+    """Ways of writing a digit with the same ratios of their shares and another sum."""
+    present = sum(way.share for way in ways)
+    return tuple(replace(way, share=way.share * total / present) for way in ways)
 
 
 # Arrays that a digit's allographs are stored as, those of all of them stacked.
@@ -260,7 +258,7 @@ def even_out(stroke, share: float) -> np.ndarray:
 
 @functools.cache
 def load() -> ShapeModel:
-    """The built-in model."""
+    """The built-in model of people who write on a tablet."""
     return read(MODEL)
 
 

@@ -19,7 +19,7 @@ from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
 from pipeline.simulation.faults import draw_faults
 
 # Part of the hash of the recordings; increase it with any change of the simulation.
-VERSION = 7
+VERSION = 8
 
 # Rows and columns of the paper's array.
 SIZE = (GRID, GRID)
@@ -272,16 +272,15 @@ def motion(sample, who, rng, p):
     form, kinematics = p.forms[sample.digit], p.kinematics
     if sample.trace is None:
         shape = handwriting.draw_shape(sample.digit, who, rng, p.shapes)
-        strokes = handwriting.write(sample.digit, shape, who, p.shapes, form)
-        width = form.width
-    else:  # keeps its proportions
-        strokes, width = sample.trace.strokes, form.height
+        strokes = handwriting.write(sample.digit, shape, who, p)
+    else:
+        strokes = sample.trace.strokes
     start = rng.uniform(*kinematics.onset_s)
     # Limits the deviations to plausible ones.
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
     tempo = np.exp(who.tempo + p.shapes.trial_tempo * faster)
-    force = form.force + who.force + p.trials.force * harder
-    place = handwriting.draw_placing(who, rng, p.trials, form, width)
+    force = form.force + who.force + np.sqrt(1 - p.writers.habit) * p.trials.force * harder
+    place = handwriting.draw_placing(who, rng, form, p.writers.habit)
     strokes = [place(stroke) for stroke in strokes]
     length = handwriting.length_s(strokes, kinematics)
     # The writing must end within the recording.
@@ -317,6 +316,7 @@ def draw_skin(who, rng, p, contact=0.0):
         Logarithm of the digit's factor on the width of the contact.
     """
     wider, rougher = np.clip(rng.standard_normal(2), -2.5, 2.5)
+    rougher *= np.sqrt(1 - p.writers.habit)
     return replace(
         p.skin,
         spread=p.skin.spread * np.exp(contact + p.skin.spread_spread * wider),

@@ -1,7 +1,6 @@
 """The fit of the simulation to recordings, for which other simulated ones stand."""
 
 import copy
-import json
 
 import numpy as np
 import pytest
@@ -9,12 +8,14 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import read_json
 from experiments import calibration
-from experiments.calibration import Target, adapt_ways, find_sessions, simulate_fit, step_forms
+from experiments.calibration import Target, find_sessions, place_forms, simulate_fit, step_forms
 from pipeline.recordings.writing import write_zip
-from pipeline.simulation import parameters
+from pipeline.simulation import parameters, shape_model
+from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.simulate import simulate, source_of
 
 BUILT_IN = read_json(parameters.FITTED, "restore it")
+SHAPES = shape_model.read(parameters.FITTED_SHAPES)
 
 
 def changed_fit(**values):
@@ -27,7 +28,7 @@ def changed_fit(**values):
 
 
 def target_of(fit, each=15, seed=5):
-    return Target(*simulate_fit(fit, each, seed, 1))
+    return Target(*simulate_fit(fit, SHAPES, each, seed, 1))
 
 
 def test_sample_counts_are_the_papers():
@@ -42,42 +43,38 @@ def test_the_built_in_fit_has_its_source_and_no_recording():
 
 
 def test_a_step_moves_digits_towards_the_recordings():
-    moves = {"down": 0.8, "right": -0.8, "height": -2.0}
-    here = changed_fit(shear=0.0, down=4.5, right=4.5, height=7.0, width=7.0)
-    there = copy.deepcopy(here)
-    for form in there["digits"]:
-        for name, by in moves.items():
-            form[name] += by
-    moved = step_forms(here, target_of(there), *simulate_fit(here, 15, 5, 1))
-    for name, by in moves.items():
-        found = np.mean([form[name] for form in moved["digits"]]) - here["digits"][0][name]
-        assert 0.4 < found / by < 1.6
+    here, there = changed_fit(force=0.0, contact=0.0), changed_fit(force=0.0, contact=0.2)
+    moved = step_forms(here, target_of(there), *simulate_fit(here, SHAPES, 15, 5, 1))
+    found = np.mean([form["contact"] for form in moved["digits"]])
+    assert 0.04 < found < 0.3
+
+
+def test_places_and_sizes_of_digits_are_those_of_the_paths():
+    rng = np.random.default_rng(0)
+    boxes = rng.multivariate_normal([4, 5, 2], np.diag([0.4, 0.6, 0.02]), 400)
+    traces = [
+        Trace(digit, -1, (np.array([[-0.5, 0], [0.5, 0.1]]) * np.exp(size) + [down, right],))
+        for digit in range(10)
+        for down, right, size in boxes
+    ]
+    for form in place_forms(BUILT_IN, traces)["digits"]:
+        assert form["down"] == pytest.approx(4, abs=0.1)
+        assert form["height"] == pytest.approx(np.exp(2), rel=0.03)
+        root = np.array(form["variation"])
+        np.testing.assert_allclose(root @ root.T, np.cov(boxes.T), atol=0.05)
 
 
 def test_hot_taxels_are_found_with_their_sessions():
-    fit = changed_fit(down=4.5, right=4.5, width=4.0)
+    fit = changed_fit(down=4.5, right=4.5, height=6.0)
     sessions = [[0.4, [[8, 1], [2, 0]]], [0.4, [[9, 8]]]]
     fit["sections"]["faults"]["sessions"] = sessions
-    found = find_sessions(*simulate_fit(fit, 60, 5, 1))
+    found = find_sessions(*simulate_fit(fit, SHAPES, 60, 5, 1))
     assert {frozenset(map(tuple, taxels)) for _, taxels in found} == {
         frozenset({(8, 1), (2, 0)}),
         frozenset({(9, 8)}),
     }
     for share, _ in found:
         assert share == pytest.approx(0.4, abs=0.25)
-
-
-def test_ways_that_people_use_get_larger_shares(monkeypatch):
-    monkeypatch.setattr(calibration, "WAY_SAMPLES", 30)
-    shares = []
-    for used in (0, 4):
-        there = changed_fit()
-        for number, way in enumerate(there["ways"][2]):
-            way["share"] = float(number == used)
-        found = adapt_ways(changed_fit(), target_of(there), 3, 1)
-        shares.append([way["share"] for way in found["ways"][2]])
-    assert shares[0][0] > shares[1][0]
-    assert shares[0][4] < shares[1][4]
 
 
 def test_recordings_that_cannot_be_fitted_to(tmp_path):
@@ -94,13 +91,14 @@ def test_recordings_that_cannot_be_fitted_to(tmp_path):
         calibration.read_target(letters, 1)
 
 
-def test_the_command_writes_one_file(tmp_path, monkeypatch):
+def test_the_command_writes_the_parameters_and_the_ways(tmp_path, monkeypatch):
     monkeypatch.setattr(calibration, "STEP_SAMPLES", 8)
-    monkeypatch.setattr(calibration, "GROUPS", ("forms",))
+    monkeypatch.setattr(calibration, "STEPS", 1)
     monkeypatch.setattr(calibration, "FEWEST_OF_A_DIGIT", 20)
     recordings, out = tmp_path / "real.zip", tmp_path / "fit.json"
-    write_zip(recordings, simulate(0, [20] * 10, 1))
+    write_zip(recordings, simulate(0, [40] * 10, 1))
     calibration.main(data=recordings, out=out, jobs=1)
-    written = json.loads(out.read_text())
-    assert written["source"]["recordings"] == 200
-    assert parameters.from_fit(written).fingerprint() != parameters.load().fingerprint()
+    written = read_json(out, "write it")
+    assert written["source"]["recordings"] == 320
+    fitted = parameters.from_fit(written, shape_model.read(out.with_suffix(".npz")))
+    assert fitted.fingerprint() != parameters.load().fingerprint()

@@ -39,20 +39,38 @@ def people(digits=range(10), writers=6, each=10, seed=0, **how):
 
 
 def test_it_is_what_people_do():
-    """Ways, their shares, direction, and both variances of a trait of which they are known."""
+    """Ways, their shares, direction, and the variation within a person."""
     model = fit.estimate(people(writers=60))
     for ways in model.allographs:
         downwards = sum(w.share for w in ways if w.mean[0] < w.mean[2 * POINTS - 2])
-        straight = sum(w.share for w in ways) - 1  # a 1 as a line downwards, which is added
-        assert downwards == pytest.approx(2 / 3 + straight, abs=0.02)
-    # A line's end is the slant here, and the same in all digits of a person: all of it is taken
-    # out as the person's slant.
-    assert model.slant == pytest.approx(0.3, rel=0.25)
+        assert downwards == pytest.approx(2 / 3, abs=0.02)
     rng = np.random.default_rng(1)
     way = max(model.allographs[4], key=lambda way: way.share)
     drawn = [way.strokes(way.within @ rng.standard_normal(way.rank)) for _ in range(500)]
-    ends = [strokes[0][-1, 1] - strokes[0][0, 1] for strokes in drawn]
-    assert np.std(ends) < 0.15
+    assert np.std([strokes[0][-1, 1] - strokes[0][0, 1] for strokes in drawn]) < 0.15
+
+
+def test_people_who_are_not_known():
+    """Half of the variation is a person's."""
+    traces = people(writers=60)
+    unknown = [replace(trace, writer=number) for number, trace in enumerate(traces)]
+    model = fit.estimate(unknown)
+    assert set(model.loyalty) == {0.5}
+    for ways in model.allographs:
+        for way in ways:
+            np.testing.assert_allclose(way.between, way.within)
+            np.testing.assert_allclose(
+                way.between @ way.between.T + way.within @ way.within.T, np.eye(way.rank), atol=1e-6
+            )
+
+
+def test_ways_of_other_people_join():
+    one, other = fit.estimate(people()), fit.estimate(people(seed=1))
+    joined = one.join(other, 0.25)
+    for mine, more, ways in zip(one.allographs, other.allographs, joined.allographs, strict=True):
+        assert len(ways) == len(mine) + len(more)
+        assert sum(way.share for way in ways) == pytest.approx(1)
+        assert sum(way.share for way in ways[len(mine) :]) == pytest.approx(0.25)
 
 
 def test_offsets_of_persons_and_what_differs_within_one():
@@ -100,7 +118,7 @@ def test_round_trip(tmp_path):
     again = shape_model.read(path)
     assert again.fingerprint() == model.fingerprint()
     assert again.about == {"source": "made up", "writers": 6, "digits": 600}
-    assert replace(again, slant=0.5).fingerprint() != model.fingerprint()
+    assert replace(again, tempo=0.5).fingerprint() != model.fingerprint()
 
 
 def test_the_built_in_model_says_where_it_is_from_and_is_small():
