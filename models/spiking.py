@@ -140,7 +140,7 @@ class SpikingNetwork(tf.Module):
                 self._add("output.kernel", np.tile(kernel, (len(self.starts), 1)))
                 continue
             self._add(f"{name}.kernel", kernel)
-            self._add(f"{name}.bias", np.zeros(shape[-1]))
+            self._add(f"{name}.bias", np.zeros(architecture.weight_shapes[f"{name}.bias"]))
             for tau in ("tau_u", "tau_v"):
                 values = getattr(self.neuron, tau)
                 self._add(f"{name}.{tau}", _logit(values[min(index, len(values) - 1)]))

@@ -1,6 +1,7 @@
 """Targets: the simulators and the hardware that run the samples of a check.
 
-To add one, add a `Target` to `TARGETS`; ladder, report and command line use this table.
+To add one, add a `Target` to `TARGETS` and its name to ``NAMES`` in :mod:`deploy.targets`, which is
+read without Nengo; ladder, report and command line use them.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ class Target:
         chip's integers cannot hold: see :func:`refuse_unfit`.
     hardware : bool
         True if the target needs a board.
+    in_ladder : bool
+        True if every ladder has a row of it, unless it needs a board.
     options : type or None
         Dataclass of the options; its field names are the names of the command's options.
     describe : callable or None
@@ -57,6 +60,7 @@ class Target:
     slow: bool = False
     floating: bool = False
     hardware: bool = False
+    in_ladder: bool = True
     options: Optional[type] = None
     describe: Optional[Callable] = None
 
@@ -85,7 +89,11 @@ TARGETS: Dict[str, Target] = {
         Target("simreal", run_simreal, "Loihi's network before rounding", slow=True, floating=True),
         Target("emulator", run_emulator, "Emulated Loihi", slow=True),
         Target(
-            "fast", run_fast, "Emulated Loihi (fast)", note="bit-identical to NengoLoihi's emulator"
+            "fast",
+            run_fast,
+            "Emulated Loihi (fast)",
+            note="bit-identical to NengoLoihi's emulator",
+            in_ladder=False,
         ),
         Target(
             "loihi",
@@ -139,7 +147,7 @@ def options_for(name: str, **values):
         if target.options is None or target.options is own:
             continue
         for option in fields(target.options):
-            if values[option.name] != option.default:
+            if values.get(option.name, option.default) != option.default:
                 raise UserError(f"--{option.name} is for --target {target.name}, not for {name}")
     if own is None:
         return None

@@ -34,6 +34,7 @@ matrix, which takes more of a core's memory and is otherwise equivalent.
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -98,11 +99,19 @@ def from_nir(
     is_image = len(shape) == 3
     groups = _split_after_neurons(network.nodes)
     layers = []
-    counts = {"conv": 0, "dense": 0}
+    counts: Counter = Counter()
     for index, nodes in enumerate(groups):
         is_last = index == len(groups) - 1
-        section = _Section(nodes, before, place, is_image and not is_last, is_last, step, method)
-        link = section.make_link(read)
+        nodes_of_link = _LinkNodes(
+            nodes,
+            before,
+            place,
+            is_image=is_image and not is_last,
+            is_last=is_last,
+            step=step,
+            method=method,
+        )
+        link = nodes_of_link.make_link(read)
         counts[link.kind] += 1
         name = "output" if is_last else f"{link.kind}{counts[link.kind]}"
         layers.append(replace(link, name=name))
@@ -151,7 +160,7 @@ class _Gains:
 
 
 @dataclass(frozen=True)
-class _Section:
+class _LinkNodes:
     """The nodes of one link; ``before`` is the graph's shape of its input, ``place`` the chip's."""
 
     nodes: list

@@ -1,8 +1,8 @@
 """Operations of a notation: convolution, pooling and dense layers, one file each.
 
 `OPERATIONS` has their classes by kind.  What a deployed layer needs without TensorFlow is in
-:mod:`deploy.network.ops`.  An operation of another package is a class of either kind that is added
-to both.
+:mod:`deploy.network.ops`.  To add an operation, write one class here and one there, and enter the
+class in this `OPERATIONS` and an instance of the other in that of :mod:`deploy.network.ops`.
 """
 
 from models.ops.base import Operation, Synapses

@@ -13,6 +13,9 @@ NUMBER = "([0-9]{1,9})"
 class Synapses(NamedTuple):
     """The synapses of a layer by its inputs; see :mod:`models.spiking_kernels`.
 
+    Synapses ``first[i]`` to ``first[i + 1] - 1`` leave input i.  Synapse k adds row ``row[k]`` of
+    the kernel, reshaped to (-1, n) with its last axis n, to the n neurons from ``place[k] * n`` on.
+
     Attributes
     ----------
     first : ndarray of int64, shape (inputs + 1,)
@@ -25,14 +28,18 @@ class Synapses(NamedTuple):
 
 
 class Operation:
-    """A layer of an architecture.  A subclass is a frozen dataclass, and has all methods.
+    """A layer of an architecture.  A subclass is a frozen dataclass.
+
+    Every subclass has `from_token`, `shape`, `weight_shapes`, `fan_out`, `geometry`, `from_link`,
+    `deployed_weights` and `__str__`.  Networks on images need `keras_layer`, those on events
+    `sums` and `synapses`, and imported graphs `currents` and `windows`.
 
     A link is a :class:`models.chain.Link` of this kind.
 
     Attributes
     ----------
     kind : str
-        Prefix of the layers' names; the key in `OPERATIONS`.
+        Prefix of the layers' names, and but for ``"output"`` the key in `OPERATIONS`.
     noun : str
         Such as ``"a convolution"``.
     token : re.Pattern

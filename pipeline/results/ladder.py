@@ -35,8 +35,9 @@ MAX_LOSS_POINTS = 3.0
 
 
 def ladder_stages(kind: NetworkKind) -> list:
-    """Stages of the ladder of a kind, in order: without ``fast``, which answers as ``emulator``."""
-    return [*kind.reference_stages, *(name for name in TARGETS if name != "fast")]
+    """Stages of the ladder of a kind, in order."""
+    targets = [target.name for target in TARGETS.values() if target.in_ladder]
+    return [*kind.reference_stages, *targets]
 
 
 def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
