@@ -35,19 +35,28 @@ FILES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").gl
 BRIEF = {
     "logistic regression on event counts": {"counts"},
     "Gaussian kernel on square roots of counts": {"kernel"},
-    "nearest training sample": {"nearest"},
+    "nearest training recording": {"nearest"},
     "CNN, trained as in the paper": {"cnn"},
     "ANN-SNN, trained as in the paper, emulated Loihi": {"loihi"},
     "CNN, longer training": {"cnn-matched"},
-    "CNN, longer training with augmentation": {"cnn-augmented"},
-    "ANN-SNN, longer training, emulated Loihi": {"chip", "own-loihi"},
-    "SNN on slices of time, emulated Loihi": {"slices"},
-    "SNN on events, emulated Loihi": {"events-chip", "events-loihi"},
+    "**one image**, emulated Loihi": {"chip", "own-loihi"},
+    "- with one hot taxel": {"own-loihi-hot1"},
+    "- with five dead taxels": {"own-loihi-dead5"},
+    "**slices of time**, emulated Loihi": {"slices"},
+    "- with one hot taxel ": {"slices-hot1"},
+    "- with five dead taxels ": {"slices-dead5"},
+    "**events**, emulated Loihi": {"events-chip", "events-loihi"},
+    "- with one hot taxel  ": {"events-loihi-hot1"},
+    "- with five dead taxels  ": {"events-loihi-dead5"},
+    "events, small network, emulated Loihi": {"events-small-loihi"},
 }
 # The columns: a result and one of its splits.
 COLUMNS = {
-    "Ev-Objects, real": ("real-touch-objects", "published"),
-    "Braille letters, real": ("real-touch-letters", "published"),
+    "ST-MNIST, random splits": ("table2-stmnist", "random"),
+    "whole styles held out": ("table2-stmnist", "styles"),
+    "ST-MNIST, published split": ("table2-stmnist-published", "published"),
+    "Ev-Objects": ("real-touch-objects", "published"),
+    "Braille letters": ("real-touch-letters", "published"),
 }
 
 
@@ -93,9 +102,8 @@ def part(name: str) -> str:
         return markdown(licences.cells())
     if name in ("commands", "settings"):
         return globals()[name]()
-    if name.endswith("brief"):
-        kinds = {f"{kind} splits": (name[:-6], kind) for kind in ("random", "writers")}
-        return brief(COLUMNS if name == "brief" else kinds)
+    if name == "brief":
+        return brief(COLUMNS)
     content = result(name)
     kind = content.get("experiment", "sweep")
     if kind == "sweep":
