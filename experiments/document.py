@@ -134,9 +134,15 @@ def brief(columns: dict) -> str:
         line = []
         for file, split in columns.values():
             rows = [r for r in result(file)["rows"] if r["name"] in names and r["split"] == split]
-            line.append("".join(f"{row['mean']:.3f} ({row['sd']:.3f})" for row in rows))
+            line.append("".join(map(_mean_text, rows)))
         lines += [[title, *line]] if any(line) else []
     return markdown(lines)
+
+
+def _mean_text(row):
+    """The mean of a row over its splits, with the SD where there are enough of them."""
+    sd = "" if row["sd"] is None else f" ({row['sd']:.3f})"
+    return f"{row['mean']:.3f}{sd}"
 
 
 def markdown(cells) -> str:
