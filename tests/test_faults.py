@@ -39,6 +39,7 @@ def content(folder):
         (["train", "x", "--fast"], "--fast"),
         (["data", "import", "nowhere.zip"], "nowhere.zip: "),
         (["data", "inspect", "nowhere.mat"], "nowhere.mat: "),
+        (["data", "inspect", "."], "data stats --data"),
         (["check", "run", "nowhere", "--target", "nengo"], "nowhere: "),
         (["check", "compare", "a.json", "b.json"], "a.json: "),
     ],

@@ -9,7 +9,7 @@ import typer
 from deploy import limits
 from deploy.errors import UserError
 from deploy.files import require_ending
-from deploy.terminal import show
+from deploy.terminal import command_text, show
 from pipeline.commands import options
 from pipeline.run.settings import SIMULATED, Settings, merge_values
 
@@ -66,6 +66,11 @@ def inspect(
     from pipeline.recordings.library import options_from
     from pipeline.recordings.statistics import facts_of_file, file_text
 
+    if file.is_dir():
+        raise UserError(
+            f"{file}: is a folder; name one recording in it, or describe all of them with "
+            f"{command_text('data', 'stats', '--data', str(file))}"
+        )
     facts = facts_of_file(file, options_from(_settings(str(file), reading)))
     options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
 
