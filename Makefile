@@ -2,7 +2,7 @@
 #
 # Variables: DATA (ST-MNIST zip or folder; default: simulated), INPUT (image, the default, slices
 # or events), RUN (default runs/default), SEED (default 0), SAMPLES (default 200), STEPS (default 100
-# of 1 ms, or with events 200 of 10 ms of skin time), JOBS (default 2),
+# of 1 ms, or with events as many as the longest recording needs), JOBS (default 2),
 # TARGET (of make check; default emulator), BOARD, PARTITION and CHIPS (of make loihi-hardware),
 # SET (other settings, such as SET="cnn.epochs=5 snn.max_rates=[150, 100]"),
 # PYTHON (of 3.11 to 3.13; default: the first on the path that fits).
@@ -54,7 +54,7 @@ check: convert  ## Run the check on TARGET, and compare it with the reference si
 	@$(STMNIST) check run "$(RUN)/bundle" --target $(TARGET)
 	@$(STMNIST) check compare "$(RUN)/checks/nengo.json" "$(RUN)/checks/$(TARGET).json"
 
-benchmark: setup  ## Measure the paper's Table 2 on ten splits (40 minutes)
+benchmark: setup  ## Measure the paper's Table 2 on ten splits (hours)
 	@$(BIN)/python -m experiments table2 --out "$$(dirname "$(RUN)")/table2" $(DATA_OPTIONS) $(SET_OPTIONS) $(if $(STEPS),--set presentation.steps=$(STEPS))
 
 results: setup  ## List what can be measured again for results/, with its time (maintainers)
