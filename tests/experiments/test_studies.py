@@ -202,9 +202,7 @@ def test_a_figure_of_a_document(tmp_path, monkeypatch):
             document.figure(wrong)
 
 
-@pytest.mark.parametrize(
-    "path", sorted(studies.RESULTS.glob("*.json")), ids=lambda path: path.stem
-)
+@pytest.mark.parametrize("path", sorted(studies.RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_every_result_is_a_table_of_the_documents(path):
     """Its lines exist, and none has an interval that the statistics would not give."""
     assert document.part(path.stem)
