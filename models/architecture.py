@@ -45,7 +45,7 @@ class Architecture:
     ----------
     input_shape : tuple of int
         (rows, columns, channels).
-    layers : tuple of models.ops.Operation
+    layers : tuple of models.ops.base.Operation
         In order; the last one is the only output layer.
 
     Raises

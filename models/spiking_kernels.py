@@ -3,7 +3,7 @@
 The equations are those of :mod:`models.spiking`.  Events are rare, so that the sums over synapses
 go from spike to spike.  Arrays of one layer have the shape (samples, steps, neurons), in float32;
 spikes are uint8.  The synapses of a layer are in three arrays, see
-:class:`models.ops.Synapses`: those of input i are ``first[i]`` to ``first[i + 1]``;
+:class:`models.ops.base.Synapses`: those of input i are ``first[i]`` to ``first[i + 1]``;
 synapse k connects it with all filters at the place ``place[k]`` of the layer, through row
 ``row[k]`` of the kernel.
 """
