@@ -56,7 +56,7 @@ def test_every_writer_writes_every_digit_about_thirty_times():
 def test_the_hash_is_over_all_that_matters(recordings):
     p = parameters.load()
     changed = replace(p, skin=replace(p.skin, spread=p.skin.spread + 0.01))
-    another = replace(p, shapes=replace(p.shapes, slant=0.2))
+    another = replace(p, shapes=replace(p.shapes, tempo=p.shapes.tempo + 0.1))
     hashes = {
         source_of(5, FEW, another).sha256,
         source_of(5, FEW).sha256,
