@@ -13,16 +13,18 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from deploy.check.bundle import read_bundle
 from deploy.errors import UserError
-from deploy.files import write_json
+from deploy.files import read_json, write_json
 from deploy.targets.registry import run_target
 from deploy.terminal import show
 from pipeline.live.network import SHIPPED
 from pipeline.paper import SAMPLES_PER_DIGIT
+from pipeline.recordings.events import GRID
 from pipeline.results.report import figures
-from pipeline.results.report.figures import animation, recordings
+from pipeline.results.report.figures import SHADES, animation, recordings
 from pipeline.simulation import handwriting, parameters, simulate
 from pipeline.sources import load_simulated
 
@@ -32,6 +34,7 @@ FIGURES = ("pipeline/results/report/figures/recordings.py", "pipeline/look.css")
 SHOWN = {
     "recording.png": FIGURES,
     "sheet.png": FIGURES,
+    "fidelity.png": (*FIGURES, "results/fidelity.json"),
     "live.png": ("pipeline/live/page/*", "pipeline/look.css"),
     "touch.gif": ("pipeline/results/report/figures/animation.py", "pipeline/look.css"),
 }
@@ -107,6 +110,24 @@ def _touch(path):
     animation.animate(path, bundle, int(np.flatnonzero(is_shown)[0]))
 
 
+def draw_maps(maps: dict) -> Figure:
+    """How often each taxel is active in recordings of each digit, a row for each kind.
+
+    Parameters
+    ----------
+    maps : dict of list, shape (10, 100)
+        Shares by kind of recordings, taxels by columns.
+    """
+    figure = Figure(figsize=(10, 2.3), layout="constrained")
+    axes = figure.subplots(len(maps), 10)
+    for line, (kind, shares) in zip(axes, maps.items(), strict=True):
+        line[0].set_ylabel(kind)
+        for place, share in zip(line, shares, strict=True):
+            place.imshow(np.reshape(share, (GRID, GRID)).T, cmap=SHADES, vmin=0, vmax=1)
+            place.set(xticks=[], yticks=[])
+    return figure
+
+
 def main():
     """Make the pictures of the documents again (needs Chromium)."""
     if not any(map(shutil.which, BROWSERS)):
@@ -117,6 +138,8 @@ def main():
     index = sample.ids.index("8/0007")
     figures.save(recordings.draw_recording(sample, index), docs / "recording.png")
     figures.save(recordings.sheet(sample), docs / "sheet.png")
+    maps = read_json(ROOT / "results" / "fidelity.json", "run the experiment fidelity")["maps"]
+    figures.save(draw_maps(maps), docs / "fidelity.png")
     _live(docs / "live.png")
     _touch(docs / "touch.gif")
     write_json(ROOT / "docs" / "pictures.json", stamps())
