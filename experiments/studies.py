@@ -27,6 +27,7 @@ from pipeline.kinds import choose_settings
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.faults import add_faults
 from pipeline.results import study
+from pipeline.results.faulty import FaultCounts
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Provenance, Settings
@@ -104,9 +105,8 @@ class Experiment:
     note: str = ""
 
 
-# Stages that test a network on the emulated chip with faulty taxels in its test samples, and the
-# numbers of hot and dead taxels.
-FAULTY_STAGES = {"fast-hot1": (1, 0), "fast-dead5": (0, 5)}
+# Stages that test a network on the emulated chip with faulty taxels in its test samples.
+FAULTY_STAGES = {"fast-hot1": FaultCounts(hot=1), "fast-dead5": FaultCounts(dead=5)}
 FAULT_TITLES = {"fast-hot1": "one hot taxel", "fast-dead5": "five dead taxels"}
 
 EMULATED_NOTE = (
@@ -359,8 +359,8 @@ def _measure_with_faults(dataset, case, networks):
     """A row of a network on the emulated chip, with faulty taxels in its test samples."""
     on_chip = replace(case, stage="fast")
     study.measure(on_chip, networks, dataset)  # trains it on the recordings as they are
-    hot, dead = FAULTY_STAGES[case.stage]
-    faulty = add_faults(dataset.recordings, hot, dead, [case.seed, 0xFA])
+    faults = FAULTY_STAGES[case.stage]
+    faulty = add_faults(dataset.recordings, faults.hot, faults.dead, [case.seed, 0xFA])
     tested = Dataset(faulty, dataset.split, dataset.origin, dataset.settings)
     row = study.measure(on_chip, networks, tested)
     return {**row, "stage": case.stage}

@@ -438,11 +438,12 @@ class Stream:
         A touch whose events are within the usual presentation ends with it, as in the check.  A
         longer one ends when the spikes of its last event have reached the output.
         """
-        last_ms = (touch.last_ns - touch.start_ns) / NANOSECONDS_PER_MS
-        is_usual = self._step_at(np.int64(touch.last_ns)) < self._usual_steps
-        if is_usual or self._longest_steps == self._usual_steps:
+        if self._longest_steps == self._usual_steps:
+            return self._usual_steps
+        if self._step_at(np.int64(touch.last_ns)) < self._usual_steps:
             return self._usual_steps
         settling = len(self._spec.layers) + 2
+        last_ms = (touch.last_ns - touch.start_ns) / NANOSECONDS_PER_MS
         end = round(last_ms / self._step_ms + settling)
         return min(max(end, self._usual_steps), self._longest_steps)
 
