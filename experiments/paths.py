@@ -39,11 +39,11 @@ LIFT = -9.0
 # Stands for the place before a lift.
 LIFTED = -1
 
-# A pen that is moved so far, in taxels, in so many chunks has been lifted.
+# A pen that moves farther than this number of taxels within this number of chunks was lifted.
 LIFT_TAXELS = 3.0
 LIFT_CHUNKS = 3
 
-# A stroke has at least so many chunks, and extends over so many taxels.
+# A stroke has at least this number of chunks, and extends over at least this number of taxels.
 SHORTEST_CHUNKS = 4
 SHORTEST_TAXELS = 1.4
 

@@ -1,4 +1,4 @@
-"""What an operation of a notation is."""
+"""The base class of the operations of an architecture."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What an operation is, and the memory of synapses that all of them use."""
+"""The base class of operations, and the memory of synapses that all operations use."""
 
 from __future__ import annotations
 
