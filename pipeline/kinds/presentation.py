@@ -8,10 +8,12 @@ begins.
 """
 
 import math
+from dataclasses import replace
 
 from deploy import limits
 from deploy.network.chip import LOIHI
 from deploy.network.spec import NetworkSpec, Presentation
+from deploy.terminal import WARNING
 from pipeline.recordings.events import Recordings, Sensor
 from pipeline.run.settings import Choice, Settings
 
@@ -177,7 +179,7 @@ def image_gap_choice(settings: Settings) -> tuple:
 
 
 def current_taus(spec: NetworkSpec) -> dict:
-    """Time constants of the currents of a network's layers in steps, as for `short_gap_text`."""
+    """Time constants of the currents of a network's layers in steps, as for `fit_gap`."""
     taus = {f"{layer.name}.tau_u": (layer.synapse or 0.0) / LOIHI.dt for layer in spec.layers}
     return {name: tau for name, tau in taus.items() if tau}
 
@@ -210,24 +212,38 @@ def silent_steps(tau_current: float, share: float = MAX_SHARE_LEFT) -> int:
     return min(max(steps, 0), limits.STEPS)
 
 
-def short_gap_text(presentation: Presentation, taus: dict) -> str:
-    """A warning that samples of a stream disturb each other; empty if they do not.
+def fit_gap(presentation: Presentation, taus: dict, is_users: bool) -> tuple[Presentation, str]:
+    """Lengthen the gap for the trained time constants, or warn if the gap is the user's.
 
     Parameters
     ----------
     presentation : Presentation
     taus : dict of str to float
         The trained time constants of currents, in steps, by names such as ``"conv1.tau_u"``.
+    is_users : bool
+        True if the user has set the gap, which then stays.
+
+    Returns
+    -------
+    presentation : Presentation
+        With a gap after which little is left of a sample.
+    line : str
+        What is to be said; empty if the gap is long enough, or if each sample begins at rest.
     """
     if presentation.stream_length == 1 or not taus:
-        return ""
+        return presentation, ""
     name = max(taus, key=taus.__getitem__)
     needed = silent_steps(taus[name])
     if needed <= presentation.gap:
-        return ""
-    return (
-        f"the currents of layer {name.removesuffix('.tau_u')} (time constant {taus[name]:.3g} "
-        f"steps) outlast the gap of {presentation.gap} steps between samples, which therefore "
-        f"disturb each other: --set presentation.gap={needed}, or --set "
-        "presentation.stream_length=1, so that each sample begins at rest"
+        return presentation, ""
+    layer = f"layer {name.removesuffix('.tau_u')} (time constant {taus[name]:.3g} steps)"
+    if is_users:
+        return presentation, (
+            f"{WARNING}the currents of {layer} outlast the gap of {presentation.gap} steps between "
+            f"samples, which therefore disturb each other: --set presentation.gap={needed}, or "
+            "--set presentation.stream_length=1, so that each sample begins at rest"
+        )
+    return replace(presentation, gap=needed), (
+        f"gap of {needed} silent steps before each sample, for the currents of {layer} after the "
+        "training (another: --set presentation.gap=...)"
     )

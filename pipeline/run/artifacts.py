@@ -33,7 +33,7 @@ from pathlib import Path
 
 from deploy import __version__
 from deploy.files import read_json, write_json
-from pipeline.run.settings import AUTOMATIC_AT_0, Settings, names_in
+from pipeline.run.settings import AUTOMATIC_AT_0, KEPT_IF_USERS, Settings, names_in
 
 # States of an artifact.
 CURRENT, OUTDATED, MISSING = "current", "outdated", "missing"
@@ -81,6 +81,9 @@ class Origin:
         names = [name for entry in reads for name in names_in(entry)]
         values = {name: _plain(settings.value(name)) for name in names}
         merged = {PACKAGE: __version__, **(contents or {})}
+        for name in KEPT_IF_USERS:
+            if name in values and settings.is_users(name):
+                merged[f"{name} is kept"] = f"as it was set: {values[name]}"
         for used in uses:
             values = _merge_entries(used.settings, values)
             merged = _merge_entries(used.contents, merged)

@@ -178,3 +178,15 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
             found.append(made)
         one, two = found
         assert {name for name in one if one[name] != two[name]} == set(expected.split())
+
+
+def test_the_gap_that_the_user_sets_is_another_origin_than_the_same_default():
+    default = Settings()
+    users = default.with_named_values({"presentation.gap": default.presentation.gap})
+    of_default = Origin.of(default, ["presentation"])
+    of_users = Origin.of(users, ["presentation"])
+    assert of_default.key != of_users.key
+    assert not of_default.view(default).is_users("presentation.gap")
+    assert of_users.view(users).is_users("presentation.gap")
+    with pytest.raises(UndeclaredSetting):
+        of_users.view(users).is_users("presentation.early_loss")

@@ -8,7 +8,6 @@ from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
 from deploy.network.spec import NetworkSpec, Presentation
-from deploy.terminal import WARNING
 from models import chain
 from models.architecture import parse
 from models.integers import from_integers
@@ -23,7 +22,7 @@ from pipeline.kinds.kind import (
     training_versions,
     write_network,
 )
-from pipeline.kinds.presentation import short_gap_text
+from pipeline.kinds.presentation import fit_gap
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, event_warnings
 from pipeline.recordings.steps import EventTable
@@ -192,8 +191,9 @@ class EventsKind(NetworkKind):
         recipe = EventRecipe.of(inputs.settings)
         weights = inputs.weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
-        if warning := short_gap_text(shown, taus):
-            inputs.say(f"{WARNING}{warning}")
+        shown, line = fit_gap(shown, taus, inputs.settings.is_users("presentation.gap"))
+        if line:
+            inputs.say(line)
         return spec_of_events(recipe, weights, shown, provenance)
 
     def choices(self, recordings, train):

@@ -5,10 +5,11 @@ The run has a copy of the graph, ``snn/network.nir``, from which everything else
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from deploy.errors import UserError
-from deploy.terminal import WARNING
 from models.nir.graph import read_nir
 from pipeline.kinds import counts
 from pipeline.kinds.events.kind import DECIDES, confidence_of
@@ -24,7 +25,7 @@ from pipeline.kinds.nir.importing import (
 )
 from pipeline.kinds.nir.measures import take_over
 from pipeline.kinds.nir.simulation import NUMPY, graph_responses, simulate_samples
-from pipeline.kinds.presentation import choose_presentation, current_taus, short_gap_text
+from pipeline.kinds.presentation import choose_presentation, current_taus, fit_gap
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import event_warnings, require_images_fit
 from pipeline.run.settings import Choice, apply_choices
@@ -123,9 +124,11 @@ class NirKind(NetworkKind):
         stepped = Stepped.of(settings, network)
         provenance = {**provenance, "nir": record_convention(network, stepped)}
         spec = spec_of_nir(network, stepped, settings.stimulus, presentation, samples, provenance)
-        if warning := short_gap_text(presentation, current_taus(spec)):
-            inputs.say(f"{WARNING}{warning}")
-        return spec
+        is_users = settings.is_users("presentation.gap")
+        presentation, line = fit_gap(presentation, current_taus(spec), is_users)
+        if line:
+            inputs.say(line)
+        return replace(spec, presentation=presentation)
 
     def choices(self, recordings, train):
         settings = self.settings

@@ -5,6 +5,7 @@ A run stores its settings in ``experiment.toml``; ``stmnist settings`` prints th
 
 from __future__ import annotations
 
+import copy
 import difflib
 import enum
 import functools
@@ -55,8 +56,20 @@ AUTOMATIC_AT_0 = {
 }
 # Settings whose default asks for a choice, also if the user states it.
 CHOSEN_AT_DEFAULT = {"presentation.steps", "events.parts", "events.part", "events.augment"}
+# Settings that a trained network may change unless they are the user's: what is made from them
+# depends on whose they are.
+KEPT_IF_USERS = ("presentation.gap",)
 # Files of imported networks, and the settings with their hashes.
 IMPORTED = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
+
+
+class _DeclaredProvenance(dict):
+    """The provenance of the settings in `KEPT_IF_USERS` that a view declares; no other is read."""
+
+    def get(self, name, default=None):
+        if name not in self:
+            raise UndeclaredSetting(f"the provenance of {name} is read, which is not declared")
+        return self[name]
 
 
 class Section:
@@ -367,6 +380,7 @@ class PresentationSettings(Section):
     steps: Annotated[int, STEPS_OR_NONE] = 0
     #: Silent steps before each sample.  More, if it is not set, where the neurons' currents last
     #: longer.
+    #: Unless you set it, it is longer for a trained network whose currents last longer.
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     #: First step of the readout window, over which the output is averaged for the decision; with
     #: events always the first step of the presentation.
@@ -464,7 +478,7 @@ class Settings(Section):
 
     def with_provenance(self, provenance: dict) -> Settings:
         """The same values with the :class:`Provenance` of each by its dotted name."""
-        settings = replace(self)
+        settings = copy.copy(self)
         object.__setattr__(settings, "provenance", provenance)
         return settings
 
@@ -552,7 +566,10 @@ class Settings(Section):
         names : iterable of str
             Dotted names.  :data:`PATHS` remain readable too.
         """
-        return _restrict(self, {*names, *PATHS}, "")
+        names = {*names, *PATHS}
+        declared = {name: self.provenance_of(name) for name in KEPT_IF_USERS if name in names}
+        view = _restrict(self, names, "")
+        return view.with_provenance(_DeclaredProvenance(declared))
 
     def to_json(self) -> dict:
         """The settings as plain values."""
@@ -626,14 +643,14 @@ def _suggestion(error):
 
 def _restrict(section, kept, prefix):
     """A copy of a section in which only the values in ``kept`` may be read."""
-    copy = object.__new__(type(section))
+    view = object.__new__(type(section))
     for name, value in object.__getattribute__(section, "__dict__").items():
         if isinstance(value, Section):
             value = _restrict(value, kept, f"{prefix}{name}.")
         elif prefix + name not in kept:
             value = _Access.DENIED
-        object.__setattr__(copy, name, value)
-    return copy
+        object.__setattr__(view, name, value)
+    return view
 
 
 def names_in(section: str) -> tuple:

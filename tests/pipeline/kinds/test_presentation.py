@@ -10,8 +10,8 @@ from pipeline.kinds.presentation import (
     MAX_STEPS,
     MIN_STEPS,
     choose_step_ms,
+    fit_gap,
     image_gap_choice,
-    short_gap_text,
     silent_steps,
 )
 from pipeline.recordings.writing import write_recordings
@@ -82,10 +82,15 @@ def test_the_defaults_stay():
 @pytest.mark.parametrize(
     ("gap", "stream_length", "is_short"), [(20, 10, True), (20, 1, False), (3000, 10, False)]
 )
-def test_a_gap_that_the_trained_network_outlasts_is_told(gap, stream_length, is_short):
-    shown = Presentation(steps=60, gap=gap, stream_length=stream_length)
-    text = short_gap_text(shown, {"conv1.tau_u": 3.0, "dense1.tau_u": 300.0})
-    assert ("presentation.gap=" in text and "dense1" in text) is is_short
+def test_a_gap_that_the_trained_network_outlasts_is_longer(gap, stream_length, is_short):
+    given = Presentation(steps=60, gap=gap, stream_length=stream_length)
+    taus = {"conv1.tau_u": 3.0, "dense1.tau_u": 300.0}
+    longer, line = fit_gap(given, taus, is_users=False)
+    assert longer.gap == (silent_steps(300.0) if is_short else gap)
+    assert ("presentation.gap=" in line and "dense1" in line) is is_short
+    kept, warning = fit_gap(given, taus, is_users=True)
+    assert kept == given
+    assert warning.startswith("warning") is is_short
 
 
 @pytest.mark.parametrize(
@@ -106,4 +111,5 @@ def test_the_gap_between_images_follows_their_currents(presentation, synapse, ex
 
 
 def test_a_network_without_filtered_currents_needs_no_gap():
-    assert short_gap_text(Presentation(100, gap=0, stream_length=20), {}) == ""
+    given = Presentation(100, gap=0, stream_length=20)
+    assert fit_gap(given, {}, is_users=False) == (given, "")
