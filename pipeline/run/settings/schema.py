@@ -380,7 +380,6 @@ class PresentationSettings(Section):
     steps: Annotated[int, STEPS_OR_NONE] = 0
     #: Silent steps before each sample.  More, if it is not set, where the neurons' currents last
     #: longer.
-    #: Unless you set it, it is longer for a trained network whose currents last longer.
     gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
     #: First step of the readout window, over which the output is averaged for the decision; with
     #: events always the first step of the presentation.
