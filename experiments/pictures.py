@@ -21,6 +21,7 @@ from deploy.files import read_json, write_json
 from deploy.targets.registry import run_target
 from deploy.terminal import show
 from pipeline.live.network import SHIPPED
+from pipeline.look import colour
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import GRID
 from pipeline.results.report import figures
@@ -35,9 +36,20 @@ SHOWN = {
     "recording.png": FIGURES,
     "sheet.png": FIGURES,
     "fidelity.png": (*FIGURES, "results/fidelity.json"),
+    "operations.png": (*FIGURES, "results/table2-stmnist-published.json"),
     "live.png": ("pipeline/live/page/*", "pipeline/look.css"),
     "touch.gif": ("pipeline/results/report/figures/animation.py", "pipeline/look.css"),
 }
+# Rows of Table 2 in the figure of accuracy and operations, with their names there.
+NETWORKS = {
+    "loihi": "the paper's CNN and\nrecipe, converted",
+    "own-loihi": "one image",
+    "slices": "slices of time",
+    "events-small-loihi": "events, small",
+    "events-loihi": "events, standard",
+}
+# Classifiers without spikes in that figure, as lines.
+BASELINES = {"kernel": "kernel classifier, no spikes", "counts": "logistic regression on counts"}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -128,6 +140,37 @@ def draw_maps(maps: dict) -> Figure:
     return figure
 
 
+def draw_operations(rows: list) -> Figure:
+    """Accuracy over synaptic operations of the networks of Table 2.
+
+    Parameters
+    ----------
+    rows : list of dict
+        Of one split, by :func:`experiments.tables.table`.
+    """
+    by_name = {row["name"]: row for row in rows}
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for name, title in NETWORKS.items():
+        row = by_name[name]
+        operations = row["costs"]["per_cnn"]
+        axes.errorbar(operations, row["mean"], row["sd"], fmt="o", color=colour("on"), capsize=3)
+        place = (operations, row["mean"])
+        axes.annotate(title, place, (8, -4), textcoords="offset points", fontsize=9)
+    for name, title in BASELINES.items():
+        accuracy = by_name[name]["mean"]
+        axes.axhline(accuracy, color=colour("soft"), linestyle="--", linewidth=1, zorder=0)
+        axes.annotate(title, (0.98, accuracy), (0, 3), ha="right", fontsize=9, color=colour("soft"),
+                      textcoords="offset points", xycoords=("axes fraction", "data"))  # fmt: skip
+    axes.set(
+        xlim=(0, 9.5),
+        ylim=(0.88, 0.99),
+        xlabel="synaptic operations per recording, in multiples of the paper's CNN",
+        ylabel="accuracy on the published split",
+    )
+    return figure
+
+
 def main():
     """Make the pictures of the documents again (needs Chromium)."""
     if not any(map(shutil.which, BROWSERS)):
@@ -140,6 +183,8 @@ def main():
     figures.save(recordings.sheet(sample), docs / "sheet.png")
     maps = read_json(ROOT / "results" / "fidelity.json", "run the experiment fidelity")["maps"]
     figures.save(draw_maps(maps), docs / "fidelity.png")
+    table = read_json(ROOT / "results" / "table2-stmnist-published.json", "run table2")
+    figures.save(draw_operations(table["rows"]), docs / "operations.png")
     _live(docs / "live.png")
     _touch(docs / "touch.gif")
     write_json(ROOT / "docs" / "pictures.json", stamps())
