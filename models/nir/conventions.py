@@ -81,7 +81,8 @@ def recognise(nodes, metadata: dict) -> Convention:
         "NIR", "exact", 1.0 if in_steps else None, "no framework's numbers",
         "NIR's own, solved exactly",
         doubt=f"no framework is recognised, so its time constants are taken as {unit}; 'nir.step', "
-        "'nir.method' and 'nir.reset' say otherwise" if leaky else "",
+        "'nir.method' and 'nir.reset' say otherwise (Norse with its defaults: --set nir.step=1 "
+        "--set nir.method=euler)" if leaky else "",
     )  # fmt: skip
 
 
@@ -150,18 +151,26 @@ def recognise_rockpool(nodes, _):
 
 
 def recognise_spyx(nodes, _):
-    """Spyx: r = 1 - h / tau, the share that remains, and no w_in; IF have r = 1."""
+    """Spyx: r = 1 - h / tau, the share that remains, and no w_in; IF have r = 1.
+
+    snnTorch's first exporter (2023) wrote the same.  Spyx's CuBaLIF subtracts the threshold before
+    the leak, its LIF and IF after it, as snnTorch does.
+    """
     leaky = [node for node in nodes if node.kind != "IF"]
     if not leaky or not all(_has_no_w_in(node) for node in leaky):
         return None
     if not all((node["r"] < 1 - TOLERANCE).all() for node in leaky):
         return None
     steps = [node[voltage_time(node)] * (1 - node["r"]) for node in leaky]
+    has_currents = any(node.kind == "CubaLIF" for node in leaky)
     for h in (1.0, 1e-3, EXPORTED_STEP):
         if all(_all_near(step, h) for step in steps):
             return Convention(
                 "Spyx", "spyx", h, f"r = 1 - {_time(h)} / tau, no w_in",
-                "I <- a I + S, v <- b v + I", "subtract",
+                "I <- a I + S, v <- b v + I", "subtract" if has_currents else "subtract-late",
+                doubt="Spyx flattens images with their channels last, and writes the weights after "
+                "a Flatten in that order: bring them into NIR's, which has channels first"
+                if any(len(node.shape) == 3 for node in nodes) else "",
             )  # fmt: skip
     return None
 

@@ -213,8 +213,12 @@ def _flat(tree, prefix="") -> tuple:
     edges = {
         (inside[a][1] if a in inside else a, inside[b][0] if b in inside else b) for a, b in edges
     }
-    for name in {name for pair in edges for name in pair} - nodes.keys():
-        raise NirError(f"an edge to {quote(name)}, which does not exist; write it again")
+    for name in sorted({name for pair in edges for name in pair} - nodes.keys()):
+        siblings = sorted(other for other in nodes if other.startswith(prefix))
+        raise NirError(
+            f"an edge to {quote(name)}, which does not exist, among the nodes "
+            f"{', '.join(map(quote, siblings[:6]))}; write it with edges between these"
+        )
     for end in itertools.chain(*inside.values()):  # remove nodes that only pass values on
         before = [a for a, b in edges if b == end]
         after = [b for a, b in edges if a == end]
