@@ -17,7 +17,7 @@ from ..network.chip import LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
 from ..network.spec import DT, NetworkSpec
 from ..tables import in_blocks
-from .resources import axon_cfg_registers, used_by, worst_case
+from .resources import axon_cfg_registers, find_axons_with_targets, used_by, worst_case
 
 # Column titles of a chip's limits in a table.
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
@@ -128,10 +128,16 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     needed = -(-len(placed) // chip.cores)
     places = _placement(model, needed, chip)
     intervals = _shortest_intervals(spec, model)
-    cores = [
-        _core_plan(layer, part, places[block], block, worst_case(block, intervals, chip), chip)
-        for layer, part, block in placed
-    ]
+    targets = {
+        id(synapse): find_axons_with_targets(synapse)
+        for block in model.blocks
+        for synapse in block.synapses
+    }
+    cores = []
+    for layer, part, block in placed:
+        registers = axon_cfg_registers(block, targets)
+        worst = worst_case(block, intervals, chip)
+        cores.append(_plan_core(layer, part, places[block], block, registers, worst, chip))
     problems = [*_problems(cores, chip), *_refractory_problems(blocks, chip)]
     if needed > chips:
         problems.append(
@@ -189,14 +195,14 @@ def _placement(model, chips, chip):
     }
 
 
-def _core_plan(layer, part, place, block, worst, chip):
+def _plan_core(layer, part, place, block, registers, worst, chip):
     return CorePlan(
         layer=layer,
         part=part,
         chip=place[0],
         core=place[1],
-        used=used_by(block, chip),
-        unshared_axon_cfgs=axon_cfg_registers(block)[1],
+        used=used_by(block, chip, registers[0]),
+        unshared_axon_cfgs=registers[1],
         pop_types=tuple(sorted({synapse.pop_type for synapse in block.synapses})),
         threshold=int(block.compartment.vth.max()),
         worst_input=worst[0],

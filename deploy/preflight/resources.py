@@ -16,23 +16,37 @@ from ..network.ops.base import list_words
 AXON_CFGS_PER_AXON = {0: 1, 32: 2}
 
 
-def used_by(block, chip: Chip) -> Dict[str, int]:
-    """Number of each of the chip's limited resources that a block needs."""
+def used_by(block, chip: Chip, registers: int) -> Dict[str, int]:
+    """Number of each of the chip's limited resources that a block needs.
+
+    Parameters
+    ----------
+    block : nengo_loihi.block.LoihiBlock
+    chip : Chip
+    registers : int
+        AxonCfg registers of the block.
+    """
     return {
         "compartments": int(block.compartment.n_compartments),
         "input axons": int(sum(synapse.n_axons for synapse in block.synapses)),
         "output axons": int(sum(axon.axon_slots() for axon in block.axons)),
-        "AxonCfg registers": axon_cfg_registers(block)[0],
+        "AxonCfg registers": registers,
         "synapse words": int(sum(synapse_words(synapse, chip) for synapse in block.synapses)),
     }
 
 
-def axon_cfg_registers(block):
+def axon_cfg_registers(block, targets):
     """Number of AxonCfg registers for a block's output axons.
 
     A neuron's spikes use a contiguous range of AxonCfg registers, one or (pop32) two for each
     destination.  Neurons of one population, the channels of one pixel, have the same destinations
     and may share a range.
+
+    Parameters
+    ----------
+    block : nengo_loihi.block.LoihiBlock
+    targets : dict
+        :func:`find_axons_with_targets` of each synapse object, by its ``id``.
 
     Returns
     -------
@@ -47,7 +61,7 @@ def axon_cfg_registers(block):
     columns = []
     for axon in block.axons:
         numbers = np.array(axon.map_axon(neurons))
-        numbers[(numbers >= 0) & ~_has_targets(axon.target)[numbers]] = -1
+        numbers[(numbers >= 0) & ~targets[id(axon.target)][numbers]] = -1
         columns.append(numbers)
     destinations = np.stack(columns, axis=1)
     registers = np.array([AXON_CFGS_PER_AXON[axon.pop_type] for axon in block.axons])
@@ -59,7 +73,7 @@ def axon_cfg_registers(block):
     return int(shared), int(unshared.sum())
 
 
-def _has_targets(synapse):
+def find_axons_with_targets(synapse) -> np.ndarray:
     """For each axon of a synapse object whether it has targets; others are not on the chip."""
     sizes = np.array([weights[0].size for weights in synapse.weights])
     numbers = np.arange(synapse.n_axons)
@@ -113,18 +127,29 @@ def worst_case(block, intervals, chip: Chip):
     inputs = np.zeros((2, n))
     currents = np.zeros((2, n))
     for synapse in block.synapses:
-        sums = np.zeros((2, n))
-        for axon in range(synapse.n_axons):
-            base = synapse.axon_compartment_base(axon)
-            if base is None:
-                continue
-            at = synapse.axon_weight_idx(axon)  # arrays of shape (atoms, synapses)
-            weights = synapse.weights[at]
-            indices = base + synapse.indices[at]
-            np.add.at(sums[0], indices, np.maximum(weights, 0))
-            np.add.at(sums[1], indices, np.maximum(-weights, 0))
+        compartments, weights = _synapses_of(synapse)
+        sums = np.stack(
+            [
+                np.bincount(compartments, np.maximum(sign * weights, 0), minlength=n)
+                for sign in (1, -1)
+            ]
+        )
         inputs += sums
         currents += sums / (1 - keep ** intervals.get(id(synapse), 1))
     bias = block.compartment.bias.astype(float)
     currents += np.stack([np.maximum(bias, 0), np.maximum(-bias, 0)])
     return int(inputs.max()), int(currents.max())
+
+
+def _synapses_of(synapse):
+    """Compartments and weights of all synapses of a synapse object, two flat arrays."""
+    compartments = [np.empty(0, np.int64)]
+    weights = [np.empty(0)]
+    for axon in range(synapse.n_axons):
+        base = synapse.axon_compartment_base(axon)
+        if base is None:
+            continue
+        at = synapse.axon_weight_idx(axon)  # arrays of shape (atoms, synapses)
+        compartments.append((base + synapse.indices[at]).ravel())
+        weights.append(synapse.weights[at].ravel())
+    return np.concatenate(compartments).astype(np.int64), np.concatenate(weights)

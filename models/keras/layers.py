@@ -128,6 +128,7 @@ class Chain:
         self.layers = []
         self.sums = []
         self.max_pools = {}  # by the index of their layer
+        self.paddings = {}  # by the index of their layer
         self.is_linear = False  # no activation since the last weighted sums
         self.end = None  # (layer, activation) of an output, if it is one
         self.notes = []
@@ -213,6 +214,7 @@ class Chain:
             replaced=tuple(self.replaced),
             curves={n: c for n, c in curves.items() if c != "relu" and n != "output"},
             max_pools={names[index]: pool for index, pool in self.max_pools.items()},
+            paddings={names[index]: values for index, values in self.paddings.items()},
             end=end,
             input_order=self.input_order,
         )
@@ -251,16 +253,23 @@ class Chain:
                 )
             made = same
         if offset.any() and any(map(any, made.pads(self.signal.built))):
-            layer.refuse(
-                "zero padding after a normalisation or rescaling with an offset cannot be folded "
-                "into weights; use padding='valid', or normalise after the convolution and before "
-                "its ReLU"
-            )
+            self.pad_without_offset(layer, scale, offset)
         if kernel.shape != made.weight_shapes(self.signal.built)["kernel"]:
             layer.refuse(NO_CHAIN)
         bias = bias + np.einsum("ijcf,c->f", kernel, offset)
         self.weigh(layer, made, kernel * scale[:, None], bias)
         self.activate(layer)
+
+    def pad_without_offset(self, layer, scale, offset):
+        """Pad zeros of the built signal, where the file's model pads zeros of the normalised one."""
+        if not self.retrain or not scale.all():
+            layer.refuse(
+                "zero padding after a normalisation or rescaling with an offset cannot be folded "
+                f"into weights; {RETRAIN} padding before the normalisation and is trained further; "
+                "or use padding='valid', or normalise before the ReLU of the layer before"
+            )
+        self.paddings[len(self.layers)] = -offset / scale
+        self.replaced.append(f"{layer}: zeros padded before the normalisation, not after it")
 
     def connect(self, layer):
         if len(self.signal.shape) != 1:

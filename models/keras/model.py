@@ -67,6 +67,9 @@ class KerasModel:
         The functions in the file that ReLUs replace, by the name of the layer of neurons.
     max_pools : dict of str to MaxPool
         The layers in the file that averages replace, by the name of the pooling.
+    paddings : dict of str to ndarray
+        Values of the channels with which the file's model pads a convolution's input, where the
+        architecture pads zeros, by the name of the convolution.
     end : str
         Activation of the output in the file.
     input_order : ndarray of int
@@ -80,5 +83,6 @@ class KerasModel:
     replaced: tuple
     curves: dict
     max_pools: dict
+    paddings: dict
     end: str
     input_order: np.ndarray

@@ -79,7 +79,7 @@ def _layer(layer) -> Layer:
 
 
 def original_network(model: KerasModel):
-    """The network of the file, with its own activations and maxima, on images of a sensor.
+    """The network of the file, with its own activations, maxima and padding, on a sensor's images.
 
     Returns
     -------
@@ -93,24 +93,45 @@ def original_network(model: KerasModel):
     curves = [model.curves.get(name, "relu") for name in names]
     network = build_cnn(model.architecture, lambda index: tf.keras.layers.Activation(curves[index]))
 
-    def with_maximum(layer):
-        pool = model.max_pools.get(layer.name)
-        if pool is None:
-            return type(layer).from_config(layer.get_config())
-        signs = pool.signs.astype(np.float32)
+    def replace_layer(layer):
+        if layer.name in model.max_pools:
+            return _maximum(layer.name, model.max_pools[layer.name])
+        if layer.name in model.paddings:
+            return _padded_convolution(layer, model.paddings[layer.name])
+        return layer
 
-        def take_maximum(values):
-            maximum = tf.nn.max_pool2d(
-                signs * values, pool.size, pool.strides, pool.padding.upper()
-            )
-            return signs * maximum
-
-        return tf.keras.layers.Lambda(take_maximum, name=layer.name)
-
-    if model.max_pools:
-        network = tf.keras.models.clone_model(network, clone_function=with_maximum)
+    if model.max_pools or model.paddings:
+        network = tf.keras.models.clone_model(network, clone_function=replace_layer)
     set_weights(network, model.weights)
     return network
+
+
+def _maximum(name, pool):
+    """A layer with the maximum over the windows of a MaxPool."""
+    from models.keras.keras2 import tf
+
+    signs = pool.signs.astype(np.float32)
+
+    def take_maximum(values):
+        maximum = tf.nn.max_pool2d(signs * values, pool.size, pool.strides, pool.padding.upper())
+        return signs * maximum
+
+    return tf.keras.layers.Lambda(take_maximum, name=name)
+
+
+def _padded_convolution(layer, padding):
+    """A convolution of the same weights whose input is padded with a value for each channel."""
+    from models.keras.keras2 import tf
+
+    padding = padding.astype(np.float32)
+
+    class PaddedConv2D(tf.keras.layers.Conv2D):
+        def call(self, inputs):
+            # Zeros that are padded around the difference are the value.
+            inside = super().call(inputs - padding)
+            return inside + tf.reduce_sum(self.kernel * padding[:, None], (0, 1, 2))
+
+    return PaddedConv2D.from_config(layer.get_config())
 
 
 def _compare(model, read: KerasModel):

@@ -258,6 +258,22 @@ def inexact(keras):
             layers.Dense(5),
             layers.ReLU(max_value=6),
         ),
+        "leaky_maxima": chain(
+            layers.Conv2D(4, 3),
+            layers.LeakyReLU(0.1, name="cause"),
+            layers.MaxPooling2D(2),
+            layers.Conv2D(5, 2),
+            layers.ReLU(max_value=6),
+            layers.MaxPooling2D(2),
+        ),
+        "offsets_and_padding": chain(
+            layers.Rescaling(0.5, offset=-1.0),
+            layers.Conv2D(4, 3, padding="same", activation="relu", name="cause"),
+            layers.BatchNormalization(),
+            layers.MaxPooling2D(2),
+            layers.ZeroPadding2D(1),
+            layers.Conv2D(5, 3, activation="relu"),
+        ),
         "no_activation": chain(
             layers.Conv2D(4, 3, name="cause"), layers.Conv2D(4, 3, activation="relu")
         ),

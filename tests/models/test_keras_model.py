@@ -63,6 +63,8 @@ REPLACED = {
     "overlapping_maxima": "12x12-4c4-2a-3o",
     "lenet": "12x12-4c3-2a-5c2-3o",
     "leaky": "12x12-4c3-6-5-3o",
+    "leaky_maxima": "12x12-4c3-2a-5c2-2a-3o",
+    "offsets_and_padding": "12x12-4c3p-2a-5c3p-3o",
     "no_activation": "12x12-4c3-4c3-3o",
 }
 BAD = {
