@@ -261,7 +261,7 @@ class Chain:
         self.activate(layer)
 
     def pad_without_offset(self, layer, scale, offset):
-        """Pad zeros of the built signal, where the file's model pads zeros of the normalised one."""
+        """Pad zeros of the built signal instead of zeros of the normalised one."""
         if not self.retrain or not scale.all():
             layer.refuse(
                 "zero padding after a normalisation or rescaling with an offset cannot be folded "

@@ -89,6 +89,27 @@ def test_spikes_are_the_frameworks(name):
     np.testing.assert_array_equal(found.outputs.sum(1), np.load(CASES / f"{name}.npy"))
 
 
+def spikes_of_spyx(inputs, alpha, beta, threshold):
+    """Spyx's LIF, or CuBaLIF with an alpha; it puts out a spike in the step after."""
+    voltage = current = spike = 0.0
+    for signal in inputs:
+        if alpha is None:
+            voltage = beta * voltage + signal - spike * threshold
+        else:
+            current = alpha * current + signal
+            voltage = beta * (voltage - spike * threshold) + current
+        spike = float(voltage > threshold)
+        yield spike
+
+
+@pytest.mark.parametrize("alpha", [None, 0.5])
+def test_spyx_subtracts_the_threshold_as_its_layers_do(alpha):
+    neuron = lif(4.0, 0.75) if alpha is None else cuba_lif(2.0, 4.0, 0.75)
+    inputs = np.random.default_rng(0).uniform(0, 0.8, 300)
+    found = simulate(network_of((1,), neuron), inputs.reshape(1, 300, 1))
+    assert found.outputs.ravel().tolist() == list(spikes_of_spyx(inputs, alpha, 0.75, 1.0))
+
+
 def test_declared_shapes_of_subgraphs_are_ignored():
     """The nested Input declares 12 values instead of 24."""
     network = read_nir(CASES / "nested-input-shape.nir")

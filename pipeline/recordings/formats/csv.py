@@ -6,15 +6,19 @@ import numpy as np
 
 from pipeline.recordings.formats.column_order import make_array_recording
 from pipeline.recordings.formats.recording import (
-    COLUMN_NAMES,
+    ARRAYS,
     MAX_EVENTS,
     BadRecording,
     EventRecording,
+    column_of,
     find_columns,
     make_recording,
 )
 
 SUFFIXES = (".csv", ".txt")
+
+# Characters with which a remark begins: NumPy's, and Metavision's.
+REMARKS = "#%"
 
 _BOOLEAN = re.compile(r"\b(true|false)\b", re.IGNORECASE)
 
@@ -36,20 +40,20 @@ def _read_columns(content):
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
     text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
-    lines = [line.strip() for line in text.splitlines() if line.strip().strip("#").strip()]
-    body = [line for line in lines if line[0] != "#"]
+    lines = [line.strip() for line in text.splitlines() if line.strip().strip(REMARKS).strip()]
+    body = [line for line in lines if line[0] not in REMARKS]
     if not body:
         raise BadRecording("is empty: no events")
     last = body[-1].partition("#")[0]  # a remark may have commas
     separator = next((mark for mark in ",;\t" if mark in last), None)
     words = [word.strip().strip('"').lower() for word in body[0].split(separator)]
     above = lines[: lines.index(body[0])][-1:]
-    has_names = any(word in names for word in words for names in COLUMN_NAMES.values())
+    has_names = any(map(column_of, words))
     if has_names:
         del body[0]
     elif above:  # NumPy writes the names as a comment
-        words = re.findall(r"[^,;#\s]+", above[0].lower())
-        has_names = all(set(words) & set(names) for names in COLUMN_NAMES.values())
+        words = re.findall(r"[^,;#%\s]+", above[0].lower())
+        has_names = set(map(column_of, words)) >= set(ARRAYS)
     if not body:
         raise BadRecording("is empty: no events")
     wanted = read = None

@@ -23,10 +23,10 @@ import numpy as np
 
 from pipeline.recordings.formats.column_order import make_array_recording
 from pipeline.recordings.formats.recording import (
-    COLUMN_NAMES,
     MAX_EVENTS,
     BadRecording,
     EventRecording,
+    column_of,
     find_columns,
     make_recording,
 )
@@ -120,9 +120,10 @@ def _is_table(dataset) -> bool:
     """True for records with the fields of events, and for rows of four numbers."""
     if dataset.dtype.names is None:
         return dataset.ndim == 2 and dataset.shape[1] == 4 and dataset.dtype.kind in "fiu"
-    names = {name.lower() for name in dataset.dtype.names}
-    has_place = "taxel_id" in names or all(names & set(COLUMN_NAMES[axis]) for axis in "xy")
-    return dataset.ndim == 1 and has_place and all(names & set(COLUMN_NAMES[key]) for key in "tp")
+    names = dataset.dtype.names
+    found = set(map(column_of, names))
+    has_place = "taxel_id" in names or found >= {"x", "y"}
+    return dataset.ndim == 1 and has_place and found >= {"t", "p"}
 
 
 def _columns_of(group) -> list:

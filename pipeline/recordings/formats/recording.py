@@ -5,6 +5,7 @@ polarity, as truth values, 0 and 1, or -1 and 1; ``t`` is the time in seconds, m
 microseconds or nanoseconds.  :func:`make_recording` accepts them in every form of arrays.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,14 +17,16 @@ UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 ARRAYS = ("x", "y", "t", "p")
 
-# Names of fields and columns, in upper or lower case, the preferred one first; some include the
-# unit.
+# Names of fields and columns, in upper or lower case, the preferred one first; that of a time may
+# end with its unit, as in t_us, timestamp_ms or time (s), and is preferred then.
 COLUMN_NAMES = {
-    "x": ("x", "column", "col"),
-    "y": ("y", "row"),
-    "t": (*(f"t_{unit}" for unit in UNITS), "t", "time", "timestamp", "ts"),
-    "p": ("p", "polarity", "pol", "on"),
+    "x": ("x", "xs", "x_pos", "pos_x", "column", "col"),
+    "y": ("y", "ys", "y_pos", "pos_y", "row"),
+    "t": ("t", "time", "timestamp", "ts"),
+    "p": ("p", "polarity", "pol", "ps", "on"),
 }
+
+_NAME_WITH_UNIT = re.compile(r"(.+?)(?:[\s_]*[\[(]|[\s_]+)([mun\u00b5\u03bc]?s)[\])]?")
 
 # What to write where the polarity is missing.
 NO_POLARITY = (
@@ -218,7 +221,7 @@ def _split_columns(events):
         events = {name: events[name] for name in events.dtype.names}
     if isinstance(events, dict):
         chosen = find_columns(events)
-        unit = str(chosen["t"]).strip().lower().partition("t_")[2]
+        unit = _split_unit(chosen["t"])[1]
         return {name: events[key] for name, key in chosen.items()}, unit
     is_four = isinstance(events, (tuple, list)) and len(events) == 4
     if is_four and all(isinstance(row, (list, tuple)) and len(row) == 4 for row in events):
@@ -237,13 +240,39 @@ def _split_columns(events):
 
 
 def find_columns(names) -> dict:
-    """The names of the columns x, y, t and p among others, by :data:`COLUMN_NAMES`."""
-    lower = {str(name).strip().lower(): name for name in names}
+    """The names of the columns x, y, t and p among others, by :data:`COLUMN_NAMES`.
+
+    Raises
+    ------
+    BadRecording
+        One is missing.
+    """
     chosen = {}
-    for name, others in COLUMN_NAMES.items():
-        key = next((other for other in others if other in lower), None)
-        if key is None:
-            remedy = NO_POLARITY if name == "p" else "expected x, y, t and p"
-            raise BadRecording(f"has no {name!r}; {remedy}")
-        chosen[name] = lower[key]
+    for axis, known in COLUMN_NAMES.items():
+        candidates = [name for name in names if column_of(name) == axis]
+        if not candidates:
+            listed = ", ".join(str(name) for name in list(names)[:6])
+            remedy = NO_POLARITY if axis == "p" else "expected x, y, t and p"
+            raise BadRecording(f"has no {axis!r} among {listed or 'no names'}; {remedy}")
+
+        def rank(name, known=known):
+            plain, unit = _split_unit(name)
+            return not unit, known.index(plain)
+
+        chosen[axis] = min(candidates, key=rank)
     return chosen
+
+
+def column_of(name) -> str:
+    """Which of x, y, t and p a column is, by its name; empty for none of them."""
+    plain = _split_unit(name)[0]
+    return next((axis for axis, known in COLUMN_NAMES.items() if plain in known), "")
+
+
+def _split_unit(name):
+    """A name in lower case without the unit of time at its end, and this unit."""
+    lower = str(name).strip().lower()
+    found = _NAME_WITH_UNIT.fullmatch(lower)
+    if found is None:
+        return lower, ""
+    return found[1], found[2].replace("\u00b5", "u").replace("\u03bc", "u")

@@ -56,6 +56,7 @@ FILES = {
     "with comments.csv": b"# on a strip\n" + CSV.encode() + b"\n# end, done\n \x1f\n",
     "other order.csv": b"# of 2020\n# p t, x, y\n"
     + "\n".join(f"{p},{t},{x},{y}" for x, y, t, p in zip(X, Y, T, P, strict=True)).encode(),
+    "of Metavision.csv": b"%geometry:640,480\n" + CSV.encode(),
     "a remark in a line.csv": NAMED_CSV.encode() + b"  # lifted; at the end\n",
     "remarks after blanks.csv": CSV.replace(",", " ").encode() + b" # moved, twice\n",
     "a column of text.csv": b"x,note,y,t,p\n"
@@ -114,6 +115,10 @@ def test_a_damaged_file_is_refused(name, content, fact):
     ({"t_ms": T, "event_us": T}, "ms", T),
     ({"t": T, "t_us": 1000 * T}, "us", 1000 * T),
     ({"T_US": 1000 * T}, "us", 1000 * T),
+    ({"Time (ms)": T}, "ms", T),
+    ({"timestamp[us]": 1000 * T, "ts": T}, "us", 1000 * T),
+    ({"ts_ns": 10**6 * T}, "ns", 10**6 * T),
+    ({"ts": T}, "", T),
 ])  # fmt: skip
 def test_the_unit_is_that_of_the_name_of_the_times(named, unit, time):
     read = make_recording({"x": X, "y": Y, "p": P, **named})
