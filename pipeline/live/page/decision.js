@@ -21,16 +21,22 @@ export function isTap(strokes) {
 // example or of a saved recording, or null), settled, writes, drawn (strokes), canDraw, named (of a class) }.
 // Returns { text (the class, or ""), confidence, said, open, mark ("right", "wrong" or ""), retracted, seconds }.
 export function describeDecision(message, page) {
-  const verdict = message?.verdict ?? null;
-  if (message === null) return open("", "", waiting(page));
   if (page.settled && isTap(page.drawn))
     return open("", "Too short", `a tap is no ${page.digits ? "digit" : "drawing"}: draw a line`);
+  if (message === null) return describeSilence(page);
+  const verdict = message.verdict ?? null;
   return verdict === null ? describeAnswer(message, page) : describeVerdict(message, verdict, page);
 }
 
 const open = (text, confidence, said) => ({ text, confidence, said, open: true, mark: "", retracted: false, seconds: "" });
 
 const isGuess = (confidence, page) => confidence < GUESS / page.classes.length;
+
+// The network has not answered: nothing has been written, or nothing that the sensor feels.
+function describeSilence(page) {
+  if (page.settled && page.drawn.length) return open("", "No decision", "the sensor felt nothing: draw a longer line");
+  return open("", "", waiting(page));
+}
 
 // Before anything has been written.
 function waiting({ threshold, canDraw, truth, pauseS }) {

@@ -290,6 +290,7 @@ link.on("events", (message) => {
   });
   if (message.settled) pen.settled = true;
   else pen.watch();
+  if (message.settled && answer === null) showDecision(null); // without events, no answer will come
   const late = ready?.window_s != null && events.s.length && time > events.s[0] + ready.window_s;
   if (late && pen.writes && !warned) {
     warned = true;

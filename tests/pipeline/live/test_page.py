@@ -418,6 +418,23 @@ def test_a_tap_is_too_short_and_the_direction_of_strokes_is_said(browser, server
         assert page.inner_text("#decision") == ""
 
 
+def test_a_tap_or_line_without_events_is_answered(page):
+    """The network says nothing about it, so that the page has to."""
+    box = page.locator("#skin").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    page.mouse.up()
+    until(page, "document.querySelector('#confidence').textContent === 'Too short'")
+    describe = """async (drawn) => {
+      const { describeDecision } = await import(new URL("decision.js", location.href));
+      const page = { classes: ["a", "b"], pauseS: 1, threshold: null, truth: null, canDraw: true };
+      return describeDecision(null, { ...page, settled: true, writes: false, drawn });
+    }"""
+    assert page.evaluate(describe, [[[5, 5]]])["confidence"] == "Too short"
+    assert page.evaluate(describe, [[[5, 5], [5, 8]]])["confidence"] == "No decision"
+    assert page.evaluate(describe, [])["confidence"] == ""
+
+
 def test_all_buttons_of_digits_are_whole_on_a_phone(browser, server):
     with page_of(browser, server, viewport={"width": 390, "height": 844}) as page:
         for label in range(10):
