@@ -29,7 +29,7 @@ from deploy.check.run import open_check, records_of, run_check, run_streams
 from deploy.files import write_json
 from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
-from deploy.tables import list_names
+from deploy.tables import list_names, plural
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.jobs import Failure, run_jobs
@@ -302,7 +302,8 @@ def _notes_on_recordings(opened):
             f"{samples} of a check; the check uses all of them"
         )
     if n_test < FEW:
-        yield f"{WARNING}{recordings.source.name}: only {n_test} for the test; record more"
+        few = plural(n_test, "recording")
+        yield f"{WARNING}{recordings.source.name}: only {few} for the test; record more"
     if absent := find_classes_without_test(recordings, split):
         yield (
             f"{WARNING}{recordings.source.name}: the test set has no recordings of "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from deploy.errors import SeveralErrors, UserError
@@ -12,7 +13,7 @@ from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.writing import write_recordings
 
 # Name of recordings that were made of arrays.
-NAME = "arrays.zip"
+NAME = "arrays"
 
 # Class of recordings without labels.
 UNLABELLED = "unlabelled"
@@ -32,15 +33,16 @@ def recordings_from_arrays(events, labels=None, **more) -> Recordings:
             f"arrays: {len(events)} recordings and {len(labels)} labels; give a label for each"
         )
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / NAME
+        path = Path(folder) / f"{NAME}.zip"
         try:
             write_recordings(path, zip(events, labels, strict=True), **more)
-            return import_recordings(path)
+            recordings = import_recordings(path)
         except SeveralErrors as error:
-            lines = [line.replace(str(path), "arrays") for line in error.lines]
+            lines = [line.replace(str(path), NAME) for line in error.lines]
             raise SeveralErrors(lines) from error
         except UserError as error:
-            raise UserError(str(error).replace(str(path), "arrays")) from error
+            raise UserError(str(error).replace(str(path), NAME)) from error
+    return replace(recordings, source=replace(recordings.source, name=NAME))
 
 
 def write_zip(recordings: Recordings, path) -> Path:

@@ -268,7 +268,7 @@ class Recordings:
         return write_zip(self, path)
 
     def __repr__(self):
-        return f"Recordings of {self.source.name}: {len(self)} on {self.sensor}"
+        return f"{len(self)} recordings of {self.source.name}, on {self.sensor}"
 
     def _repr_html_(self):
         counts = np.bincount(self.labels[self.labels >= 0], minlength=len(self.sensor.classes))

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from deploy.tables import plural
 from pipeline.kinds.architectures import (
     chosen_text,
     event_architecture_for,
@@ -185,9 +186,10 @@ class EventChoices:
         max_spikes = choose_max_spikes(self.table, self.train, shown.input, shown.steps)
         if max_spikes == 0:
             return
+        most = plural(max_spikes, "spike")
         reason = (
-            f"at most {max_spikes} spikes of a taxel and polarity in a recording, so that one that "
-            "fires all the time has little weight (another: --set input.max_spikes=...)"
+            f"at most {most} of a taxel and polarity in a recording, so that one that fires "
+            "all the time has little weight (another: --set input.max_spikes=...)"
         )
         self._choose("input.max_spikes", max_spikes, reason)
 

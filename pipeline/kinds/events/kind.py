@@ -8,6 +8,7 @@ from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
 from deploy.network.spec import NetworkSpec, Presentation
+from deploy.tables import plural
 from models import chain
 from models.architecture import parse
 from models.integers import from_integers
@@ -142,7 +143,8 @@ class EventsKind(NetworkKind):
         n_train = len(samples.train)
         recipe = events.EventRecipe.of(settings).for_samples(n_train)
         updates = recipe.epochs * -(-n_train // recipe.batch_size)
-        inputs.say(f"events: {recipe.epochs} epochs, {updates:,} updates, on {n_train:,} samples")
+        epochs = plural(recipe.epochs, "epoch")
+        inputs.say(f"events: {epochs}, {plural(updates, 'update')}, on {n_train:,} samples")
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
         curve = samples.held_out[:: -(-len(samples.held_out) // MAX_CURVE_SAMPLES) or 1]
         trained, seconds = time_training(
