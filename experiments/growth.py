@@ -3,8 +3,7 @@
 Each training is ``stmnist convert`` with one epoch of each network in a process of its own, whose
 peak of resident memory the operating system counts, including the pages of files that are mapped.
 There are as many different recordings as the simulation has by default; larger sources repeat them
-under other ids, since simulating 100,000 takes hours and training does not depend on whether they
-differ.
+under other ids, since training takes the same time and memory whether they differ or not.
 """
 
 import os
