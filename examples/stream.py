@@ -31,6 +31,8 @@ PAUSE_S = 0.2
 # Largest datagram of UDP in bytes.
 DATAGRAM = 65535
 
+TICKS_PER_SECOND = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}
+
 END = None
 
 
@@ -124,8 +126,11 @@ def schedule(recordings, pause_s):
     return (np.concatenate(times), x, y, events.polarity > 0), starts
 
 
-def replay(stream, recordings, speed):
-    """Play recordings one after the other, each event at its time; speed 0 plays at once."""
+def replay(stream, recordings, speed, ticks_per_second):
+    """Play recordings one after the other, each event at its time; speed 0 plays at once.
+
+    The stream counts in nanoseconds; times are printed in the unit of the ticks.
+    """
     columns, starts = schedule(recordings, stream.silence + PAUSE_S)
     time_ns = columns[0]
 
@@ -133,6 +138,8 @@ def replay(stream, recordings, speed):
         for decision in decisions:
             index = int(np.searchsorted(starts, decision.start, side="right")) - 1
             values = {"recording": recordings.ids[index], **decision.to_dict()}
+            for name in ("time", "start"):
+                values[name] *= ticks_per_second / 1e9
             print(json.dumps(values), flush=True)
 
     begun, done = time.monotonic(), 0
@@ -152,27 +159,32 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("bundle", help="folder of a run or of a bundle on events")
     parser.add_argument("--udp", type=int, metavar="PORT", help="port on 127.0.0.1; 0 for any")
-    parser.add_argument("--unit", default="s", help="unit of t: s, ms, us or ns (default: s)")
+    parser.add_argument("--unit", default="s", help="unit of times: s, ms, us or ns (default: s)")
     parser.add_argument("--silence", type=float, help="seconds without events that end a touch")
     parser.add_argument("--replay", metavar="DATA", help="recordings to play, a zip or folder")
     parser.add_argument("--speed", type=float, default=1.0, help="of --replay; 0: at once")
     given = parser.parse_args()
     unit = "ns" if given.replay else given.unit
+    if given.unit not in TICKS_PER_SECOND:
+        raise stmnist.UserError(f"--unit {given.unit}: not one of {', '.join(TICKS_PER_SECOND)}")
+    ticks_per_second = TICKS_PER_SECOND[given.unit]
     stream = stmnist.Stream(given.bundle, unit, given.silence)
     if given.replay:
-        replay(stream, stmnist.Recordings.read(given.replay), given.speed)
+        replay(stream, stmnist.Recordings.read(given.replay), given.speed, ticks_per_second)
         return
     lines = queue.SimpleQueue()
     if given.udp is None:
         reader = threading.Thread(target=lines_of_input, args=(lines,), daemon=True)
     else:
         receiving = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        receiving.bind(("127.0.0.1", given.udp))
+        try:
+            receiving.bind(("127.0.0.1", given.udp))
+        except (OSError, OverflowError) as error:
+            raise stmnist.UserError(f"--udp {given.udp}: {error}; give another port") from error
         address = "{}:{}".format(*receiving.getsockname())
         print(f"stream: listening on {address}; Ctrl-C ends", file=sys.stderr, flush=True)
         reader = threading.Thread(target=lines_of_port, args=(receiving, lines), daemon=True)
     reader.start()
-    ticks_per_second = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[given.unit]
     try:
         follow(stream, lines, ticks_per_second)
     except KeyboardInterrupt:

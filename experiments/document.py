@@ -14,6 +14,7 @@ import inspect
 import json
 import re
 import shlex
+from collections import Counter
 from functools import reduce
 from itertools import groupby
 from pathlib import Path
@@ -70,10 +71,16 @@ def commands() -> str:
     from pipeline.commands.main import with_every_verb
 
     command = with_every_verb()
-    seen = [_help_of(p) for p in _parameters(command)]
-    common = {one for one in seen if seen.count(one) > 3}
+    groups = {}  # the first word of each command that has a parameter of this name and meaning
+    for group, parameter in _parameters(command):
+        groups.setdefault(_help_of(parameter), []).append(group)
+    common = [one for one, own in groups.items() if len(own) > 3]
+    names = Counter(name for name, _ in common)
     lines = ["\n## Options of several commands\n"]
-    lines += [f"- `{name}`: {text}" for name, text in dict.fromkeys(seen) if (name, text) in common]
+    for name, text in common:
+        own = set(groups[name, text])
+        where = f" of `stmnist {own.pop()}`" if names[name] > 1 and len(own) == 1 else ""
+        lines.append(f"- `{name}`{where}: {text}")
     return "\n".join([*lines, *_sections(command, "stmnist", 2, common)])
 
 
@@ -205,12 +212,13 @@ def _entry(value, word):
     return next(e for e in value if word in (e.get("name"), e.get("a"), e.get("network")))
 
 
-def _parameters(command):
+def _parameters(command, group=""):
+    """The first word of each command, and each of its parameters."""
     if hasattr(command, "commands"):
-        for below in command.commands.values():
-            yield from _parameters(below)
+        for name, below in command.commands.items():
+            yield from _parameters(below, group or name)
     else:
-        yield from command.params
+        yield from ((group, parameter) for parameter in command.params)
 
 
 def _help_of(parameter):

@@ -26,6 +26,7 @@ from deploy.check.bundle import (
 )
 from deploy.check.results import read_result, result_of
 from deploy.check.run import open_check, records_of, run_check, run_streams
+from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.network.blocks import scaled_by_block
 from deploy.network.spec import NetworkSpec
@@ -504,7 +505,7 @@ def _run_all_streams(work):
 def _check_artifact_of(opened, bundle, stage):
     """The artifact of a check's result; one that is damaged is refused and not replaced."""
     if stage not in (stages := (*opened.kind.references, *TARGETS)):
-        raise ValueError(f"no stage {stage!r}; the stages are {', '.join(stages)}")
+        raise UserError(f"no stage or target {stage!r}; they are {', '.join(stages)}")
     origin = opened.dataset.origin
     artifact = check_artifact(opened.place, stage, opened.kind, origin, bundle.id)
     if artifact.record.exists():

@@ -1,6 +1,7 @@
 """``stmnist.Run``: the command line's results as objects, and mistakes in one line."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,6 +50,7 @@ def test_recordings_from_arrays_are_those_of_their_file(tmp_path):
     assert again.hashes == recordings.hashes
     assert is_one_line(recordings)
     assert "<table>" in recordings._repr_html_()
+    assert recordings.source.name == "arrays"
 
 
 def test_arrays_that_are_no_events_are_refused_in_one_line():
@@ -101,6 +103,29 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
     assert checked.classes == ("left", "right")
 
 
+def test_a_quiet_run_reports_no_progress(run, monkeypatch):
+    reported = []
+
+    def report(label, total):
+        reported.append(label)
+        return SimpleNamespace(advance=lambda n=1, note=None: None)
+
+    monkeypatch.setattr("pipeline.progress.ProgressLines", report)
+    events, labels = arrays(8, seed=2)
+    recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
+    reported.clear()  # reading is not the run's
+    run.check("fast", data=recordings)
+    assert reported == []
+    Run(run.path).check("fast", data=recordings)
+    assert reported != []
+
+
+def test_an_error_names_recordings_in_memory_and_no_temporary_file(run):
+    outside = Recordings.from_arrays([{"x": [20], "y": [1], "t": [0.1], "p": [1]}], time_unit="s")
+    with pytest.raises(UserError, match=r"^arrays: "):
+        run.predict(outside)
+
+
 def _number(name):
     return int(name.rpartition("/")[2])
 
@@ -148,3 +173,7 @@ def test_mistakes_are_one_line_and_write_nothing(tmp_path):
     with pytest.raises(UserError, match="no bundle yet"):
         Run(folder).plan()
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(UserError, match="is a file"):
+        Run(tmp_path / "notes.txt", data=Recordings.from_arrays(*arrays(4)))
+    assert len(list(tmp_path.iterdir())) == 1

@@ -4,6 +4,7 @@ import functools
 import logging
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -337,6 +338,8 @@ def test_a_bundle_on_images_is_told_what_a_stream_needs():
 def test_a_folder_that_is_no_bundle_and_wrong_values_are_refused(tmp_path, bundle):
     with pytest.raises(UserError, match="not a bundle"):
         Stream(tmp_path)
+    with pytest.raises(UserError, match="not a bundle"):
+        Stream(SimpleNamespace(path=tmp_path))  # as a run has
     with pytest.raises(UserError, match="unit 'h'"):
         Stream(bundle, unit="h")
     with pytest.raises(UserError, match="silence"):

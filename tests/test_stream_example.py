@@ -82,6 +82,22 @@ def test_recordings_are_played_and_named(bundle, expected, tmp_path):
     assert done.returncode == 0, done.stderr
     said = [json.loads(line) for line in done.stdout.splitlines()]
     assert [each["recording"] for each in said] == list(Recordings.read(path).ids)
+    assert said[0]["start"] == 0
+    assert said[-1]["time"] < 10 * len(said)  # seconds, as the unit of the command
+
+
+def test_a_port_or_unit_that_is_none_is_said_in_one_line(bundle):
+    for wrong in (["--udp", "99999"], ["--unit", "h"]):
+        done = subprocess.run(
+            [*COMMAND, str(bundle.path), *wrong],
+            cwd=ROOT,
+            env=environment(),
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 2
+        assert wrong[0] in done.stderr
+        assert "Traceback" not in done.stderr
 
 
 def test_events_from_a_port_are_decided_on_by_the_clock_of_this_machine(bundle):

@@ -93,8 +93,8 @@ class Stream:
 
     Parameters
     ----------
-    bundle : Bundle or path-like
-        A bundle on events, its folder, or the folder of its run.
+    bundle : Bundle, Run or path-like
+        A bundle on events, its run, or the folder of either.
     unit : str
         Unit of the events' times: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
     silence : float, optional
@@ -548,9 +548,9 @@ def _float(value):
         return np.nan
 
 
-def _bundle_folder(path):
+def _bundle_folder(place):
     """The folder of a bundle, which is named directly or by its run."""
-    path = Path(path)
+    path = Path(getattr(place, "path", place))
     inside = path / "bundle"
     return inside if inside.is_dir() and not (path / "MANIFEST.json").exists() else path
 

@@ -25,6 +25,8 @@ from pipeline.api.results import (
     Training,
 )
 from pipeline.kinds import prepare_dataset
+from pipeline.progress import hidden
+from pipeline.recordings.arrays import errors_naming
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
 from pipeline.results import compare, elsewhere
@@ -57,11 +59,11 @@ class Run:
         Recordings: a zip or folder; default: those of the run, or simulated ones.  Recordings in
         memory are written beside the folder.
     input : str, optional
-        ``"image"`` or ``"events"``; default: as the run, or images.
+        ``"image"``, ``"slices"`` or ``"events"``; default: as the run, or images.
     jobs : int
         Number of processes.
     quiet : bool
-        True to print nothing; :attr:`notes` has the lines in any case.
+        True to print neither lines nor progress; :attr:`notes` has the lines in any case.
     **settings
         Other settings by their names: ``seed=1, **{"events.epochs": 40}``.
 
@@ -106,7 +108,7 @@ class Run:
             data.write(self._source(data))
 
     def __repr__(self):
-        settings = self.settings
+        settings = self._given
         source = settings.data.source
         source = source if source == SIMULATED else PurePath(source).name
         return f"Run({str(self.path)!r}: {settings.input.kind}, {source})"
@@ -121,9 +123,9 @@ class Run:
     @property
     def dataset(self) -> Dataset:
         """The recordings, their split, and the inputs of the network."""
-        self.notes = []
-        recordings = recordings_of(self._given, self._jobs, self._say)
-        return prepare_dataset(self._given, recordings, check=False)
+        with self._noting():
+            recordings = recordings_of(self._given, self._jobs, self._say)
+            return prepare_dataset(self._given, recordings, check=False)
 
     @property
     def recordings(self) -> Recordings:
@@ -215,8 +217,7 @@ class Run:
             Those in memory are named by their ``ids``.
         target : str
         """
-        self.notes = []
-        with self._on_disk(recordings) as path:
+        with self._noting(), self._on_disk(recordings) as path:
             values = elsewhere.predict(self.bundle, path, target, warn=self._say)
         if isinstance(recordings, Recordings):  # whose files have their numbers as names
             numbered = {int(PurePath(name).name): label for name, label in values.items()}
@@ -234,7 +235,8 @@ class Run:
 
     def report(self, path=None) -> Path:
         """Write the results as one HTML file; default: ``report.html`` in the run's folder."""
-        return write_report(self.path, path)
+        with self._noting():
+            return write_report(self.path, path)
 
     def replay(self, numbers) -> dict:
         """Run samples of the check again, and return every spike.
@@ -252,11 +254,17 @@ class Run:
 
     @contextlib.contextmanager
     def _opened(self, check=True, examine=None):
-        self.notes = []
-        with working_in(self.path) as folder:
+        with self._noting(), working_in(self.path) as folder:
             if examine is not None:
                 examine(self._given)
             yield stages.open_run(folder, self._given, self._jobs, self._say, check)
+
+    @contextlib.contextmanager
+    def _noting(self):
+        """The work of one method: its notes alone, and no progress if the run is quiet."""
+        self.notes = []
+        with hidden() if self._quiet else contextlib.nullcontext():
+            yield
 
     def _say(self, line):
         self.notes.append(line)
@@ -274,15 +282,17 @@ class Run:
         if not isinstance(recordings, Recordings):
             yield recordings
             return
+        name = recordings.source.name
         with tempfile.TemporaryDirectory() as folder:
-            yield recordings.write(Path(folder) / f"{PurePath(recordings.source.name).stem}.zip")
+            path = recordings.write(Path(folder) / f"{PurePath(name).stem}.zip")
+            with errors_naming(name, path):
+                yield path
 
     def _check_on_others(self, target, data, samples):
         """The check on other recordings, as ``stmnist check run --data``."""
-        self.notes = []
         bundle = self.bundle
         check = TargetCheck(target, bundle.seed)
-        with self._on_disk(data) as path:
+        with self._noting(), self._on_disk(data) as path:
             others = OtherRecordings(str(path), samples, jobs=self._jobs)
             result, _ = check_on_others(bundle, others, check, self._say)
         return CheckResult(result, read_classes(bundle.spec))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 from deploy.errors import SeveralErrors, UserError
+from deploy.tables import plural
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.library import import_recordings
 from pipeline.recordings.sensor import ReadingOptions
@@ -17,6 +19,17 @@ NAME = "arrays"
 
 # Class of recordings without labels.
 UNLABELLED = "unlabelled"
+
+
+@contextlib.contextmanager
+def errors_naming(name: str, path: Path):
+    """Errors in the block name what the user gave instead of a temporary file."""
+    try:
+        yield
+    except SeveralErrors as error:
+        raise SeveralErrors([line.replace(str(path), name) for line in error.lines]) from error
+    except UserError as error:
+        raise UserError(str(error).replace(str(path), name)) from error
 
 
 def read_recordings(path, time_unit: str = "") -> Recordings:
@@ -30,18 +43,14 @@ def recordings_from_arrays(events, labels=None, **more) -> Recordings:
     labels = [UNLABELLED] * len(events) if labels is None else list(labels)
     if len(events) != len(labels):
         raise UserError(
-            f"arrays: {len(events)} recordings and {len(labels)} labels; give a label for each"
+            f"{NAME}: {plural(len(events), 'recording')} and {plural(len(labels), 'label')}; give "
+            "a label for each"
         )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{NAME}.zip"
-        try:
+        with errors_naming(NAME, path):
             write_recordings(path, zip(events, labels, strict=True), **more)
             recordings = import_recordings(path)
-        except SeveralErrors as error:
-            lines = [line.replace(str(path), NAME) for line in error.lines]
-            raise SeveralErrors(lines) from error
-        except UserError as error:
-            raise UserError(str(error).replace(str(path), NAME)) from error
     return replace(recordings, source=replace(recordings.source, name=NAME))
 
 

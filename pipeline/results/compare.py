@@ -13,7 +13,7 @@ from deploy.errors import UserError
 from deploy.network.provenance import read_classes
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, star
+from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, plural, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import command_text, printable
 from pipeline.kinds import REFERENCES, kind_of_network
@@ -92,7 +92,7 @@ def read_runs(paths) -> list:
     """
     paths = [Path(path) for path in paths]
     if not 2 <= len(paths) <= len(LETTERS):
-        raise UserError(f"{len(paths)} runs; name from two to {len(LETTERS)}")
+        raise UserError(f"{plural(len(paths), 'run')} named; give from two to {len(LETTERS)}")
     return [_read_run(path) for path in paths]
 
 

@@ -167,9 +167,11 @@ def refuse_other_folders(path: Path, of_results: bool = False):
     Raises
     ------
     UserError
-        The folder is a bundle or in one, has files that are not those of a run, or is a run where
-        results of a benchmark are meant, or the other way round.
+        The path is a file; the folder is a bundle or in one, has files that are not those of a
+        run, or is a run where results of a benchmark are meant, or the other way round.
     """
+    if path.is_file():
+        raise UserError(f"{path}: is a file; give a folder as RUN")
     for folder in (path.absolute(), *path.absolute().parents):
         if (folder / "MANIFEST.json").is_file():
             raise UserError(

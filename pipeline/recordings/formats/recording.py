@@ -178,7 +178,7 @@ def make_recording(events) -> EventRecording:
         outside = ~((places >= 0) & (places <= MAX_PLACE) & (places == np.floor(places)))
         if outside.any():
             raise BadRecording(
-                f"{name} has {places[outside][0]:g}, not whole numbers from 0 to {MAX_PLACE}"
+                f"has {name} {places[outside][0]:g}, not a whole number from 0 to {MAX_PLACE}"
             )
     order = np.argsort(t, kind="stable")
     return EventRecording(

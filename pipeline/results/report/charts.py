@@ -106,7 +106,8 @@ def line_chart(
         marks.append(_line(x_axis, y_axis, s, number))
     for b, name in levels:
         marks.append(_segment("reference", LEFT, y_axis(b), CHART - RIGHT, y_axis(b)))
-        marks.append(_text(LEFT + 4, y_axis(b) - 6, f"{name} {b:.1f}", "start"))
+        aside = 16 if any(s.y[-1] > b for s in series) else -6  # of the line, where no curve ends
+        marks.append(_text(CHART - RIGHT, y_axis(b) + aside, f"{name} {b:.1f}", "end"))
     for a, b, name in points:
         marks.append(_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %"))
         aside = 18 if any(0 <= level - b < 9 for level, _ in levels) else -9
