@@ -314,7 +314,8 @@ def _input_shapes(name, node, following) -> list:
     shapes = [shape[start:] for start in range(max(len(shape), 1))]
     if shape[:1] == (1,) and len(shape) == 4:
         shapes = shapes[1:]
-    if _kind(following) in ("Affine", "Linear") and set(shape[:-1]) == {1}:
+    reads_image = _kind(following).startswith(("Conv", "SumPool", "AvgPool"))
+    if not reads_image and set(shape[:-1]) == {1}:
         shapes = shapes[-1:]  # samples and time of 1
     usable = [
         each

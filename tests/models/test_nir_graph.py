@@ -62,6 +62,8 @@ def test_a_dimension_for_samples_is_left_out():
     rng = np.random.default_rng(0)
     assert network_of((1, 4), affine(rng, 3, 4), lif()).input_shape == (4,)
     assert network_of((1, 2, 5, 5), conv(rng, 3, 2, 3), lif()).input_shape == (2, 5, 5)
+    flatten = "Flatten", {"start_dim": 0, "end_dim": -1}  # as in snnTorch's own example
+    assert network_of((1, 4), flatten, affine(rng, 3, 4), lif()).input_shape == (4,)
 
 
 def edited(change):
