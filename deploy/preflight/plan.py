@@ -127,17 +127,10 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     placed = [(layer, i, block) for layer, made in blocks.items() for i, block in enumerate(made)]
     needed = -(-len(placed) // chip.cores)
     places = _placement(model, needed, chip)
-    intervals = _shortest_intervals(spec, model)
-    targets = {
-        id(synapse): find_axons_with_targets(synapse)
-        for block in model.blocks
-        for synapse in block.synapses
-    }
-    cores = []
-    for layer, part, block in placed:
-        registers = axon_cfg_registers(block, targets)
-        worst = worst_case(block, intervals, chip)
-        cores.append(_plan_core(layer, part, places[block], block, registers, worst, chip))
+    axons = _Axons(_shortest_intervals(spec, model), _targets(model))
+    cores = [
+        _plan_core(layer, part, places[block], block, axons, chip) for layer, part, block in placed
+    ]
     problems = [*_problems(cores, chip), *_refractory_problems(blocks, chip)]
     if needed > chips:
         problems.append(
@@ -195,19 +188,46 @@ def _placement(model, chips, chip):
     }
 
 
-def _plan_core(layer, part, place, block, registers, worst, chip):
+@dataclass(frozen=True)
+class _Axons:
+    """What a core's counts need of the network's axons, by the ``id`` of their synapse object.
+
+    Attributes
+    ----------
+    intervals : dict of int to int
+        Minimum interval in steps between two spikes of the sources.
+    targets : dict of int to ndarray of bool
+        :func:`~deploy.preflight.resources.find_axons_with_targets`.
+    """
+
+    intervals: Dict[int, int]
+    targets: dict
+
+
+def _plan_core(layer, part, place, block, axons, chip):
+    shared, unshared = axon_cfg_registers(block, axons.targets)
+    worst_input, worst_current = worst_case(block, axons.intervals, chip)
     return CorePlan(
         layer=layer,
         part=part,
         chip=place[0],
         core=place[1],
-        used=used_by(block, chip, registers[0]),
-        unshared_axon_cfgs=registers[1],
+        used=used_by(block, chip, shared),
+        unshared_axon_cfgs=unshared,
         pop_types=tuple(sorted({synapse.pop_type for synapse in block.synapses})),
         threshold=int(block.compartment.vth.max()),
-        worst_input=worst[0],
-        worst_current=worst[1],
+        worst_input=worst_input,
+        worst_current=worst_current,
     )
+
+
+def _targets(model):
+    """For each synapse object, which of its axons have targets."""
+    return {
+        id(synapse): find_axons_with_targets(synapse)
+        for block in model.blocks
+        for synapse in block.synapses
+    }
 
 
 def _shortest_intervals(spec, model):

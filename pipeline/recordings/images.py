@@ -91,11 +91,22 @@ def tactile_images(recordings: Recordings, image: Image | None = None) -> np.nda
     image : pipeline.run.settings.schema.Image, optional
         Default: the default settings.
     """
-    image = image or Image()
+    return make_images_of(recordings, image or Image(), np.arange(len(recordings)))
+
+
+def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
+    """As :func:`tactile_images`, of some recordings.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    image : pipeline.run.settings.schema.Image
+    indices : array_like of int
+    """
     sensor = recordings.sensor
-    shape = (len(recordings), sensor.rows, sensor.columns, image.channels)
+    shape = (len(indices), sensor.rows, sensor.columns, image.channels)
     images = empty_array(shape, np.float32)
-    for span, counts in _counts_of_parts(recordings, image):
+    for span, counts in _counts_of_parts(recordings, image, indices):
         images[span] = _as_images(counts, image)
     return images
 

@@ -1,6 +1,6 @@
 """The kind of networks on tactile images: the paper's CNN, or a user's Keras model in its place."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from pipeline.kinds.kind import (
 )
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
+from pipeline.recordings.images import make_images_of
 from pipeline.run.settings import Settings
 
 
@@ -236,6 +237,8 @@ class ImageKind(NetworkKind):
     def require_usable(self, inputs):
         artifact = inputs.artifact("cnn")
         if self.settings.cnn.model and not artifact.state().is_current:
+            if self.settings.is_open("image.normalisation"):
+                _require_images_of_model(artifact.folder, self.settings, inputs.dataset)
             take_over(artifact.folder, self.settings, inputs.dataset)
 
 
@@ -357,6 +360,12 @@ def _measure_activity(settings, trained, inputs):
 LEAST_KNOWN = 0.15
 
 
+# Normalisations on which a user's model may have been trained, and how they are compared: the
+# maximum number of training samples, and the difference in accuracy that counts.
+COMPARED_NORMALISATIONS = ("max", "sqrt-clip")
+MAX_COMPARED_SAMPLES = 500
+LEAST_GAIN = 0.05
+
 # The remedy for a model that has changed since it was imported.
 GIVE_MODEL_AGAIN = "give it again with 'stmnist convert RUN --model FILE' (and --retrain if used)"
 
@@ -427,13 +436,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
         The model cannot be read or has changed, and the run has no copy; or it is not better than
         chance.
     """
-    copy = copy_of_model(folder, settings)
-    path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
-    retrain = settings.snn.recipe == "loihi"
-    model = read_keras(path, retrain, parse(settings.cnn.architecture).input_shape)
-    imported = settings.cnn.model_sha256, settings.cnn.architecture
-    if (sha256_of(path), str(model.architecture)) != imported:
-        raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
+    path, model = _read_model(folder, settings)
     from models.cnn import predict
 
     images, labels = dataset.subset("train")
@@ -447,3 +450,45 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
             "train it on images as [image] in the settings makes them, with classes in this order"
         )
     return path, model
+
+
+def _read_model(folder, settings):
+    """The file of the user's model, or its copy, and the model."""
+    copy = copy_of_model(folder, settings)
+    path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
+    retrain = settings.snn.recipe == "loihi"
+    model = read_keras(path, retrain, parse(settings.cnn.architecture).input_shape)
+    imported = settings.cnn.model_sha256, settings.cnn.architecture
+    if (sha256_of(path), str(model.architecture)) != imported:
+        raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
+    return path, model
+
+
+def _require_images_of_model(folder, settings, dataset):
+    """Refuse images that are normalised in another way than those that the model was trained on.
+
+    The model's accuracy tells: own images usually have the default, those of ``Run.dataset`` what
+    is chosen for networks that are trained here.
+    """
+    path, model = _read_model(folder, settings)
+    from models.cnn import predict
+
+    network = original_network(model)
+    rng = np.random.default_rng([settings.seed, 0x1A6])
+    some = np.sort(rng.permutation(dataset.split.train)[:MAX_COMPARED_SAMPLES])
+    used = settings.image.normalisation
+    right = {}
+    for name in {used, *COMPARED_NORMALISATIONS}:
+        images = make_images_of(
+            dataset.recordings, replace(settings.image, normalisation=name), some
+        )
+        right[name] = predict(network, images).argmax(1) == dataset.labels[some]
+    best = max(right, key=lambda name: right[name].sum())
+    gain = int(right[best].sum() - right[used].sum())
+    differing = int((right[best] != right[used]).sum())
+    if gain > max(LEAST_GAIN * len(some), 2 * np.sqrt(differing)):
+        raise UserError(
+            f"{path}: an accuracy of {right[used].mean():.3f} on this run's training images, and "
+            f"of {right[best].mean():.3f} on images with another normalisation; give --set "
+            f"image.normalisation={best} (or ={used}, to keep this one)"
+        )

@@ -221,6 +221,13 @@ def test_what_cannot_stand_in_is_one_line(files, tmp_path, capsys, name, facts):
     assert not folder.exists()
 
 
+def test_a_model_for_images_of_another_normalisation_names_it(files, tmp_path, capsys):
+    folder, path = tmp_path / "run", files / "good.keras"
+    assert call("convert", folder, "--model", path, *DATA, "--samples", "20") == 2
+    assert missing(capsys.readouterr().err, path, "--set image.normalisation=sqrt-clip") == []
+    assert not folder.exists()
+
+
 def test_a_file_that_is_no_model(tmp_path, capsys):
     folder, path = tmp_path / "run", tmp_path / "model.keras"
     path.write_bytes(b"no model")
