@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import fields
 from pathlib import Path
 
 from . import __version__
@@ -14,9 +13,8 @@ from .check.text import summary
 from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
 from .progress import ProgressLines
-from .targets import NAMES, BoardOptions
 from .targets.board import nxsdk_version
-from .targets.registry import options_for
+from .targets.registry import TARGETS, list_options, options_for
 from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 
 
@@ -59,18 +57,10 @@ def _parser():
     parser.set_defaults(run=lambda _: parser.error("name a command: check, plan or board"))
     check = verbs.add_parser("check", help="run a target on the bundle's samples")
     check.add_argument("bundle", type=Path, help="the bundle's folder")
-    check.add_argument("--target", required=True, metavar="T", help=", ".join(NAMES))
+    check.add_argument("--target", required=True, metavar="T", help=", ".join(TARGETS))
     check.add_argument("--out", type=Path, help="the result (default: BUNDLE/checks/TARGET.json)")
     check.add_argument("--seed", type=int, metavar="N", help="the simulator's (default: the run's)")
-    board = check.add_argument_group("target loihi")
-    for each in fields(BoardOptions):
-        how = {"default": each.default, "help": each.metadata["help"]}
-        if each.default is False:
-            how["action"] = "store_true"
-        elif each.default is not None:
-            how["type"] = type(each.default)
-            how["help"] += " (default: %(default)s)"
-        board.add_argument(f"--{each.name}", **how)
+    _add_target_options(check)
     check.set_defaults(run=_check)
     plan = verbs.add_parser(
         "plan", help="resources that the network needs on each core, and whether it fits"
@@ -83,8 +73,22 @@ def _parser():
     return parser
 
 
+def _add_target_options(parser):
+    groups = {}
+    for name, (target, option) in list_options().items():
+        if target not in groups:
+            groups[target] = parser.add_argument_group(f"target {target}")
+        how = {"default": option.default, "help": option.metadata["help"]}
+        if option.default is False:
+            how["action"] = "store_true"
+        elif option.default is not None:
+            how["type"] = type(option.default)
+            how["help"] += " (default: %(default)s)"
+        groups[target].add_argument(f"--{name}", **how)
+
+
 def _check(options):
-    values = {name: getattr(options, name) for name in vars(BoardOptions())}
+    values = {name: getattr(options, name) for name in list_options()}
     chosen = options_for(options.target, **values)
     bundle = read_bundle(options.bundle)
     out = options.out or result_beside(options.bundle, options.target)

@@ -110,18 +110,18 @@ class Architecture:
         return {
             f"{name}.{array}": shape
             for name, layer, before in zip(self.names, self.layers, self.shapes, strict=False)
-            for array, shape in layer.weight_shapes(before).items()
+            for array, shape in layer.array_shapes(before).items()
         }
 
-    def event_weight_shapes(self, parts: int = 1) -> dict:
+    def event_weight_shapes(self, sections: int = 1) -> dict:
         """Shapes of the trained arrays of a spiking network on events (:mod:`models.spiking`).
 
         In addition to `weight_shapes`, each layer with neurons has two time constants; the output
-        has no bias, and weights for each part of a sample.
+        has no bias, and weights for each section of a sample.
         """
         shapes = {n: s for n, s in self.weight_shapes.items() if n != "output.bias"}
         inputs, outputs = shapes["output.kernel"]
-        shapes["output.kernel"] = parts * inputs, outputs
+        shapes["output.kernel"] = sections * inputs, outputs
         for name in self.names[:-1]:
             shapes |= {f"{name}.tau_u": (), f"{name}.tau_v": ()}
         return shapes
@@ -226,7 +226,7 @@ def _parse_layer(token: str, shape: tuple, is_last: bool):
             "a pooling such as 2a, or a hidden dense layer such as 64"
         )
     _check_place(layer, shape, is_last)
-    weights = [math.prod(s) for s in layer.weight_shapes(shape).values()]
+    weights = [math.prod(s) for s in layer.array_shapes(shape).values()]
     shape = layer.shape(shape)
     if is_last and layer.units < 2:
         raise ValueError("must have at least 2 output neurons")

@@ -2,8 +2,7 @@
 
 A link is one linear map and the neurons after it, which the chip computes as one layer; averaging
 before the map is part of the link.  These functions make chains, and :func:`build_network_spec`
-makes the
-deployed network of any of them:
+makes the deployed network of any of them:
 
 =======================================  =========================================================
 :func:`from_rates`                       a network trained on images with rate-based neurons
@@ -21,12 +20,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deploy.network import ops as deployed_ops
 from deploy.network.geometry import pooled_shape, unpool
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import Stimulus
 from models.architecture import Architecture
-from models.ops import OPERATIONS, Operation, Pooling
+from models.ops import Operation, Pooling
 
 
 @dataclass(frozen=True)
@@ -53,11 +51,11 @@ class Link:
     ----------
     name : str
         ``"conv1"``, ``"dense1"``, ..., ``"output"``.
-    kind : str
-        ``"conv"`` or ``"dense"``.
-    input_shape, shape : tuple of int
-        (rows, columns, channels), or (values,); ``input_shape`` is that before averaging.
-    weights : ndarray, shape (rows, columns, channels in, filters) or (parts * inputs, units)
+    operation : Operation
+        The linear map.
+    input_shape : tuple of int
+        (rows, columns, channels), or (values,), before averaging.
+    weights : ndarray, shape (rows, columns, channels in, filters) or (sections * inputs, units)
         Of sums over averages; for neurons in units of their threshold.
     bias : ndarray, shape (filters,) or (units,)
     neuron : Neurons, Decays or None
@@ -65,9 +63,6 @@ class Link:
         are rounded to integers; None for a linear readout on the host.
     tau_syn : float or None
         Time constant in seconds of the low-pass on the input; None for none.
-    stride : int
-    padding : str
-        ``"valid"``, ``"same"`` or a number of zeros on each side, such as ``"1"``.
     pool : int
         Side length of the windows that are averaged before the map; 1 for none.
     loop : ndarray, shape (units, units), or None
@@ -80,15 +75,12 @@ class Link:
     """
 
     name: str
-    kind: str
+    operation: Operation
     input_shape: tuple
-    shape: tuple
     weights: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
     neuron: Neurons | Decays | None = None
     tau_syn: float | None = None
-    stride: int = 1
-    padding: str = "valid"
     pool: int = 1
     loop: np.ndarray | None = field(default=None, repr=False)
     sources: tuple = ()
@@ -105,6 +97,16 @@ class Link:
         return self.neuron
 
     @property
+    def kind(self) -> str:
+        """The kind of its operation, such as ``"conv"``."""
+        return self.operation.kind
+
+    @property
+    def shape(self) -> tuple:
+        """Shape of its outputs, (rows, columns, channels) or (values,)."""
+        return self.operation.shape(self.read_shape)
+
+    @property
     def size(self) -> int:
         """Number of neurons or outputs."""
         return math.prod(self.shape)
@@ -112,23 +114,13 @@ class Link:
     @property
     def fan_out(self) -> np.ndarray:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        reached = deployed_ops.OPERATIONS[self.kind].fan_out(self)
+        reached = self.operation.fan_out(self.read_shape)
         return reached if self.pool == 1 else unpool(reached, self.input_shape, self.pool)
-
-    @property
-    def operation(self) -> type[Operation]:
-        """The class of its operation."""
-        return OPERATIONS[self.kind]
 
     @property
     def read_shape(self) -> tuple:
         """Shape of the values that the weights read: of the input, after averaging."""
         return self.input_shape if self.pool == 1 else pooled_shape(self.input_shape, self.pool)
-
-    @property
-    def kernel(self) -> int:
-        """Side length of the filters; 0 without filters."""
-        return len(self.weights) if self.operation.is_spatial else 0
 
 
 def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
@@ -148,31 +140,19 @@ def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
     links = []
     before = architecture.input_shape
     pool = 1
-    shapes = zip(architecture.shapes, architecture.shapes[1:], strict=False)
     weights = weights or {}
-    for name, layer, (read, shape) in zip(
-        architecture.names, architecture.layers, shapes, strict=True
-    ):
+    layers = zip(architecture.names, architecture.layers, architecture.shapes, strict=False)
+    for name, layer, read_shape in layers:
         if isinstance(layer, Pooling):
             pool *= layer.size
             continue
         arrays = {}
-        for array, sizes in layer.weight_shapes(read).items():
+        for array, shape in layer.array_shapes(read_shape).items():
             value = weights.get(f"{name}.{array}")
-            arrays[array] = np.broadcast_to(0.0, sizes) if value is None else value.astype(float)
-        links.append(
-            Link(
-                name,
-                "dense" if layer.output else layer.kind,
-                before,
-                shape,
-                arrays["kernel"],
-                arrays["bias"],
-                pool=pool,
-                **layer.geometry(),
-            )
-        )
-        before = shape
+            arrays[array] = np.broadcast_to(0.0, shape) if value is None else value.astype(float)
+        link = Link(name, layer, before, arrays["kernel"], arrays["bias"], pool=pool)
+        links.append(link)
+        before = link.shape
         pool = 1
     return tuple(links)
 
@@ -272,14 +252,20 @@ def build_network_spec(
         architecture=notation(chain),
         input_shape=chain[0].input_shape,
         stimulus=stimulus,
-        layers=tuple(_layer(link) for link in chain),
+        layers=tuple(_deploy(link) for link in chain),
         presentation=presentation,
         provenance=provenance or {},
         estimator=estimator,
     )
 
 
-def _layer(link):
+def _deploy(link: Link) -> Layer:
+    """The layer of a link.
+
+    A link is a step of training, in the order of axes of TensorFlow and with its operation as an
+    object.  A layer is what a bundle stores, in the order of Nengo and with plain values.
+    """
+    assert not isinstance(link.neuron, Decays), f"{link}: its neurons are not integers yet"
     return Layer(
         name=link.name,
         kind=link.kind,
@@ -288,25 +274,23 @@ def _layer(link):
         placement="host" if link.neuron is None else "chip",
         neurons=link.neuron,
         synapse=link.tau_syn,
-        kernel=link.kernel,
         block_shape=None,
-        weights=link.operation.deployed_weights(link),
+        weights=link.operation.to_deployed(link.weights, len(link.starts)),
         bias=link.bias,
-        stride=link.stride,
-        padding=link.padding,
         pool=link.pool,
         starts=link.starts,
         recurrent=None if link.loop is None else link.loop.T,
+        **link.operation.layer_values(),
     )
 
 
 def notation(chain) -> str:
     """A chain in the notation of architectures, such as ``10x10x2-12c4s2-64-10o``."""
-    return str(Architecture(chain[0].input_shape, tuple(_notation(chain))))
+    return str(Architecture(chain[0].input_shape, tuple(_list_operations(chain))))
 
 
-def _notation(chain) -> Iterator:
+def _list_operations(chain) -> Iterator[Operation]:
     for link in chain:
         if link.pool > 1:
             yield Pooling(link.pool)
-        yield link.operation.from_link(link, output=link is chain[-1])
+        yield link.operation

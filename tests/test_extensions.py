@@ -1,18 +1,22 @@
 """What another package can add: a format, a target, a kind, an operation and a chip."""
 
 import json
+import math
 import re
 from dataclasses import dataclass, replace
 
 import nengo
 import numpy as np
+import pytest
 
 from deploy.check.run import run_check
-from deploy.network import ops as deployed_ops
+from deploy.errors import UserError
 from deploy.network.chip import LOIHI
+from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
 from deploy.network.responses import Responses
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import TARGETS, Target, run_target
+from deploy.targets.options import Options, option
+from deploy.targets.registry import TARGETS, Target, options_for, run_target
 from models import ops
 from models.chain import Decays, Link
 from models.integers import choose_integers, simulate_spikes
@@ -49,21 +53,32 @@ def test_a_format(tmp_path, monkeypatch):
     assert recordings[0].polarity.tolist() == [1, -1]
 
 
-def run_first_class(spec, streams, seed=0):
-    """Predict the first class of each sample, without a network."""
+@dataclass(frozen=True)
+class FirstOptions(Options):
+    label: int = option(0, "The class that is always predicted.", 0, 9)
+
+
+def run_first_class(spec, streams, seed=0, options=None):
+    """Predict one class, the first by default, without a network."""
+    options = options or FirstOptions()
     for samples in streams:
         scores = np.zeros((len(samples), spec.layers[-1].size))
-        scores[:, 0] = 1
+        scores[:, options.label] = 1
         decisions = np.zeros((len(samples), spec.presentation.steps), int)
         yield Responses(scores, decisions, {}, {})
 
 
 def test_a_target(tmp_path, monkeypatch):
-    target = Target("first", run_first_class, "Always the first class", floating=True)
+    target = Target("first", run_first_class, "Always the first class", options=FirstOptions)
     monkeypatch.setitem(TARGETS, "first", target)
     bundle = bundle_at(tmp_path / "bundle")
     result = run_check(bundle, "first", tmp_path / "first.json")
     assert {sample["prediction"] for sample in result["samples"]} == {0}
+    options = options_for("first", label=2)
+    result = run_check(bundle, "first", tmp_path / "second.json", options=options)
+    assert {sample["prediction"] for sample in result["samples"]} == {2}
+    with pytest.raises(UserError, match="--label is for --target first"):
+        options_for("fast", label=2)
 
 
 # What a network on images reads.
@@ -112,54 +127,37 @@ def test_a_kind(tmp_path, monkeypatch):
 
 
 @dataclass(frozen=True)
-class OneToOne(ops.Operation):
-    """A weight for each value, in the notation ``own``."""
+class DeployedOneToOne(DeployedOperation):
+    """A weight for each value."""
 
     kind = "own"
+
+    def shape(self, read_shape):
+        return (math.prod(read_shape),)
+
+    def weight_shape(self, read_shape):
+        return self.shape(read_shape)
+
+    def fan_out(self, read_shape):
+        return np.ones(read_shape, int)
+
+    def transform(self, layer, chip):
+        return nengo.Dense((layer.size, layer.size), init=np.diag(layer.weights)), None
+
+
+class OneToOne(ops.Operation, DeployedOneToOne):
+    """The same, in the notation ``own``."""
+
     token = re.compile("own")
-
-    @classmethod
-    def from_token(cls, match):
-        return cls()
-
-    @classmethod
-    def from_link(cls, link, output):
-        return cls()
-
-    def shape(self, input_shape):
-        return (int(np.prod(input_shape)),)
-
-    def weight_shapes(self, input_shape):
-        return dict.fromkeys(("kernel", "bias"), self.shape(input_shape))
-
-    @staticmethod
-    def deployed_weights(link):
-        return link.weights
 
     def __str__(self):
         return "own"
 
 
-class DeployedOneToOne(deployed_ops.Operation):
-    kind = "own"
-
-    def shapes(self, layer):
-        return ((int(np.prod(layer.read_shape)),),) * 2
-
-    def fan_out(self, layer):
-        return np.ones(layer.read_shape, int)
-
-    def transform(self, layer, chip):
-        return nengo.Dense((layer.size,) * 2, init=np.diag(layer.weights)), None
-
-    def resources(self, layer, chip):
-        return deployed_ops.OPERATIONS["dense"].resources(layer, chip)
-
-
 def test_an_operation(monkeypatch):
     """Each bright pixel has a neuron, and all of them have the same spikes."""
     monkeypatch.setitem(ops.OPERATIONS, "own", OneToOne)
-    monkeypatch.setitem(deployed_ops.OPERATIONS, "own", DeployedOneToOne())
+    monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", DeployedOneToOne)
     spec = make_untrained_network("5x5-own-3o", False, Settings().deployment)
     assert spec.architecture == "5x5-own-3o"
     assert spec.multiply_accumulates == {"own1": 25, "output": 75}
@@ -186,7 +184,7 @@ def test_a_chip():
     assert plan.to_json()["limits"]["compartments"] == 32
     rng = np.random.default_rng(0)
     weights = rng.normal(0, 0.3, (20, 5))
-    link = Link("dense1", "dense", (20,), (5,), weights, np.zeros(5), Decays(0.8, 0.9))
+    link = Link("dense1", ops.Dense(5), (20,), weights, np.zeros(5), Decays(0.8, 0.9))
     spikes = (rng.random((4, 50, 20)) < 0.2).astype(float)
     integers = choose_integers(link, spikes, small)
     assert np.abs(integers.weights).max() == small.weight_levels == 31

@@ -102,10 +102,9 @@ class Built:
     network : nengo.Network
     feed : Feed
     output : nengo.Probe
-        The readout at each step: decoded values on the host, those of all parts of the
+        The readout at each step: decoded values on the host, those of all sections of the
         presentation (:func:`deploy.network.responses.select_readout`), or spikes of output
-        neurons on the
-        chip.
+        neurons on the chip.
     spikes : dict of str to nengo.Probe
         Spikes of each spiking layer, in order.
     """
@@ -147,7 +146,7 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
         spikes["input"] = nengo.Probe(source)
         for layer in spec.layers:
             if layer.neurons is None:
-                target = nengo.Node(size_in=layer.parts * layer.size, label=layer.name)
+                target = nengo.Node(size_in=layer.sections * layer.size, label=layer.name)
             else:
                 ensemble = _ensemble(layer, layer.neurons)
                 network.config[ensemble].on_chip = True

@@ -44,13 +44,13 @@ def nir_graph(spec: NetworkSpec):
     Raises
     ------
     UserError
-        The package ``nir`` is not installed, or the readout has several parts: NIR does not know
-        the step of a presentation.
+        The package ``nir`` is not installed, or the readout has several sections: NIR does not
+        know the step of a presentation.
     """
     nir = _nir()
-    if spec.layers[-1].parts > 1:
+    if spec.layers[-1].sections > 1:
         raise UserError(
-            f"NIR cannot represent a readout with weights for {spec.layers[-1].parts} parts of the "
+            f"NIR cannot represent a readout with {spec.layers[-1].sections} sections of the "
             "presentation; train with --set events.parts=1 to export"
         )
     rows, columns, channels = spec.input_shape

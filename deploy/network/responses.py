@@ -162,12 +162,12 @@ def spike_hash(packed) -> str:
 
 
 def select_readout(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.ndarray:
-    """The readout of the part of the presentation that each step belongs to.
+    """The readout of the section of the presentation that each step belongs to.
 
     Parameters
     ----------
     spec : NetworkSpec
-    output : ndarray, shape (..., steps, parts * n_classes)
+    output : ndarray, shape (..., steps, sections * n_classes)
         The probe of the readout.
     first : int
         Number in the sample, from 0, of the first of these steps.
@@ -177,11 +177,11 @@ def select_readout(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.
     ndarray, shape (..., steps, n_classes)
     """
     readout = spec.layers[-1]
-    if readout.parts == 1:
+    if readout.sections == 1:
         return output
     steps = np.arange(output.shape[-2])
-    by_part = output.reshape(*output.shape[:-1], readout.parts, readout.size)
-    return by_part[..., steps, readout.part_of(first + steps), :]
+    by_section = output.reshape(*output.shape[:-1], readout.sections, readout.size)
+    return by_section[..., steps, readout.section_of(first + steps), :]
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
@@ -307,7 +307,7 @@ class RunningReadout:
 
         Parameters
         ----------
-        output : ndarray, shape (steps, parts * n_classes)
+        output : ndarray, shape (steps, sections * n_classes)
         """
         done = self._n_read
         values = select_readout(self._spec, output, self.n_steps)

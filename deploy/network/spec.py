@@ -22,7 +22,7 @@ from ..loading import Limit, WrongValue, between, check, limited_field, load, on
 from .chip import LOIHI
 from .decision import Estimator
 from .geometry import pooled_shape, unpool
-from .ops import OPERATIONS, Operation
+from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 from .stimulus import KINDS, Stimulus
 
 TAU = between(1e-6, limits.SECONDS, " seconds")
@@ -31,7 +31,7 @@ SHAPE = Limit(
     lambda shape: all(side >= 1 for side in shape) and math.prod(shape) <= limits.NEURONS,
     f"sides of at least 1, with a product of at most {limits.NEURONS}",
 )
-KIND = Limit(lambda kind: kind in OPERATIONS, f"one of {', '.join(OPERATIONS)}")
+KIND = Limit(lambda kind: kind in DEPLOYED_OPERATIONS, f"one of {', '.join(DEPLOYED_OPERATIONS)}")
 PADDING = Limit(
     lambda value: value in ("valid", "same") or (value.isdecimal() and 1 <= int(value) <= 1000),
     "'valid', 'same' or a number from 1 to 1000",
@@ -93,10 +93,10 @@ class Layer:
     kernel : int
         Side length of the convolution's filters (0 for dense).
     block_shape : tuple of int or None
-        (rows, columns, channels) of the part of the layer on one core; None for the whole layer.
-    weights : ndarray, shape (kernel, kernel, channels_in, filters) or (parts * units, inputs)
-        Weights for the input, after pooling if ``pool`` is above 1; of a readout in parts, those of
-        the first part come first.
+        (rows, columns, channels) of the layer's neurons on one core; None for the whole layer.
+    weights : ndarray, shape (kernel, kernel, channels_in, filters) or (sections * units, inputs)
+        Weights for the input, after pooling if ``pool`` is above 1; of a readout in sections, those
+        of the first section come first.
     bias : ndarray, shape (channels,) or (units,)
         Bias current J of each channel's neurons, or the additive bias of a linear readout.
     stride : int
@@ -109,8 +109,8 @@ class Layer:
         outside of complete windows are not read.  The chip cannot average: pooling is folded into
         the weights when the network is built.
     starts : tuple of int
-        Of a readout on the host: first step, in a sample, of each part of the presentation that has
-        weights of its own.  The host knows the step; all other layers have one part.
+        Of a readout on the host: first step, in a sample, of each section of the presentation,
+        which has weights of its own.  The host knows the step; all other layers have one section.
     recurrent : ndarray, shape (units, units), or None
         Weights of a dense layer's own spikes, by receiving and sending unit; a spike arrives one
         step later.
@@ -134,51 +134,84 @@ class Layer:
     recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
-        where = f"layer {self.name!r}"
         for name in ("input_shape", "shape", "block_shape", "starts"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         try:
             check(self)
         except WrongValue as error:
-            raise UserError(f"network description: {where}: {error}") from error
+            raise UserError(f"network description: layer {self.name!r}: {error}") from error
+        self._convert_arrays()
+        self._check_place()
+        self._check_shapes()
+
+    def _require(self, condition, problem):
+        _require(condition, f"layer {self.name!r}", problem)
+
+    def _convert_arrays(self):
+        """Convert the arrays to float64, and refuse what are no finite numbers."""
         for name in self.arrays:
             array = np.asarray(getattr(self, name))
-            _require(array.dtype.kind in "fiu", where, f"{name} are not real numbers")
+            self._require(array.dtype.kind in "fiu", f"{name} are not real numbers")
             array = np.asarray(array, float)
+            self._require(np.isfinite(array).all(), f"{name} has NaN or infinite values")
+            self._require(
+                np.abs(array).max(initial=0) <= limits.MAGNITUDE,
+                f"{name} has a value above {limits.MAGNITUDE:g}",
+            )
             object.__setattr__(self, name, array)
-            _require(np.isfinite(array).all(), where, f"{name} has NaN or infinite values")
-            _require(np.abs(array).max(initial=0) <= limits.MAGNITUDE, where,
-                     f"{name} has a value above {limits.MAGNITUDE:g}")  # fmt: skip
-        _require((self.neurons is None) == (self.placement == "host"), where,
-                 "a layer on the chip has neurons, one on the host has none")  # fmt: skip
-        if self.block_shape is not None:
-            _require(len(self.block_shape) == len(self.shape), where,
-                     f"block_shape {self.block_shape} and shape differ in length")  # fmt: skip
-        operation = self.operation
-        reads_out = operation.can_read_out and self.neurons is None
-        _require(reads_out or self.parts == 1, where, "only a readout on the host has parts")
-        is_image = operation.is_spatial or self.pool > 1
-        _require(len(self.input_shape) in ((3,) if is_image else (1, 3)), where,
-                 f"input_shape {self.input_shape} has a wrong number of dimensions")  # fmt: skip
-        _require(min(self.read_shape) >= 1, where, "its averaging is larger than its input")
-        shape, weights = operation.shapes(self)
-        _require(min(shape) >= 1, where, "its kernel is larger than its input")
-        _require(self.shape == shape, where, f"shape should be {shape}")
-        _require(self.weights.shape == weights, where,
-                 f"weights have shape {self.weights.shape}, not {weights}")  # fmt: skip
-        _require(self.bias.shape == self.shape[-1:], where,
-                 f"bias has shape {self.bias.shape}, not {self.shape[-1:]}")  # fmt: skip
-        if self.recurrent is not None:
-            _require(operation.can_recur and self.neurons is not None, where,
-                     "only a dense layer of neurons can be recurrent")  # fmt: skip
-            _require(self.recurrent.shape == self.shape * 2, where,
-                     f"its recurrent weights have shape {self.recurrent.shape}")  # fmt: skip
+
+    def _check_place(self):
+        """Refuse neurons, sections and recurrent weights where a layer cannot have them."""
+        has_neurons = self.neurons is not None
+        operation = DEPLOYED_OPERATIONS[self.kind]
+        self._require(
+            has_neurons == (self.placement == "chip"),
+            "a layer on the chip has neurons, one on the host has none",
+        )
+        self._require(
+            self.sections == 1 or (operation.can_read_out and not has_neurons),
+            "only a readout on the host has sections",
+        )
+        self._require(
+            self.recurrent is None or (operation.can_recur and has_neurons),
+            "only a dense layer of neurons can be recurrent",
+        )
+
+    def _check_shapes(self):
+        """Compare the shapes with those of the operation."""
+        is_image = DEPLOYED_OPERATIONS[self.kind].is_spatial or self.pool > 1
+        self._require(
+            len(self.input_shape) in ((3,) if is_image else (1, 3)),
+            f"input_shape {self.input_shape} has a wrong number of dimensions",
+        )
+        self._require(min(self.read_shape) >= 1, "its averaging is larger than its input")
+        try:
+            operation = self.operation
+            shape = operation.shape(self.read_shape)
+        except ValueError as error:
+            raise UserError(f"network description: layer {self.name!r}: {error}") from error
+        self._require(self.shape == shape, f"shape should be {shape}")
+        self._require(
+            self.block_shape is None or len(self.block_shape) == len(shape),
+            f"block_shape {self.block_shape} and shape differ in length",
+        )
+        first, *rest = operation.weight_shape(self.read_shape)
+        expected = {
+            "weights": (self.sections * first, *rest),
+            "bias": shape[-1:],
+            "recurrent": shape * 2,
+        }
+        for name in self.arrays:
+            found = getattr(self, name).shape
+            self._require(
+                found == expected[name], f"{name} of shape {found} should have {expected[name]}"
+            )
 
     @property
-    def operation(self) -> Operation:
+    def operation(self) -> DeployedOperation:
         """The operation of the weights."""
-        return OPERATIONS[self.kind]
+        return DEPLOYED_OPERATIONS[self.kind].of_layer(self)
 
     @property
     def arrays(self) -> Tuple[str, ...]:
@@ -191,24 +224,24 @@ class Layer:
         return int(np.prod(self.shape))
 
     @property
-    def parts(self) -> int:
-        """Number of parts of the presentation that have weights of their own."""
+    def sections(self) -> int:
+        """Number of sections of the presentation, each of which has weights of its own."""
         return len(self.starts)
 
-    def part_of(self, steps) -> np.ndarray:
-        """The part, from 0, to which steps of a sample, also from 0, belong."""
+    def section_of(self, steps) -> np.ndarray:
+        """The section, from 0, to which steps of a sample, also from 0, belong."""
         return np.searchsorted(self.starts, steps, side="right") - 1
 
     @property
     def by_class(self) -> np.ndarray:
-        """Weights of a readout for the inputs of all parts, shape (units, parts * inputs)."""
-        weights = self.weights.reshape(self.parts, self.size, -1)
+        """Weights of a readout for the inputs of all sections, shape (units, sections * inputs)."""
+        weights = self.weights.reshape(self.sections, self.size, -1)
         return weights.swapaxes(0, 1).reshape(self.size, -1)
 
     def with_by_class(self, weights) -> Layer:
         """The readout with other weights, in the shape of :attr:`by_class`."""
-        parts = np.reshape(weights, (self.size, self.parts, -1)).swapaxes(0, 1)
-        return replace(self, weights=parts.reshape(self.weights.shape))
+        by_section = np.reshape(weights, (self.size, self.sections, -1)).swapaxes(0, 1)
+        return replace(self, weights=by_section.reshape(self.weights.shape))
 
     @property
     def read_shape(self) -> Tuple[int, ...]:
@@ -220,7 +253,7 @@ class Layer:
     @property
     def read_fan_out(self) -> np.ndarray:
         """Number of synapses of each value that the weights read, of shape `read_shape`."""
-        return self.operation.fan_out(self)
+        return self.operation.fan_out(self.read_shape)
 
     @property
     def fan_out(self) -> np.ndarray:
@@ -304,7 +337,8 @@ class Rehearsal:
 
     The readout on the host is linear: its scores are ``weights @ x + bias``, where ``x`` is the
     mean of its input while a sample is read, the low-pass filtered spikes of the last layer of
-    neurons.  For a readout in parts, ``x`` has the sums of each part, divided by the steps of all.
+    neurons.  For a readout in sections, ``x`` has the sums of each section, divided by the steps of
+    all.
 
     Attributes
     ----------
@@ -403,7 +437,7 @@ class NetworkSpec:
             _require(not last or layer.operation.can_read_out, where, "the last layer is dense")
             _require(last or layer.placement == "chip", where,
                      "only the last layer can be on the host")  # fmt: skip
-            _require(last or layer.parts == 1, where, "only the last layer has parts")
+            _require(last or layer.sections == 1, where, "only the last layer has sections")
             shape = layer.shape
 
     @property

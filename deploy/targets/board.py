@@ -23,7 +23,7 @@ from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
 from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
 from ..preflight.plan import REMEDIES, require_fit
-from . import LONGEST_WAIT, BoardOptions
+from .options import LONGEST_WAIT, BoardOptions
 
 # Number of bins of the board's energy probe, spread over the steps of a stream.
 POWER_BINS = 1024

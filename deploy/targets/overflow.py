@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 import warnings
-from typing import Iterator
+from typing import TYPE_CHECKING, Iterator
 
-from ..network.spec import NetworkSpec
+if TYPE_CHECKING:
+    from ..network.spec import NetworkSpec
 
 # Numbers of the chip by the names in the warnings.
 NUMBERS = {"q0": "synaptic input", "current": "current", "u2": "current with bias"}

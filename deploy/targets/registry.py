@@ -1,26 +1,25 @@
-"""Targets: the simulators and the hardware that run the samples of a check.
+"""The list of targets: the simulators and the hardware that run the samples of a check.
 
-To add one, add a `Target` to `TARGETS` and its name to ``NAMES`` in :mod:`deploy.targets`, which is
-read without Nengo; ladder, report and command line use them.
+To add a target, write a function ``run`` in a file of this folder, and a `Target` with its name,
+title and options in `TARGETS`.  Ladder, report and both command lines read it from there.  The list
+is read without Nengo, since the help of the commands needs it; the file of a target is imported
+when the target runs.
 """
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass, fields
-from typing import Callable, Dict, Iterable, Iterator, Optional
-
-import nengo
+from typing import TYPE_CHECKING, Callable, Dict, Optional, Type
 
 from ..errors import UserError
-from ..network.build import build
-from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi, require_integers
-from ..network.responses import Responses, join, respond
-from ..network.spec import NetworkSpec
 from ..terminal import WARNING, remark
-from . import BoardOptions
-from .board import describe, run_loihi
-from .fast import run_fast
+from .options import BoardOptions, Options
 from .overflow import OverflowWatch, overflow_text
+
+if TYPE_CHECKING:
+    from ..network.responses import Responses
+    from ..network.spec import NetworkSpec
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Target:
     run : callable
         ``run(spec, streams, seed)`` yields the :class:`~deploy.network.responses.Responses` to each
         stream of samples, in order; each stream starts from a fresh network.  Targets with options
-        also have a keyword argument ``options``.
+        also have a keyword argument ``options``, which is None for their defaults.
     title : str
         Short description.
     note : str
@@ -48,7 +47,8 @@ class Target:
     in_ladder : bool
         True if every ladder has a row of it, unless it needs a board.
     options : type or None
-        Dataclass of the options; its field names are the names of the command's options.
+        Subclass of :class:`~deploy.targets.options.Options`; its field names are the names of the
+        command's options, and no other target has them.
     describe : callable or None
         Function from the notes of all streams, a list of dict, to additional fields of a result.
     """
@@ -61,47 +61,58 @@ class Target:
     floating: bool = False
     hardware: bool = False
     in_ladder: bool = True
-    options: Optional[type] = None
+    options: Optional[Type[Options]] = None
     describe: Optional[Callable] = None
 
 
-def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
-    """Run NengoCore's reference simulator, with Loihi's neurons in floating point."""
-    options = {"progress_bar": False, "optimize": False}
-    return _run(spec, streams, seed, lambda network: nengo.Simulator(network, **options))
+def import_when_called(module: str, function: str) -> Callable:
+    """A function of a module of this folder, which is imported when the function is called."""
 
+    def call(*arguments, **options):
+        imported = importlib.import_module("." + module, __package__)
+        return getattr(imported, function)(*arguments, **options)
 
-def run_simreal(spec, streams, seed=0) -> Iterator[Responses]:
-    """Run NengoLoihi's model of the chip before discretisation."""
-    return _run(spec, streams, seed, lambda network: _loihi_simulator(network, "simreal"))
-
-
-def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
-    """Run NengoLoihi's emulator, with the chip's integers."""
-    return _run(spec, streams, seed, lambda network: _loihi_simulator(network, "sim"))
+    return call
 
 
 # The targets by name, in the order of a ladder.
 TARGETS: Dict[str, Target] = {
     target.name: target
     for target in (
-        Target("nengo", run_nengo, "Nengo's reference simulator", slow=True, floating=True),
-        Target("simreal", run_simreal, "Loihi's network before rounding", slow=True, floating=True),
-        Target("emulator", run_emulator, "Emulated Loihi", slow=True),
         Target(
-            "fast",
-            run_fast,
-            "Emulated Loihi (fast)",
+            name="nengo",
+            run=import_when_called("simulators", "run_nengo"),
+            title="Nengo's reference simulator",
+            slow=True,
+            floating=True,
+        ),
+        Target(
+            name="simreal",
+            run=import_when_called("simulators", "run_simreal"),
+            title="Loihi's network before rounding",
+            slow=True,
+            floating=True,
+        ),
+        Target(
+            name="emulator",
+            run=import_when_called("simulators", "run_emulator"),
+            title="Emulated Loihi",
+            slow=True,
+        ),
+        Target(
+            name="fast",
+            run=import_when_called("fast", "run_fast"),
+            title="Emulated Loihi (fast)",
             note="bit-identical to NengoLoihi's emulator",
             in_ladder=False,
         ),
         Target(
-            "loihi",
-            run_loihi,
-            "Loihi 1 through NxSDK",
+            name="loihi",
+            run=import_when_called("board", "run_loihi"),
+            title="Loihi 1 through NxSDK",
             hardware=True,
             options=BoardOptions,
-            describe=describe,
+            describe=import_when_called("board", "describe"),
         ),
     )
 }
@@ -120,6 +131,16 @@ def target_named(name: str) -> Target:
     except KeyError:
         known = ", ".join(TARGETS)
         raise UserError(f"no target {name!r}; the targets are {known}") from None
+
+
+def list_options() -> Dict[str, tuple]:
+    """The options of all targets: ``(name of the target, dataclass field)`` by their names."""
+    return {
+        option.name: (target.name, option)
+        for target in TARGETS.values()
+        if target.options is not None
+        for option in fields(target.options)
+    }
 
 
 def options_for(name: str, **values):
@@ -142,16 +163,15 @@ def options_for(name: str, **values):
     UserError
         There is no target of that name, or an option belongs to another target.
     """
-    own = target_named(name).options
-    for target in TARGETS.values():
-        if target.options is None or target.options is own:
-            continue
-        for option in fields(target.options):
-            if values.get(option.name, option.default) != option.default:
-                raise UserError(f"--{option.name} is for --target {target.name}, not for {name}")
-    if own is None:
-        return None
-    return own(**{option.name: values[option.name] for option in fields(own)})
+    target = target_named(name)
+    own = {}
+    for option_name, (owner, option) in list_options().items():
+        value = values.get(option_name, option.default)
+        if owner == name:
+            own[option_name] = value
+        elif value != option.default:
+            raise UserError(f"--{option_name} is for --target {owner}, not for {name}")
+    return None if target.options is None else target.options(**own)
 
 
 def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
@@ -165,6 +185,9 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
     UserError
         There is no target of that name, or NengoLoihi cannot build the network.
     """
+    from ..network.build import build
+    from ..network.loihi_import import require_integers
+
     if target_named(target).floating:
         require_integers(build(spec, seed).network)
 
@@ -197,29 +220,17 @@ def run_target(
         There is no target of that name, the network's stimulus cannot present the samples, or
         NengoLoihi cannot build the network.
     """
+    from ..network.responses import join
+
     flat = spec.flatten_samples(samples)
     refuse_unfit(spec, target, seed)
-    streams = [flat[part] for part in spec.presentation.streams(len(flat))]
-    parts, watch = [], OverflowWatch()
+    streams = [flat[stream] for stream in spec.presentation.streams(len(flat))]
+    watch = OverflowWatch()
+    by_stream = []
     for responses in watch.during(target_named(target).run(spec, streams, seed, **options)):
-        parts.append(responses)
+        by_stream.append(responses)
         if advance is not None:
             advance(len(responses.scores))
     if watch.numbers:
         remark(WARNING + overflow_text(spec, target, watch.numbers))
-    return join(parts)
-
-
-def _loihi_simulator(network, target):
-    try:
-        # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
-        return nengo_loihi.Simulator(network, target=target, precompute=True)
-    except BUILD_ERRORS as error:
-        raise cannot_build(network, error) from error
-
-
-def _run(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
-    built = build(spec, seed)
-    for samples in streams:
-        with simulator(built.network) as sim:
-            yield respond(spec, built, sim, samples)
+    return join(by_stream)

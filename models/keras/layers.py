@@ -254,7 +254,7 @@ class Chain:
             made = same
         if offset.any() and any(map(any, made.pads(self.signal.built))):
             self.pad_without_offset(layer, scale, offset)
-        if kernel.shape != made.weight_shapes(self.signal.built)["kernel"]:
+        if kernel.shape != made.kernel_shape(self.signal.built):
             layer.refuse(NO_CHAIN)
         bias = bias + np.einsum("ijcf,c->f", kernel, offset)
         self.weigh(layer, made, kernel * scale[:, None], bias)

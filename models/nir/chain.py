@@ -49,6 +49,7 @@ from models.nir.errors import NirError
 from models.nir.graph import FILTERS, SPIKING, NirNetwork
 from models.nir.simulator import apply, check_step
 from models.nir.windows import find_window, fit_to_chip
+from models.ops import Convolution, Dense
 
 
 def from_nir(
@@ -216,7 +217,7 @@ class _LinkNodes:
         if self.is_image and loop is None and len(self.shape) == 3:
             windows = self.find_windows(once, bias)
             if windows is not None:
-                return Link(kind="conv", **windows, **common)
+                return Link(**windows, **common)
         return self.make_dense(maps, offset, once, bias, loop, common)
 
     def find_filter(self) -> list:
@@ -303,8 +304,15 @@ class _LinkNodes:
         found = fit_to_chip(window, self.before[1:], self.shape[1:])
         if found is None:
             return None
-        found["weights"] = found["weights"] * gain[:, 0]
-        return {**found, "shape": _to_places(self.shape), "bias": bias[:, 0].copy()}
+        weights = found["weights"] * gain[:, 0]
+        return {
+            "operation": Convolution(
+                weights.shape[-1], len(weights), found["stride"], found["padding"]
+            ),
+            "weights": weights,
+            "bias": bias[:, 0].copy(),
+            "pool": found["pool"],
+        }
 
     def scale_of(self, node):
         """Factors of a node that scales its input."""
@@ -325,7 +333,8 @@ class _LinkNodes:
         matrix = matrix[_order_of_places(self.before)][:, neurons]
         if loop is not None:
             common["loop"] = (loop["weight"].T * gain.reshape(-1))[np.ix_(neurons, neurons)]
-        return Link(kind="dense", shape=(outputs,), weights=matrix, bias=bias[neurons], **common)
+        operation = Dense(outputs, output=self.is_last)
+        return Link(operation=operation, weights=matrix, bias=bias[neurons], **common)
 
 
 def _require_equal(node, keep, what) -> float:

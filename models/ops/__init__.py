@@ -1,8 +1,11 @@
-"""Operations of a notation: convolution, pooling and dense layers, one file each.
+"""The operations of a network: convolution, pooling and dense layers, one file each.
 
-`OPERATIONS` has their classes by kind.  What a deployed layer needs without TensorFlow is in
-:mod:`deploy.network.ops`.  To add an operation, write one class here and one there, and enter the
-class in this `OPERATIONS` and an instance of the other in that of :mod:`deploy.network.ops`.
+To add an operation, write two classes and enter them by their kind:
+
+1. A :class:`~deploy.network.ops.base.DeployedOperation` in :mod:`deploy.network.ops` has what runs
+   a layer: shapes, synapses, and the transform in Nengo.  It needs no TensorFlow.
+2. A class here with the bases :class:`~models.ops.base.Operation` and that class adds the notation
+   and the training.
 """
 
 from models.ops.base import Operation, Synapses

@@ -6,6 +6,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from deploy.errors import UserError
+from deploy.network.ops import DeployedOperation
+
 # Nine digits exceed every limit.
 NUMBER = "([0-9]{1,9})"
 
@@ -27,60 +30,76 @@ class Synapses(NamedTuple):
     row: np.ndarray
 
 
-class Operation:
-    """A layer of an architecture.  A subclass is a frozen dataclass.
+class Operation(DeployedOperation):
+    """A layer of an architecture, with its notation and its training.
 
-    Every subclass has `from_token`, `shape`, `weight_shapes`, `fan_out`, `geometry`, `from_link`,
-    `deployed_weights` and `__str__`.  Networks on images need `keras_layer`, those on events
-    `sums` and `synapses`, and imported graphs `currents` and `windows`.
+    A subclass is a frozen dataclass.  Its second base, the deployed operation, has its shapes and
+    synapses.  It has `token` and `__str__`; the other methods have defaults, or are for one use:
 
-    A link is a :class:`models.chain.Link` of this kind.
+    =============================  =================================================================
+    `from_token`                   if the notation has more than numbers
+    `kernel_shape`, `to_deployed`  if the trained kernel has other axes than the deployed weights
+    `layer_values`                 if a deployed layer needs more than the shapes, such as a stride
+    `keras_layer`                  for networks on images
+    `sums`, `synapses`             for networks trained on events
+    `currents`, `windows`          for networks that are rounded to integers, such as NIR graphs
+    =============================  =================================================================
+
+    Without the methods for a use, that use is refused.
 
     Attributes
     ----------
     kind : str
-        Prefix of the layers' names, and but for ``"output"`` the key in `OPERATIONS`.
-    noun : str
-        Such as ``"a convolution"``.
+        The key in `OPERATIONS`, and the prefix of the layers' names but for ``"output"``.
     token : re.Pattern
         The notation; numbers are its groups of digits.
-    is_spatial : bool
-        True if the input must have rows, columns and channels.
+    noun : str
+        Such as ``"a convolution"``, of operations that are spatial.
     has_neurons : bool
         True if neurons follow, unless the layer is the output.
     output : bool
         True for the output layer.
     """
 
-    kind: str
-    noun: ClassVar[str]
     token: ClassVar[re.Pattern]
-    is_spatial: ClassVar[bool] = False
+    noun: ClassVar[str]
     has_neurons: ClassVar[bool] = True
     output: bool = False
 
     @classmethod
     def from_token(cls, match: re.Match) -> "Operation":
         """The layer of a match of `token`, whose numbers are at least 1."""
-        raise NotImplementedError
+        return cls(*(int(digits) for digits in match.groups() if digits))
 
-    def shape(self, input_shape) -> tuple:
-        """Shape of the output.
+    # --- weights ----------------------------------------------------------------------------------
 
-        Raises
-        ------
-        ValueError
-            The layer does not fit its input.
+    def kernel_shape(self, input_shape) -> tuple | None:
+        """Shape of the trained kernel; None without weights."""
+        return self.weight_shape(input_shape)
+
+    def array_shapes(self, input_shape) -> dict:
+        """Shapes of the trained arrays, ``"kernel"`` and ``"bias"``; empty without weights."""
+        kernel = self.kernel_shape(input_shape)
+        if kernel is None:
+            return {}
+        return {"kernel": kernel, "bias": self.shape(input_shape)[-1:]}
+
+    def to_deployed(self, kernel, sections: int = 1) -> np.ndarray:
+        """A trained kernel in the order of :attr:`deploy.network.spec.Layer.weights`.
+
+        Parameters
+        ----------
+        kernel : ndarray
+            Of a readout, those of all sections along the first axis.
+        sections : int
         """
-        raise NotImplementedError
+        return kernel
 
-    def weight_shapes(self, input_shape) -> dict:
-        """Shapes of ``"kernel"`` and ``"bias"``; an empty dict without weights."""
-        raise NotImplementedError
+    def layer_values(self) -> dict:
+        """Attributes of a deployed layer from which `of_layer` makes the operation."""
+        return {"kernel": 0}
 
-    def fan_out(self, input_shape) -> np.ndarray:
-        """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        raise NotImplementedError
+    # --- networks on images -----------------------------------------------------------------------
 
     def keras_layer(self, name: str, gain: float | None = None):
         """The layer of Keras that computes its sums, or averages.
@@ -91,7 +110,9 @@ class Operation:
         gain : float, optional
             The layer then has the chip's quantised weights (:func:`models.cnn.on_chip`).
         """
-        raise NotImplementedError
+        raise self._refuse("networks on images")
+
+    # --- networks on events -----------------------------------------------------------------------
 
     def sums(self, kernel, frames):
         """Weighted sums in TensorFlow.
@@ -101,35 +122,25 @@ class Operation:
         kernel : tensor
         frames : tensor, shape (frames, ...)
         """
-        raise NotImplementedError
+        raise self._refuse("networks on events")
 
     def synapses(self, input_shape) -> Synapses:
-        """The synapses for the kernels that train networks on events."""
+        """The synapses for the kernels that train networks on events.
+
+        By default each input has one synapse to each neuron.
+        """
         inputs = math.prod(input_shape)
         return Synapses(np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs))
 
-    # --- links ------------------------------------------------------------------------------------
+    # --- rounding to integers ---------------------------------------------------------------------
 
-    def geometry(self) -> dict:
-        """Attributes of a link that are no shapes, such as ``stride``."""
-        return {}
-
-    @classmethod
-    def from_link(cls, link, output: bool) -> "Operation":
-        """The layer of a link."""
-        raise NotImplementedError
-
-    @staticmethod
-    def currents(link, weights, spikes) -> np.ndarray:
+    def currents(self, link, weights, spikes) -> np.ndarray:
         """Input currents W s of a link; see :func:`models.integers.currents`."""
-        raise NotImplementedError
+        raise self._refuse("networks that are rounded to integers")
 
-    @staticmethod
-    def windows(link, values) -> np.ndarray:
+    def windows(self, link, values) -> np.ndarray:
         """What each neuron of a link reads, shape (frames..., inputs) in the weights' order."""
-        raise NotImplementedError
+        raise self._refuse("networks that are rounded to integers")
 
-    @staticmethod
-    def deployed_weights(link) -> np.ndarray:
-        """A link's weights in the shape of :attr:`deploy.network.spec.Layer.weights`."""
-        raise NotImplementedError
+    def _refuse(self, use):
+        return UserError(f"the layer {self} is not available in {use}")

@@ -6,32 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.geometry import convolution_fan_out, convolution_shape, windows
+from deploy.network.geometry import windows
+from deploy.network.ops.conv import DeployedConvolution
 from models.ops.base import NUMBER, Operation, Synapses
 
 
 @dataclass(frozen=True)
-class Convolution(Operation):
-    """A convolution with square filters.
+class Convolution(Operation, DeployedConvolution):
+    """A convolution with square filters; its kernel has the shape of the deployed weights."""
 
-    Attributes
-    ----------
-    filters, kernel : int
-        Number of filters and side length of each.
-    stride : int
-    padding : str
-        ``"valid"`` or ``"same"``, as in TensorFlow; of an imported network also a number of zeros
-        on each side.
-    """
-
-    filters: int
-    kernel: int
-    stride: int = 1
-    padding: str = "valid"
-    kind = "conv"
-    noun = "a convolution"
     token = re.compile(f"{NUMBER}c{NUMBER}(?:s{NUMBER})?(p?)")
-    is_spatial = True
+    noun = "a convolution"
 
     def __post_init__(self):
         if min(self.filters, self.kernel, self.stride) < 1:
@@ -50,30 +35,8 @@ class Convolution(Operation):
             windows(n, self.kernel, self.stride, self.padding)[1:] for n in input_shape[:2]
         )
 
-    def shape(self, input_shape) -> tuple:
-        """(rows, columns, channels) of the output.
-
-        Raises
-        ------
-        ValueError
-            The kernel is larger than the input.
-        """
-        shape = convolution_shape(input_shape, self.kernel, self.filters, self.stride, self.padding)
-        if min(shape) < 1:
-            rows, columns = input_shape[:2]
-            raise ValueError(f"does not fit: its kernel is larger than its {rows}x{columns} input")
-        return shape
-
-    def weight_shapes(self, input_shape) -> dict:
-        """Shapes of ``"kernel"`` (rows, columns, input channels, filters) and of ``"bias"``."""
-        kernel = (self.kernel, self.kernel, input_shape[2], self.filters)
-        return {"kernel": kernel, "bias": (self.filters,)}
-
-    def fan_out(self, input_shape) -> np.ndarray:
-        """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        return convolution_fan_out(
-            input_shape, self.kernel, self.filters, self.stride, self.padding
-        )
+    def layer_values(self):
+        return {"kernel": self.kernel, "stride": self.stride, "padding": self.padding}
 
     def keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
@@ -111,45 +74,36 @@ class Convolution(Operation):
             ((kernel_row * self.kernel + kernel_column) * channels + channel)[order],
         )
 
-    def geometry(self):
-        return {"stride": self.stride, "padding": self.padding}
-
-    @classmethod
-    def from_link(cls, link, output):
-        return cls(link.shape[-1], link.kernel, link.stride, link.padding)
-
-    @staticmethod
-    def currents(link, weights, spikes):
+    def currents(self, link, weights, spikes):
         axes = ((3, 4, 5), (2, 0, 1))
-        return np.tensordot(_sum_windows(link, spikes), weights, axes).reshape(
-            *spikes.shape[:2], -1
-        )
+        sums = np.tensordot(self._sum_windows(link, spikes), weights, axes)
+        return sums.reshape(*spikes.shape[:2], -1)
 
-    @staticmethod
-    def windows(link, values):
-        seen = np.moveaxis(_sum_windows(link, values), 3, 5)  # channels last, as in the weights
-        return seen.reshape(*seen.shape[:3], -1)
+    def windows(self, link, values):
+        # Channels are the last axis, as in the weights.
+        windows_read = np.moveaxis(self._sum_windows(link, values), 3, 5)
+        return windows_read.reshape(*windows_read.shape[:3], -1)
 
-    @staticmethod
-    def deployed_weights(link):
-        return link.weights
+    def _sum_windows(self, link, spikes):
+        """Windows of sums over squares.
+
+        Returns
+        -------
+        ndarray, shape (frames, rows, columns, channels, kernel's rows, kernel's columns)
+        """
+        frames = spikes.reshape(-1, *link.input_shape)
+        if link.pool > 1:
+            rows, columns, channels = link.read_shape
+            complete = frames[:, : rows * link.pool, : columns * link.pool]
+            squares = complete.reshape(-1, rows, link.pool, columns, link.pool, channels)
+            frames = squares.sum((2, 4))
+        pads = self.pads(frames.shape[1:3])
+        frames = np.pad(frames, ((0, 0), *pads, (0, 0)))
+        sides = (self.kernel, self.kernel)
+        all_windows = np.lib.stride_tricks.sliding_window_view(frames, sides, (1, 2))
+        return all_windows[:, :: self.stride, :: self.stride]
 
     def __str__(self):
         stride = f"s{self.stride}" if self.stride > 1 else ""
         padding = {"valid": "", "same": "p"}.get(self.padding, f"p{self.padding}")
         return f"{self.filters}c{self.kernel}{stride}{padding}"
-
-
-def _sum_windows(link, spikes):
-    """Windows (frames, rows, columns, channels, kernel's rows, columns) of sums over squares."""
-    frames = spikes.reshape(-1, *link.input_shape)
-    if link.pool > 1:
-        rows, columns = (n // link.pool for n in link.input_shape[:2])
-        channels = link.input_shape[2]
-        cut = frames[:, : rows * link.pool, : columns * link.pool]
-        frames = cut.reshape(-1, rows, link.pool, columns, link.pool, channels).sum((2, 4))
-    side = link.kernel
-    pads = [windows(n, side, link.stride, link.padding)[1:] for n in frames.shape[1:3]]
-    frames = np.pad(frames, ((0, 0), *pads, (0, 0)))
-    seen = np.lib.stride_tricks.sliding_window_view(frames, (side, side), (1, 2))
-    return seen[:, :: link.stride, :: link.stride]

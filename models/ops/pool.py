@@ -30,29 +30,17 @@ class Pooling(Operation):
         if self.size < 1:
             raise ValueError(f"{self}: the size must be at least 1")
 
-    @classmethod
-    def from_token(cls, match):
-        return cls(int(match[1]))
-
-    def shape(self, input_shape) -> tuple:
-        """(rows, columns, channels) of the output.
-
-        Raises
-        ------
-        ValueError
-            The window is larger than the input.
-        """
+    def shape(self, input_shape):
         rows, columns, channels = input_shape
         if self.size > min(rows, columns):
             raise ValueError(f"does not fit: its window is larger than its {rows}x{columns} input")
         return (rows // self.size, columns // self.size, channels)
 
-    def weight_shapes(self, input_shape) -> dict:
-        """An empty dict: pooling has no weights."""
-        return {}
+    def kernel_shape(self, input_shape):
+        return None
 
-    def fan_out(self, input_shape) -> np.ndarray:
-        """Synapses that leave each input position, int64: 1, or 0 outside of complete windows."""
+    def fan_out(self, input_shape):
+        """As `DeployedOperation.fan_out`: 1, or 0 outside of complete windows."""
         reach = [
             count_windows(n, outputs, self.size, self.size, 0)
             for n, outputs in zip(input_shape[:2], self.shape(input_shape), strict=False)

@@ -1,32 +1,44 @@
 """``stmnist check``: the 200-sample check."""
 
 import contextlib
-from dataclasses import fields
+from dataclasses import field, make_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.targets import NAMES, BoardOptions
+from deploy.targets.registry import TARGETS, list_options, options_for
 from deploy.terminal import WARNING
 from pipeline.commands import options
 from pipeline.results.others import OtherRecordings, TargetCheck, check_on_others
 from pipeline.run.folder import checks_of
 
 
-def _board_option(each):
-    kind = str | None if each.default is None else type(each.default)
-    names = ("--energy",) if kind is bool else ()  # no --no-energy
-    text = each.metadata["help"]
-    return Annotated[kind, typer.Option(*names, help=text, rich_help_panel="Target loihi")]
+def _annotate_option(target, option):
+    """The annotation from which Typer makes an option of a target."""
+    kind = str | None if option.default is None else type(option.default)
+    names = (f"--{option.name}",) if kind is bool else ()  # without --no-...
+    return Annotated[
+        kind,
+        typer.Option(*names, help=option.metadata["help"], rich_help_panel=f"Target {target}"),
+    ]
 
 
-Board = Annotated[
-    BoardOptions,
+# The value of every option of any target, of which a target takes its own.
+TargetValues = make_dataclass(
+    "TargetValues",
+    [
+        (name, option.type, field(default=option.default))
+        for name, (_, option) in list_options().items()
+    ],
+)
+OfTargets = Annotated[
+    Any,
     options.group(
-        BoardOptions, **{each.name: _board_option(each) for each in fields(BoardOptions)}
+        TargetValues,
+        **{name: _annotate_option(*described) for name, described in list_options().items()},
     ),
 ]
 
@@ -62,7 +74,7 @@ Others = Annotated[
 
 def run(  # noqa: PLR0913 - each is an option of the command
     bundle: options.Bundle,
-    target: Annotated[str, typer.Option(help=f"One of {', '.join(NAMES)}.")],
+    target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -83,17 +95,16 @@ def run(  # noqa: PLR0913 - each is an option of the command
     ] = None,
     *,
     others: Others,
-    board: Board,
+    of_targets: OfTargets,
     as_json: options.Json = False,
 ):
     """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
     from deploy.check.bundle import read_bundle
     from deploy.check.text import others_text, summary
     from deploy.files import require_ending
-    from deploy.targets.registry import options_for
     from pipeline.results.faulty import FaultCounts, fault_path
 
-    target_options = options_for(target, **vars(board))
+    target_options = options_for(target, **vars(of_targets))
     if out is not None:
         require_ending(out, ".json")
     _require_data(others)

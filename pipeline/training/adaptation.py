@@ -324,7 +324,7 @@ class Responder:
 
         Returns
         -------
-        ndarray, shape (n_samples, parts * inputs)
+        ndarray, shape (n_samples, sections * inputs)
             See :class:`deploy.network.spec.Rehearsal`.
         """
         start = self.spec.presentation.readout_start
@@ -332,8 +332,8 @@ class Responder:
         batches = [np.empty((0, readout.by_class.shape[1]))]
         for output in self.outputs(samples):
             output = output[:, start:]
-            part = readout.part_of(start + np.arange(output.shape[1]))
-            sums = [output[:, part == k].sum(axis=1) for k in range(readout.parts)]
+            section = readout.section_of(start + np.arange(output.shape[1]))
+            sums = [output[:, section == k].sum(axis=1) for k in range(readout.sections)]
             batches.append(np.concatenate(sums, axis=1) / output.shape[1])
         return np.concatenate(batches)
 

@@ -88,7 +88,7 @@ def test_shape_and_fan_out_are_tensorflows(kernel, stride, padding):
     layer, shape = Convolution(3, kernel, stride, padding), (7, 10, 2)
     frame = tf.Variable(tf.zeros((1, *shape)))
     with tf.GradientTape() as tape:
-        ones = tf.ones(layer.weight_shapes(shape)["kernel"])
+        ones = tf.ones(layer.kernel_shape(shape))
         result = tf.nn.conv2d(frame, ones, stride, padding.upper())
     assert result.shape[1:] == layer.shape(shape)
     gradient = tape.gradient(result, frame)[0]

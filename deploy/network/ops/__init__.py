@@ -1,13 +1,18 @@
-"""Operations: the linear maps that a layer's weights can be, one file each.
+"""The operations that a deployed layer can have, one file each.
 
-`OPERATIONS` has them by the kind of a layer.  An operation of another package is an
-:class:`~.base.Operation` that is added there.
+`DEPLOYED_OPERATIONS` has their classes by the kind of a layer; :class:`~.base.DeployedOperation`
+says what a class has.  :mod:`models.ops` has the rest of each operation, its notation and training.
 """
 
-from .base import Operation
-from .conv import CONVOLUTION
-from .dense import DENSE
+from typing import Dict, Type
 
-OPERATIONS = {operation.kind: operation for operation in (CONVOLUTION, DENSE)}
+from .base import DeployedOperation
+from .conv import DeployedConvolution
+from .dense import DeployedDense
 
-__all__ = ["OPERATIONS", "Operation"]
+DEPLOYED_OPERATIONS: Dict[str, Type[DeployedOperation]] = {
+    "conv": DeployedConvolution,
+    "dense": DeployedDense,
+}
+
+__all__ = ["DEPLOYED_OPERATIONS", "DeployedOperation"]

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from typing import Tuple
 
+import numpy as np
+
+from ...errors import UserError
 from ..chip import Chip
 
 # Maximum number of synapses of one list.
@@ -17,15 +20,21 @@ INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
 POPULATION_SLOTS = 2
 
 
-class Operation:
+class DeployedOperation:
     """A linear map from a layer's input, after averaging, to its neurons.
 
-    A layer is a :class:`deploy.network.spec.Layer`.  A subclass has all methods.
+    A subclass is a frozen dataclass whose fields are the operation's numbers, such as the number of
+    filters.  It has `kind`, `shape`, `weight_shape`, `fan_out` and `transform`, and `of_layer` if
+    it has fields.  The other methods have defaults: `by_output` for weights whose first axis is the
+    output, `resources` for a synapse from each input to each neuron, and `nir_nodes` refuses.
+
+    ``layer`` is a :class:`deploy.network.spec.Layer`, and ``read_shape`` the shape of its input
+    after averaging: (rows, columns, channels) or (values,).
 
     Attributes
     ----------
     kind : str
-        ``Layer.kind`` of the layers with this operation.
+        The key in `DEPLOYED_OPERATIONS`, which is ``Layer.kind`` of the layers with this operation.
     is_spatial : bool
         True if the input must have rows, columns and channels.
     can_read_out : bool
@@ -39,19 +48,33 @@ class Operation:
     can_read_out = False
     can_recur = False
 
-    def shapes(self, layer) -> tuple:
-        """Shapes of the output and of the weights, by the layer's other attributes.
+    @classmethod
+    def of_layer(cls, layer) -> DeployedOperation:
+        """The operation of a layer, by its attributes other than the weights.
 
-        Values below 1 mean that the operation is larger than its input.
+        Raises
+        ------
+        ValueError
+            A number is out of range.
+        """
+        return cls()
+
+    def shape(self, read_shape) -> Tuple[int, ...]:
+        """Shape of the output.
+
+        Raises
+        ------
+        ValueError
+            The operation is larger than its input.
         """
         raise NotImplementedError
 
-    def fan_out(self, layer):
-        """Number of synapses of each value that the weights read, of shape `layer.read_shape`."""
+    def weight_shape(self, read_shape) -> Tuple[int, ...]:
+        """Shape of the weights; of a readout in sections, that of one section."""
         raise NotImplementedError
 
-    def by_output(self, layer):
-        """The weights with a row for each channel or unit of the output, shape (outputs, ...)."""
+    def fan_out(self, read_shape) -> np.ndarray:
+        """Number of synapses of each value of the input, int64, of shape ``read_shape``."""
         raise NotImplementedError
 
     def transform(self, layer, chip: Chip) -> tuple:
@@ -65,9 +88,13 @@ class Operation:
         """
         raise NotImplementedError
 
+    def by_output(self, layer) -> np.ndarray:
+        """The weights with a row for each channel or unit of the output, shape (outputs, ...)."""
+        return layer.weights
+
     def resources(self, layer, chip: Chip) -> Resources:
         """Counts of what the layer needs of cores."""
-        raise NotImplementedError
+        return DiscreteResources(layer, chip)
 
     def nir_nodes(self, layer, nir, area: float):
         """Names and nodes of the export to NIR, without the averaging and the neurons.
@@ -78,12 +105,17 @@ class Operation:
         nir : module
         area : float
             Size of an input spike.
+
+        Raises
+        ------
+        UserError
+            The operation has no node in NIR.
         """
-        raise NotImplementedError
+        raise UserError(f"layer {layer.name!r}: NIR has no node for its operation, {self.kind!r}")
 
     def describe(self, layer) -> str:
         """A short text for tables."""
-        raise NotImplementedError
+        return self.kind
 
 
 class Resources:
@@ -114,9 +146,29 @@ class Resources:
         raise NotImplementedError
 
 
+class DiscreteResources(Resources):
+    """An axon for each input into each block, with a synapse to every neuron of the block."""
+
+    def input_axons(self, block):
+        return math.prod(self.layer.input_shape) * n_blocks(self.layer.shape, block)
+
+    def needs(self, ranges):
+        inputs = math.prod(self.layer.input_shape)
+        return inputs, inputs * input_words(n_neurons(ranges), self.chip.weight_bits, self.chip)
+
+    def receiver(self, block):
+        blocks = n_blocks(self.layer.shape, block)
+        return lambda ranges: n_neurons(ranges) * blocks
+
+
 def n_blocks(shape, block) -> int:
     """Number of blocks of a layer."""
     return math.prod(-(-n // length) for n, length in zip(shape, block))
+
+
+def n_neurons(ranges) -> int:
+    """Number of neurons of a block with these ranges, (first, one past the last), of outputs."""
+    return math.prod(last - first for first, last in ranges)
 
 
 def ranges_of(n: int, length: int) -> list:

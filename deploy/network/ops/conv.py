@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
 from typing import List, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..geometry import (
 )
 from .base import (
     POPULATION_SLOTS,
-    Operation,
+    DeployedOperation,
     Resources,
     index_bits,
     input_words,
@@ -27,22 +27,45 @@ from .base import (
 MAX_LIST_OFFSET = 256
 
 
-class Convolution(Operation):
-    """A convolution; its weights have the shape (kernel, kernel, channels in, filters)."""
+@dataclass(frozen=True)
+class DeployedConvolution(DeployedOperation):
+    """A convolution with square filters over rows and columns.
 
+    A layer's weights have the shape (kernel, kernel, channels in, filters).
+
+    Attributes
+    ----------
+    filters, kernel : int
+        Number of filters and side length of each.
+    stride : int
+    padding : str
+        ``"valid"`` or ``"same"``, as in TensorFlow; of an imported network also a number of zeros
+        on each side.
+    """
+
+    filters: int
+    kernel: int
+    stride: int = 1
+    padding: str = "valid"
     kind = "conv"
     is_spatial = True
 
-    def shapes(self, layer):
-        read = layer.read_shape
-        filters = layer.shape[-1]
-        shape = convolution_shape(read, layer.kernel, filters, layer.stride, layer.padding)
-        return shape, (layer.kernel, layer.kernel, read[2], filters)
+    @classmethod
+    def of_layer(cls, layer):
+        return cls(layer.shape[-1], layer.kernel, layer.stride, layer.padding)
 
-    def fan_out(self, layer):
-        return convolution_fan_out(
-            layer.read_shape, layer.kernel, layer.shape[-1], layer.stride, layer.padding
-        )
+    def shape(self, read_shape):
+        shape = convolution_shape(read_shape, self.kernel, self.filters, self.stride, self.padding)
+        if min(shape) < 1:
+            rows, columns = read_shape[:2]
+            raise ValueError(f"does not fit: its kernel is larger than its {rows}x{columns} input")
+        return shape
+
+    def weight_shape(self, read_shape):
+        return (self.kernel, self.kernel, read_shape[2], self.filters)
+
+    def fan_out(self, read_shape):
+        return convolution_fan_out(read_shape, self.kernel, self.filters, self.stride, self.padding)
 
     def by_output(self, layer):
         return np.moveaxis(layer.weights, -1, 0)
@@ -104,9 +127,6 @@ class Convolution(Operation):
         return f"{layer.kernel}x{layer.kernel} convolution, stride {layer.stride}"
 
 
-CONVOLUTION = Convolution()
-
-
 def _pooled_kernel(layer, kernel):
     """A kernel that includes average pooling, and the shape of its input.
 
@@ -145,6 +165,29 @@ def _pad_evenly(layer):
     return np.pad(layer.weights, (*front, (0, 0), (0, 0))), tuple(after for _, after in pads)
 
 
+class _Reach(NamedTuple):
+    """The windows of a block that contain each input position along one dimension.
+
+    Attributes
+    ----------
+    lowest, number, offset : ndarray of int, shape (positions,)
+        First of those windows, their number, and the position's offset in the first one.
+    """
+
+    lowest: np.ndarray
+    number: np.ndarray
+    offset: np.ndarray
+
+    @property
+    def is_read(self):
+        """True for positions that are in a window."""
+        return self.number > 0
+
+    def of_read_positions(self) -> _Reach:
+        """The same without positions that are in no window."""
+        return _Reach(*(values[self.is_read] for values in self))
+
+
 class _Line(NamedTuple):
     """A layer's windows along one dimension of its input, including pooling before it."""
 
@@ -153,19 +196,13 @@ class _Line(NamedTuple):
     stride: int
     before: int
 
-    def reach(self, first, last):
-        """For each input position the windows among ``first`` to ``last - 1`` that contain it.
-
-        Returns
-        -------
-        lowest, number, offset : ndarray of int, shape (n,)
-            First of those windows, their number, and the position's offset in the first one.
-        """
+    def reach(self, first, last) -> _Reach:
+        """For each input position the windows among ``first`` to ``last - 1`` that contain it."""
         at = np.arange(self.n) + self.before
         lowest = np.maximum(-(-(at - self.kernel + 1) // self.stride), first)
         highest = np.minimum(at // self.stride, last - 1)
         number = np.maximum(highest - lowest + 1, 0)
-        return lowest, number, at - lowest * self.stride
+        return _Reach(lowest, number, at - lowest * self.stride)
 
 
 def _lines(layer) -> List[_Line]:
@@ -190,46 +227,62 @@ class _ConvolutionResources(Resources):
         self.lines = _lines(layer)
 
     def input_axons(self, block):
-        along = [
-            sum(int(np.count_nonzero(line.reach(*ends)[1])) for ends in ranges_of(n, length))
-            for line, n, length in zip(self.lines, self.layer.shape, block)
-        ]
-        return math.prod(along) * -(-self.layer.shape[2] // block[2])
+        pixels = 1
+        for line, n, length in zip(self.lines, self.layer.shape, block):
+            blocks = ranges_of(n, length)
+            pixels *= sum(int(line.reach(*ends).is_read.sum()) for ends in blocks)
+        return pixels * self._channel_blocks(block)
 
     def needs(self, ranges):
-        lengths = [last - first for first, last in ranges]
-        _, columns, filters = lengths
-        reach = [line.reach(*ends) for line, ends in zip(self.lines, ranges)]
-        seen = [np.flatnonzero(number) for _, number, _ in reach]
-        (low_r, n_r, at_r), (low_c, n_c, at_c) = (
-            tuple(values[used] for values in one) for one, used in zip(reach, seen)
+        """As `Resources.needs`.
+
+        Inputs at the same offset in their windows have the same synapses and share their lists,
+        unless the targets of one are too far from those of the other.
+        """
+        row_range, column_range, _ = ranges
+        rows, columns, filters = (last - first for first, last in ranges)
+        down = self.lines[0].reach(*row_range).of_read_positions()
+        across = self.lines[1].reach(*column_range).of_read_positions()
+        first_row = down.lowest[:, None] - row_range[0]
+        first_target = (first_row * columns + across.lowest - column_range[0]) * filters
+        keys = np.broadcast_arrays(
+            down.number[:, None],
+            down.offset[:, None],
+            across.number,
+            across.offset,
+            first_target // MAX_LIST_OFFSET,
         )
-        offset = ((low_r[:, None] - ranges[0][0]) * columns + low_c - ranges[1][0]) * filters
-        # Inputs at the same offset in their windows share a list.
-        keys = np.stack(
-            np.broadcast_arrays(n_r[:, None], at_r[:, None], n_c, at_c, offset // MAX_LIST_OFFSET),
-            axis=-1,
-        ).reshape(-1, 5)
-        lists = np.unique(keys, axis=0)
-        highest = MAX_LIST_OFFSET + ((lists[:, 0] - 1) * columns + lists[:, 2]) * filters
-        highest = int(min(highest.max(initial=1), np.prod(lengths)))
+        lists = np.unique(np.stack(keys, axis=-1).reshape(-1, len(keys)), axis=0)
+        n_down = lists[:, 0]
+        n_across = lists[:, 2]
+        last_target = MAX_LIST_OFFSET + ((n_down - 1) * columns + n_across) * filters
+        highest = int(min(last_target.max(initial=1), rows * columns * filters))
         bits = self.chip.weight_bits + index_bits(highest)
-        synapses = lists[:, 0] * lists[:, 2] * filters
+        synapses = n_down * n_across * filters
         words = sum(input_words(int(n), bits, self.chip) for n in synapses)
-        return len(seen[0]) * len(seen[1]), words * self.layer.input_shape[2]
+        pixels = len(down.number) * len(across.number)
+        return pixels, words * self.layer.input_shape[2]
 
     def receiver(self, block):
-        seen = [
-            [line.reach(*ends)[1] > 0 for ends in ranges_of(n, length)]
+        row_blocks, column_blocks = (
+            self._is_read_by(line, n, length)
             for line, n, length in zip(self.lines, self.layer.shape, block)
-        ]
-        copies = -(-self.layer.shape[2] // block[2])
+        )
+        slots = self._channel_blocks(block) * POPULATION_SLOTS
 
         def output_axons(ranges):
-            along = [
-                sum(int(reached[first:last].sum()) for reached in line)
-                for line, (first, last) in zip(seen, ranges)
-            ]
-            return along[0] * along[1] * copies * POPULATION_SLOTS
+            (first_row, last_row), (first_column, last_column), *_ = ranges
+            rows = row_blocks[:, first_row:last_row].sum()
+            columns = column_blocks[:, first_column:last_column].sum()
+            return int(rows * columns) * slots
 
         return output_axons
+
+    @staticmethod
+    def _is_read_by(line, n, length):
+        """Whether each block along a dimension reads each input, bool, shape (blocks, inputs)."""
+        return np.stack([line.reach(*ends).is_read for ends in ranges_of(n, length)])
+
+    def _channel_blocks(self, block):
+        """Number of blocks along the channels."""
+        return -(-self.layer.shape[2] // block[2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,30 +11,41 @@ from ..chip import Chip
 from ..geometry import inputs_within, unpool
 from .base import (
     POPULATION_SLOTS,
-    Operation,
+    DeployedOperation,
     Resources,
     index_bits,
     input_words,
     n_blocks,
+    n_neurons,
 )
 
 
-class Dense(Operation):
-    """A dense layer; its weights have the shape (sections * units, inputs)."""
+@dataclass(frozen=True)
+class DeployedDense(DeployedOperation):
+    """A dense layer; its weights have the shape (sections * units, inputs).
 
+    Attributes
+    ----------
+    units : int
+    """
+
+    units: int
     kind = "dense"
     can_read_out = True
     can_recur = True
 
-    def shapes(self, layer):
-        units = layer.shape[0]
-        return (units,), (layer.parts * units, math.prod(layer.read_shape))
+    @classmethod
+    def of_layer(cls, layer):
+        return cls(layer.shape[-1])
 
-    def fan_out(self, layer):
-        return np.full(layer.read_shape, layer.size)
+    def shape(self, read_shape):
+        return (self.units,)
 
-    def by_output(self, layer):
-        return layer.weights
+    def weight_shape(self, read_shape):
+        return (self.units, math.prod(read_shape))
+
+    def fan_out(self, read_shape):
+        return np.full(read_shape, self.units, np.int64)
 
     def transform(self, layer, chip):
         import nengo
@@ -51,7 +63,7 @@ class Dense(Operation):
     def resources(self, layer, chip):
         if reads_populations(layer, chip):
             return _PopulationResources(layer, chip)
-        return _DenseResources(layer, chip)
+        return super().resources(layer, chip)
 
     def nir_nodes(self, layer, nir, area):
         *sides, channels = layer.read_shape
@@ -62,10 +74,7 @@ class Dense(Operation):
         yield f"{layer.name}_weights", nir.Affine(weight=weights * area, bias=layer.bias.copy())
 
     def describe(self, layer):
-        return "dense" if layer.parts == 1 else f"dense in {layer.parts} parts"
-
-
-DENSE = Dense()
+        return "dense" if layer.sections == 1 else f"dense in {layer.sections} sections"
 
 
 def reads_populations(layer, chip: Chip) -> bool:
@@ -102,22 +111,6 @@ def _population_transform(layer):
     return transform, inputs_within(layer.input_shape, input_shape)
 
 
-class _DenseResources(Resources):
-    """A discrete axon for each input into each block."""
-
-    def input_axons(self, block):
-        return math.prod(self.layer.input_shape) * n_blocks(self.layer.shape, block)
-
-    def needs(self, ranges):
-        ((first, last),) = ranges
-        inputs = math.prod(self.layer.input_shape)
-        return inputs, inputs * input_words(last - first, self.chip.weight_bits, self.chip)
-
-    def receiver(self, block):
-        blocks = n_blocks(self.layer.shape, block)
-        return lambda ranges: math.prod(last - first for first, last in ranges) * blocks
-
-
 class _PopulationResources(Resources):
     """An axon for each pixel, with the channels as its atoms."""
 
@@ -125,8 +118,7 @@ class _PopulationResources(Resources):
         return math.prod(_pixels_read(self.layer)) * n_blocks(self.layer.shape, block)
 
     def needs(self, ranges):
-        ((first, last),) = ranges
-        units = last - first
+        units = n_neurons(ranges)
         pixels = math.prod(_pixels_read(self.layer))
         # In a divided layer, the pixels of a pooling window share their lists.
         is_divided = units < self.layer.size

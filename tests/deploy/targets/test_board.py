@@ -13,8 +13,9 @@ from deploy.check.run import run_check
 from deploy.check.text import summary
 from deploy.errors import UserError
 from deploy.targets import board as hardware
-from deploy.targets import registry as targets
-from deploy.targets.board import BoardOptions
+from deploy.targets.options import BoardOptions
+from deploy.targets.registry import run_target
+from deploy.targets.simulators import run_emulator
 from tests.command import call, missing
 from tests.deploy.networks import (
     bundle_at,
@@ -78,7 +79,7 @@ def test_every_spike_is_the_emulators(nxsdk, spec):
         images = spec.stimulus.flat(random_frames(spec, 7, share=0.3))
     streams = [images[:3], images[3:6], images[6:]]
     for mine, theirs in zip(
-        targets.run_loihi(spec, streams), targets.run_emulator(spec, streams), strict=True
+        hardware.run_loihi(spec, streams), run_emulator(spec, streams), strict=True
     ):
         np.testing.assert_array_equal(mine.spike_hashes, theirs.spike_hashes)
         np.testing.assert_array_equal(mine.scores, theirs.scores)
@@ -140,7 +141,7 @@ def test_nxsdk_is_told_board_and_partition_and_only_then(nxsdk, monkeypatch):
     monkeypatch.setattr(N2Board, "start", spying)
     spec = small_spec()
     images = random_checks(spec, 1).inputs.reshape(1, -1)
-    list(targets.run_loihi(spec, [images], options=BoardOptions(board="b", partition="p")))
+    list(hardware.run_loihi(spec, [images], options=BoardOptions(board="b", partition="p")))
     assert seen == {"BOARD": "b", "PARTITION": "p", "SLURM": "1"}
     assert "SLURM" not in os.environ
 
@@ -187,7 +188,7 @@ def shortest(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shortest_emulated(shortest, tmp_path_factory):
-    spikes = targets.run_target(shortest.spec, shortest.checks.inputs, "emulator").spikes
+    spikes = run_target(shortest.spec, shortest.checks.inputs, "emulator").spikes
     assert all(counts.all() for counts in spikes.values())  # each sample has what can be lost
     return run_check(shortest, "emulator", tmp_path_factory.mktemp("home") / "emulator.json")
 
@@ -331,5 +332,5 @@ def test_ctrl_c_disconnects_from_the_board(nxsdk, bundle, monkeypatch):
     monkeypatch.setattr(hardware, "_close", lambda sim: closed.append(sim))
     streams = [bundle.spec.flatten_samples(bundle.checks.inputs[:3])]
     with pytest.raises(KeyboardInterrupt):
-        list(targets.run_loihi(bundle.spec, streams))
+        list(hardware.run_loihi(bundle.spec, streams))
     assert len(closed) == 1

@@ -14,8 +14,8 @@ from deploy.network.build import build
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
-from deploy.targets import NAMES
-from deploy.targets.registry import TARGETS, _loihi_simulator, run_target, target_named
+from deploy.targets.registry import TARGETS, run_target, target_named
+from deploy.targets.simulators import _loihi_simulator
 from tests.deploy.fast_networks import loud_spec, random_spec
 from tests.deploy.networks import conv, random_checks, readout, small_spec
 
@@ -136,10 +136,6 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
     spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), ImageSpikes(), layers, Presentation())
     with pytest.raises(UserError, match=r"NengoLoihi.* exceeded max"):
         run_target(spec, np.zeros((1, 6, 6, 1)), "emulator")
-
-
-def test_the_names_that_the_help_lists_are_those_of_the_targets():
-    assert tuple(TARGETS) == NAMES
 
 
 # The targets that need no board.

@@ -1,0 +1,74 @@
+"""Options of targets: fields of a dataclass, which both command lines offer and check."""
+
+from dataclasses import dataclass, field, fields
+from typing import Optional
+
+from ..errors import UserError
+
+# Seconds up to which the wait between two attempts is doubled.
+LONGEST_WAIT = 600.0
+
+
+def option(default, text, least=None, most=None):
+    """A field with its range, and its help on both command lines."""
+    return field(default=default, metadata={"help": text, "range": (least, most)})
+
+
+@dataclass(frozen=True)
+class Options:
+    """Base class of the options of a target: a frozen dataclass whose fields are :func:`option`.
+
+    Raises
+    ------
+    UserError
+        A value is out of its range.
+    """
+
+    def __post_init__(self):
+        for each in fields(self):
+            least, most = each.metadata["range"]
+            if least is None:
+                continue
+            value = getattr(self, each.name)
+            if value < least:
+                raise UserError(f"--{each.name} must be at least {least:g}")
+            if not value <= most:  # also refuses NaN
+                raise UserError(f"--{each.name} must be at most {most:g}")
+
+
+@dataclass(frozen=True)
+class BoardOptions(Options):
+    """Options of the board: which one, how many attempts, and what to measure.
+
+    Attributes
+    ----------
+    board : str or None
+        Name of a board; None leaves the choice to the cluster.
+    partition : str or None
+        SLURM partition; None if the board is attached to this host.
+    chips : int
+        Maximum number of chips for the network.
+    attempts : int
+        Maximum number of attempts per stream.  NengoLoihi tries to connect three times in each.
+    wait : float
+        Seconds before the second attempt, doubled for each further one up to `LONGEST_WAIT`.
+    energy : bool
+        Measure power.
+    timeout : float
+        Time limit in seconds for the connection and for the run of a stream, each.
+    """
+
+    board: Optional[str] = option(None, "Name of a board (default: the cluster's choice).")
+    partition: Optional[str] = option(None, "SLURM partition (default: a board of this host).")
+    chips: int = option(1, "Largest number of chips to use.", 1, 10_000)
+    attempts: int = option(3, "Largest number of attempts for each stream of samples.", 1, 1000)
+    wait: float = option(
+        10.0,
+        "Seconds before the second attempt, doubled for each further one up to ten minutes.",
+        0,
+        86_400,
+    )
+    timeout: float = option(
+        1800.0, "Seconds after which a stream that hangs is abandoned.", 1e-3, 864_000
+    )
+    energy: bool = option(False, "Measure power if the board can.")

@@ -1,0 +1,43 @@
+"""Targets that Nengo and NengoLoihi simulate: in floating point, and in the chip's integers."""
+
+from __future__ import annotations
+
+from typing import Iterable, Iterator
+
+import nengo
+
+from ..network.build import build
+from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
+from ..network.responses import Responses, respond
+from ..network.spec import NetworkSpec
+
+
+def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
+    """Run NengoCore's reference simulator, with Loihi's neurons in floating point."""
+    options = {"progress_bar": False, "optimize": False}
+    return _run_on(spec, streams, seed, lambda network: nengo.Simulator(network, **options))
+
+
+def run_simreal(spec, streams, seed=0) -> Iterator[Responses]:
+    """Run NengoLoihi's model of the chip before discretisation."""
+    return _run_on(spec, streams, seed, lambda network: _loihi_simulator(network, "simreal"))
+
+
+def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
+    """Run NengoLoihi's emulator, with the chip's integers."""
+    return _run_on(spec, streams, seed, lambda network: _loihi_simulator(network, "sim"))
+
+
+def _loihi_simulator(network, target):
+    try:
+        # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
+        return nengo_loihi.Simulator(network, target=target, precompute=True)
+    except BUILD_ERRORS as error:
+        raise cannot_build(network, error) from error
+
+
+def _run_on(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
+    built = build(spec, seed)
+    for samples in streams:
+        with simulator(built.network) as sim:
+            yield respond(spec, built, sim, samples)
