@@ -139,8 +139,8 @@ def _build_value(hint, value, name, extra):
         if origin is tuple and inner[-1] is not Ellipsis:
             _require(len(value) == len(inner), name, f"a list of {len(inner)}", value)
         hints = inner if origin is tuple and inner[-1] is not Ellipsis else inner[:1] * len(value)
-        parts = zip(hints, value)
-        return origin(_build_value(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(parts))
+        pairs = zip(hints, value)
+        return origin(_build_value(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(pairs))
     if origin is dict:
         _require(isinstance(value, dict), name, "a table of values", value)
         of_values = inner[1] if inner else None  # None lets a value of any kind pass

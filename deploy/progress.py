@@ -7,7 +7,7 @@ import time
 from .terminal import remark
 
 # Lines in a step: one each tenth.
-PARTS = 10
+LINES = 10
 
 # Least time between two lines in seconds, so that short steps have none.
 MIN_SECONDS = 10.0
@@ -31,7 +31,7 @@ class ProgressLines:
         self._total = total
         self._clock = clock
         self._begun = self._printed = clock()
-        self._done = self._told_part = 0
+        self._done = self._told_line = 0
 
     def advance(self, n: int = 1, note: str | None = None):
         """Count n more units of work; print a line if a tenth is complete.
@@ -43,12 +43,12 @@ class ProgressLines:
             Printed after the label.
         """
         self._done += n
-        part = PARTS * self._done // max(self._total, 1)
+        line = LINES * self._done // max(self._total, 1)
         now = self._clock()
         is_last = self._done >= self._total
-        if part == self._told_part or is_last or now - self._printed < MIN_SECONDS:
+        if line == self._told_line or is_last or now - self._printed < MIN_SECONDS:
             return
-        self._told_part = part
+        self._told_line = line
         self._printed = now
         seconds = now - self._begun
         left = seconds * (self._total - self._done) / self._done

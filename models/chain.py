@@ -1,7 +1,7 @@
 """A chain of links: what every trained or imported network becomes before it is deployed.
 
 A link is one linear map and the neurons after it, which the chip computes as one layer; averaging
-before the map is part of the link.  These functions make chains, and :func:`build_network_spec`
+before the map belongs to the link.  These functions make chains, and :func:`build_network_spec`
 makes the deployed network of any of them:
 
 =======================================  =========================================================

@@ -359,7 +359,7 @@ def dropped_layers(model: tf.keras.Model) -> list:
 
 def predict(model: tf.keras.Model, images) -> np.ndarray:
     """Logits of images (n_samples, rows, columns, channels), shape (n_samples, outputs)."""
-    return np.concatenate([model(part, training=False) for part in _parts(images)])
+    return np.concatenate([model(batch, training=False) for batch in _batches(images)])
 
 
 def activations(model: tf.keras.Model, images) -> dict:
@@ -373,16 +373,16 @@ def activations(model: tf.keras.Model, images) -> dict:
     suffix = "_neurons"
     layers = [layer for layer in model.layers if layer.name.endswith(suffix)]
     probe = tf.keras.Model(model.input, {layer.name: layer.output for layer in layers})
-    parts = [probe(part, training=False) for part in _parts(images)]
+    by_batch = [probe(batch, training=False) for batch in _batches(images)]
     return {
-        layer.name[: -len(suffix)]: np.concatenate([part[layer.name] for part in parts]).reshape(
-            len(images), -1
-        )
+        layer.name[: -len(suffix)]: np.concatenate(
+            [batch[layer.name] for batch in by_batch]
+        ).reshape(len(images), -1)
         for layer in layers
     }
 
 
-def _parts(images):
+def _batches(images):
     """Split images into batches of 512.
 
     Calling the model on them is faster than Keras's ``predict``, which traces a graph for one use.

@@ -152,7 +152,7 @@ def from_integers(
     integers : dict of str to Integers
         The integers of each layer of neurons, by its name.
     starts : tuple of int
-        First step of each part of a sample that has readout weights of its own, in the trained
+        First step of each section of a sample, which has readout weights of its own, in the trained
         network, where spikes reach the readout at once.
 
     Returns
@@ -331,7 +331,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     real = link.weights / link.pool**2  # the link's weights are those of averages
     if link.loop is not None:
         real = np.concatenate([real, link.loop])
-    if not all(np.isfinite(part).all() for part in (real, link.bias, *decays)):
+    if not all(np.isfinite(array).all() for array in (real, link.bias, *decays)):
         raise UserError(
             f"{link}: its weights or biases become infinite when divided by its threshold; "
             "scale the threshold to about 1 in training"

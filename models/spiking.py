@@ -22,7 +22,7 @@ each layer one time constant of the current and one of the voltage.  They determ
     w = round(127 W / max abs W),   theta = 64 round(2 * 127 / max abs W),   bias = round(theta b)
 
 so that the largest weight is 127, as NengoLoihi requires, and W is w 128 / theta.  (In a layer that
-is divided among cores by its outputs, NengoLoihi does this for each core's part, so that the chip's
+is divided among cores by its outputs, NengoLoihi does this for each core's block, so that the chip's
 integers differ slightly: :func:`deploy.network.blocks.scaled_by_block`.)  The gradient of
 rounding is straight-through.  A neuron's bias is limited so that it cannot fire without input.
 
@@ -38,7 +38,7 @@ The output accumulates its weights K over the spikes of the last layer, from the
 
     y(t) = sum over t' <= t of K(t') s(t').
 
-K may differ between consecutive parts of the sample: the readout is on the host, which knows the
+K may differ between consecutive sections of the sample: the readout is on the host, which knows the
 step.
 """
 
@@ -107,7 +107,7 @@ class SpikingNetwork(tf.Module):
     seed : int
         Seed of the initial weights, which are normal with a variance of one over the fan-in.
     starts : tuple of int
-        First step of each part of a sample that has output weights of its own.
+        First step of each section of a sample, which has output weights of its own.
 
     Raises
     ------
@@ -157,8 +157,8 @@ class SpikingNetwork(tf.Module):
     def get_weights(self) -> dict:
         """Trained arrays by name: ``"conv1.kernel"``, ``.bias``, ``.tau_u`` and ``.tau_v`` (steps).
 
-        The output's kernel holds the contribution of a spike to each output, in the first part of
-        the sample, then in the second, and so on: its shape is (parts * neurons, outputs).  Kernels
+        The output's kernel holds the contribution of a spike to each output, in the first section of
+        the sample, then in the second, and so on: its shape is (sections * neurons, outputs).  Kernels
         and biases of neurons are in units of their threshold.
         """
         return self.named(variable.numpy() for variable in self.variables_in_order)
@@ -222,14 +222,18 @@ class SpikingNetwork(tf.Module):
             current = weighted_sums(layer, parameters["kernel"], signal)
             current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
             spread = _spread(parameters, current.shape[2])
-            spikes.append(fire(current, *(spread[part] for part in _PARTS), beta=self.neuron.beta))
+            spikes.append(
+                fire(current, *(spread[name] for name in _FIRED_BY), beta=self.neuron.beta)
+            )
             signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
             signal = tf.reshape(signal, (steps, samples, *layer.shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
-        parts = tf.split(kernel, len(self.starts))
+        kernels = tf.split(kernel, len(self.starts))
         added = [
-            tf.matmul(tf.reshape(signal[first:end], (-1, part.shape[0])), part)
-            for first, end, part in zip(self.starts, (*self.starts[1:], None), parts, strict=True)
+            tf.matmul(tf.reshape(signal[first:end], (-1, section_kernel.shape[0])), section_kernel)
+            for first, end, section_kernel in zip(
+                self.starts, (*self.starts[1:], None), kernels, strict=True
+            )
         ]
         added = tf.reshape(tf.concat(added, 0), (steps, samples, kernel.shape[1]))
         return tf.cumsum(added), spikes
@@ -237,8 +241,8 @@ class SpikingNetwork(tf.Module):
     def _on_chip(self, name, values, dtype):
         """The chip's integers as tensors, with gradients to the trained variables."""
         kernel, bias, tau_u, tau_v = (
-            tf.cast(values[f"{name}.{part}"], dtype)
-            for part in ("kernel", "bias", "tau_u", "tau_v")
+            tf.cast(values[f"{name}.{array}"], dtype)
+            for array in ("kernel", "bias", "tau_u", "tau_v")
         )
         scale = weight_scale(kernel)
         threshold = THRESHOLD_UNIT * tf.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
@@ -368,7 +372,7 @@ def operations(architecture: Architecture, frames, spikes):
     )
 
 
-_PARTS = ("keep_u", "keep_v", "bias", "threshold", "floor")
+_FIRED_BY = ("keep_u", "keep_v", "bias", "threshold", "floor")
 
 
 def fire(current, keep_u, keep_v, bias, threshold, floor, beta):

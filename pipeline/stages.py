@@ -286,7 +286,7 @@ COPIES = (
 
 
 def _notes_on_recordings(opened):
-    """Lines on what is not presented, on parts that are not independent, and on what is missing."""
+    """Lines on what is not presented, on sets that are not independent, and on what is missing."""
     recordings = opened.dataset.recordings
     split = opened.dataset.split
     yield from opened.kind.notes(recordings)
@@ -484,8 +484,10 @@ def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):
             checks[name] = stack.enter_context(open_check(bundle, name, path, seed, report))
         work = []
         for check in checks.values():
-            parts = [[part] for part in check.left] if check.target.slow else [check.left]
-            work += [check.work(streams) for streams in parts if streams]
+            jobs_of_check = (
+                [[stream] for stream in check.left] if check.target.slow else [check.left]
+            )
+            work += [check.work(streams) for streams in jobs_of_check if streams]
         for job, records in run_jobs(_run_all_streams, work, jobs, meanwhile=meanwhile):
             if isinstance(records, Failure):
                 failures.setdefault(job.target, records)

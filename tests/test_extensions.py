@@ -64,7 +64,7 @@ def run_first_class(spec, streams, seed=0, options=None):
     for samples in streams:
         scores = np.zeros((len(samples), spec.layers[-1].size))
         scores[:, options.label] = 1
-        decisions = np.zeros((len(samples), spec.presentation.steps), int)
+        decisions = np.full((len(samples), spec.presentation.steps), options.label)
         yield Responses(scores, decisions, {}, {})
 
 

@@ -86,9 +86,9 @@ class CheckSet:
         digest.update(inputs)
         return digest.hexdigest()
 
-    def __getitem__(self, part: slice) -> CheckSet:
+    def __getitem__(self, some: slice) -> CheckSet:
         """A subset of the samples."""
-        return CheckSet(self.inputs[part], self.labels[part], self.ids[part], self.seed)
+        return CheckSet(self.inputs[some], self.labels[some], self.ids[some], self.seed)
 
 
 @dataclass(frozen=True)

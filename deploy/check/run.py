@@ -178,13 +178,13 @@ class OpenCheck:
     @property
     def left(self) -> list:
         """The remaining streams in order, as slices of the samples."""
-        return [part for part in _streams(self._bundle) if part.start not in self._done]
+        return [stream for stream in _streams(self._bundle) if stream.start not in self._done]
 
-    def work(self, parts) -> Work:
+    def work(self, streams) -> Work:
         """The data to run some of the remaining streams."""
-        streams = tuple((part.start, self._bundle.checks[part]) for part in parts)
+        samples = tuple((stream.start, self._bundle.checks[stream]) for stream in streams)
         # An absolute path, because another process may have another working directory.
-        return Work(self._bundle.spec, streams, self._check, self._saved.absolute(), self._options)
+        return Work(self._bundle.spec, samples, self._check, self._saved.absolute(), self._options)
 
     def take(self, record: dict):
         """Add a record from :func:`run_streams`, in any order."""
@@ -196,7 +196,7 @@ class OpenCheck:
         bundle = self._bundle
         target = self.target
         seed = self._check["seed"]
-        records = [self._done[part.start] for part in _streams(bundle)]
+        records = [self._done[stream.start] for stream in _streams(bundle)]
         answers = [sample for record in records for sample in record["samples"]]
         notes = [record["notes"] for record in records if "notes" in record]
         extra = target.describe(notes) if notes and target.describe else {}
@@ -298,7 +298,7 @@ def _resume(file, check, streams):
     of NumPy, which remains for that check until this one is complete.  A file without any record is
     emptied.
     """
-    lengths = {part.start: part.stop - part.start for part in streams}
+    lengths = {stream.start: stream.stop - stream.start for stream in streams}
     file.seek(0)
     done = {}
     others = False

@@ -109,8 +109,8 @@ def _default_block(layer, is_recurrent, after, after_block, chip):
 
 
 def _lengths(n):
-    """Lengths of equal parts along one dimension, from the whole down; the last may be shorter."""
-    return sorted({-(-n // parts) for parts in range(1, n + 1)}, reverse=True)
+    """Lengths of equal blocks along one dimension, from the whole down; the last may be shorter."""
+    return sorted({-(-n // blocks) for blocks in range(1, n + 1)}, reverse=True)
 
 
 class BlockNeeds:

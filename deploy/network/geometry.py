@@ -97,7 +97,7 @@ def inputs_within(input_shape, read_shape):
     Parameters
     ----------
     input_shape, read_shape : tuple of int
-        (rows, columns, channels) of the input, and of its part that is read.
+        (rows, columns, channels) of the input, and of what is read of it.
     """
     if read_shape == input_shape:
         return None

@@ -113,10 +113,10 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
         weights=np.zeros((1, size)), bias=np.zeros(1),
     )  # fmt: skip
     spikes = []
-    for part in spec.presentation.streams(len(flat)):
+    for stream in spec.presentation.streams(len(flat)):
         built = build(replace(spec, layers=(nothing,)))
         with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
-            spikes.append([one.spikes["input"] for one in show(built, sim, flat[part])])
+            spikes.append([one.spikes["input"] for one in show(built, sim, flat[stream])])
     rows, columns, channels = spec.input_shape
     images = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
     return np.moveaxis(images, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)

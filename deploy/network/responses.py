@@ -360,19 +360,19 @@ def round_scores(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
     return np.round(scores / unit, 9) * unit
 
 
-def join(parts) -> Responses:
+def join(by_stream) -> Responses:
     """Concatenate the responses to consecutive samples."""
-    parts = list(parts)
+    by_stream = list(by_stream)
 
     def concatenate(name):
-        values = [getattr(part, name) for part in parts]
+        values = [getattr(responses, name) for responses in by_stream]
         if isinstance(values[0], dict):
             return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
         return np.concatenate(values)
 
     names = [entry.name for entry in fields(Responses) if entry.name != "notes"]
     for name in ("stopped_at", "spike_hashes"):
-        if any(getattr(part, name) is None for part in parts):
+        if any(getattr(responses, name) is None for responses in by_stream):
             names.remove(name)
     return Responses(**{name: concatenate(name) for name in names})
 

@@ -41,7 +41,7 @@ class CorePlan:
     ----------
     layer : str
     part : int
-        Index of the part of the layer, from 0.
+        Index of the block of the layer, from 0.
     chip, core : int
         Position in the placement.
     used : dict of str to int
@@ -129,7 +129,8 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     places = _placement(model, needed, chip)
     axons = _Axons(_shortest_intervals(spec, model), _targets(model))
     cores = [
-        _plan_core(layer, part, places[block], block, axons, chip) for layer, part, block in placed
+        _plan_core(layer, index, places[block], block, axons, chip)
+        for layer, index, block in placed
     ]
     problems = [*_problems(cores, chip), *_refractory_problems(blocks, chip)]
     if needed > chips:
@@ -204,12 +205,12 @@ class _Axons:
     targets: dict
 
 
-def _plan_core(layer, part, place, block, axons, chip):
+def _plan_core(layer, index, place, block, axons, chip):
     shared, unshared = axon_cfg_registers(block, axons.targets)
     worst_input, worst_current = worst_case(block, axons.intervals, chip)
     return CorePlan(
         layer=layer,
-        part=part,
+        part=index,
         chip=place[0],
         core=place[1],
         used=used_by(block, chip, shared),
@@ -260,8 +261,8 @@ def _problems(cores, chip):
 def _refractory_problems(blocks, chip):
     """Layers with a longer refractory period than the chip can count."""
     most = chip.refractory_steps
-    for layer, parts in blocks.items():
-        steps = max(int(block.compartment.refract_delay.max()) for block in parts) - 1
+    for layer, of_layer in blocks.items():
+        steps = max(int(block.compartment.refract_delay.max()) for block in of_layer) - 1
         if steps > most:
             yield (
                 f"layer {layer}: a refractory period of {steps} steps, {steps - most} more than "
@@ -272,8 +273,8 @@ def _refractory_problems(blocks, chip):
 def _lost_weights(spec, cores):
     """Layers whose weights all become 0 in the chip's integers."""
     for layer in spec.layers:
-        parts = [core for core in cores if core.layer == layer.name]
-        if parts and layer.weights.any() and not any(core.worst_input for core in parts):
+        own = [core for core in cores if core.layer == layer.name]
+        if own and layer.weights.any() and not any(core.worst_input for core in own):
             yield (
                 f"layer {layer.name}: all its weights become 0 in the chip's integers, the largest "
                 f"is {abs(layer.weights).max():.3g}; scale the network so that its neurons' "

@@ -53,7 +53,7 @@ class Faults:
         """Report the faults since the last report, if there are any."""
         if not self._unreported:
             return
-        parts = [f"{n} {FAULTS[fault]}" for fault, n in self._unreported.items()]
-        LOG.warning("stream: events with a fault: %s", ", ".join(parts))
+        counts = [f"{n} {FAULTS[fault]}" for fault, n in self._unreported.items()]
+        LOG.warning("stream: events with a fault: %s", ", ".join(counts))
         self._unreported.clear()
         self._next_report_s = time.monotonic() + REPORT_INTERVAL_S

@@ -129,7 +129,7 @@ class Emulation:
         """Compartment of each neuron of a layer, which may be on several cores."""
         neurons = np.concatenate([list(model.block_comp_map[block]) for block in blocks])
         slices = (self.chip.blocks[block] for block in blocks)
-        compartments = np.concatenate([np.arange(part.start, part.stop) for part in slices])
+        compartments = np.concatenate([np.arange(one.start, one.stop) for one in slices])
         return compartments[np.argsort(neurons, kind="stable")]
 
     def _decoders(self, probe):
@@ -137,8 +137,8 @@ class Emulation:
         for first in range(0, self.chip.n, 1024):  # all at once would take gigabytes
             unit = np.eye(min(1024, self.chip.n - first), self.chip.n, first, dtype=bool)
             spikes = [
-                unit[:, self.chip.blocks[block]][:, part]
-                for block, part in zip(probe.target, probe.slice)
+                unit[:, self.chip.blocks[block]][:, neurons]
+                for block, neurons in zip(probe.target, probe.slice)
             ]
             decoders.append(np.asarray(probe.weight_outputs(spikes), float))
         return np.concatenate(decoders)
@@ -222,12 +222,12 @@ class Emulation:
             for name, places in self.positions.items():
                 counts[name].append(_at(state.chip.counters[:, 1] - before, places))
             if watch is not None:
-                watch({name: np.concatenate(parts, axis=1) for name, parts in packed.items()})
+                watch({name: np.concatenate(arrays, axis=1) for name, arrays in packed.items()})
         output = np.concatenate(outputs, axis=1)
         rows = dict(zip(self.chip.blocks, overflows))
         return StreamOutputs(
             output=output.reshape(n_streams, n_samples, period, -1),
-            counts={name: np.stack(parts, axis=1) for name, parts in counts.items()},
+            counts={name: np.stack(arrays, axis=1) for name, arrays in counts.items()},
             overflows={n: sum(rows[b] for b in blocks) for n, blocks in self._blocks.items()},
         )
 
@@ -463,7 +463,7 @@ def firing_rates(
     window = presentation.steps - start
     counts: Dict[str, List[np.ndarray]] = {name: [] for name in sizes}
     flat = spec.stimulus.flat(samples)
-    streams = [flat[part] for part in presentation.streams(len(flat))]
+    streams = [flat[stream] for stream in presentation.streams(len(flat))]
     for batch in map(np.stack, _batches(streams, lambda n_samples: STREAMS_AT_ONCE)):
         of_batch: Dict[str, List[np.ndarray]] = {name: [] for name in sizes}
 
@@ -479,4 +479,4 @@ def firing_rates(
         if advance is not None:
             advance(batch.shape[0] * batch.shape[1])
     seconds = window * spec.stimulus.step_seconds
-    return {name: np.concatenate(parts) / seconds for name, parts in counts.items()}
+    return {name: np.concatenate(arrays) / seconds for name, arrays in counts.items()}

@@ -108,18 +108,18 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     if len(training) > MAX_FITTED_SAMPLES:
         training = order[:MAX_FITTED_SAMPLES]
     model = _Model.fit(_features(counts, slices, training), labels[training], classes, strength)
-    parts = []
+    by_batch = []
     for start in range(0, len(labels), SAMPLES_AT_ONCE):
         out = np.arange(start, min(start + SAMPLES_AT_ONCE, len(labels)))
-        parts.append(model.logits(_features(counts, slices, out)))
-    return Baseline(model.complete(np.concatenate(parts)), slices, strength, best)
+        by_batch.append(model.logits(_features(counts, slices, out)))
+    return Baseline(model.complete(np.concatenate(by_batch)), slices, strength, best)
 
 
 def _features(counts, slices, samples):
     """Square roots of the counts of some samples in a number of slices, a row for each sample."""
     some = counts[samples]
-    parts = some.reshape(len(some), slices, -1, *some.shape[2:]).sum(axis=2)
-    return (np.sign(parts) * np.sqrt(np.abs(parts))).reshape(len(some), -1)
+    by_slice = some.reshape(len(some), slices, -1, *some.shape[2:]).sum(axis=2)
+    return (np.sign(by_slice) * np.sqrt(np.abs(by_slice))).reshape(len(some), -1)
 
 
 @dataclass(frozen=True)

@@ -264,10 +264,10 @@ class FramesOnDemand:
         samples = np.arange(len(self))[index]
         some = np.atleast_1d(samples)
         frames = np.empty((len(some), *self.shape[1:]), np.uint8)
-        for part in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
+        for batch in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
             steps = self.shape[1]
-            made = self._table.frames(some[part], self._step_ms, steps, self._limits)
-            frames[part] = np.moveaxis(made, 0, 1)
+            made = self._table.frames(some[batch], self._step_ms, steps, self._limits)
+            frames[batch] = np.moveaxis(made, 0, 1)
         return frames if np.ndim(samples) else frames[0]
 
 

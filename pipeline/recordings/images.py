@@ -106,7 +106,7 @@ def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
     sensor = recordings.sensor
     shape = (len(indices), sensor.rows, sensor.columns, image.channels)
     images = empty_array(shape, np.float32)
-    for span, counts in _counts_of_parts(recordings, image, indices):
+    for span, counts in _count_batches(recordings, image, indices):
         images[span] = _as_images(counts, image)
     return images
 
@@ -128,11 +128,11 @@ def _as_images(counts, image):
     return normalise(np.moveaxis(images, 1, 3), image.normalisation).astype(np.float32)
 
 
-def _counts_of_parts(recordings, image, indices=None):
-    """Counts of all or some recordings, a few recordings at a time; see `EventTable.parts`."""
+def _count_batches(recordings, image, indices=None):
+    """Counts of all or some recordings, a few recordings at a time; see `EventTable.batches`."""
     table = recordings.table
     indices = np.arange(len(table)) if indices is None else np.asarray(indices)
-    for span, events in table.parts(indices):
+    for span, events in table.batches(indices):
         some = indices[span]
         weights = None
         if image.aggregation == "columns":
@@ -145,14 +145,14 @@ class TaxelCounts(NamedTuple):
 
     Attributes
     ----------
-    sample, part, row, column, polarity : ndarray of int, shape (n_counts,)
+    sample, time_slice, row, column, polarity : ndarray of int, shape (n_counts,)
         Sample, slice of time, place, and 0 for ON or 1 for OFF.
     value : ndarray, shape (n_counts,)
         The count.
     """
 
     sample: np.ndarray
-    part: np.ndarray
+    time_slice: np.ndarray
     row: np.ndarray
     column: np.ndarray
     polarity: np.ndarray
@@ -174,16 +174,16 @@ class StoredCounts:
     ----------
     shape : tuple of int
         (slices, rows, columns, 2), of the counts of a sample.
-    parts : iterable of ndarray
+    batches : iterable of ndarray
         Counts of some samples after the other, in the order of samples.
     """
 
-    def __init__(self, shape: tuple, parts):
+    def __init__(self, shape: tuple, batches):
         self.shape = shape
         cells = []
         values = []
         numbers = [np.zeros(1, int)]
-        for counts in parts:
+        for counts in batches:
             flat = counts.reshape(len(counts), -1)
             sample, cell = np.nonzero(flat)
             cells.append(cell.astype(np.int32))
@@ -200,9 +200,9 @@ class StoredCounts:
         sample = np.repeat(np.arange(len(indices)), number)
         begins = np.cumsum(number) - number
         chosen = np.arange(len(sample)) + np.repeat(first - begins, number)
-        part, row, column, polarity = np.unravel_index(self._cell[chosen], self.shape)
+        time_slice, row, column, polarity = np.unravel_index(self._cell[chosen], self.shape)
         value = self._value[chosen].astype(np.int64)
-        return TaxelCounts(sample, part, row, column, polarity, value)
+        return TaxelCounts(sample, time_slice, row, column, polarity, value)
 
 
 class AlteredImages:
@@ -227,7 +227,7 @@ class AlteredImages:
         table = recordings.table
         samples = np.arange(len(table)) if samples is None else samples
         shape = (image.slices, *table.size, 2)
-        counts = (part for _, part in _counts_of_parts(recordings, image, samples))
+        counts = (batch for _, batch in _count_batches(recordings, image, samples))
         self._counts = StoredCounts(shape, counts)
         self._size = table.size
         self._image = image
@@ -237,8 +237,8 @@ class AlteredImages:
     def __call__(self, rng, indices) -> np.ndarray:
         """Altered images of some samples, shape (n, rows, columns, channels), float32."""
         indices = np.asarray(indices)
-        parts = np.split(indices, range(ALTERED_AT_ONCE, len(indices), ALTERED_AT_ONCE))
-        return np.concatenate([self._alter_some(rng, part) for part in parts])
+        batches = np.split(indices, range(ALTERED_AT_ONCE, len(indices), ALTERED_AT_ONCE))
+        return np.concatenate([self._alter_some(rng, batch) for batch in batches])
 
     def _alter_some(self, rng, indices):
         how = self._how
@@ -265,10 +265,10 @@ class AlteredImages:
         faults = draw_faults(self._how.hot, self._how.dead, rng, durations_ms, self._size)
         slice_ms = self._image.duration_ms / self._image.slices
         silent_from_ms = faults.silent_from_ms[counts.sample, counts.row, counts.column]
-        before = np.clip(silent_from_ms / slice_ms - counts.part, 0, 1)
+        before = np.clip(silent_from_ms / slice_ms - counts.time_slice, 0, 1)
         hot = faults.hot_events()
-        part = np.minimum((hot.time_ms / slice_ms).astype(np.int64), self._image.slices - 1)
+        time_slice = np.minimum((hot.time_ms / slice_ms).astype(np.int64), self._image.slices - 1)
         spikes = TaxelCounts(
-            hot.sample, part, hot.row, hot.column, hot.polarity, np.ones(len(part))
+            hot.sample, time_slice, hot.row, hot.column, hot.polarity, np.ones(len(time_slice))
         )
         return counts._replace(value=counts.value * before).join(spikes)

@@ -104,7 +104,7 @@ class EventTable:
         durations_ms = self.duration_ms[indices]
         return max(float(np.quantile(durations_ms, 0.9)), 1.0) if len(durations_ms) else 1.0
 
-    def parts(self, indices=None) -> Iterator[tuple]:
+    def batches(self, indices=None) -> Iterator[tuple]:
         """Pick the events of all or some recordings, a few recordings at a time.
 
         Yields
@@ -142,7 +142,7 @@ class EventTable:
         """
         indices = np.arange(len(self)) if indices is None else np.asarray(indices)
         counts = empty_array((len(indices), slices, *self.size, 2), np.float32)
-        for span, events in self.parts(indices):
+        for span, events in self.batches(indices):
             counts[span] = self.count(events, span.stop - span.start, slices, duration_ms)
         return counts
 
@@ -160,10 +160,10 @@ class EventTable:
         weights : ndarray, shape (n_events,), optional
             Number that each event counts for; default: 1.
         """
-        part = (events.time_ms * np.float32(slices / duration_ms)).astype(int)
-        part = np.minimum(part, slices - 1)
+        slice_of_time = (events.time_ms * np.float32(slices / duration_ms)).astype(int)
+        slice_of_time = np.minimum(slice_of_time, slices - 1)
         shape = (samples, slices, *self.size, 2)
-        place = (events.sample, part, events.row, events.column, events.polarity)
+        place = (events.sample, slice_of_time, events.row, events.column, events.polarity)
         cell = np.ravel_multi_index(place, shape)
         counts = np.bincount(cell, weights, minlength=math.prod(shape))
         return counts.astype(np.float32).reshape(shape)
@@ -208,7 +208,9 @@ class EventTable:
 
     def lost(self, step_ms: float, refractory: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`spike_frames`."""
-        spikes = sum(self._count_spikes(events, step_ms, refractory) for _, events in self.parts())
+        spikes = sum(
+            self._count_spikes(events, step_ms, refractory) for _, events in self.batches()
+        )
         return 1 - spikes / self.offsets[-1] if self.offsets[-1] else 0.0
 
     def _count_spikes(self, events, step_ms, refractory):

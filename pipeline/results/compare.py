@@ -352,8 +352,8 @@ def _difference_cells(value):
 
 
 def _inference_lines(runs, letters):
-    def row(head, name, form="{}", part=lambda run: run):
-        values = [part(run) and part(run)[name] for run in runs]
+    def row(head, name, form="{}", find=lambda run: run):
+        values = [find(run) and find(run)[name] for run in runs]
         return [head, *("" if value is None else form.format(value) for value in values)]
 
     def early(run):
@@ -386,7 +386,7 @@ def _wrap_table(rows):
     room = max((WIDTH - first) // n - 2, 8)
     folded = []
     for head, *cells in rows:
-        parts = [textwrap.wrap(cell, room) or [""] for cell in cells]
-        for index, line in enumerate(itertools.zip_longest(*parts, fillvalue="")):
+        columns = [textwrap.wrap(cell, room) or [""] for cell in cells]
+        for index, line in enumerate(itertools.zip_longest(*columns, fillvalue="")):
             folded.append(["" if index else head, *line])
     return align_rows(folded)

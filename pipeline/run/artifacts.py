@@ -127,18 +127,18 @@ class Origin:
         ):
             for name in dict.fromkeys([*now, *before]):
                 if now.get(name) != before.get(name) or (name in now) != (name in before):
-                    values = (_describe(name, part, show) for part in (before, now))
+                    values = (_describe(name, recorded, show) for recorded in (before, now))
                     changes.append(Change(name, *values))
         return tuple(changes)
 
 
-def _describe(name, part, show):
+def _describe(name, recorded, show):
     """A value of an origin for a message."""
-    if name not in part:
+    if name not in recorded:
         return "unused"
-    if part[name] == 0 and name in AUTOMATIC_AT_0:
+    if recorded[name] == 0 and name in AUTOMATIC_AT_0:
         return "automatic (0)"
-    return show(part[name])
+    return show(recorded[name])
 
 
 @dataclass(frozen=True)
@@ -281,7 +281,7 @@ class Library:
 
 
 def _merge_entries(used, own):
-    """Merge parts of two origins; common entries must be equal."""
+    """Merge entries of two origins; common entries must be equal."""
     for name in used.keys() & own.keys():
         if used[name] != own[name]:
             raise ValueError(
@@ -293,7 +293,7 @@ def _merge_entries(used, own):
 
 def _is_origin(recorded):
     return isinstance(recorded, dict) and all(
-        isinstance(recorded.get(part), dict) for part in ("settings", "contents")
+        isinstance(recorded.get(entry), dict) for entry in ("settings", "contents")
     )
 
 

@@ -135,8 +135,10 @@ def run(
         converter.net, minibatch_size=batch, progress_bar=False, seed=settings.seed
     ) as simulator:
         results = []
-        for part in np.split(padded, len(padded) // batch):
-            results.append(simulator.predict_on_batch({source: np.repeat(part, steps, 1)})[output])
+        for images_of_batch in np.split(padded, len(padded) // batch):
+            results.append(
+                simulator.predict_on_batch({source: np.repeat(images_of_batch, steps, 1)})[output]
+            )
             if advance is not None:
                 advance(min(batch, len(images) - (len(results) - 1) * batch))
     return np.concatenate(results)[: len(images)]

@@ -7,10 +7,10 @@ within the training sets of two sets of real recordings of touch, objects in a r
 Braille letters.
 
 The refractory period of the input compresses large counts of events, as a square root does, and
-saves operations, but it loses events.  Readout weights for parts of a recording tell when something
+saves operations, but it loses events.  Readout weights for sections of a recording tell when something
 happened, but there are more of them to learn.  What suits some recordings is estimated in seconds
 by a linear classifier on the spikes that the network would receive: ridge regression of the classes
-on the spikes of each taxel, polarity and part, each training recording predicted from all others.
+on the spikes of each taxel, polarity and section, each training recording predicted from all others.
 """
 
 import math
@@ -57,9 +57,9 @@ USUAL_EVENTS = 500
 # Longest bin of counted events that becomes a step, in milliseconds.
 MAX_BIN_MS = 50.0
 
-# Refractory periods, in steps, and numbers of parts of a recording, among which is chosen.
+# Refractory periods, in steps, and numbers of sections of a recording, among which is chosen.
 REFRACTORY_STEPS = (0, 1, 3, 7)
-PARTS = (1, 4, 8)
+SECTION_COUNTS = (1, 4, 8)
 
 # Maximum share of the spikes that the limit of a taxel's spikes leaves out: on ST-MNIST's training
 # set it gives 6, with which one hot taxel costs least, and keeps the accuracy without faults.
@@ -131,24 +131,24 @@ class Reading(NamedTuple):
     ----------
     refractory : int
         Refractory period of a taxel and polarity, in steps.
-    parts : int
+    sections : int
         Parts of a recording with readout weights of their own.
     lost : float
         Share of the events that are merged in a step or ignored in the refractory period.
     accuracy, complete : float
-        Cross-validated accuracy of the linear classifier with this number of parts, with the
+        Cross-validated accuracy of the linear classifier with this number of sections, with the
         refractory period and without any.
     """
 
     refractory: int
-    parts: int
+    sections: int
     lost: float
     accuracy: float
     complete: float
 
-    def text(self, step_ms: float, parts: int) -> str:
-        """The choice and its reason in a line, with the number of parts that the network has."""
-        how = f"each of {parts} parts" if parts > 1 else "the whole"
+    def text(self, step_ms: float, sections: int) -> str:
+        """The choice and its reason in a line, with the number of sections that the network has."""
+        how = f"each of {sections} sections" if sections > 1 else "the whole"
         return (
             f"refractory period of {self.refractory * step_ms:g} ms: {self.lost:.0%} of the "
             "events are merged or ignored; a linear classifier of the others, cross-validated in "
@@ -209,7 +209,7 @@ def find_bin_ms(table: EventTable) -> float | None:
         millisecond and at most `MAX_BIN_MS`.
     """
     bin_us = 0
-    for _, events in table.parts():
+    for _, events in table.batches():
         time_us = np.rint(1000 * events.time_ms.astype(float)).astype(np.int64)
         bin_us = math.gcd(bin_us, int(np.gcd.reduce(np.unique(time_us), initial=0)))
     bin_ms = bin_us / 1000
@@ -223,11 +223,11 @@ def dropout_for(samples: int, default: float) -> float:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) -> Reading:
-    """Choose the refractory period and the number of parts on the training samples.
+    """Choose the refractory period and the number of sections on the training samples.
 
     The refractory period is the longest of those with nearly the highest accuracy of the linear
-    classifier, on average over all numbers of parts: a longer one saves operations.  There are more
-    parts only if they gain more than a standard error.
+    classifier, on average over all numbers of sections: a longer one saves operations.  There are more
+    sections only if they gain more than a standard error.
 
     Parameters
     ----------
@@ -252,16 +252,20 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
             allowed.remove(refractory)
             continue
         spikes = _spikes(table, some, step_ms, steps, refractory)
-        for parts in PARTS:
-            merged = spikes.reshape(len(some), parts, PARTS[-1] // parts, -1).sum(2)
-            accuracy[refractory, parts] = left_out_accuracy(merged.reshape(len(some), -1), target)
-    mean = {r: float(np.mean([accuracy[r, parts] for parts in PARTS])) for r in allowed}
+        for sections in SECTION_COUNTS:
+            merged = spikes.reshape(len(some), sections, SECTION_COUNTS[-1] // sections, -1).sum(2)
+            accuracy[refractory, sections] = left_out_accuracy(
+                merged.reshape(len(some), -1), target
+            )
+    mean = {
+        r: float(np.mean([accuracy[r, sections] for sections in SECTION_COUNTS])) for r in allowed
+    }
     refractory = max(r for r in allowed if mean[r] >= max(mean.values()) - NEARLY)
-    chosen = PARTS[0]
-    for parts in PARTS[1:]:
+    chosen = SECTION_COUNTS[0]
+    for sections in SECTION_COUNTS[1:]:
         share = accuracy[refractory, chosen]
-        if accuracy[refractory, parts] > share + math.sqrt(share * (1 - share) / len(some)):
-            chosen = parts
+        if accuracy[refractory, sections] > share + math.sqrt(share * (1 - share) / len(some)):
+            chosen = sections
     lost = table.lost(step_ms, refractory)
     return Reading(refractory, chosen, lost, accuracy[refractory, chosen], accuracy[0, chosen])
 
@@ -288,12 +292,12 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
         0, for no limit, if a taxel that fires all the time has less than twice as many spikes.
     """
     some = train[:: -(-len(train) // MAX_COUNTED_SAMPLES) or 1]
-    parts = [np.zeros(0, int)]
+    by_batch = [np.zeros(0, int)]
     for start in range(0, len(some), 64):
         indices = some[start : start + 64]
         frames = table.frames(indices, shown.step, steps, SpikeLimits(shown.refractory_steps))
-        parts.append(frames.sum(0, dtype=int).ravel())
-    counts = np.concatenate(parts)
+        by_batch.append(frames.sum(0, dtype=int).ravel())
+    counts = np.concatenate(by_batch)
     most = steps // (1 + shown.refractory_steps)
     for max_spikes in range(1, most // 2 + 1):
         left_out = np.maximum(counts - max_spikes, 0).sum()
@@ -303,14 +307,16 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
 
 
 def _spikes(table, indices, step_ms, steps, refractory):
-    """Spikes of each sample, finest part, taxel and polarity."""
-    part = np.arange(steps) * PARTS[-1] // steps
+    """Spikes of each sample, finest section, taxel and polarity."""
+    section = np.arange(steps) * SECTION_COUNTS[-1] // steps
     limits = SpikeLimits(refractory)
     counts = []
     for start in range(0, len(indices), 64):
         frames = table.frames(indices[start : start + 64], step_ms, steps, limits)
         frames = frames.reshape(*frames.shape[:2], -1)
-        counts.append([frames[part == k].sum(0, dtype=np.float32) for k in range(PARTS[-1])])
+        counts.append(
+            [frames[section == k].sum(0, dtype=np.float32) for k in range(SECTION_COUNTS[-1])]
+        )
     return np.concatenate([np.stack(some, 1) for some in counts])
 
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from deploy.progress import MIN_SECONDS, PARTS, ProgressLines
+from deploy.progress import MIN_SECONDS, LINES, ProgressLines
 
 
 @pytest.mark.parametrize(
-    ("seconds_a_unit", "lines"), [(0.001, 0), (2 * MIN_SECONDS, PARTS - 1), (0.3, 2)]
+    ("seconds_a_unit", "lines"), [(0.001, 0), (2 * MIN_SECONDS, LINES - 1), (0.3, 2)]
 )
 def test_a_long_step_has_a_line_each_tenth_and_a_short_one_none(capsys, seconds_a_unit, lines):
     now = 0.0

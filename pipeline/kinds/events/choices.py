@@ -164,19 +164,19 @@ class EventChoices:
         """The refractory period, and the sections of the readout."""
         settings, presented = self.settings, self.presented
         step_ms = presented.input.step
-        parts = settings.events.parts
+        sections = settings.events.parts
         is_open = settings.is_open("input.refractory")
         reason = ""
-        if is_open or not parts:  # what the user has set needs no estimate, which takes seconds
+        if is_open or not sections:  # what the user has set needs no estimate, which takes seconds
             reading = self._estimate_reading(presented)
-            parts = parts or reading.parts
-            reason = reading.text(step_ms, parts)
+            sections = sections or reading.sections
+            reason = reading.text(step_ms, sections)
         if is_open:
             self._choose("input.refractory", reading.refractory * step_ms, reason)
             reason = ""
-        part_ms = settings.events.part or presented.steps * step_ms / parts
-        self._choose("events.parts", parts, reason)
-        self._choose("events.part", part_ms)
+        section_ms = settings.events.part or presented.steps * step_ms / sections
+        self._choose("events.parts", sections, reason)
+        self._choose("events.part", section_ms)
         if settings.is_open("input.max_spikes"):
             self._choose_max_spikes()
 

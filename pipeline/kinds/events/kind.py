@@ -130,8 +130,8 @@ class EventsKind(NetworkKind):
 
     def shapes(self, name):
         parsed = parse(self.settings.events.architecture)
-        parts = len(self.settings.part_starts)
-        return parsed.event_weight_shapes(parts) | Estimator.shapes(parsed.outputs)
+        sections = len(self.settings.section_starts)
+        return parsed.event_weight_shapes(sections) | Estimator.shapes(parsed.outputs)
 
     @staticmethod
     def _train(inputs, artifact):

@@ -457,14 +457,14 @@ def drawn_steps(n: int) -> np.ndarray:
 
 def _learning_curves(histories):
     """Accuracy of each network on training and held-out samples."""
-    parts = {"": "training", "val_": "held out", "test_": "some test samples, not trained on"}
+    prefixes = {"": "training", "val_": "held out", "test_": "some test samples, not trained on"}
     curves = []
     for name, rows in histories.items():
         epochs = tuple(row["epoch"] for row in rows)
         series = [
-            charts.Series(title, epochs, tuple(100 * row[f"{part}accuracy"] for row in rows))
-            for part, title in parts.items()
-            if f"{part}accuracy" in rows[0]
+            charts.Series(title, epochs, tuple(100 * row[f"{prefix}accuracy"] for row in rows))
+            for prefix, title in prefixes.items()
+            if f"{prefix}accuracy" in rows[0]
         ]
         if series:
             chart = charts.line_chart(series, "epoch", "accuracy, %", f"Learning curve: {name}")

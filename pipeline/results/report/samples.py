@@ -98,12 +98,12 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
     shown = spec.presentation
     sizes = {"input": int(np.prod(spec.input_shape))}
     sizes |= {layer.name: layer.size for layer in spec.layers}
-    for part in shown.streams(len(bundle.checks)):
-        here = sorted(wanted & set(range(part.start, part.stop)))
+    for stream in shown.streams(len(bundle.checks)):
+        here = sorted(wanted & set(range(stream.start, stream.stop)))
         if not here:
             continue
         packed: list[dict] = []
-        samples = spec.stimulus.flat(bundle.checks.inputs[part.start : here[-1] + 1])
+        samples = spec.stimulus.flat(bundle.checks.inputs[stream.start : here[-1] + 1])
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]
         sums = running_sums(spec, select_readout(spec, output[:, shown.gap :]))
@@ -115,10 +115,10 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         for index in here:
             layers = []
             for name in spec.spiking_layers:
-                bits = packed[index - part.start][name][0, shown.gap :]
+                bits = packed[index - stream.start][name][0, shown.gap :]
                 steps, neurons = np.nonzero(np.unpackbits(bits, axis=1, count=sizes[name]))
                 layers.append(_spikes(spec, name, sizes[name], steps, neurons))
-            at = index - part.start
+            at = index - stream.start
             replays[index] = Replay(tuple(layers), chances[at], int(decided[at]), int(answers[at]))
             if advance is not None:
                 advance(1)

@@ -321,11 +321,11 @@ class EventTraining(Section):
     size: Annotated[str, one_of("auto", "small", "standard")] = "auto"
     #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
     architecture: str = "10x10x2-24c4s3-64-10o"
-    #: Consecutive parts of a recording that have readout weights of their own; 0: of the recipe,
+    #: Consecutive sections of a recording, which have readout weights of their own; 0: of the recipe,
     #: which is one for handwriting.
     parts: Annotated[int, between(0, MAX_SECTIONS)] = 0
-    #: Length of each part in milliseconds, the last one is open; 0: the presentation, divided
-    #: among the parts; for handwriting two seconds.
+    #: Length of each section in milliseconds, the last one is open; 0: the presentation, divided
+    #: among the sections; for handwriting two seconds.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
     #: Passes over the training samples; 0: as the recipe's updates need.
     epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
@@ -540,13 +540,13 @@ class Settings(Section):
         return min(round(1000 * paper.DURATION_S / self.input.step), limits.STEPS)
 
     @property
-    def part_starts(self) -> tuple:
-        """First step of each part of a sample that has readout weights of its own."""
+    def section_starts(self) -> tuple:
+        """First step of each section of a sample, which has readout weights of its own."""
         if self.nir.file:
             return (0,)
-        parts = self.events.parts or 1
-        part = (self.events.part or 1000 * paper.DURATION_S / parts) / self.input.step
-        return tuple(sorted({round(k * part) for k in range(parts)}))
+        sections = self.events.parts or 1
+        section = (self.events.part or 1000 * paper.DURATION_S / sections) / self.input.step
+        return tuple(sorted({round(k * section) for k in range(sections)}))
 
     @property
     def on_events(self) -> bool:
@@ -618,8 +618,8 @@ def put(values: dict, name: str, value, origin: str):
 def value_in(values: dict, name: str):
     """A value of nested ones by its dotted name, or None."""
     value: Any = values
-    for part in name.split("."):
-        value = value.get(part) if isinstance(value, dict) else None
+    for key in name.split("."):
+        value = value.get(key) if isinstance(value, dict) else None
     return value
 
 

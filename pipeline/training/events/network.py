@@ -137,16 +137,16 @@ def run_on_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> N
     network = build_network(recipe, weights)
     run = _compile(recipe)
     values = _now(network.variables_by_name)
-    parts = []
+    by_batch = []
     for start in range(0, len(frames), 100):
-        part = frames[start : start + 100]
-        outputs, costs, spikes = run(np.moveaxis(part, 0, 1), values)
-        parts.append(
+        batch = frames[start : start + 100]
+        outputs, costs, spikes = run(np.moveaxis(batch, 0, 1), values)
+        by_batch.append(
             (np.moveaxis(outputs.numpy(), 0, 1), costs.numpy(), *(s.numpy() for s in spikes))
         )
         if advance is not None:
-            advance(len(part))
-    outputs, costs, *spikes = (np.concatenate(column) for column in zip(*parts, strict=True))
+            advance(len(batch))
+    outputs, costs, *spikes = (np.concatenate(column) for column in zip(*by_batch, strict=True))
     named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
     return NetworkOutputs(outputs.astype(np.float32), costs, named, last_steps(frames))
 

@@ -38,7 +38,7 @@ class EventRecipe:
     floor, beta : float
         See :class:`models.spiking.Neuron`.
     starts : tuple of int
-        First step of each part of a sample with readout weights of its own.
+        First step of each section of a sample.
     epochs, batch_size : int
         0 epochs: as many as :func:`pipeline.training.recipe.epochs_for` says.
     learning_rate : float
@@ -98,7 +98,7 @@ class EventRecipe:
         values |= {
             "step_ms": shown.step,
             "limits": SpikeLimits.of(shown),
-            "starts": settings.part_starts,
+            "starts": settings.section_starts,
         }
         del values["parts"], values["part"], values["size"]
         return cls(**values, alteration=how)

@@ -51,7 +51,7 @@ def test_each_step_is_read_with_the_weights_of_its_part():
     shown = select_readout(spec, spikes @ weights.T)
     scale = np.array([1, 10, 10, 100, 100])[:, None]
     np.testing.assert_allclose(shown, scale * (spikes @ readout.weights.T))
-    # A readout is as linear in parts: the sums of each part times its weights.
+    # A readout is as linear in sections: the sums of each section times its weights.
     sums = np.concatenate([spikes[:, a:b].sum(1) for a, b in ((0, 1), (1, 3), (3, 5))], axis=1)
     np.testing.assert_allclose(sums @ in_parts.by_class.T, shown.sum(1))
     np.testing.assert_array_equal(in_parts.with_by_class(in_parts.by_class).weights, weights)

@@ -28,11 +28,11 @@ def test_what_only_time_tells_is_read_in_parts():
     table, labels = table_of(events)
     train = np.arange(len(labels))
     reading = recipe.reading_for(table, labels, train, 10.0, 100)
-    assert reading.parts > 1
+    assert reading.sections > 1
     assert reading.accuracy > 0.7
     again = recipe.reading_for(table, labels, train, 10.0, 100)
     assert again == reading
-    assert recipe.reading_for(table, labels, train[:1], 10.0, 100).parts == 1
+    assert recipe.reading_for(table, labels, train[:1], 10.0, 100).sections == 1
 
 
 def test_what_place_tells_needs_no_parts_and_the_longest_period():
@@ -40,9 +40,9 @@ def test_what_place_tells_needs_no_parts_and_the_longest_period():
         return rng.uniform(0, 990, 15), np.full(15, int(label))
 
     reading = recipe.reading_for(*table_of(events), np.arange(120), 10.0, 100)
-    assert (reading.parts, reading.refractory) == (1, max(recipe.REFRACTORY_STEPS))
+    assert (reading.sections, reading.refractory) == (1, max(recipe.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
-    assert "parts" not in reading.text(10.0, reading.parts)
+    assert "sections" not in reading.text(10.0, reading.sections)
 
 
 def test_a_period_that_loses_most_events_is_not_chosen():
