@@ -22,8 +22,8 @@ each layer one time constant of the current and one of the voltage.  They determ
     w = round(127 W / max abs W),   theta = 64 round(2 * 127 / max abs W),   bias = round(theta b)
 
 so that the largest weight is 127, as NengoLoihi requires, and W is w 128 / theta.  (In a layer that
-is divided among cores by its outputs, NengoLoihi does this for each core's block, so that the chip's
-integers differ slightly: :func:`deploy.network.blocks.scaled_by_block`.)  The gradient of
+is divided among cores by its outputs, NengoLoihi does this for each core's block, so that the
+chip's integers differ slightly: :func:`deploy.network.blocks.scaled_by_block`.)  The gradient of
 rounding is straight-through.  A neuron's bias is limited so that it cannot fire without input.
 
 The gradients through time are below, with a = keep_u / 4096, b = keep_v / 4096, the loss E, and the
@@ -157,9 +157,9 @@ class SpikingNetwork(tf.Module):
     def get_weights(self) -> dict:
         """Trained arrays by name: ``"conv1.kernel"``, ``.bias``, ``.tau_u`` and ``.tau_v`` (steps).
 
-        The output's kernel holds the contribution of a spike to each output, in the first section of
-        the sample, then in the second, and so on: its shape is (sections * neurons, outputs).  Kernels
-        and biases of neurons are in units of their threshold.
+        The output's kernel holds the contribution of a spike to each output, in the first section
+        of the sample, then in the second, and so on: its shape is (sections * neurons, outputs).
+        Kernels and biases of neurons are in units of their threshold.
         """
         return self.named(variable.numpy() for variable in self.variables_in_order)
 

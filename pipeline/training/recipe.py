@@ -7,10 +7,11 @@ within the training sets of two sets of real recordings of touch, objects in a r
 Braille letters.
 
 The refractory period of the input compresses large counts of events, as a square root does, and
-saves operations, but it loses events.  Readout weights for sections of a recording tell when something
-happened, but there are more of them to learn.  What suits some recordings is estimated in seconds
+saves operations, but it loses events.  Readout weights for sections of a recording tell when
+something happened, but there are more of them to learn.  What suits some recordings is estimated in seconds
 by a linear classifier on the spikes that the network would receive: ridge regression of the classes
-on the spikes of each taxel, polarity and section, each training recording predicted from all others.
+on the spikes of each taxel, polarity and section, each training recording predicted from all
+others.
 """
 
 import math
@@ -226,8 +227,8 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
     """Choose the refractory period and the number of sections on the training samples.
 
     The refractory period is the longest of those with nearly the highest accuracy of the linear
-    classifier, on average over all numbers of sections: a longer one saves operations.  There are more
-    sections only if they gain more than a standard error.
+    classifier, on average over all numbers of sections: a longer one saves operations.  There are
+    more sections only if they gain more than a standard error.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.progress import MIN_SECONDS, LINES, ProgressLines
+from deploy.progress import LINES, MIN_SECONDS, ProgressLines
 
 
 @pytest.mark.parametrize(

@@ -321,8 +321,8 @@ class EventTraining(Section):
     size: Annotated[str, one_of("auto", "small", "standard")] = "auto"
     #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
     architecture: str = "10x10x2-24c4s3-64-10o"
-    #: Consecutive sections of a recording, which have readout weights of their own; 0: of the recipe,
-    #: which is one for handwriting.
+    #: Consecutive sections of a recording, which have readout weights of their own; 0: as the
+    #: recipe has it, one for handwriting.
     parts: Annotated[int, between(0, MAX_SECTIONS)] = 0
     #: Length of each section in milliseconds, the last one is open; 0: the presentation, divided
     #: among the sections; for handwriting two seconds.

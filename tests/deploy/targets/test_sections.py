@@ -1,4 +1,4 @@
-"""A readout with weights of its own for sections of the presentation, on every target and beyond."""
+"""A readout with weights for sections of the presentation, on every target and beyond."""
 
 from dataclasses import replace
 
