@@ -19,7 +19,7 @@ from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.recordings.chunks import CHUNK_NS, CHUNKS, chunk_events
 from pipeline.recordings.events import GRID, N_TAXELS, Recordings, are_digits
-from pipeline.sources import load_recordings
+from pipeline.sources import SimulatedSource, load_recordings
 
 # Slices of a recording for the classifier of digits, and the penalty of its weights.
 SLICES = 10
@@ -268,7 +268,7 @@ def main(
     real = load_recordings(str(data), jobs=jobs)
     if not are_digits(real.sensor.classes):
         raise UserError(f"{data}: its classes are not the ten digits; give recordings of digits")
-    made = load_recordings(simulation_seed=seed, jobs=jobs, chunked=1.0)
+    made = load_recordings(jobs=jobs, simulated=SimulatedSource(seed, chunked=1.0))
     simulated, is_known = chunk_recordings(made), np.arange(len(made)) % 4 > 0
     trains = {"simulated": (simulated, made.labels)}
     tests = {"simulated": (simulated[~is_known], made.labels[~is_known])}

@@ -358,11 +358,11 @@ def _measure_on(dataset, case, networks):
 def _measure_with_faults(dataset, case, networks):
     """A row of a network on the emulated chip, with faulty taxels in its test samples."""
     on_chip = replace(case, stage="fast")
-    study.measure(on_chip, networks, dataset)  # trains it on the recordings as they are
+    opened = study.train(on_chip, networks, dataset)
     faults = FAULTY_STAGES[case.stage]
     faulty = add_faults(dataset.recordings, faults.hot, faults.dead, [case.seed, 0xFA])
     tested = Dataset(faulty, dataset.split, dataset.origin, dataset.settings)
-    row = study.measure(on_chip, networks, tested)
+    row = study.evaluate(on_chip, opened, tested)
     return {**row, "stage": case.stage}
 
 

@@ -190,11 +190,8 @@ def from_rates(
     -------
     tuple of Link
     """
-    from models.cnn import (
-        eight_bits,
-        gain_for,  # imports TensorFlow
-        twelve_bits,
-    )
+    from models.cnn import gain_for  # imports TensorFlow
+    from models.quantised import quantise_bias, quantise_weights
 
     def spiking(link, rate, weights, bias):
         neuron = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)
@@ -208,8 +205,8 @@ def from_rates(
         kernel = gain * link.weights
         bias = 1 + gain * link.bias
         if snn.is_on_chip:
-            kernel = eight_bits(kernel).numpy()
-            bias = twelve_bits(bias).numpy()
+            kernel = quantise_weights(kernel).numpy()
+            bias = quantise_bias(bias).numpy()
         chain.append(spiking(link, rate, kernel, bias))
     if range_of is not None:
         # One LIF neuron per class: what the largest wrong logit usually exceeds maps to the

@@ -1,6 +1,6 @@
 """Keras models of the networks of :mod:`models.architecture`, with ReLUs or rate-LIF neurons.
 
-The forward pass of their layers may use weights quantised as on Loihi.
+The forward pass of their layers may use weights quantised as on a chip (:mod:`models.quantised`).
 
 A LIF neuron with input current J (in units of its threshold) fires at
 
@@ -22,24 +22,18 @@ Training uses this rate; noise on the input during training models the fluctuati
 
 import numpy as np
 
-from deploy.network.chip import LOIHI
+from deploy.network.chip import LOIHI, Chip
 from models.architecture import Architecture
 from models.keras.keras2 import as_written, tf
-
-# Time step in seconds.
-DT = LOIHI.dt
 
 # Lower bound for the excess over the threshold, which keeps the logarithm finite.
 LEAST_EXCESS = 1e-12
 
-# Largest decay value of a compartment.
-DECAY_LEVELS = LOIHI.decay_levels
 
-
-def on_chip_time_constants(tau_rc: float, tau_ref: float):
-    """Time constants in seconds on Loihi: a 12-bit decay, a refractory period in whole steps."""
-    decay = np.round(-np.expm1(-DT / tau_rc) * DECAY_LEVELS) / DECAY_LEVELS
-    return -DT / np.log1p(-decay), DT * np.round(tau_ref / DT)
+def on_chip_time_constants(tau_rc: float, tau_ref: float, chip: Chip = LOIHI):
+    """Time constants in seconds on a chip: a rounded decay, a refractory period in whole steps."""
+    decay = np.round(-np.expm1(-chip.dt / tau_rc) * chip.decay_levels) / chip.decay_levels
+    return -chip.dt / np.log1p(-decay), chip.dt * np.round(tau_ref / chip.dt)
 
 
 def gain_for(max_rate: float, tau_rc: float, tau_ref: float) -> float:
@@ -100,14 +94,15 @@ class RateLIF(tf.keras.layers.Layer):
         super().__init__(**kwargs)
         self.max_rate = max_rate
         self.gain = gain_for(max_rate, tau_rc, tau_ref)
-        self.noise, self.dropout = noise, dropout
+        self.noise = noise
+        self.dropout = dropout
         self.spike_costs = spike_costs
         self.smoothing = smoothing
+        self.tau_rc = tau_rc
+        self.shortest_interval = tau_ref
         if on_chip:
             self.tau_rc, refractory = on_chip_time_constants(tau_rc, tau_ref)
-            self.shortest_interval = refractory + DT / 2
-        else:
-            self.tau_rc, self.shortest_interval = tau_rc, tau_ref
+            self.shortest_interval = refractory + LOIHI.dt / 2
 
     def call(self, inputs, training=None):
         """Rates relative to ``max_rate``; in training the spike penalty is added to the loss."""
@@ -156,99 +151,6 @@ class RateLIF(tf.keras.layers.Layer):
         return self.shortest_interval + self.tau_rc * rise
 
 
-# Largest magnitude of a signed weight.
-WEIGHT_LEVELS = LOIHI.weight_levels
-
-# Bits of a bias current's mantissa.
-BIAS_BITS = LOIHI.bias_bits
-
-
-def straight_through(rounding, values):
-    """Apply a rounding function with a straight-through gradient."""
-    return values + tf.stop_gradient(rounding(values) - values)
-
-
-def weight_scale(weights):
-    """Value of one level of an 8-bit weight: a scalar tensor without a gradient.
-
-    NengoLoihi scales the weights of a block so that the largest fills 8 bits
-    (``discretize_weights``).
-    """
-    return tf.stop_gradient(tf.maximum(tf.reduce_max(tf.abs(weights)), 1e-12) / WEIGHT_LEVELS)
-
-
-def eight_bits(weights):
-    """Round weights to 8 bits with a common scale; the gradient is straight-through."""
-    scale = weight_scale(weights)
-    return straight_through(lambda values: tf.round(values / scale) * scale, weights)
-
-
-def twelve_bits(bias):
-    """Round each bias current to a 12-bit mantissa; the gradient is straight-through.
-
-    Loihi stores a bias as 12 bits times a power of two (NengoLoihi's ``bias_to_manexp``).
-    """
-    magnitude = tf.maximum(tf.abs(bias), 1e-12)
-    unit = tf.pow(2.0, tf.math.ceil(tf.math.log(magnitude) / np.log(2.0)) - BIAS_BITS)
-    return straight_through(lambda values: tf.round(values / unit) * unit, bias)
-
-
-@as_written
-def on_chip(kernel, bias, gain: float):
-    """Kernel and bias, quantised as on the chip.
-
-    Parameters
-    ----------
-    kernel, bias : tensor
-    gain : float
-        Gain of the layer's neurons: their current is ``1 + gain * (kernel * input + bias)``, so
-        that ``1 + gain * bias`` is their bias current.
-    """
-    return eight_bits(kernel), (twelve_bits(1 + gain * bias) - 1) / gain
-
-
-class OnChipConv2D(tf.keras.layers.Conv2D):
-    """A ``Conv2D`` with the chip's quantised weights and bias currents.
-
-    Parameters
-    ----------
-    filters, kernel_size : int
-    gain : float
-        See :func:`on_chip`.
-    """
-
-    def __init__(self, filters, kernel_size, gain, **kwargs):
-        super().__init__(filters, kernel_size, **kwargs)
-        self.gain = gain
-
-    def call(self, inputs):
-        """Convolve; shapes as in ``Conv2D``."""
-        kernel, bias = on_chip(self.kernel, self.bias, self.gain)
-        return tf.nn.bias_add(
-            tf.nn.conv2d(inputs, kernel, strides=self.strides, padding=self.padding.upper()), bias
-        )
-
-
-class OnChipDense(tf.keras.layers.Dense):
-    """A ``Dense`` layer with the chip's quantised weights and bias currents.
-
-    Parameters
-    ----------
-    units : int
-    gain : float
-        See :func:`on_chip`.
-    """
-
-    def __init__(self, units, gain, **kwargs):
-        super().__init__(units, **kwargs)
-        self.gain = gain
-
-    def call(self, inputs):
-        """Compute the weighted sums; shapes as in ``Dense``."""
-        kernel, bias = on_chip(self.kernel, self.bias, self.gain)
-        return tf.matmul(inputs, kernel) + bias
-
-
 def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.keras.Model:
     """Build the Keras model of an architecture; its outputs are logits (the loss has the softmax).
 
@@ -260,7 +162,7 @@ def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.kera
         the convolutions and hidden dense layers.  Default: ReLU.
     gain : callable, optional
         ``gain(index)`` returns the gain of that layer's neurons; the layers then have the chip's
-        quantised weights (:func:`on_chip`).  Default: weights in floating point.
+        quantised weights (:mod:`models.quantised`).  Default: weights in floating point.
 
     Returns
     -------
@@ -312,7 +214,8 @@ def set_weights(model: tf.keras.Model, weights: dict):
 def relu(noise: float = 0.0, dropout: float = 0.0) -> tf.keras.layers.Layer:
     """A layer of ReLUs with the noise and the dropout of :func:`with_noise`."""
     layer = tf.keras.layers.ReLU()
-    layer.noise, layer.dropout = noise, dropout
+    layer.noise = noise
+    layer.dropout = dropout
     return layer
 
 

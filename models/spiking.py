@@ -48,7 +48,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.architecture import Architecture
-from models.cnn import straight_through, weight_scale
 from models.integers import (
     BIAS_MANTISSA,
     DECAY_UNIT,
@@ -58,6 +57,7 @@ from models.integers import (
     Integers,
 )
 from models.keras.keras2 import quiet_compiler, tf
+from models.quantised import straight_through, weight_scale
 
 BIAS_EXPONENTS = 7
 

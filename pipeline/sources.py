@@ -3,6 +3,7 @@
 The only module that knows both: :mod:`pipeline.recordings` reads files and has no simulator.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.paper import SAMPLES_PER_DIGIT
@@ -25,16 +26,56 @@ from pipeline.simulation import parameters
 from pipeline.simulation.simulate import simulate, source_of
 
 
-def load_recordings(  # noqa: PLR0913 - all have defaults; callers name them
+@dataclass(frozen=True)
+class SimulatedSource:
+    """Which simulated recordings, but for the size of the skin.
+
+    Attributes
+    ----------
+    seed : int
+    samples_per_digit : int
+        0 for the published numbers, 6,953 in all.
+    writers : int
+        Number of simulated people.
+    chunked : float
+        Share of the recordings that keep the order of events and not their time.
+    """
+
+    seed: int = 0
+    samples_per_digit: int = 0
+    writers: int = parameters.PEOPLE
+    chunked: float = 0.0
+
+    @classmethod
+    def of(cls, settings: Settings) -> "SimulatedSource":
+        """The simulated recordings that are named in the settings."""
+        data = settings.data
+        return cls(data.simulation_seed, data.samples_per_digit, data.writers, data.chunked)
+
+    @property
+    def counts(self) -> list:
+        """Number of recordings of each digit."""
+        return count_samples(self.samples_per_digit)
+
+    def how(self, rows: int, columns: int) -> dict:
+        """The people and the size of the skin, as :func:`load_simulated` takes them.
+
+        Parameters
+        ----------
+        rows, columns : int
+            0 for ten.
+        """
+        people = parameters.load(self.writers, self.chunked)
+        return {"parameters": people, "size": (rows or GRID, columns or GRID)}
+
+
+def load_recordings(
     source: str = SIMULATED,
-    simulation_seed: int = 0,
-    samples_per_digit: int = 0,
     skip_bad: bool = False,
     jobs: int = 2,
     warn=None,
     reading: ReadingOptions = AS_FOUND,
-    writers: int = parameters.PEOPLE,
-    chunked: float = 0.0,
+    simulated: SimulatedSource | None = None,
 ) -> Recordings:
     """Recordings of a source, which are simulated or imported on first use and cached.
 
@@ -42,38 +83,21 @@ def load_recordings(  # noqa: PLR0913 - all have defaults; callers name them
     ----------
     source : str
         ``"simulated"``, or the path of a zip or folder of recordings.
-    simulation_seed : int
-        Seed of simulated recordings.
-    samples_per_digit : int
-        Number of simulated recordings; 0 for the published numbers, 6,953 in all.
-    skip_bad : bool
-        True to leave out files that cannot be read instead of stopping.
-    jobs : int
-        Processes.
-    warn : callable, optional
-        Called with one line for each file that was left out.
-    reading : pipeline.recordings.sensor.ReadingOptions
-        Rows and columns of the skin (0: ten for the simulated skin), and options for reading files.
-    writers : int
-        Number of simulated people.
-    chunked : float
-        Share of the simulated recordings that keep the order of events and not their time.
-
-    Returns
-    -------
-    Recordings
+    skip_bad, jobs, warn, reading
+        As in :func:`pipeline.recordings.library.import_recordings`.  Simulated recordings have only
+        the number of processes, and the rows and columns of the skin (0: ten).
+    simulated : SimulatedSource, optional
 
     Raises
     ------
     UserError
         The source cannot be read, or the cache is damaged.
     """
-    if source == SIMULATED:
-        size = (reading.rows or GRID, reading.columns or GRID)
-        counts = count_samples(samples_per_digit)
-        people = parameters.load(writers, chunked)
-        return load_simulated(simulation_seed, counts, jobs, size=size, parameters=people)
-    return import_recordings(Path(source), skip_bad, jobs, warn, reading)
+    if source != SIMULATED:
+        return import_recordings(Path(source), skip_bad, jobs, warn, reading)
+    simulated = simulated or SimulatedSource()
+    how = simulated.how(reading.rows, reading.columns)
+    return load_simulated(simulated.seed, simulated.counts, jobs, **how)
 
 
 def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
@@ -81,19 +105,11 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     data = settings.data
     # An artifact may read only the settings that apply to its recordings (dataset_origin).
     if data.source == SIMULATED:
-        return load_recordings(
-            SIMULATED,
-            data.simulation_seed,
-            data.samples_per_digit,
-            jobs=jobs,
-            reading=ReadingOptions(settings.skin.rows, settings.skin.columns),
-            writers=data.writers,
-            chunked=data.chunked,
-        )
+        size = ReadingOptions(settings.skin.rows, settings.skin.columns)
+        simulated = SimulatedSource.of(settings)
+        return load_recordings(jobs=jobs, reading=size, simulated=simulated)
     reading = options_from(settings)
-    return load_recordings(
-        data.source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
-    )
+    return load_recordings(data.source, data.skip_bad, jobs, warn, reading)
 
 
 def load_dataset(settings: Settings, jobs: int = 1, warn=None) -> Dataset:
@@ -128,16 +144,13 @@ def identity_of(settings: Settings) -> tuple:
     UserError
         The source does not exist or cannot be read.
     """
-    data = settings.data
-    skin = settings.skin
     kind = settings.split.kind
-    if data.source == SIMULATED:
-        size = (skin.rows or GRID, skin.columns or GRID)
-        counts = count_samples(data.samples_per_digit)
-        people = parameters.load(data.writers, data.chunked)
-        sha256 = source_of(data.simulation_seed, counts, people, size=size).sha256
+    if settings.data.source == SIMULATED:
+        simulated = SimulatedSource.of(settings)
+        how = simulated.how(settings.skin.rows, settings.skin.columns)
+        sha256 = source_of(simulated.seed, simulated.counts, **how).sha256
         return sha256, RANDOM if kind == "auto" else kind
-    listing = list_source(data.source)
+    listing = list_source(settings.data.source)
     if kind == "auto":
         kind = PUBLISHED if listing.entries[0].part else RANDOM
     return find_hash(listing), kind

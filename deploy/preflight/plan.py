@@ -16,7 +16,7 @@ from ..network.build import build
 from ..network.chip import LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
 from ..network.spec import DT, NetworkSpec
-from ..tables import in_blocks
+from ..tables import in_blocks, plural
 from .resources import axon_cfg_registers, find_axons_with_targets, used_by, worst_case
 
 # Column titles of a chip's limits in a table.
@@ -252,8 +252,8 @@ def _problems(cores, chip):
             if max(used) > limit:
                 over = sum(n > limit for n in used)
                 yield (
-                    f"layer {layer}: {max(used)} {resource} on {over} of its {len(own)} "
-                    f"core{'s'[: len(own) > 1]}, {max(used) - limit} more than the {limit} of a "
+                    f"layer {layer}: {max(used)} {resource} on {over} of its "
+                    f"{plural(len(own), 'core')}, {max(used) - limit} more than the {limit} of a "
                     f"core; {REMEDIES[resource].format(limit=limit)}"
                 )
 

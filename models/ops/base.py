@@ -108,7 +108,7 @@ class Operation(DeployedOperation):
         ----------
         name : str
         gain : float, optional
-            The layer then has the chip's quantised weights (:func:`models.cnn.on_chip`).
+            The layer then has the chip's quantised weights (:mod:`models.quantised`).
         """
         raise self._refuse("networks on images")
 

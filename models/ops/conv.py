@@ -45,7 +45,7 @@ class Convolution(Operation, DeployedConvolution):
         options = {"name": name, "strides": self.stride, "padding": self.padding}
         if gain is None:
             return tf.keras.layers.Conv2D(*size, **options)
-        from models.cnn import OnChipConv2D
+        from models.quantised import OnChipConv2D
 
         return OnChipConv2D(*size, gain, **options)
 

@@ -45,7 +45,7 @@ class Dense(Operation, DeployedDense):
 
         if gain is None:
             return tf.keras.layers.Dense(self.units, name=name)
-        from models.cnn import OnChipDense
+        from models.quantised import OnChipDense
 
         return OnChipDense(self.units, gain, name=name)
 

@@ -207,7 +207,7 @@ def _write_row(folder, case, recordings, row):
 
 
 def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> dict:
-    """Train what a case needs, unless a library has it, and test it.
+    """Train what a case needs, unless a library has it, and evaluate it.
 
     Parameters
     ----------
@@ -219,37 +219,63 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     Returns
     -------
     dict
+        As :func:`evaluate`.
+    """
+    return evaluate(case, train(case, networks, dataset or dataset_of(case)))
+
+
+def train(case: Case, networks: Library, dataset: Dataset) -> Opened:
+    """Train what a case needs, unless a library has it."""
+    with hidden():
+        opened = opened_in(networks, case.resolved, dataset, _say_nothing)
+        reference = opened.kind.references.get(case.stage)
+        opened.make_all(None if reference is None else reference.step)
+    return opened
+
+
+def evaluate(case: Case, opened: Opened, dataset: Dataset | None = None) -> dict:
+    """The row of a case whose networks are trained.
+
+    Parameters
+    ----------
+    case : Case
+    opened : Opened
+        From :func:`train`.
+    dataset : Dataset, optional
+        Other samples of the same split, such as those with faulty taxels; for targets only.
+
+    Returns
+    -------
+    dict
         See :func:`row_of`; of a target also its ``costs``, see :func:`costs_of`.
     """
-    dataset = dataset or dataset_of(case)
-    inputs, _ = dataset.subset(case.part)
+    if case.stage not in TARGETS:
+        index = getattr(opened.dataset.split, case.part)
+        return row_of(case, opened.dataset, index, _predict_before_chip(case, opened, index))
+    dataset = dataset or opened.dataset
     index = getattr(dataset.split, case.part)
+    inputs, labels = dataset.subset(case.part)
     with hidden():
-        opened = opened_in(networks, case.resolved, dataset, _silent)
-        if case.stage not in TARGETS:
-            return row_of(case, dataset, index, predictions_before_chip(case, opened))
-        opened.make_all()
         spec = opened.spec()
     responses = answer_on_target(spec, inputs, case.stage, case.seed)
     costs = costs_of(spec, responses)
     if responses.stopped_at is not None:
-        share = share_of_time(responses.stopped_at - 1, last_steps(inputs))
-        costs["share"] = float(share.mean())
-        early = responses.decisions[np.arange(len(index)), responses.stopped_at - 1]
-        costs["early"] = float(np.mean(early == dataset.labels[index]))
+        last = responses.stopped_at - 1
+        early = responses.decisions[np.arange(len(index)), last]
+        costs["share"] = float(share_of_time(last, last_steps(inputs)).mean())
+        costs["early"] = float(np.mean(early == labels))
     return row_of(case, dataset, index, responses.predictions, costs=costs)
 
 
-def predictions_before_chip(case: Case, opened: Opened) -> np.ndarray:
-    """Predictions of a reference stage, which is made if it is missing, shape (n_samples,)."""
+def _predict_before_chip(case, opened, index) -> np.ndarray:
+    """Predictions of a reference stage, shape (n_samples,)."""
     reference = opened.kind.references[case.stage]
-    opened.make_all(reference.step)
     inputs = opened.step_inputs(case.resolved.flat())
     dataset = opened.dataset
-    index = getattr(dataset.split, case.part)
     ids = tuple(dataset.recordings.ids[i] for i in index)
     samples = CheckSet(dataset.inputs[index], dataset.labels[index], ids, case.seed)
-    logits = reference.logits(case.stage, inputs, samples, None)
+    with hidden():
+        logits = reference.logits(case.stage, inputs, samples, None)
     return responses_of(logits, case.resolved.presentation).predictions
 
 
@@ -337,5 +363,5 @@ def costs_of(spec, responses) -> dict:
     }
 
 
-def _silent(line):
+def _say_nothing(line):
     """Print nothing: for many trainings at a time the progress bar suffices."""

@@ -18,8 +18,9 @@ import numpy as np
 
 import deploy.network.loihi_import  # noqa: F401 - puts back what Nengo needs of NumPy 1
 from models.architecture import parse
-from models.cnn import build_cnn, gain_for, on_chip, set_weights
+from models.cnn import build_cnn, gain_for, set_weights
 from models.keras.keras2 import tf
+from models.quantised import quantise_layer
 from pipeline.run.settings import Settings
 
 
@@ -173,7 +174,7 @@ def _convert(settings, weights, kind, synapse):
         weights = dict(weights)
         for name, gain in gains.items():
             names = f"{name}.kernel", f"{name}.bias"
-            arrays = on_chip(*(tf.constant(weights[n], tf.float32) for n in names), gain)
+            arrays = quantise_layer(*(tf.constant(weights[n], tf.float32) for n in names), gain)
             weights.update(zip(names, (array.numpy() for array in arrays), strict=True))
     set_weights(model, weights)
     swap = {tf.nn.relu: kind()}

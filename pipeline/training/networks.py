@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.network.spec import DT
 from models.architecture import parse
 from models.chain import links_of
 from models.cnn import (
-    DT,
     RateLIF,
     activations,
     build_cnn,

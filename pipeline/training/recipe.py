@@ -8,10 +8,10 @@ Braille letters.
 
 The refractory period of the input compresses large counts of events, as a square root does, and
 saves operations, but it loses events.  Readout weights for sections of a recording tell when
-something happened, but there are more of them to learn.  What suits some recordings is estimated in seconds
-by a linear classifier on the spikes that the network would receive: ridge regression of the classes
-on the spikes of each taxel, polarity and section, each training recording predicted from all
-others.
+something happened, but there are more of them to learn.  What suits some recordings is estimated in
+seconds by a linear classifier on the spikes that the network would receive: ridge regression of the
+classes on the spikes of each taxel, polarity and section, each training recording predicted from
+all others.
 """
 
 import math

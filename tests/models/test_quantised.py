@@ -3,18 +3,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.cnn import OnChipConv2D, eight_bits, twelve_bits
 from models.keras.keras2 import tf
+from models.quantised import OnChipConv2D, quantise_bias, quantise_weights
 
 
 def test_rounding_by_hand():
     weights = np.float32([[1.27, -1.27], [0.004, 0.006]])
-    np.testing.assert_allclose(eight_bits(weights), [[1.27, -1.27], [0.0, 0.01]], atol=1e-7)
+    np.testing.assert_allclose(quantise_weights(weights), [[1.27, -1.27], [0.0, 0.01]], atol=1e-7)
 
 
 def test_at_most_255_values_and_the_largest_is_kept():
     weights = np.random.default_rng(0).normal(size=(50, 60)).astype(np.float32)
-    rounded = eight_bits(weights).numpy()
+    rounded = quantise_weights(weights).numpy()
     levels = rounded / (np.abs(weights).max() / 127)
     np.testing.assert_allclose(levels, np.round(levels), atol=1e-4)
     assert np.abs(levels).max() == np.float32(127)
@@ -24,14 +24,14 @@ def test_at_most_255_values_and_the_largest_is_kept():
 def test_the_gradient_passes_unchanged():
     weights = tf.Variable([0.3, -0.7, 0.001])
     with tf.GradientTape() as tape:
-        total = tf.reduce_sum(eight_bits(weights) * [1.0, 2.0, 3.0])
+        total = tf.reduce_sum(quantise_weights(weights) * [1.0, 2.0, 3.0])
     np.testing.assert_allclose(tape.gradient(total, weights), [1, 2, 3])
 
 
 @given(st.floats(2.0**-10, 100.0), st.booleans())
-def test_a_bias_keeps_twelve_bits(bias, negative):
+def test_a_bias_keeps_quantise_bias(bias, negative):
     bias = -bias if negative else bias
-    rounded = float(twelve_bits(tf.constant(bias, tf.float64)))
+    rounded = float(quantise_bias(tf.constant(bias, tf.float64)))
     assert abs(rounded - bias) <= abs(bias) * 2.0**-12
     mantissa = rounded / 2.0 ** (np.ceil(np.log2(abs(rounded))) - 12)
     assert mantissa == pytest.approx(round(mantissa), abs=1e-9)
@@ -46,8 +46,8 @@ def test_the_convolution_computes_with_the_chips_weights_and_biases():
     layer.bias.assign(bias)
     plain = tf.keras.layers.Conv2D(3, 2)
     plain(image)
-    on_chip = (twelve_bits(1 + gain * bias).numpy() - 1) / gain
-    plain.set_weights([eight_bits(layer.kernel).numpy(), on_chip])
+    on_chip = (quantise_bias(1 + gain * bias).numpy() - 1) / gain
+    plain.set_weights([quantise_weights(layer.kernel).numpy(), on_chip])
     np.testing.assert_allclose(layer(image), plain(image), atol=1e-5)
     assert not np.allclose(layer.kernel, plain.kernel)
     assert not np.array_equal(on_chip, bias)

@@ -11,7 +11,7 @@ from pipeline.recordings.images import tactile_images
 from pipeline.recordings.sensor import ReadingOptions, class_order
 from pipeline.recordings.source import read_source
 from pipeline.run.settings import Image
-from pipeline.sources import load_recordings
+from pipeline.sources import SimulatedSource, load_recordings
 from tests.command import missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import archive, mat5, npz
@@ -175,7 +175,11 @@ def test_names_have_one_order(names):
 
 def test_a_simulated_skin_of_another_size():
     small, large = (
-        load_recordings(samples_per_digit=2, jobs=1, reading=ReadingOptions(rows, columns))
+        load_recordings(
+            jobs=1,
+            reading=ReadingOptions(rows, columns),
+            simulated=SimulatedSource(samples_per_digit=2),
+        )
         for rows, columns in ((10, 10), (16, 14))
     )
     assert (large.sensor.rows, large.sensor.columns) == (16, 14)

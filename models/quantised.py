@@ -1,0 +1,94 @@
+"""Weights and bias currents that are quantised as on a chip, in the forward pass of a training."""
+
+import numpy as np
+
+from deploy.network.chip import LOIHI, Chip
+from models.keras.keras2 import as_written, tf
+
+
+def straight_through(rounding, values):
+    """Apply a rounding function with a straight-through gradient."""
+    return values + tf.stop_gradient(rounding(values) - values)
+
+
+def weight_scale(weights, chip: Chip = LOIHI):
+    """Value of one level of a weight on the chip: a scalar tensor without a gradient.
+
+    NengoLoihi scales the weights of a block so that the largest fills its bits
+    (``discretize_weights``).
+    """
+    return tf.stop_gradient(tf.maximum(tf.reduce_max(tf.abs(weights)), 1e-12) / chip.weight_levels)
+
+
+def quantise_weights(weights, chip: Chip = LOIHI):
+    """Round weights to the chip's bits with a common scale; the gradient is straight-through."""
+    scale = weight_scale(weights, chip)
+    return straight_through(lambda values: tf.round(values / scale) * scale, weights)
+
+
+def quantise_bias(bias, chip: Chip = LOIHI):
+    """Round each bias current to the chip's mantissa; the gradient is straight-through.
+
+    Loihi stores a bias as 12 bits times a power of two (NengoLoihi's ``bias_to_manexp``).
+    """
+    magnitude = tf.maximum(tf.abs(bias), 1e-12)
+    unit = tf.pow(2.0, tf.math.ceil(tf.math.log(magnitude) / np.log(2.0)) - chip.bias_bits)
+    return straight_through(lambda values: tf.round(values / unit) * unit, bias)
+
+
+@as_written
+def quantise_layer(kernel, bias, gain: float, chip: Chip = LOIHI):
+    """Kernel and bias, quantised as on the chip.
+
+    Parameters
+    ----------
+    kernel, bias : tensor
+    gain : float
+        Gain of the layer's neurons: their current is ``1 + gain * (kernel * input + bias)``, so
+        that ``1 + gain * bias`` is their bias current.
+    chip : Chip
+    """
+    current = quantise_bias(1 + gain * bias, chip)
+    return quantise_weights(kernel, chip), (current - 1) / gain
+
+
+class OnChipConv2D(tf.keras.layers.Conv2D):
+    """A ``Conv2D`` with the chip's quantised weights and bias currents.
+
+    Parameters
+    ----------
+    filters, kernel_size : int
+    gain : float
+        See :func:`quantise_layer`.
+    """
+
+    def __init__(self, filters, kernel_size, gain, **kwargs):
+        super().__init__(filters, kernel_size, **kwargs)
+        self.gain = gain
+
+    def call(self, inputs):
+        """Convolve; shapes as in ``Conv2D``."""
+        kernel, bias = quantise_layer(self.kernel, self.bias, self.gain)
+        return tf.nn.bias_add(
+            tf.nn.conv2d(inputs, kernel, strides=self.strides, padding=self.padding.upper()), bias
+        )
+
+
+class OnChipDense(tf.keras.layers.Dense):
+    """A ``Dense`` layer with the chip's quantised weights and bias currents.
+
+    Parameters
+    ----------
+    units : int
+    gain : float
+        See :func:`quantise_layer`.
+    """
+
+    def __init__(self, units, gain, **kwargs):
+        super().__init__(units, **kwargs)
+        self.gain = gain
+
+    def call(self, inputs):
+        """Compute the weighted sums; shapes as in ``Dense``."""
+        kernel, bias = quantise_layer(self.kernel, self.bias, self.gain)
+        return tf.matmul(inputs, kernel) + bias
