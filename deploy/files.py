@@ -82,7 +82,8 @@ def replacing(path, mode="wb"):
     UserError
         The folder or file cannot be written.
     """
-    path, temporary = Path(path), None
+    path = Path(path)
+    temporary = None
     if path.exists() and not path.is_file():  # would replace /dev/null
         raise UserError(f"{path}: cannot write (not a file); choose another name")
     try:
@@ -286,7 +287,8 @@ def write_arrays(path, compress=True, **arrays):
 def zip_member(name, kind=zipfile.ZIP_DEFLATED):
     """A member of a zip whose bytes do not depend on the time of day."""
     member = zipfile.ZipInfo(str(name), date_time=(1980, 1, 1, 0, 0, 0))
-    member.compress_type, member.external_attr = kind, 0o644 << 16
+    member.compress_type = kind
+    member.external_attr = 0o644 << 16
     return member
 
 

@@ -56,7 +56,8 @@ class WrongValue(ValueError):
     """
 
     def __init__(self, name: str, problem: str):
-        self.name, self.problem = name, problem
+        self.name = name
+        self.problem = problem
         super().__init__(f"'{name}' {problem}" if name else problem)
 
 
@@ -85,7 +86,8 @@ def load(kind, values, name: str = "", extra: bool = False):
     """
     if not isinstance(values, dict):
         raise WrongValue(name, f"must be a table of values, not {_short(values)}")
-    known, built = {entry.name: entry for entry in fields(kind) if entry.init}, {}
+    known = {entry.name: entry for entry in fields(kind) if entry.init}
+    built = {}
     unknown = sorted(str(each)[:40] for each in set(values) - set(known))
     if unknown and not extra:
         raise WrongValue(_join_names(name, unknown[0]), "is unknown")
@@ -129,7 +131,8 @@ def _build_value(hint, value, name, extra):
         value = _build_value(hint.__origin__, value, name, extra)
         _require_limit(limit, value, name)
         return value
-    origin, inner = getattr(hint, "__origin__", hint), getattr(hint, "__args__", ())
+    origin = getattr(hint, "__origin__", hint)
+    inner = getattr(hint, "__args__", ())
     if origin is Union or type(hint).__name__ == "UnionType":  # Optional[X], or X | None
         return None if value is None else _build_value(inner[0], value, name, extra)
     if is_dataclass(hint):

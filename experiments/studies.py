@@ -36,7 +36,8 @@ from pipeline.sources import recordings_of
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"
 
-PAPER, OWN = {"snn": {"recipe": "paper"}}, {"snn": {"recipe": "loihi"}}
+PAPER = {"snn": {"recipe": "paper"}}
+OWN = {"snn": {"recipe": "loihi"}}
 READOUT_ON_CHIP = {"deployment": {"readout": "chip"}}
 
 
@@ -137,7 +138,8 @@ def _with_faults(name, title, changes=None, **more):
 
 def _on_events(trained, chip, **more):
     """A network on events as trained, and on the emulated chip."""
-    title, more = "SNN on events", {"input": "events", **more}
+    title = "SNN on events"
+    more = {"input": "events", **more}
     return (
         Line(trained, title, "trained", **more),
         Line(chip, f"{title}, emulated Loihi, readout on host", "fast", **more),
@@ -397,7 +399,9 @@ def fit_settings(wanted: dict, recordings, say) -> dict:
     say : callable
         Called once with each message about a choice.
     """
-    complete, by_line, said = {}, {}, set()
+    complete = {}
+    by_line = {}
+    said = set()
 
     def say_once(text):
         if text not in said:
@@ -514,7 +518,8 @@ def cells(experiment: Experiment, found: dict, split: str) -> list:
         sd = "" if row["sd"] is None else f" ({row['sd']:.3f})"
         interval = tables.interval_text([min(max(b, 0.0), 1.0) for b in row["ci95"] or ()])
         line = [titles[row["name"]], f"{row['mean']:.3f}{sd}", interval, str(len(row["seeds"]))]
-        costs, shown = row.get("costs", {}), COSTS if early else COSTS[:3]
+        costs = row.get("costs", {})
+        shown = COSTS if early else COSTS[:3]
         line += [layout.format(costs[name]) if name in costs else "" for name, layout in shown]
         if paper:
             known = TABLE2.get(row["name"])

@@ -124,7 +124,8 @@ class SpikingNetwork(tf.Module):
     ):
         super().__init__()
         quiet_compiler()
-        self.architecture, self.neuron = architecture, neuron or Neuron()
+        self.architecture = architecture
+        self.neuron = neuron or Neuron()
         self.starts = tuple(starts)
         if not all(layer.has_neurons for layer in architecture.layers):
             raise ValueError(f"{architecture}: spikes are not pooled; use a stride")
@@ -336,7 +337,8 @@ def weighted_sums(layer, kernel, signal):
     -------
     tensor, shape (steps, samples, ...)
     """
-    steps, samples = _length(signal, 0), _length(signal, 1)
+    steps = _length(signal, 0)
+    samples = _length(signal, 1)
     sums = layer.sums(kernel, tf.reshape(signal, (-1, *signal.shape[2:])))
     return tf.reshape(sums, (steps, samples, *sums.shape[1:]))
 
@@ -438,7 +440,8 @@ def _run_back(  # noqa: PLR0913 - TensorFlow compiles a function of tensors
     """dE/du and dE/dv at every step."""
     slope = error / (threshold * tf.square(1 + beta * tf.abs(v / threshold - 1)))
     free = tf.cast(v > floor, error.dtype)
-    a, b = keep_u / DECAY_UNIT, keep_v / DECAY_UNIT
+    a = keep_u / DECAY_UNIT
+    b = keep_v / DECAY_UNIT
 
     def step(t, state):
         to_u, to_v = state

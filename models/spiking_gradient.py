@@ -182,7 +182,8 @@ class SpikingGradient:
         rates : list of ndarray, each of shape (samples, neurons)
             Number of spikes of each neuron of each layer.
         """
-        layers, kernel = self.on_chip(values), self._output_kernel(values)
+        layers = self.on_chip(values)
+        kernel = self._output_kernel(values)
 
         def run(group):
             gains = self._ones(len(group))
@@ -207,7 +208,8 @@ class SpikingGradient:
         price : float
             Added to the gradients for each synaptic operation of the batch; not in the loss.
         """
-        layers, kernel = self.on_chip(values), self._output_kernel(values)
+        layers = self.on_chip(values)
+        kernel = self._output_kernel(values)
 
         def run(chosen):
             return self._gradients_of(layers, kernel, batch, chosen, early, price)
@@ -237,7 +239,8 @@ class SpikingGradient:
         """The result for some samples, with gradients by the chip's values."""
         gains = [gain[chosen] for gain in batch.gains]
         passed = self._forward(layers, kernel, batch.frames[chosen], gains)
-        labels, last_step = batch.labels[chosen], batch.last_step[chosen]
+        labels = batch.labels[chosen]
+        last_step = batch.last_step[chosen]
         loss, to_outputs = _loss_gradient(passed.outputs, labels, last_step, early)
         error = np.empty(passed.spikes[-1].shape, np.float32)
         to_kernel = np.zeros_like(kernel)
@@ -275,7 +278,8 @@ class SpikingGradient:
 
     def _forward(self, layers, kernel, frames, gains):
         spikes = [np.ascontiguousarray(frames.reshape(*frames.shape[:2], -1))]
-        currents, voltages = [], []
+        currents = []
+        voltages = []
         gain = np.ones((len(frames), spikes[0].shape[2]), np.float32)
         for index, layer in enumerate(layers):
             shape = (*frames.shape[:2], self.neurons[index])

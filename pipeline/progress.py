@@ -17,7 +17,8 @@ _hidden = False
 def hidden():
     """Hide all bars inside the block, for code whose caller shows a bar of its own."""
     global _hidden
-    before, _hidden = _hidden, True
+    before = _hidden
+    _hidden = True
     try:
         yield
     finally:

@@ -38,7 +38,8 @@ def mcnemar(correct_a, correct_b) -> float:
         Probability of a difference at least this large if both were equally good; 1 if they are
         right on the same samples.
     """
-    correct_a, correct_b = np.asarray(correct_a, bool), np.asarray(correct_b, bool)
+    correct_a = np.asarray(correct_a, bool)
+    correct_b = np.asarray(correct_b, bool)
     only_a = int(np.sum(correct_a & ~correct_b))
     only_b = int(np.sum(correct_b & ~correct_a))
     if only_a + only_b == 0:

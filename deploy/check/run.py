@@ -169,8 +169,12 @@ class OpenCheck:
 
     def __init__(self, bundle, check, out, saved, done, advance, options):
         self.target = target_named(check["target"])
-        self._bundle, self._check, self._out = bundle, check, out
-        self._saved, self._done, self._options = saved, done, options
+        self._bundle = bundle
+        self._check = check
+        self._out = out
+        self._saved = saved
+        self._done = done
+        self._options = options
         self._advance = advance or (lambda n: None)
         for record in done.values():
             self._advance(len(record["samples"]))
@@ -274,7 +278,8 @@ def open_check(
 
 def records_of(checks: CheckSet, responses: Responses) -> list:
     """The saved fields of each sample."""
-    hashes, stops = responses.spike_hashes, responses.stopped_at
+    hashes = responses.spike_hashes
+    stops = responses.stopped_at
     return [
         {
             "id": checks.ids[i],

@@ -58,7 +58,8 @@ def others_text(result: dict) -> str:
             cells = [[key, "n", "accuracy", "95 % interval"]]
             for row in rows:
                 low, high = row["accuracy_ci95"]
-                name, share = short.get(row[key], str(row[key])), f"{row['accuracy']:.3f}"
+                name = short.get(row[key], str(row[key]))
+                share = f"{row['accuracy']:.3f}"
                 cells.append([name, str(row["n"]), share, f"{low:.3f} to {high:.3f}"])
             lines += align_rows(cells)
     wrong = [
@@ -76,7 +77,8 @@ def _hardware(result):
     """Lines about a board."""
     if "hardware" not in result:
         return ""
-    board, timing = result["hardware"], result["timing"]
+    board = result["hardware"]
+    timing = result["timing"]
     phases = ", ".join(
         f"{phase} {timing[f'{phase}_seconds_per_sample']:.3f} s"
         for phase in ("build", "connect", "run")
@@ -116,7 +118,8 @@ def _kind(result):
 
 def comparison_text(comparison: Comparison) -> str:
     """Format a comparison as a few lines, with the first ten samples that differ."""
-    (a, b), differ = map(printable, comparison.targets), comparison.disagreements
+    (a, b) = map(printable, comparison.targets)
+    differ = comparison.disagreements
     lines = [
         f"{a} {comparison.accuracies[0]:.3f}, {b} {comparison.accuracies[1]:.3f}, "
         f"drop {comparison.accuracy_drop:+.3f}",

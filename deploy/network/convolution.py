@@ -42,12 +42,14 @@ class PaddedConvInc(ConvInc):
 
     def make_step(self, signals, dt, rng):
         """The function of one step."""
-        weights, values = signals[self.W], signals[self.X]
+        weights = signals[self.W]
+        values = signals[self.X]
         values = values.reshape(self.conv.input_shape.shape)
         output = signals[self.Y].reshape(self.conv.output_shape.shape)
         edge = (self.conv.zeros, self.conv.zeros)
         down, right = self.conv.strides
-        rows, columns = (down * (output.shape[0] - 1) + 1, right * (output.shape[1] - 1) + 1)
+        rows = down * (output.shape[0] - 1) + 1
+        columns = right * (output.shape[1] - 1) + 1
 
         def step_padded_convolution():
             padded = np.pad(values, (edge, edge, (0, 0)))

@@ -241,13 +241,15 @@ def probabilities(outputs, sure) -> np.ndarray:
     ndarray, shape (..., n_classes)
     """
     ahead = outputs - outputs.max(-1, keepdims=True)
-    least, most = np.full(np.shape(sure), -5.0), np.full(np.shape(sure), 3.0)
+    least = np.full(np.shape(sure), -5.0)
+    most = np.full(np.shape(sure), 3.0)
     for _ in range(20):  # bisection of the logarithm of the inverse temperature
         middle = (least + most) / 2
         powers = np.exp(10 ** middle[..., None] * ahead)
         shares = powers / powers.sum(-1, keepdims=True)
         above = shares.max(axis=-1) > sure
-        least, most = np.where(above, least, middle), np.where(above, middle, most)
+        least = np.where(above, least, middle)
+        most = np.where(above, middle, most)
     return shares
 
 
@@ -314,12 +316,14 @@ def choose_threshold(
     -------
     Threshold
     """
-    labels, outputs = np.asarray(labels), np.asarray(outputs)
+    labels = np.asarray(labels)
+    outputs = np.asarray(outputs)
 
     def mean(values):
         return float(np.average(values, weights=weights))
 
-    at_the_end, sure = mean(outputs[:, -1].argmax(-1) == labels), confidence(outputs, estimator)
+    at_the_end = mean(outputs[:, -1].argmax(-1) == labels)
+    sure = confidence(outputs, estimator)
     best = Threshold(1.0, at_the_end, 1.0)
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
         steps, classes = _find_decisions(outputs, sure, level)

@@ -200,7 +200,8 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     -------
     Responses
     """
-    start, limit = spec.presentation.readout_start, spec.presentation.confidence
+    start = spec.presentation.readout_start
+    limit = spec.presentation.confidence
     scores = _running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
     best = np.argmax(round_scores(scores, score_unit(spec)), axis=2)
@@ -242,7 +243,8 @@ def _sums(spec, means):
 def _running_means(spec, output):
     """Running means of the readout from ``readout_start`` on."""
     window = output[:, spec.presentation.readout_start :]
-    totals, counts = np.cumsum(window, axis=1), np.arange(1, window.shape[1] + 1)
+    totals = np.cumsum(window, axis=1)
+    counts = np.arange(1, window.shape[1] + 1)
     return _mean(spec, totals, counts[:, None])
 
 
@@ -269,7 +271,8 @@ class RunningReadout:
     """
 
     def __init__(self, spec: NetworkSpec, steps: int):
-        self._spec, self._unit = spec, score_unit(spec)
+        self._spec = spec
+        self._unit = score_unit(spec)
         self._start = spec.presentation.readout_start
         classes = spec.layers[-1].size
         self._total = np.zeros((1, classes))
@@ -324,7 +327,8 @@ class RunningReadout:
         self._sums[new] = round_scores(self._means[new] * counts, self._unit)
         before = self._spoke[done - 1] if done else False
         self._spoke[new] = np.logical_or.accumulate((window != 0).any(axis=1)) | before
-        estimator, known = self._spec.estimator, self._confidences[:done]
+        estimator = self._spec.estimator
+        known = self._confidences[:done]
         sums = self._sums[: new.stop]
         self._confidences[new] = continued_confidence(sums, known, estimator, self._start)
 

@@ -373,7 +373,8 @@ class Rehearsal:
         """
         if not any(name.startswith("rehearsal.") for name in arrays):
             return None
-        responses, labels = arrays["rehearsal.responses"], arrays["rehearsal.labels"]
+        responses = arrays["rehearsal.responses"]
+        labels = arrays["rehearsal.labels"]
         valid = (
             (responses.dtype.kind, labels.ndim) == ("f", 1)
             and labels.dtype.kind in "iu"
@@ -558,7 +559,8 @@ class NetworkSpec:
                 provenance=dict(value.get("provenance", {})),
                 estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
-            inputs, classes = layers[-1].by_class.shape[1], layers[-1].size
+            inputs = layers[-1].by_class.shape[1]
+            classes = layers[-1].size
             spec = replace(spec, rehearsal=Rehearsal.from_arrays(arrays, inputs, classes))
             _only(value, {"schema", *spec.to_json()}, "network")
             _only(arrays, spec.arrays(), "weights")

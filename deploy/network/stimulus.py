@@ -68,7 +68,8 @@ class Stimulus:
         if samples.dtype.kind not in "fiub":
             return "samples are not real numbers"
         # Only the extremes are converted: the frames of a test set are too large to copy.
-        lowest, highest = float(np.min(samples, initial=0)), float(np.max(samples, initial=0))
+        lowest = float(np.min(samples, initial=0))
+        highest = float(np.max(samples, initial=0))
         if not -limits.MAGNITUDE <= lowest <= highest <= limits.MAGNITUDE:  # also refuses NaN
             return "samples have a value that is NaN or too large"
         return None

@@ -48,7 +48,8 @@ class SensorClock:
     """
 
     def __init__(self, silence_ns: float, faults: Faults):
-        self._silence_ns, self._faults = silence_ns, faults
+        self._silence_ns = silence_ns
+        self._faults = faults
         self._offset_ns = 0  # from the sensor's time to the stream's
         self._held: Optional[_Event] = None  # at the sensor's time
         self._advanced_ns: Optional[int] = None  # the stream's time of the last call of `advance`

@@ -44,7 +44,8 @@ class Presentation:
     """
 
     def __init__(self, readout: RunningReadout, spikes: dict):
-        self.readout, self.spikes = readout, spikes
+        self.readout = readout
+        self.spikes = spikes
 
     @property
     def n_steps(self) -> int:
@@ -83,7 +84,8 @@ class PresentingNetwork:
     def prepare(self):
         """Present the gap before the next presentation; the latter then starts without delay."""
         if self._presented == self._stream_length:
-            self._state, self._presented = self._emulation.start(), 0
+            self._state = self._emulation.start()
+            self._presented = 0
         self._presented += 1
         gap = self._spec.presentation.gap
         spikes = {

@@ -172,7 +172,8 @@ class Stream:
 
     def _set_steps(self, longest):
         """Set the durations of a step and of presentations."""
-        step_s, usual = self._spec.stimulus.step_seconds, self._spec.presentation.steps
+        step_s = self._spec.stimulus.step_seconds
+        usual = self._spec.presentation.steps
         self._step_ms = 1000 * step_s
         self._certain_step_ns = (1 - STEP_ROUNDING) * self._step_ms * NANOSECONDS_PER_MS
         self._usual_steps = self._longest_steps = usual
@@ -336,7 +337,8 @@ class Stream:
         return touch.start_ns + (touch.presentation.n_steps + 1) * self._certain_step_ns
 
     def _take_due(self):
-        due, self._due = self._due, []
+        due = self._due
+        self._due = []
         return due
 
     def _nanoseconds(self, t):
@@ -368,7 +370,10 @@ class Stream:
             self._faults.count("unreadable", int(np.sum(~readable)))
             self._faults.count("outside", int(np.sum(readable & ~inside)))
             self._faults.count("polarity", int(np.sum(readable & inside & ~has_polarity)))
-            time_ns, x, y, is_on = time_ns[good], x[good], y[good], is_on[good]
+            time_ns = time_ns[good]
+            x = x[good]
+            y = y[good]
+            is_on = is_on[good]
         place = y.astype(np.int64) * self._columns + x.astype(np.int64)
         return time_ns, 2 * place + ~is_on
 
@@ -386,7 +391,8 @@ class Stream:
         if self._touching and time_ns[0] - self._touch.last_ns > self._silence_ns:
             self._end_touch(int(self._touch.last_ns + self._silence_ns))
         if not self._touching:
-            self._touch, self._touching = self._new_touch(int(time_ns[0])), True
+            self._touch = self._new_touch(int(time_ns[0]))
+            self._touching = True
             self._frame[:] = 0
         touch = self._touch
         touch.last_ns = max(touch.last_ns, int(time_ns[-1]))
@@ -394,7 +400,8 @@ class Stream:
         surplus = len(step) - int(np.searchsorted(step, self._longest_steps))
         if surplus:
             self._faults.count("surplus", surplus)
-            step, cell = step[: len(step) - surplus], cell[: len(cell) - surplus]
+            step = step[: len(step) - surplus]
+            cell = cell[: len(cell) - surplus]
         if len(step):
             np.add.at(touch.events, step, 1)
             self._present(touch, step, cell)
@@ -468,7 +475,8 @@ class Stream:
         """Decide at the first step that reaches the threshold, if there is one."""
         if touch.decision is not None:
             return
-        threshold, readout = self._spec.presentation.threshold, touch.presentation.readout
+        threshold = self._spec.presentation.threshold
+        readout = touch.presentation.readout
         start = self._spec.presentation.readout_start
         usual = readout.confidences[: self._usual_steps - start]
         reached = np.flatnonzero(usual[touch.checked :] >= threshold)
@@ -557,7 +565,8 @@ def _bundle_folder(place):
 
 def _require_events(bundle):
     """Refuse networks whose input is not the ON and OFF events of a sensor."""
-    spec, where = bundle.spec, bundle.path or "the bundle"
+    spec = bundle.spec
+    where = bundle.path or "the bundle"
     if not isinstance(spec.stimulus, EventFrames):
         remedy = command_text("convert", "runs/events", "--set", "input.kind=events")
         raise UserError(

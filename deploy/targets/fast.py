@@ -100,7 +100,8 @@ class Emulation:
         try:
             from fastloihi.streams import StreamEmulator, sum_rows
 
-            self.chip, self._sum_rows = StreamEmulator(model), sum_rows
+            self.chip = StreamEmulator(model)
+            self._sum_rows = sum_rows
         except ImportError as error:
             raise UserError(f"the target 'fast' needs Numba ({error}): pip install numba") from None
         except Unsupported as reason:
@@ -193,7 +194,8 @@ class Emulation:
             return self._run(np.asarray(samples), watch, memory)
 
     def _run(self, samples, watch, memory):
-        gap, period = self.spec.presentation.gap, self.spec.presentation.period
+        gap = self.spec.presentation.gap
+        period = self.spec.presentation.period
         n_streams = samples.shape[0]
         n_samples = samples.shape[1]
         size = samples.shape[-1]
@@ -337,7 +339,9 @@ class Readout:
     """
 
     def __init__(self, layer, n_streams, n_outputs):
-        self._on_host, self._last, self._step = layer.neurons is None, None, None
+        self._on_host = layer.neurons is None
+        self._last = None
+        self._step = None
         self._filtered = np.zeros((n_streams, n_outputs))
         if self._on_host and layer.synapse is not None:
             shape = self._filtered.shape
@@ -363,10 +367,8 @@ class Readout:
         if self._step is not None:
             for step in range(values.shape[1]):
                 # A filter's output has Nengo's delay of one step.
-                now, self._filtered = (
-                    self._filtered,
-                    np.array(self._step(None, np.ascontiguousarray(values[:, step]))),
-                )
+                now = self._filtered
+                self._filtered = np.array(self._step(None, np.ascontiguousarray(values[:, step])))
                 values[:, step] = now
         return values
 

@@ -9,7 +9,9 @@ from pipeline.recordings.events import Recordings
 
 # Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
 # samples in both sets.
-RANDOM, PUBLISHED, WRITERS = "random", "published", "writers"
+RANDOM = "random"
+PUBLISHED = "published"
+WRITERS = "writers"
 
 # Share of the training samples that is held out if there are no validation samples.
 HELD_OUT = 0.1

@@ -251,7 +251,8 @@ def difference(a: Run, b: Run, stage: str) -> dict | None:
     """
     if stage not in a.results or stage not in b.results:
         return None
-    first, second = a.results[stage], b.results[stage]
+    first = a.results[stage]
+    second = b.results[stage]
     labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
     sources = [run.spec.provenance.get("source_sha256") for run in (a, b)]
     paired = labels_a == labels_b and (None in sources or sources[0] == sources[1])

@@ -87,7 +87,8 @@ def recordings_for(
         The recordings cannot be read, or are from another sensor or of other classes.
     """
     rows, columns = bundle.spec.input_shape[:2]
-    data, recorded = settings.data, bundle.spec.provenance
+    data = settings.data
+    recorded = bundle.spec.provenance
     # Files without a unit have that of the training, also if a person writes much faster.
     usual = recorded.get("time_unit")
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
@@ -103,7 +104,9 @@ def recordings_for(
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
-    sensor, known, taxels = recordings.sensor, read_classes(bundle.spec), recordings.taxels
+    sensor = recordings.sensor
+    known = read_classes(bundle.spec)
+    taxels = recordings.taxels
     # The size that was requested may be larger than a look-up table's, of a smaller sensor.
     actual = replace(
         sensor,
@@ -157,7 +160,8 @@ def predict(
     recordings = recordings_for(bundle, str(source), settings, warn=warn, labelled=False)
     for line in warnings_on(bundle, recordings):
         warn(line)
-    spec, names = bundle.spec.with_presentation(stream_length=1), recordings.sensor.classes
+    spec = bundle.spec.with_presentation(stream_length=1)
+    names = recordings.sensor.classes
     answers = run_target(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
     pairs = zip(recordings.ids, answers.predictions, strict=True)
     return {name: names[prediction] for name, prediction in pairs}
@@ -188,7 +192,8 @@ def warnings_on(bundle: Bundle, recordings: Recordings):
 
 def _limits(spec, recordings):
     """Lines on what the network does not see, or never saw in its training."""
-    events, taxels = recordings.events, recordings.taxels
+    events = recordings.events
+    taxels = recordings.taxels
     units = [recordings.source.time_unit, spec.provenance.get("time_unit")]
     if all(units) and units[0] != units[1]:
         read, usual = (UNIT_NAMES[unit] for unit in units)
@@ -212,14 +217,16 @@ def _limits(spec, recordings):
     if has_off != (spec.provenance.get("polarities", 2) == 2):
         yield f"there are {'' if has_off else 'no '}OFF events, unlike in those of the training"
     if isinstance(spec.stimulus, EventFrames):
-        step_ms, steps = 1000 * spec.stimulus.step_seconds, spec.presentation.steps
+        step_ms = 1000 * spec.stimulus.step_seconds
+        steps = spec.presentation.steps
         if line := cut_text(recordings.table, step_ms, steps):
             yield line
 
 
 def _typical_duration_s(recordings):
     """Median duration of the recordings with events, in seconds."""
-    time_ns, offsets = recordings.events.time_ns, recordings.offsets
+    time_ns = recordings.events.time_ns
+    offsets = recordings.offsets
     some = np.diff(offsets) > 0
     if not some.any():
         return math.inf
@@ -256,7 +263,8 @@ def with_recordings(
         raise UserError(
             f"{recordings.source.name}: {count} samples requested, only {n} exist"
         ) from error
-    spec, drawn = bundle.spec, recordings.subset(chosen)
+    spec = bundle.spec
+    drawn = recordings.subset(chosen)
     inputs = inputs_for(spec, drawn, image)
     if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
         raise UserError(f"{recordings.source.name}: {problem}")
@@ -281,7 +289,8 @@ def with_accuracies(
     chosen : ndarray of int
         Indices of the presented samples, in the order of the result's samples.
     """
-    classes, source = recordings.sensor.classes, recordings.source
+    classes = recordings.sensor.classes
+    source = recordings.source
     labels = np.array([sample["label"] for sample in result["samples"]])
     predictions = np.array([sample["prediction"] for sample in result["samples"]])
     writers = recordings.writers[chosen]
@@ -313,7 +322,8 @@ def with_accuracies(
 
 
 def _right(right, chosen):
-    count, n = int(right[chosen].sum()), int(chosen.sum())
+    count = int(right[chosen].sum())
+    n = int(chosen.sum())
     return {"n": n, "accuracy": count / n, "accuracy_ci95": list(wilson_interval(count, n))}
 
 

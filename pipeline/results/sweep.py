@@ -234,7 +234,8 @@ def summarise(points, rows: dict, failed: dict) -> dict:
     failed : dict of Case to str
         The errors of the cases that failed; their points are not among the others.
     """
-    measured, errors = [], []
+    measured = []
+    errors = []
     for point in points:
         problems = [failed[case] for case in point.cases.values() if case in failed]
         if problems:

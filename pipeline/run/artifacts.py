@@ -36,7 +36,9 @@ from deploy.files import read_json, write_json
 from pipeline.run.settings import AUTOMATIC_AT_0, KEPT_IF_USERS, Settings, names_in
 
 # States of an artifact.
-CURRENT, OUTDATED, MISSING = "current", "outdated", "missing"
+CURRENT = "current"
+OUTDATED = "outdated"
+MISSING = "missing"
 
 # Remedy for a damaged file.
 DELETE_IT = "delete it and run the command again"

@@ -162,7 +162,8 @@ class EventChoices:
 
     def _choose_reading(self):
         """The refractory period, and the sections of the readout."""
-        settings, presented = self.settings, self.presented
+        settings = self.settings
+        presented = self.presented
         step_ms = presented.input.step
         sections = settings.events.parts
         is_open = settings.is_open("input.refractory")
@@ -194,7 +195,8 @@ class EventChoices:
         self._choose("input.max_spikes", max_spikes, reason)
 
     def _estimate_reading(self, presented):
-        step_ms, labels = presented.input.step, self.recordings.labels
+        step_ms = presented.input.step
+        labels = self.recordings.labels
         reading = reading_for(self.table, labels, self.train, step_ms, presented.steps)
         if self.settings.is_open("input.refractory"):
             return reading

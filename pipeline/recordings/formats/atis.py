@@ -14,7 +14,8 @@ SUFFIXES = (".bin",)
 
 # Bytes of an event: in .bin x, y, polarity (1 bit) and time (23 bits); in .dat time (32 bits), x
 # and y (14 bits each) and polarity.
-BIN_EVENT_BYTES, DAT_EVENT_BYTES = 5, 8
+BIN_EVENT_BYTES = 5
+DAT_EVENT_BYTES = 8
 
 # The row of an event in .bin that stands for an overflow of the time, and the time it adds.
 OVERFLOW_ROW = 240

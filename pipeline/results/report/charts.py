@@ -15,8 +15,13 @@ from PIL import Image
 
 from pipeline.look import colour
 
-WIDTH, CHART, HEIGHT = 360, 440, 250
-LEFT, RIGHT, TOP, BOTTOM = 48, 14, 26, 40
+WIDTH = 360
+CHART = 440
+HEIGHT = 250
+LEFT = 48
+RIGHT = 14
+TOP = 26
+BOTTOM = 40
 # Height of a panel of a timeline.
 PANEL = 90
 # Points of a line that have a tooltip of their own.
@@ -125,9 +130,11 @@ def interval(value: float, low: float, high: float, least: float) -> Markup:
     least : float
         Value at the left edge; the right one is 1.
     """
-    axis, y = _Axis(least, 1, 8, WIDTH / 2, exact=True), 10
+    axis = _Axis(least, 1, 8, WIDTH / 2, exact=True)
+    y = 10
     said = f"{percent(value)}, {percent(low)} to {percent(high)}"
-    dot, line = _dot(axis(value), y, said), _segment("line s1", axis(low), y, axis(high), y)
+    dot = _dot(axis(value), y, said)
+    line = _segment("line s1", axis(low), y, axis(high), y)
     edges = (_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
     return _svg(WIDTH / 2 + 8, 2 * y, [*edges, _title(said), line, dot], said, "interval")
 
@@ -144,9 +151,12 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
     mark : float, optional
         Time of a vertical line through all panels.
     """
-    width, gap, top = 2 * WIDTH, 26, 20
+    width = 2 * WIDTH
+    gap = 26
+    top = 20
     x_axis = _Axis(0, extent, LEFT, width - RIGHT, exact=True)
-    marks, y = [], top
+    marks = []
+    y = top
     for panel in panels:
         marks.append(_text(LEFT, y - 6, panel.title, "start"))
         bottom = y + PANEL
@@ -248,7 +258,10 @@ class _Axis:
         if not exact:
             low = np.floor(low / self.step + 1e-9) * self.step
             high = np.ceil(high / self.step - 1e-9) * self.step
-        self.low, self.high, self.start, self.end = low, high, start, end
+        self.low = low
+        self.high = high
+        self.start = start
+        self.end = end
 
     def __call__(self, value):
         return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)

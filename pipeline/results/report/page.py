@@ -99,7 +99,8 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     environment.filters["percent"] = charts.percent
     environment.filters["interval"] = prose.interval
     package = resources.files("pipeline.results.report")
-    spec, result = inputs.bundle.spec, inputs.results[-1]
+    spec = inputs.bundle.spec
+    result = inputs.results[-1]
     provenance = spec.provenance
     estimate = estimate_energy(spec, result) if result["spikes"] else None
     layers = layer_table(inputs.bundle, inputs.plan, result, estimate)
@@ -203,7 +204,9 @@ def class_table(inputs: Inputs) -> list:
     the answers with a class that are right; None where there is nothing to divide by.
     """
     matrix = _confusion(inputs)
-    shown, answered, right = matrix.sum(1), matrix.sum(0), np.diag(matrix)
+    shown = matrix.sum(1)
+    answered = matrix.sum(0)
+    right = np.diag(matrix)
     return [
         {
             "name": name,
@@ -227,13 +230,15 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
     plan, result : dict
     estimate : deploy.check.energy.EnergyEstimate, optional
     """
-    spec, n = bundle.spec, result["n_samples"]
+    spec = bundle.spec
+    n = result["n_samples"]
     cores = [core["layer"] for core in plan["cores"]]
     energy = {layer.layer: layer.chip_joules for layer in estimate.layers} if estimate else {}
     seconds = seconds_per_sample(spec)
 
     def row(name, kind, shape, weights, neurons):
-        spikes, operations = result["spikes"].get(name), result["synaptic_operations"].get(name)
+        spikes = result["spikes"].get(name)
+        operations = result["synaptic_operations"].get(name)
         used = cores.count(name)
         return {
             "name": name,
@@ -274,11 +279,14 @@ def _ladder(results):
 
 def _over_time(inputs):
     """Accuracy over the recording (events), or over the steps of the presentation (images)."""
-    result, spec = inputs.results[-1], inputs.bundle.spec
-    name, n = title_of(result["target"]), result["n_samples"]
+    result = inputs.results[-1]
+    spec = inputs.bundle.spec
+    name = title_of(result["target"])
+    n = result["n_samples"]
     written = result.get("while_written")
     if written:
-        x, y = [100 * share for share in written["shares"]], written["accuracy"]
+        x = [100 * share for share in written["shares"]]
+        y = written["accuracy"]
         label = "share of the recording, %"
     else:
         start = spec.presentation.readout_start
@@ -341,8 +349,10 @@ def over_time(spec) -> bool:
 
 def _groups(inputs):
     """Thumbnails of all samples by class and answer, wrong answers first, frequent ones first."""
-    groups, positions = defaultdict(list), read_positions(inputs.bundle.spec)
-    images, static = inputs.bundle.checks.inputs, inputs.bundle.spec.stimulus.static
+    groups = defaultdict(list)
+    positions = read_positions(inputs.bundle.spec)
+    images = inputs.bundle.checks.inputs
+    static = inputs.bundle.spec.stimulus.static
     if over_time(inputs.bundle.spec):
         starts = np.linspace(0, images.shape[1], BINS, endpoint=False).astype(int)
         images = np.add.reduceat(images.sum((2, -1)), starts, axis=1).swapaxes(1, 2)
@@ -394,15 +404,18 @@ def _frequent_mistake(groups, inputs):
 def _stories(inputs, groups):
     """Samples one by one: events, spikes of the layers and probabilities on one time axis."""
     pictures = {s["index"]: s["picture"] for group in groups for s in group["samples"]}
-    result, classes = inputs.results[-1], inputs.classes
+    result = inputs.results[-1]
+    classes = inputs.classes
     spec = inputs.bundle.spec
-    step_ms, limit = 1000 * spec.stimulus.step_seconds, spec.presentation.threshold
+    step_ms = 1000 * spec.stimulus.step_seconds
+    limit = spec.presentation.threshold
     stories = []
     for index, replay in inputs.replays.items():
         sample = result["samples"][index]
         answered = sample["prediction"]
         at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
-        end, is_early = replay.decided, replay.decided < len(at_ms) - 1
+        end = replay.decided
+        is_early = replay.decided < len(at_ms) - 1
         point = at_ms[end], replay.chances[end, replay.answer]
         drawn = drawn_steps(len(at_ms))
         lines = charts.Lines(

@@ -78,7 +78,8 @@ def train_epochs(
 
 def _store(checkpoint, state, history):
     arrays = {name: np.asarray(variable) for name, variable in state.items()}
-    key, text = np.array(checkpoint.key), np.array(json.dumps(history))
+    key = np.array(checkpoint.key)
+    text = np.array(json.dumps(history))
     write_arrays(checkpoint.path, key=key, history=text, **arrays)
 
 

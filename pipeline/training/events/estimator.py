@@ -69,7 +69,8 @@ def _scale_inputs(outputs):
     inputs = np.empty((count, len(middle)), np.float32)
     end = 0
     for sample in outputs:
-        begin, end = end, end + len(sample)
+        begin = end
+        end = end + len(sample)
         inputs[begin:end] = (estimator_inputs(sample) - middle) / spread
     return inputs, middle, spread
 

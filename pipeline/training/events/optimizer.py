@@ -72,7 +72,9 @@ class Adam:
         share = min(self.average, done / (9 + done))
         for name, value in self.values.items():
             gradient = clip * np.asarray(gradients[name], np.float32)
-            first, second, mean = self._first[name], self._second[name], self.means[name]
+            first = self._first[name]
+            second = self._second[name]
+            mean = self.means[name]
             first += (1 - BETA_1) * (gradient - first)
             second += (1 - BETA_2) * (gradient * gradient - second)
             value -= (rate * first / (np.sqrt(second) + EPSILON)).astype(np.float32)

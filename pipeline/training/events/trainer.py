@@ -151,7 +151,8 @@ class Trainer:
 
     def evaluate(self, indices) -> dict:
         """Accuracy and operations on samples without augmentation, for the history."""
-        right, costs = [], []
+        right = []
+        costs = []
         for some, _, outputs, cost in self._outputs(indices, self._frames):
             right.append(outputs[:, -1].argmax(-1) == self.labels[some])
             costs.append(cost)
@@ -170,7 +171,8 @@ class Trainer:
             As :func:`pipeline.training.events.estimator.train_estimator` takes them.
         """
         rng = np.random.default_rng([self.seed, 0x10D6E])
-        every, right = [], []
+        every = []
+        right = []
         for frames_of in (self._frames, lambda some: self._alter(some, rng)[0]):
             for some, frames, outputs, _ in self._outputs(indices, frames_of):
                 lengths = last_steps(frames) + 1 + TAIL_STEPS

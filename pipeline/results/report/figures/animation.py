@@ -210,7 +210,8 @@ class _Animation:
 
     def _say_decision(self):
         """The decision, when it was made, and whether it is right."""
-        played, label = self._played, self._label
+        played = self._played
+        label = self._label
         is_right = played.answer == label
         is_last = self._decided_ms == self._times_ms[-1]
         when = "at the end" if is_last else f"decided after {self._decided_ms / 1000:.2f} s"

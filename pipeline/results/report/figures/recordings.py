@@ -18,7 +18,8 @@ FRAMES = 8
 BINS = 40
 
 # Recordings in a row of a sheet, and the most rows; more classes are side by side.
-SAMPLES, MOST_ROWS = 16, 20
+SAMPLES = 16
+MOST_ROWS = 20
 
 # Width of a recording on a sheet in points.
 TILE = 43.0
@@ -85,7 +86,8 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
 
 def _draw_growing(frames, recordings, events, duration_s):
     """The tactile image up to some times; returns the most events of a taxel."""
-    taxels, sensor = recordings.taxels, recordings.sensor
+    taxels = recordings.taxels
+    sensor = recordings.sensor
     ends = np.arange(1, FRAMES + 1) * duration_s / FRAMES
     grown = np.zeros((FRAMES, sensor.rows, sensor.columns))
     frame = np.minimum(events.time_ns * 1e-9 * FRAMES / duration_s, FRAMES - 1).astype(int)
