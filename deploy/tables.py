@@ -95,7 +95,7 @@ def plural(number: int, noun: str, nouns: str = "") -> str:
 
 def list_names(names) -> str:
     """The first twelve names, shortened but still different, separated by commas."""
-    names = shortened_apart([str(name) for name in names], 24)
+    names = shorten_apart([str(name) for name in names], 24)
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 
@@ -110,7 +110,7 @@ def shorten_name(name: str, width: int) -> str:
     return f"{name[:head]}…{name[len(name) - (width - 1 - head) :]}"
 
 
-def shortened_apart(names, width: int) -> list:
+def shorten_apart(names, width: int) -> list:
     """Shortened names that are still different, in the same order.
 
     Names that would become equal are numbered at their end.

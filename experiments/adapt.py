@@ -24,7 +24,7 @@ from experiments.studies import RESULTS, Store, measured
 from experiments.tables import interval_text
 from pipeline.commands import options
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.progress import hidden
+from pipeline.progress import hide_progress
 from pipeline.recordings.dataset import Dataset, dataset_origin, split_of
 from pipeline.results.study import Case, study
 from pipeline.run.settings import SIMULATED
@@ -84,7 +84,7 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     shares = settings.split.test_fraction, settings.split.validation_fraction
     split = split_of(training, case.seed, *shares)
     dataset = Dataset(training, split, dataset_origin(settings, training.source.sha256), settings)
-    with hidden():
+    with hide_progress():
         opened = opened_in(networks, settings, dataset, lambda line: None)
         opened.make_all()
     spec = opened.spec()

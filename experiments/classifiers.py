@@ -58,5 +58,5 @@ def predict_test_samples(dataset: Dataset, index, stage: str) -> np.ndarray:
 def root_counts(dataset: Dataset) -> np.ndarray:
     """Square roots of counts, float32, shape (n_samples, slices x taxels x polarities)."""
     table = dataset.recordings.table
-    counts = table.sliced_counts(SLICES, table.typical_duration_of(dataset.split.train))
+    counts = table.count_in_slices(SLICES, table.typical_duration_of(dataset.split.train))
     return np.sqrt(counts).reshape(len(table), -1)

@@ -127,7 +127,7 @@ def predict_test_samples(dataset: Dataset, index, name: str, settings: Settings)
 
     reading, train = READINGS[name], dataset.split.train
     table = dataset.recordings.table
-    counts = table.sliced_counts(1, table.typical_duration_ms)[:, 0]
+    counts = table.count_in_slices(1, table.typical_duration_ms)[:, 0]
     images = reading.aggregate(counts[..., 0], counts[..., 1])
     images = reading.normalise(images, images[train])[..., None].astype(np.float32)
     samples = TrainingSamples(images[train], dataset.labels[train])

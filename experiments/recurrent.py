@@ -62,7 +62,7 @@ def main(
 def compared(graph, answers, settings, dataset, target) -> tuple:
     """The columns of a network: accuracies, and what snnTorch, graph and chip have in common."""
     network, theirs = read_nir(graph), read_arrays(answers, "train again")
-    stepped, shown = Stepped.of(settings, network), settings.presented()
+    stepped, shown = Stepped.of(settings, network), settings.make_presentation()
     samples = dataset.inputs[np.sort(dataset.split.train)[:: len(dataset.split.train) // 48]]
     spec = spec_of_nir(network, stepped, settings.stimulus, shown, samples, {})
     inputs, labels = (x[dataset.split.test] for x in (dataset.inputs, dataset.labels))

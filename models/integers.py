@@ -97,7 +97,7 @@ def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
     layer : Integers
         Its largest weight is 127 or -127, unless all are 0.  The same must hold in each block of a
         layer that is divided by its outputs; otherwise NengoLoihi rounds this block's weights and
-        threshold again (:func:`deploy.network.blocks.scaled_by_block`).
+        threshold again (:func:`deploy.network.blocks.find_rescaled_layers`).
     height : float
         Area of an input spike in units of the chip's time step.
 

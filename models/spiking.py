@@ -23,8 +23,8 @@ each layer one time constant of the current and one of the voltage.  They determ
 
 so that the largest weight is 127, as NengoLoihi requires, and W is w 128 / theta.  (In a layer that
 is divided among cores by its outputs, NengoLoihi does this for each core's block, so that the
-chip's integers differ slightly: :func:`deploy.network.blocks.scaled_by_block`.)  The gradient of
-rounding is straight-through.  A neuron's bias is limited so that it cannot fire without input.
+chip's integers differ slightly: :func:`deploy.network.blocks.find_rescaled_layers`.)  The gradient
+of rounding is straight-through.  A neuron's bias is limited so that it cannot fire without input.
 
 The gradients through time are below, with a = keep_u / 4096, b = keep_v / 4096, the loss E, and the
 surrogate theta' = 1 / (theta (1 + beta abs(v / theta - 1))^2) for the derivative of a spike (the
@@ -162,9 +162,9 @@ class SpikingNetwork(tf.Module):
         of the sample, then in the second, and so on: its shape is (sections * neurons, outputs).
         Kernels and biases of neurons are in units of their threshold.
         """
-        return self.named(variable.numpy() for variable in self.variables_in_order)
+        return self.name_arrays(variable.numpy() for variable in self.variables_in_order)
 
-    def named(self, arrays) -> dict:
+    def name_arrays(self, arrays) -> dict:
         """The arrays of :func:`get_weights` for other values of the variables, in their order."""
         weights = {}
         for name, value in zip(self.variables_by_name, arrays, strict=True):

@@ -14,7 +14,7 @@ _hidden = False
 
 
 @contextlib.contextmanager
-def hidden():
+def hide_progress():
     """Hide all bars inside the block, for code whose caller shows a bar of its own."""
     global _hidden
     before = _hidden

@@ -28,7 +28,7 @@ from deploy.check.results import read_result, result_of
 from deploy.check.run import open_check, records_of, run_check, run_streams
 from deploy.errors import UserError
 from deploy.files import write_json
-from deploy.network.blocks import scaled_by_block
+from deploy.network.blocks import find_rescaled_layers
 from deploy.network.spec import NetworkSpec
 from deploy.tables import list_names, plural
 from deploy.targets.registry import TARGETS
@@ -39,7 +39,7 @@ from pipeline.kinds.image.kind import settings_of_model
 from pipeline.kinds.kind import read_weights
 from pipeline.kinds.nir.importing import refuse_early, settings_of_nir
 from pipeline.kinds.steps import StepInputs
-from pipeline.progress import hidden, progress
+from pipeline.progress import hide_progress, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import facts_of
 from pipeline.recordings.source import reading_lines
@@ -100,7 +100,7 @@ class Opened:
     def step_inputs(self, names) -> StepInputs:
         """What is made from the named settings only; reading others is an error."""
         view = self.settings.only(names)
-        dataset = self.dataset.seen_by(view)
+        dataset = self.dataset.restrict_to(view)
         return StepInputs(view, dataset, self.artifact, self.weights, self.say)
 
     def make(self, name: str) -> dict:
@@ -199,7 +199,7 @@ def open_run(
         sensor = recordings.sensor
         stimulus = chosen.stimulus
         shape = (sensor.rows, sensor.columns, opened.kind.channels)
-        samples = chosen.check.drawn(len(dataset.split.test))
+        samples = chosen.check.count_samples(len(dataset.split.test))
         require_room(samples, stimulus.sample_shape(shape, chosen.steps), stimulus)
         opened.kind.require_presentable(dataset)
     opened.kind.require_usable(opened.step_inputs(chosen.flat()))
@@ -271,7 +271,7 @@ def _notes(opened, choices):
         yield f"{run.path}: {text}"
     yield from choices
     if kind.imported is not None:
-        yield from kind.imported.changed_notes()
+        yield from kind.imported.list_changes()
     yield from _notes_on_recordings(opened)
 
 
@@ -336,7 +336,7 @@ def convert(opened: Opened) -> Bundle:
     recordings = inputs.dataset.recordings
     source = recordings.source
     test = dataset.split.test
-    chosen = dataset.split.check_samples(view.check.drawn(len(test)), view.seed)
+    chosen = dataset.split.check_samples(view.check.count_samples(len(test)), view.seed)
     lost = reading_lines(source.name, recordings)
     notes = (*lost, *_notes_on_recordings(opened))
     provenance = {
@@ -353,7 +353,7 @@ def convert(opened: Opened) -> Bundle:
     checks = CheckSet(dataset.inputs[chosen], some.labels, some.ids, view.seed)
     bundle = write_bundle(run.bundle, spec, checks)
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
-    for name in scaled_by_block(spec.layers) if opened.kind.is_trained_in_integers else ():
+    for name in find_rescaled_layers(spec.layers) if opened.kind.is_trained_in_integers else ():
         say(
             f"{WARNING}{name}: is divided among cores, whose weights NengoLoihi scales apart, so "
             "that integers differ a bit from training: see 'stmnist ladder', or use fewer neurons"
@@ -365,10 +365,10 @@ def bundle_artifact(run: RunFolder, kind: NetworkKind, dataset: Origin, name="bu
     """The bundle of a run, or one that was adapted from it, such as ``"adapted/7"``."""
     network, *others = (run.path / name / file for file in (*FILES, "MANIFEST.json"))
     origin = kind.bundle_origin(dataset)
-    return Artifact(name, network, origin, tuple(others), _recorded_in_bundle)
+    return Artifact(name, network, origin, tuple(others), _read_bundle_record)
 
 
-def _recorded_in_bundle(network):
+def _read_bundle_record(network):
     provenance = network.get("provenance")
     return provenance.get("made_from") if isinstance(provenance, dict) else None
 
@@ -459,7 +459,7 @@ def check_stages(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
 
             def answer_here():
                 for stage in here:
-                    with hidden():
+                    with hide_progress():
                         results[stage] = check_stage(opened, bundle, stage)
                     advance(len(bundle.checks), stage)
 
@@ -531,10 +531,10 @@ def check_artifact(
     if stage in kind.references and stage not in kind.deployed_stages:
         contents["network"] = kind.origin(kind.references[stage].step, dataset).key
     origin = Origin({"seed": kind.settings.seed}, contents)
-    return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_recorded_in_check)
+    return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_read_check_record)
 
 
-def _recorded_in_check(result):
+def _read_check_record(result):
     names = ("bundle", "network", "target")
     contents = {name: result[name] for name in names if name in result}
     contents["samples"] = "others" if result.get("data") else OWN

@@ -138,7 +138,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     """
     path = Path(os.path.realpath(str(path)))  # a link that the user names is followed
     samples = {
-        "inputs": np.asarray(checks.inputs, _stored_as(spec.stimulus)),
+        "inputs": np.asarray(checks.inputs, _choose_dtype(spec.stimulus)),
         "labels": np.asarray(checks.labels, np.int64),
         "ids": np.array(checks.ids, dtype=str),
         "seed": np.array(checks.seed, np.int64),
@@ -205,7 +205,7 @@ def require_room(samples: int, shape: tuple, stimulus: Stimulus):
     ------
     UserError
     """
-    _require_room(math.prod((samples, *shape, _stored_as(stimulus).itemsize)), samples, stimulus)
+    _require_room(math.prod((samples, *shape, _choose_dtype(stimulus).itemsize)), samples, stimulus)
 
 
 def _require_room(n_bytes, samples, stimulus):
@@ -219,7 +219,7 @@ def _require_room(n_bytes, samples, stimulus):
         )
 
 
-def _stored_as(stimulus):
+def _choose_dtype(stimulus):
     return np.dtype(np.float32 if stimulus.static else np.uint8)
 
 

@@ -86,7 +86,7 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "accuracy": correct / len(samples),
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
         "anytime_accuracy": [float(share) for share in right.mean(0)],
-        **_while_written(bundle, decisions, labels, samples),
+        **_measure_while_written(bundle, decisions, labels, samples),
         "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
         "spikes": total("spikes"),
         "synaptic_operations": total("operations"),
@@ -103,7 +103,7 @@ def _find_classes_without_samples(spec, labels) -> list:
     return [name for label, name in enumerate(read_classes(spec)) if label not in presented]
 
 
-def _while_written(bundle, decisions, labels, samples) -> dict:
+def _measure_while_written(bundle, decisions, labels, samples) -> dict:
     """Accuracy while a sample is still being written; for event frames only.
 
     A step without a decision counts as a wrong answer.

@@ -40,7 +40,7 @@ def block_shapes(layers, chip: Chip = LOIHI) -> Dict[str, Tuple[int, ...]]:
     return shapes
 
 
-def scaled_by_block(layers) -> List[str]:
+def find_rescaled_layers(layers) -> List[str]:
     """Names of the layers whose blocks have other integers than the layer as a whole.
 
     NengoLoihi scales the weights of each block so that the largest fills 8 bits

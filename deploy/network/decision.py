@@ -193,7 +193,7 @@ def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -
     return np.where(outputs.any(-1), np.minimum(sure, SUREST), 0.0)
 
 
-def continued_confidence(
+def continue_confidence(
     outputs, known, estimator: Optional[Estimator] = None, first: int = 0
 ) -> np.ndarray:
     """The confidence at the steps that follow those whose confidence is known.

@@ -15,7 +15,7 @@ from typing import Dict, Iterator, NamedTuple, Optional
 import numpy as np
 
 from .chip import LOIHI
-from .decision import continued_confidence, decide
+from .decision import continue_confidence, decide
 from .spec import NetworkSpec
 
 
@@ -330,7 +330,7 @@ class RunningReadout:
         estimator = self._spec.estimator
         known = self._confidences[:done]
         sums = self._sums[: new.stop]
-        self._confidences[new] = continued_confidence(sums, known, estimator, self._start)
+        self._confidences[new] = continue_confidence(sums, known, estimator, self._start)
 
 
 def score_unit(spec: NetworkSpec) -> float:

@@ -17,7 +17,7 @@ from ..network.chip import LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
 from ..network.spec import DT, NetworkSpec
 from ..tables import in_blocks, plural
-from .resources import axon_cfg_registers, find_axons_with_targets, used_by, worst_case
+from .resources import axon_cfg_registers, find_axons_with_targets, count_used, worst_case
 
 # Column titles of a chip's limits in a table.
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
@@ -213,7 +213,7 @@ def _plan_core(layer, index, place, block, axons, chip):
         part=index,
         chip=place[0],
         core=place[1],
-        used=used_by(block, chip, shared),
+        used=count_used(block, chip, shared),
         unshared_axon_cfgs=unshared,
         pop_types=tuple(sorted({synapse.pop_type for synapse in block.synapses})),
         threshold=int(block.compartment.vth.max()),

@@ -16,7 +16,7 @@ from ..network.ops.base import list_words
 AXON_CFGS_PER_AXON = {0: 1, 32: 2}
 
 
-def used_by(block, chip: Chip, registers: int) -> Dict[str, int]:
+def count_used(block, chip: Chip, registers: int) -> Dict[str, int]:
     """Number of each of the chip's limited resources that a block needs.
 
     Parameters

@@ -99,7 +99,7 @@ class SensorClock:
         taken: List[_Event] = []
         for time, number in zip(time_ns.tolist(), cell.tolist()):
             self._take(time, number, taken)
-        return _sorted(taken)
+        return _sort(taken)
 
     def advance(self, time_ns: int):
         """Say what time it is on the sensor's clock.
@@ -119,7 +119,7 @@ class SensorClock:
             now_ns = self._advanced_ns
         self._advanced_ns = now_ns
         self._move_to(now_ns)
-        return _sorted(taken)
+        return _sort(taken)
 
     def advance_quietly(self, stream_ns: int) -> bool:
         """As :meth:`advance`, in a short time, if the clock goes on and no event is held.
@@ -140,7 +140,7 @@ class SensorClock:
         taken: List[_Event] = []
         if self._held is not None:
             self._release(self._held[0], taken)
-        return _sorted(taken)
+        return _sort(taken)
 
     def _move_to(self, stream_ns: int):
         """Set the present time, unless it is later already."""
@@ -186,7 +186,7 @@ class SensorClock:
         self.note(stream_ns if self.latest_ns is None else max(stream_ns, self.latest_ns))
 
 
-def _sorted(taken):
+def _sort(taken):
     """Events as two arrays, in order of time; those of the same time stay in their order."""
     table = np.array(taken, np.int64).reshape(-1, 2)
     table = table[np.argsort(table[:, 0], kind="stable")]

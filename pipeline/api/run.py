@@ -144,7 +144,7 @@ class Run:
 
     def train(self) -> Training:
         """Train the networks; on images the CNN, on events the spiking network."""
-        with self._opened(check=False) as opened:
+        with self._open(check=False) as opened:
             return Training({name: opened.make(name) for name in opened.kind.trained})
 
     def convert(self, model=None, nir=None, step: float | None = None) -> Bundle:
@@ -170,7 +170,7 @@ class Run:
             imported = stages.settings_of_nir(nir, step, self._input, self._given)
             self._given = self._given.with_values(imported, ORIGIN)
             examine = partial(stages.refuse_early, strict=False)
-        with self._opened(examine=examine) as opened:
+        with self._open(examine=examine) as opened:
             bundle = stages.convert(opened)
             for stage in opened.kind.deployed_stages:
                 stages.check_stage(opened, bundle, stage)
@@ -184,7 +184,7 @@ class Run:
         asked : sequence of str, optional
             Stages; default: all up to the emulator.
         """
-        with self._opened() as opened:
+        with self._open() as opened:
             return Ladder(measure_ladder(opened, self._jobs, asked))
 
     def check(self, target: str = "fast", data=None, samples: int | None = None) -> CheckResult:
@@ -201,7 +201,7 @@ class Run:
         """
         if data is not None:
             return self._check_on_others(target, data, samples)
-        with self._opened() as opened:
+        with self._open() as opened:
             if target not in opened.kind.references and target not in TARGETS:
                 known = ", ".join((*opened.kind.references, *TARGETS))
                 raise UserError(f"{ORIGIN}: no stage or target {target!r}; they are {known}")
@@ -253,7 +253,7 @@ class Run:
         return replay(self.bundle, numbers)
 
     @contextlib.contextmanager
-    def _opened(self, check=True, examine=None):
+    def _open(self, check=True, examine=None):
         with self._noting(), working_in(self.path) as folder:
             if examine is not None:
                 examine(self._given)

@@ -66,7 +66,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
         place = None
     else:
         write_bundle(place, adapted.spec, bundle.checks)
-    trained_on = int(elsewhere.trained_on(bundle, recordings).sum())
+    trained_on = int(elsewhere.find_trained_on(bundle, recordings).sum())
     summary = _summarise(adapted, place, len(recordings), trained_on)
     options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
 

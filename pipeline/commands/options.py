@@ -301,10 +301,10 @@ def suggest(verb: str, *arguments):
 
 def warn_if_outdated(*paths: Path):
     """Warn if bundles or check results of a run are outdated, with the reason."""
-    from pipeline.results.status import outdated_note  # imports all that a run is made with
+    from pipeline.results.status import describe_outdated  # imports all that a run is made with
 
     for path in paths:
-        if (note := outdated_note(path)) is not None:
+        if (note := describe_outdated(path)) is not None:
             say(note)
 
 

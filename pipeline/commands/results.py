@@ -33,7 +33,7 @@ def status(run: options.Run, as_json: options.Json = False):
     if (note := unread_note(settings)) is not None:
         options.say(note)
     imported = kind_of_network(settings).imported
-    for note in imported.changed_notes() if imported is not None else ():
+    for note in imported.list_changes() if imported is not None else ():
         options.say(note)
 
 

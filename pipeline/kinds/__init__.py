@@ -33,7 +33,7 @@ TRAINED_STAGES = tuple(kind.deployed_stage for kind in KINDS)
 COMPARED_WITH = ("cnn-matched", "trained", "nir", "cnn", "rate-lif")
 
 
-def compared_with(stages) -> str:
+def find_compared_stage(stages) -> str:
     """The stage that the deployed network is compared with, and from which losses are stated.
 
     Parameters
@@ -122,7 +122,7 @@ def _try_to_split(recordings, settings):
 
 def _find_too_small_test_set(settings, n_test):
     """A problem if the test set has fewer samples than the user's check."""
-    samples = settings.check.drawn(n_test)
+    samples = settings.check.count_samples(n_test)
     if settings.is_users("check.samples"):
         samples = settings.check.samples
     if 0 < n_test < samples:

@@ -12,7 +12,7 @@ from models.architecture import parse
 from models.chain import build_network_spec, links_of
 from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, size_text
 from pipeline.run.settings import Deployment
-from pipeline.training.recipe import NetworkSize, hidden_for
+from pipeline.training.recipe import NetworkSize, choose_hidden_units
 
 # Rows and columns of the first convolution's output on images, at most, on average.
 LARGEST_MAP = 14
@@ -77,14 +77,14 @@ def event_architecture_for(sensor: Sensor, size: NetworkSize, samples: int) -> s
     if size.name == "small" and not samples:
         return architecture_for(sensor, on_events=True)
     if not size.is_for(sensor, samples):
-        return architecture_for(sensor, True, hidden_for(size, samples, classes))
+        return architecture_for(sensor, True, choose_hidden_units(size, samples, classes))
     side = math.sqrt(sensor.rows * sensor.columns)
     stride = max(size.stride, math.floor(side / EVENT_MAP))
     convolution = f"{size.filters}c{stride + size.overlap}s{stride}"
     return f"{sensor.rows}x{sensor.columns}x2-{convolution}-{size.hidden}-{classes}o"
 
 
-def chosen_text(section: str, architecture: str, sensor: Sensor) -> str:
+def describe_choice(section: str, architecture: str, sensor: Sensor) -> str:
     """A line about the choice of an architecture."""
     return (
         f"{architecture}: chosen for {size_text(sensor)} and {len(sensor.classes)} classes "

@@ -199,7 +199,7 @@ def _fit(inputs, artifact):
     duration_ms = table.typical_duration_of(split.train)
     features = 2 * recordings.sensor.rows * recordings.sensor.columns
     slices = max(SLICES) if features * max(SLICES) <= MOST_FEATURES else 1
-    counts = table.sliced_counts(slices, duration_ms)
+    counts = table.count_in_slices(slices, duration_ms)
     classes = len(recordings.sensor.classes)
     baseline = fit_baseline(counts, dataset.labels, split.train, classes, seed)
     seconds = time.perf_counter() - begun

@@ -113,7 +113,7 @@ class Imported(NamedTuple):
     step: str
     remedy: str
 
-    def changed_notes(self) -> Iterator[str]:
+    def list_changes(self) -> Iterator[str]:
         """A warning if the file is another one now, such as a later version."""
         if Path(self.file).is_file() and not is_file(self.file, self.sha256):
             yield (
@@ -571,7 +571,7 @@ def is_file(path, sha256: str) -> bool:
         return False
 
 
-def imported_file(file, sha256: str, copy: Path) -> Path:
+def find_imported_file(file, sha256: str, copy: Path) -> Path:
     """The file of a network that was imported: the user's, or the run's copy if that has changed.
 
     The user's file is also returned if the copy is damaged or missing; then neither has the hash.

@@ -10,7 +10,7 @@ from pathlib import Path
 from deploy.errors import UserError
 from deploy.terminal import remark, show
 from pipeline.live.network import about, record_folder, sensor_of
-from pipeline.results.status import outdated_note
+from pipeline.results.status import describe_outdated
 from pipeline.run.folder import RunFolder, run_around
 from pipeline.simulation import parameters
 
@@ -57,7 +57,7 @@ def serve(
         sensor = sensor_of(bundle)
         record = Path(record or record_folder(bundle, sensor))
         keeper = opened.enter_context(closing(Keeper(record, sensor)))
-        note = outdated_note(bundle.path)
+        note = describe_outdated(bundle.path)
         if note is not None:
             say(note)
 

@@ -51,7 +51,7 @@ class Dataset:
     origin : Origin
         Origin of the recordings and of their split.
     settings : Settings
-        Settings with which :attr:`inputs` are made; see :meth:`seen_by`.
+        Settings with which :attr:`inputs` are made; see :meth:`restrict_to`.
     """
 
     recordings: Recordings
@@ -95,7 +95,7 @@ class Dataset:
     @property
     def inputs(self) -> np.ndarray:
         """The inputs made from each recording; see :func:`inputs_of`."""
-        key = _what_is_shown(self.settings)
+        key = _read_presentation_settings(self.settings)
         if key not in self._made:
             self._made.clear()  # frames of events take a quarter of a gigabyte
             self._made[key] = inputs_of(self.recordings, self.settings)
@@ -123,7 +123,7 @@ class Dataset:
             TRAINING_RECORDINGS: sorted({hashes[i] for i in (*split.train, *split.validation)}),
         }
 
-    def seen_by(self, view: Settings) -> Dataset:
+    def restrict_to(self, view: Settings) -> Dataset:
         """The same samples, with inputs that are made with the settings of a view only."""
         return replace(self, settings=view)
 
@@ -185,7 +185,7 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
     return Origin.of(settings, reads, contents=contents)
 
 
-def _what_is_shown(settings):
+def _read_presentation_settings(settings):
     """The settings on which :func:`inputs_of` depends."""
     if settings.on_events:
         return settings.input, settings.steps

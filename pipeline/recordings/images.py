@@ -112,7 +112,7 @@ def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
 
 
 def _as_images(counts, image):
-    """Images of the counts of :meth:`EventTable.sliced_counts`."""
+    """Images of the counts of :meth:`EventTable.count_in_slices`."""
     on = counts[..., 0]
     off = counts[..., 1]
     channels = {

@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
-from deploy.tables import in_blocks, list_names, shortened_apart
+from deploy.tables import in_blocks, list_names, shorten_apart
 from deploy.terminal import printable
 from pipeline.recordings.activity import (
     activity_json,
@@ -288,7 +288,7 @@ def table1_text(recordings) -> str:
         name += " (simulated)"
     sensor = recordings.sensor
     written = is_written(sensor.rows, sensor.columns, sensor.classes)
-    rows = [["", *shortened_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
+    rows = [["", *shorten_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
     has_bursts = bool((recordings.events.columns > 1).any())
     for measure, label in (LABELS if written and has_bursts else OWN_LABELS).items():
         form = ("{:.2f} ({:.2f})" if measure[0] in "xy" else "{:.0f} ({:.0f})").format

@@ -123,7 +123,7 @@ class EventTable:
         for name in EVENT_DTYPES:
             release_pages(getattr(self.events, name))
 
-    def sliced_counts(self, slices: int, duration_ms: float, indices=None) -> np.ndarray:
+    def count_in_slices(self, slices: int, duration_ms: float, indices=None) -> np.ndarray:
         """Count the events of each taxel and polarity in equal slices of time.
 
         Parameters
@@ -149,7 +149,7 @@ class EventTable:
     def count(
         self, events: EventColumns, samples: int, slices: int, duration_ms: float, weights=None
     ) -> np.ndarray:
-        """Count events that were picked; see :meth:`sliced_counts`.
+        """Count events that were picked; see :meth:`count_in_slices`.
 
         Parameters
         ----------

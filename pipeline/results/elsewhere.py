@@ -167,7 +167,7 @@ def predict(
     return {name: names[prediction] for name, prediction in pairs}
 
 
-def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
+def find_trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
     """The recordings that were used to make a network, which are recognised by their content.
 
     A bundle has hashes of the recordings that it was trained on or fitted to.
@@ -182,7 +182,7 @@ def trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
 def warnings_on(bundle: Bundle, recordings: Recordings):
     """Yield lines on recordings that the network was made with, or that it does not see whole."""
     start = f"{WARNING}{recordings.source.name}: "
-    if number := int(trained_on(bundle, recordings).sum()):
+    if number := int(find_trained_on(bundle, recordings).sum()):
         yield (
             f"{start}{number} of {len(recordings)} recordings were used to make the network; its "
             "accuracy on them says little about others"
@@ -307,7 +307,7 @@ def with_accuracies(
             "source": source.name,
             "sha256": source.sha256,
             "recordings": len(recordings),
-            "trained_on": int(trained_on(bundle, recordings)[chosen].sum()),
+            "trained_on": int(find_trained_on(bundle, recordings)[chosen].sum()),
             "warnings": list(_limits(bundle.spec, recordings)),
         },
         "classes": list(classes),

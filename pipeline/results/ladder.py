@@ -11,7 +11,7 @@ from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, align_rows, list_names, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
-from pipeline.kinds import TRAINED_STAGES, NetworkKind, compared_with
+from pipeline.kinds import TRAINED_STAGES, NetworkKind, find_compared_stage
 from pipeline.kinds.diagnosis import layers_text, least_faithful
 from pipeline.progress import progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
@@ -169,7 +169,7 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
     presented = {sample["label"] for sample in first["samples"]}
     by_stage = {result["target"]: result for result in results}
     trained = next((result for result in results if result["target"] in TRAINED_STAGES), None)
-    reference = by_stage[compared_with(by_stage)]
+    reference = by_stage[find_compared_stage(by_stage)]
     return {
         "schema": "stmnist-ladder/1",
         "bundle": first["bundle"],
@@ -249,7 +249,7 @@ def ladder_text(ladder: dict) -> str:
     table += [_cells(row) for row in ladder["rows"]]
     by_stage = {row["stage"]: row for row in ladder["rows"]}
     last = ladder["rows"][-1]
-    first = by_stage[compared_with(by_stage)]
+    first = by_stage[find_compared_stage(by_stage)]
     lines = [
         f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
         *align_rows(table),

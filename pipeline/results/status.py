@@ -121,7 +121,7 @@ def remedy_text(run, names) -> str:
     return ", then ".join(commands)
 
 
-def outdated_note(path) -> str | None:
+def describe_outdated(path) -> str | None:
     """A line for the user if a bundle or check result belongs to a run and is outdated.
 
     Parameters

@@ -29,7 +29,7 @@ from deploy.targets.registry import run_target as answer_on_target
 from pipeline.jobs import Failure, attempt, run_jobs
 from pipeline.kinds.kind import responses_of
 from pipeline.paper import CNN_MACS
-from pipeline.progress import hidden, progress
+from pipeline.progress import hide_progress, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.run.artifacts import DELETE_IT, Library
 from pipeline.run.settings import Settings
@@ -226,7 +226,7 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
 
 def train(case: Case, networks: Library, dataset: Dataset) -> Opened:
     """Train what a case needs, unless a library has it."""
-    with hidden():
+    with hide_progress():
         opened = opened_in(networks, case.resolved, dataset, _say_nothing)
         reference = opened.kind.references.get(case.stage)
         opened.make_all(None if reference is None else reference.step)
@@ -255,7 +255,7 @@ def evaluate(case: Case, opened: Opened, dataset: Dataset | None = None) -> dict
     dataset = dataset or opened.dataset
     index = getattr(dataset.split, case.part)
     inputs, labels = dataset.subset(case.part)
-    with hidden():
+    with hide_progress():
         spec = opened.spec()
     responses = answer_on_target(spec, inputs, case.stage, case.seed)
     costs = costs_of(spec, responses)
@@ -274,7 +274,7 @@ def _predict_before_chip(case, opened, index) -> np.ndarray:
     dataset = opened.dataset
     ids = tuple(dataset.recordings.ids[i] for i in index)
     samples = CheckSet(dataset.inputs[index], dataset.labels[index], ids, case.seed)
-    with hidden():
+    with hide_progress():
         logits = reference.logits(case.stage, inputs, samples, None)
     return responses_of(logits, case.resolved.presentation).predictions
 
@@ -289,7 +289,7 @@ def dataset_of(case: Case) -> Dataset:
     """
     settings = case.resolved
     kept = {name: getattr(settings, name) for name in ("seed", "data", "skin", "split")}
-    dataset = _split_recordings(replace(Settings(), **kept)).seen_by(settings)
+    dataset = _split_recordings(replace(Settings(), **kept)).restrict_to(settings)
     if case.part == "validation":
         if not len(dataset.split.validation):
             raise UserError(

@@ -124,7 +124,7 @@ class RunFolder:
         write_settings(self.experiment, settings)
 
     @contextlib.contextmanager
-    def locked(self):
+    def lock(self):
         """Create the folder, and lock it against other processes.
 
         Raises
@@ -237,7 +237,7 @@ def working_in(path, of_results: bool = False):
     made = [above for above in (folder.path, *folder.path.parents) if not above.exists()]
     had_lock = (folder.path / LOCK).exists()
     try:
-        with folder.locked():
+        with folder.lock():
             yield folder
     except BaseException:
         with contextlib.suppress(OSError):

@@ -75,7 +75,7 @@ class Person:
     def __len__(self):
         return len(self.labels)
 
-    def learned(self, indices) -> tuple:
+    def select_with_copies(self, indices) -> tuple:
         """Responses and labels for the fit: some samples and their copies."""
         own = self.responses[indices]
         copies = self.copies[indices]
@@ -152,7 +152,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
         for fold in range(folds.max() + 1):
             inside = kept_folds != fold
             out = kept_folds == fold
-            samples, labels = person.learned(folds != fold)
+            samples, labels = person.select_with_copies(folds != fold)
             refitted = in_8_bits(problem.solve(samples, labels, inside, pull, rehearsal))
             log_p[folds == fold] = problem.log_odds(refitted, person.responses[folds == fold])
             log_kept = problem.log_odds(refitted, kept.responses[out])
@@ -166,7 +166,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
             best_worth = worth
     pull, rehearsal, after, kept_after = best
     everything = np.ones(len(kept), bool)
-    samples, labels = person.learned(np.arange(len(person)))
+    samples, labels = person.select_with_copies(np.arange(len(person)))
     return Refit(
         weights=in_8_bits(problem.solve(samples, labels, everything, pull, rehearsal)),
         pull=pull,
@@ -196,7 +196,7 @@ class _Problem:
         self._kept_labels = self._classes[kept.labels]
         self._kept_logits = self._logits(weights, self._kept)
         self._unit = max(np.sqrt((self._kept**2).sum(axis=1).mean()), 1e-12)
-        every = np.concatenate([self._kept, person.learned(np.arange(len(person)))[0]])
+        every = np.concatenate([self._kept, person.select_with_copies(np.arange(len(person)))[0]])
         self._directions = np.linalg.eigh(every.T @ every)[1][:, -MOST_DIRECTIONS:]
 
     def _logits(self, weights, responses):

@@ -192,7 +192,7 @@ def choose_size(name: str, recordings: Recordings) -> NetworkSize:
     return SIZES["small" if is_easy else "standard"]
 
 
-def hidden_for(size: NetworkSize, samples: int, classes: int) -> int:
+def choose_hidden_units(size: NetworkSize, samples: int, classes: int) -> int:
     """Neurons of the hidden layer of a network that has few samples or no convolution."""
     hidden = HIDDEN_MANY_CLASSES if classes > MANY_CLASSES else HIDDEN
     if samples < FEW:

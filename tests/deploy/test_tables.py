@@ -1,6 +1,6 @@
 """Tables in plain text."""
 
-from deploy.tables import align_rows, in_blocks, shorten_name, shortened_apart
+from deploy.tables import align_rows, in_blocks, shorten_apart, shorten_name
 
 
 def test_a_table_that_is_too_wide_is_cut_into_blocks():
@@ -18,6 +18,6 @@ def test_names_lose_their_middle_and_stay_different():
     assert shorten_name("wave", 8) == "wave"
     assert shorten_name("swipe from the left", 10) == "swipe …eft"
     names = [f"swipe {n} from the left to the right" for n in range(12)]
-    short = shortened_apart(names, 12)
+    short = shorten_apart(names, 12)
     assert len(set(short)) == 12
     assert max(map(len, short)) <= 12

@@ -80,7 +80,7 @@ def test_a_setting_that_is_not_declared_cannot_be_read():
             lambda s: s.on_events,
             lambda s: s.steps,
             lambda s: s.stimulus,
-            lambda s: s.presented(),
+            lambda s: s.make_presentation(),
             lambda s: asdict(s.cnn),
             lambda s: s.flat(),
             lambda s: replace(s, cnn=replace(s.cnn, epochs=3)),

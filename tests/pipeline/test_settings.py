@@ -26,7 +26,7 @@ def test_the_papers_numbers_are_the_defaults():
     assert settings.cnn.epochs == 0
     assert settings.split.test_fraction == 0.2
     assert settings.check.samples == 200
-    assert settings.with_values({"check": {"samples": 0}}).check.drawn(1391) == 1391
+    assert settings.with_values({"check": {"samples": 0}}).check.count_samples(1391) == 1391
 
 
 def test_the_presentation_has_the_bundles_entries():
@@ -235,9 +235,9 @@ def test_the_listing_marks_what_a_run_has_otherwise(tmp_path, capsys):
 
 def test_two_processes_cannot_work_in_one_run(tmp_path):
     run = RunFolder(tmp_path / "run")
-    with run.locked(), pytest.raises(UserError, match=f"{run.path}: .*RUN"), run.locked():
+    with run.lock(), pytest.raises(UserError, match=f"{run.path}: .*RUN"), run.lock():
         pass
-    with run.locked():
+    with run.lock():
         pass
 
 
@@ -252,5 +252,5 @@ def test_steps_that_are_left_open():
     ):
         changes = {"input": {"kind": "events", "step": step, "refractory": refractory}}
         on_events = settings.with_values(changes)
-        assert (on_events.presented().steps, on_events.input.refractory_steps) == expected
-        assert on_events.with_values({"presentation": {"steps": 7}}).presented().steps == 7
+        assert (on_events.make_presentation().steps, on_events.input.refractory_steps) == expected
+        assert on_events.with_values({"presentation": {"steps": 7}}).make_presentation().steps == 7

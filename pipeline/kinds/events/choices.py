@@ -13,7 +13,7 @@ import numpy as np
 
 from deploy.tables import plural
 from pipeline.kinds.architectures import (
-    chosen_text,
+    describe_choice,
     event_architecture_for,
     is_for,
     operations_of_input,
@@ -128,7 +128,7 @@ class EventChoices:
         if is_simulated and is_for(settings.events.architecture, sensor, CHANNELS):
             return
         text = event_architecture_for(sensor, size, samples)
-        reason = f"{chosen_text('events', text, sensor)}; size {size.name}"
+        reason = f"{describe_choice('events', text, sensor)}; size {size.name}"
         self.choices.insert(0, Choice("events.architecture", text, reason))
         if settings.is_open("events.budget"):
             self._choose_budget(text, size, samples)

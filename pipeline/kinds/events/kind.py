@@ -189,7 +189,7 @@ class EventsKind(NetworkKind):
     def spec(self, inputs, provenance):
         from pipeline.training.events import EventRecipe
 
-        shown = inputs.settings.presented(confidence_of(inputs.artifact("threshold")))
+        shown = inputs.settings.make_presentation(confidence_of(inputs.artifact("threshold")))
         recipe = EventRecipe.of(inputs.settings)
         weights = inputs.weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}

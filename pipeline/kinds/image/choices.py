@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from deploy.errors import UserError
 from deploy.tables import plural
 from models.architecture import parse
-from pipeline.kinds.architectures import architecture_for, chosen_text, is_for
+from pipeline.kinds.architectures import architecture_for, describe_choice, is_for
 from pipeline.kinds.presentation import image_gap_choice
 from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_digits
 from pipeline.run.settings import Choice, Settings, names_in
@@ -113,7 +113,7 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     else:
         architecture = architecture_for(sensor, False, recipe.hidden, channels)
     _require_rates_fit(settings, architecture)
-    chosen = chosen_text("cnn", architecture, sensor)
+    chosen = describe_choice("cnn", architecture, sensor)
     return [Choice("cnn.architecture", architecture, chosen), *choices]
 
 

@@ -22,7 +22,7 @@ from pipeline.kinds.kind import (
     Reference,
     accuracies,
     accuracy_text,
-    imported_file,
+    find_imported_file,
     metrics_of,
     select_curve_samples,
     time_training,
@@ -276,7 +276,9 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     synapse = settings.deployment.synapse
     links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
     provenance = {"image": asdict(settings.image), **provenance}  # for other recordings
-    return chain.build_network_spec(links, settings.stimulus, settings.presented(), provenance)
+    return chain.build_network_spec(
+        links, settings.stimulus, settings.make_presentation(), provenance
+    )
 
 
 def _train_cnn(settings, dataset, weights=None):
@@ -455,7 +457,7 @@ def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
 def _read_model(folder, settings):
     """The file of the user's model, or its copy, and the model."""
     copy = copy_of_model(folder, settings)
-    path = imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
+    path = find_imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
     retrain = settings.snn.recipe == "loihi"
     model = read_keras(path, retrain, parse(settings.cnn.architecture).input_shape)
     imported = settings.cnn.model_sha256, settings.cnn.architecture

@@ -13,7 +13,7 @@ from models.integers import round_to_integers
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork, read_nir
 from pipeline.kinds.architectures import suggest_sensor_size
-from pipeline.kinds.kind import imported_file, is_file
+from pipeline.kinds.kind import find_imported_file, is_file
 from pipeline.recordings.dataset import Dataset
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings
@@ -153,7 +153,7 @@ def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
         The file has changed or cannot be read, and the run has no copy; or the graph is for another
         sensor or other classes.
     """
-    source = imported_file(settings.nir.file, settings.nir.sha256, folder / GRAPH)
+    source = find_imported_file(settings.nir.file, settings.nir.sha256, folder / GRAPH)
     network = read_nir(source)
     if not is_file(source, settings.nir.sha256):
         raise UserError(f"{source}: has changed; {GIVE_AGAIN}")

@@ -117,7 +117,7 @@ class NirKind(NetworkKind):
         dataset = inputs.dataset
         graph = inputs.artifact("nir")
         network = graph_in(graph.folder, settings)
-        presentation = settings.presented(confidence_of(graph))
+        presentation = settings.make_presentation(confidence_of(graph))
         rng = np.random.default_rng([settings.seed, 0x41B])
         chosen = np.sort(rng.permutation(dataset.split.train)[:CALIBRATION_SAMPLES])
         samples = dataset.inputs[chosen]

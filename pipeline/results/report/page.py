@@ -417,12 +417,12 @@ def _stories(inputs, groups):
         end = replay.decided
         is_early = replay.decided < len(at_ms) - 1
         point = at_ms[end], replay.chances[end, replay.answer]
-        drawn = drawn_steps(len(at_ms))
+        drawn = choose_drawn_steps(len(at_ms))
         lines = charts.Lines(
             f"{'probability of the classes' if spec.estimator else 'softmax of the outputs'}, %",
             tuple(
                 charts.Series(classes[c], tuple(at_ms[drawn]), tuple(replay.chances[drawn, c]))
-                for c in replay.shown(sample["label"])
+                for c in replay.choose_classes(sample["label"])
             ),
             (limit,) * (limit < 1),
             (point,) * is_early,
@@ -462,7 +462,7 @@ def _stories(inputs, groups):
     return stories
 
 
-def drawn_steps(n: int) -> np.ndarray:
+def choose_drawn_steps(n: int) -> np.ndarray:
     """The steps of a curve that are drawn: at most about 200, and always the last one."""
     every = max(1, n // 100)
     return np.append(np.arange(0, n - 1, every), n - 1)

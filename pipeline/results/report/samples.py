@@ -52,7 +52,7 @@ class Replay:
     decided: int
     answer: int
 
-    def shown(self, label: int) -> list:
+    def choose_classes(self, label: int) -> list:
         """The classes whose probability is drawn, for a sample of a class."""
         top = np.argsort(-self.chances[self.decided], kind="stable").tolist()
         drawn = dict.fromkeys([top[0], int(self.chances[-1].argmax()), label, *top])

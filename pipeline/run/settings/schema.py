@@ -399,7 +399,7 @@ class Check(Section):
     #: is not set, all too if there are fewer.
     samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
 
-    def drawn(self, available: int) -> int:
+    def count_samples(self, available: int) -> int:
         """Number of samples to draw.
 
         Parameters
@@ -510,7 +510,7 @@ class Settings(Section):
         defaults = {name: default_of(name) for name in names}
         return self.with_named_values(defaults, provenance=Provenance.DEFAULT)
 
-    def presented(self, confidence: float | None = None) -> Presentation:
+    def make_presentation(self, confidence: float | None = None) -> Presentation:
         """The presentation of samples; events are read from the first step on.
 
         Parameters

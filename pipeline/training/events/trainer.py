@@ -132,7 +132,7 @@ class Trainer:
     @property
     def weights(self) -> dict:
         """The result of the training: the running mean of the weights."""
-        return self._network.named(self._optimizer.means.values())
+        return self._network.name_arrays(self._optimizer.means.values())
 
     @property
     def state(self) -> dict:

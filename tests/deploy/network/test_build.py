@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.network.blocks import BlockNeeds, block_shapes, default_block, scaled_by_block
+from deploy.network.blocks import BlockNeeds, block_shapes, default_block, find_rescaled_layers
 from deploy.network.build import build
 from deploy.network.chip import LOIHI
 from deploy.network.geometry import windows
@@ -224,5 +224,5 @@ def test_layers_whose_blocks_are_scaled_separately():
         for block in sim.model.blocks:
             (name,) = [layer.name for layer in layers if f"'{layer.name}'" in block.label]
             thresholds.setdefault(name, set()).update(block.compartment.vth.tolist())
-    assert scaled_by_block(layers) == ["conv1", "dense1"]
+    assert find_rescaled_layers(layers) == ["conv1", "dense1"]
     assert [name for name, found in thresholds.items() if len(found) > 1] == ["conv1", "dense1"]

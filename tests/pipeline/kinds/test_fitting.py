@@ -62,7 +62,7 @@ def test_images_of_a_sensor_of_one_s_own(own):
     chosen, said = choose_settings(settings_of(own)), said_of(settings_of(own))
     assert chosen.cnn.architecture == "9x12-6c4-24c3-4o"
     assert chosen.check == Settings().check  # not chosen: the recordings may grow
-    assert chosen.check.drawn(12) == 12  # a fifth of sixty
+    assert chosen.check.count_samples(12) == 12  # a fifth of sixty
     assert choose_settings(chosen) == chosen
     assert any("9x12-6c4-24c3-4o" in line for line in said)
 

@@ -9,7 +9,7 @@ import pytest
 from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.commands.stages import _images_of
-from pipeline.kinds import compared_with, kind_of_network
+from pipeline.kinds import find_compared_stage, kind_of_network
 from pipeline.kinds.image.choices import choose_augmentation
 from pipeline.kinds.kind import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
@@ -183,7 +183,7 @@ def test_a_grid_gets_the_paper_s_image_and_layers():
 )
 def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, against):
     stages = kind_of_network(settings(**sections)).reference_stages
-    assert compared_with(stages) == against
+    assert find_compared_stage(stages) == against
     assert ("cnn-matched" in stages) == (against == "cnn-matched")
 
 

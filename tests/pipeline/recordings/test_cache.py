@@ -52,8 +52,8 @@ def all_of(some):
     table = EventTable.of(some)
     altered = AlteredImages(some, IMAGE, "space", np.array([0, 3, 4]))
     return [
-        table.sliced_counts(2, 20.0),
-        table.sliced_counts(2, 20.0, np.array([3, 2])),
+        table.count_in_slices(2, 20.0),
+        table.count_in_slices(2, 20.0, np.array([3, 2])),
         tactile_images(some, IMAGE),
         altered(np.random.default_rng(0), [2, 0]),
         np.array([table.lost(5.0), table.lost(5.0, 2)]),

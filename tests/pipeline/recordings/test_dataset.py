@@ -76,12 +76,12 @@ def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_pat
 def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
     settings = dataset.settings
     image = tuple(f"image.{name}" for name in vars(Settings().image)) + ("input.kind",)
-    seen = dataset.seen_by(settings.only(image))
+    seen = dataset.restrict_to(settings.only(image))
     assert seen.inputs is dataset.inputs
     signed = settings.with_values({"image": {"aggregation": "signed"}})
-    assert not np.array_equal(dataset.seen_by(signed.only(image)).inputs, dataset.inputs)
+    assert not np.array_equal(dataset.restrict_to(signed.only(image)).inputs, dataset.inputs)
     with pytest.raises(UndeclaredSetting):
-        _ = dataset.seen_by(settings.only(["input.kind"])).inputs
+        _ = dataset.restrict_to(settings.only(["input.kind"])).inputs
 
 
 def test_too_few_samples_are_one_line_with_the_source(tmp_path):

@@ -5,7 +5,7 @@ import re
 import shutil
 
 from deploy.files import read_json
-from pipeline.results.status import outdated_note
+from pipeline.results.status import describe_outdated
 from pipeline.run.folder import RunFolder
 from tests.command import call
 
@@ -73,7 +73,7 @@ def test_a_trained_cnn_makes_what_was_made_from_another_outdated(run, capsys):
     ):
         assert call("deploy", *deploy) == 0
         assert re.search(CHANGED, capsys.readouterr().err), deploy
-    assert "outdated" in outdated_note(run / "checks" / "emulator.json")
+    assert "outdated" in describe_outdated(run / "checks" / "emulator.json")
     assert call("report", run) == 0
     assert re.search(CHANGED, (run / "report.html").read_text())
 
@@ -90,12 +90,12 @@ def test_an_answer_to_an_earlier_bundle_is_outdated(run, capsys):
 def test_a_bundle_adapted_from_an_earlier_network_is_outdated(run, capsys):
     adapted = shutil.copytree(run / "bundle", run / "adapted" / "7")
     assert states(run, capsys)["adapted/7"]["state"] == "current"
-    assert outdated_note(adapted) is None
+    assert describe_outdated(adapted) is None
     settings = run / "experiment.toml"
     settings.write_text(settings.read_text().replace("epochs = 3\n", "epochs = 2\n", 1))
     assert states(run, capsys)["adapted/7"]["state"] == "outdated"
-    assert f"stmnist adapt {run}" in outdated_note(adapted)
-    assert "stmnist adapt" not in outdated_note(run / "bundle")
+    assert f"stmnist adapt {run}" in describe_outdated(adapted)
+    assert "stmnist adapt" not in describe_outdated(run / "bundle")
 
 
 def test_missing_artifacts_are_missing(run, capsys):

@@ -15,7 +15,7 @@ from models.architecture import NotationError, parse
 from models.cnn import set_weights
 from pipeline.kinds.image.kind import describe_network, to_spec
 from pipeline.recordings.dataset import inputs_for
-from pipeline.results.elsewhere import trained_on
+from pipeline.results.elsewhere import find_trained_on
 from pipeline.results.report.figures.animation import animate
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
@@ -176,4 +176,4 @@ def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
         bundle = write_bundle(tmp_path / f"b{len(provenance)}", spec, checks)
         animate(tmp_path / "a.gif", bundle, 0)
     assert read_classes(spec) == tuple("0123456789")
-    assert trained_on(bundle, dataset.recordings).sum() == len(dataset.split.train)
+    assert find_trained_on(bundle, dataset.recordings).sum() == len(dataset.split.train)

@@ -23,7 +23,7 @@ def recordings():
 def test_counts_by_hand():
     """Times count from the first event, and what comes later is in the last slice."""
     table = EventTable.of(recordings())
-    counts = table.sliced_counts(2, 20.0)
+    counts = table.count_in_slices(2, 20.0)
     assert counts.shape == (2, 2, 1, 3, 2)
     assert counts[0, 0, 0].tolist() == [[2, 0], [0, 0], [0, 1]]
     assert counts[0, 1, 0].tolist() == [[0, 0], [1, 0], [0, 0]]

@@ -189,7 +189,7 @@ class _Animation:
             ylabel=f"{self._measure}, %{decides}",
         )
         curves = {}
-        drawn = self._played.shown(self._label)
+        drawn = self._played.choose_classes(self._label)
         for place, (number, style) in enumerate(zip(drawn, STYLES, strict=False), 1):
             name = shorten_name(self._classes[number], MAX_NAME_LENGTH)
             curves[number] = axes.plot([], [], colour(f"s{place}"), ls=style, label=name)[0]

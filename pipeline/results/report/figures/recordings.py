@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from deploy.tables import shorten_name, shortened_apart
+from deploy.tables import shorten_apart, shorten_name
 from pipeline.look import colour
 from pipeline.recordings.events import DIGITS, Recordings
 from pipeline.recordings.images import tactile_images
@@ -120,7 +120,7 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     images = tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
     numbers = np.bincount(recordings.labels)
-    short = shortened_apart([classes[d] for d in digits], NAME)
+    short = shorten_apart([classes[d] for d in digits], NAME)
     names = {d: f"{name} ({numbers[d]})" for d, name in zip(digits, short, strict=True)}
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
     source = _source(recordings)
