@@ -25,7 +25,7 @@ from pipeline.api.results import (
     Training,
 )
 from pipeline.kinds import prepare_dataset
-from pipeline.progress import hidden
+from pipeline.progress import hide_progress
 from pipeline.recordings.arrays import errors_naming
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
@@ -263,7 +263,7 @@ class Run:
     def _noting(self):
         """The work of one method: its notes alone, and no progress if the run is quiet."""
         self.notes = []
-        with hidden() if self._quiet else contextlib.nullcontext():
+        with hide_progress() if self._quiet else contextlib.nullcontext():
             yield
 
     def _say(self, line):

@@ -40,12 +40,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     from pipeline.results import elsewhere
     from pipeline.training import adaptation  # Nengo takes a second to import
 
-    path = options.bundle_in(run)
-    bundle = read_bundle(path)
-    beside = run / "adapted"
-    if path == run:
-        alone = run.absolute()
-        beside = alone.with_name(f"{alone.name}-adapted")
+    bundle = read_bundle(options.bundle_in(run))
     options.warn_if_outdated(bundle.path)
     settings = elsewhere.settings_around(bundle, skip_bad, time_unit)
     everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
@@ -53,9 +48,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     for line in elsewhere.warnings_on(bundle, recordings):
         options.say(line)
     adaptation.require_fit(bundle.spec, recordings)
-    place = out or beside / who
-    if out is None:
-        refuse_linked_folder(beside)
+    place = out or _default_place(run, bundle, who)
     if place.resolve() == bundle.path.resolve():
         raise UserError(f"{place}: is the bundle to adapt; choose another --out")
     require_replaceable(place)
@@ -69,6 +62,16 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     trained_on = int(elsewhere.find_trained_on(bundle, recordings).sum())
     summary = _summarise(adapted, place, len(recordings), trained_on)
     options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
+
+
+def _default_place(run, bundle, who):
+    """The folder of the new bundle: in the run, or beside a bundle without a run."""
+    beside = run / "adapted"
+    if bundle.path == run:
+        alone = run.absolute()
+        beside = alone.with_name(f"{alone.name}-adapted")
+    refuse_linked_folder(beside)
+    return beside / who
 
 
 def _summarise(adapted, place, samples, trained_on):

@@ -22,8 +22,11 @@ LEFT = 48
 RIGHT = 14
 TOP = 26
 BOTTOM = 40
-# Height of a panel of a timeline.
+# Width of a timeline, the top of its first panel, and height and distance of its panels.
+TIMELINE = 2 * WIDTH
+FIRST_PANEL = 20
 PANEL = 90
+PANEL_GAP = 26
 # Points of a line that have a tooltip of their own.
 MOST_TOOLTIPS = 60
 
@@ -97,26 +100,29 @@ def line_chart(
     levels : sequence of (y, name), optional
         Dashed lines.
     """
-    x = np.concatenate([np.asarray(s.x, float) for s in series])
-    y = np.concatenate([np.ravel([*s.y, *np.ravel(s.intervals)]) for s in series])
-    y = np.append(y, [*(b for _, b, _ in points), *(b for b, _ in levels)])
-    x_axis = _Axis(x.min(), x.max(), LEFT, CHART - RIGHT)
-    y_axis = _Axis(y.min() if least is None else least, y.max(), HEIGHT - BOTTOM, TOP)
+    every_x = np.concatenate([np.asarray(one.x, float) for one in series])
+    every_y = np.concatenate([np.ravel([*one.y, *np.ravel(one.intervals)]) for one in series])
+    every_y = np.append(every_y, [*(y for _, y, _ in points), *(y for y, _ in levels)])
+    lowest = every_y.min() if least is None else least
+    x_axis = _Axis(every_x.min(), every_x.max(), LEFT, CHART - RIGHT)
+    y_axis = _Axis(lowest, every_y.max(), HEIGHT - BOTTOM, TOP)
     marks = [_axes(x_axis, y_axis, x_label, y_label)]
-    for number, s in enumerate(series, 1):
-        if s.intervals:
-            low, high = zip(*s.intervals, strict=True)
-            around = _points(x_axis, y_axis, (*s.x, *s.x[::-1]), (*low, *high[::-1]))
+    for number, one in enumerate(series, 1):
+        if one.intervals:
+            low, high = zip(*one.intervals, strict=True)
+            around = _points(x_axis, y_axis, (*one.x, *one.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
-        marks.append(_line(x_axis, y_axis, s, number))
-    for b, name in levels:
-        marks.append(_segment("reference", LEFT, y_axis(b), CHART - RIGHT, y_axis(b)))
-        aside = 16 if any(s.y[-1] > b for s in series) else -6  # of the line, where no curve ends
-        marks.append(_text(CHART - RIGHT, y_axis(b) + aside, f"{name} {b:.1f}", "end"))
-    for a, b, name in points:
-        marks.append(_dot(x_axis(a), y_axis(b), f"{name}: {b:.1f} %"))
-        aside = 18 if any(0 <= level - b < 9 for level, _ in levels) else -9
-        marks.append(_text(x_axis(a), y_axis(b) + aside, f"{name} {b:.1f}", "end"))
+        marks.append(_line(x_axis, y_axis, one, number))
+    for level, name in levels:
+        height = y_axis(level)
+        marks.append(_segment("reference", LEFT, height, CHART - RIGHT, height))
+        # On the side of the line where no curve ends.
+        aside = 16 if any(one.y[-1] > level for one in series) else -6
+        marks.append(_text(CHART - RIGHT, height + aside, f"{name} {level:.1f}", "end"))
+    for x, y, name in points:
+        marks.append(_dot(x_axis(x), y_axis(y), f"{name}: {y:.1f} %"))
+        aside = 18 if any(0 <= level - y < 9 for level, _ in levels) else -9
+        marks.append(_text(x_axis(x), y_axis(y) + aside, f"{name} {y:.1f}", "end"))
     return _svg(CHART, HEIGHT, marks, description)
 
 
@@ -151,48 +157,60 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
     mark : float, optional
         Time of a vertical line through all panels.
     """
-    width = 2 * WIDTH
-    gap = 26
-    top = 20
-    x_axis = _Axis(0, extent, LEFT, width - RIGHT, exact=True)
+    x_axis = _Axis(0, extent, LEFT, TIMELINE - RIGHT, exact=True)
     marks = []
-    y = top
+    top = FIRST_PANEL
     for panel in panels:
-        marks.append(_text(LEFT, y - 6, panel.title, "start"))
-        bottom = y + PANEL
-        marks.append(_segment("axis", LEFT, bottom, width - RIGHT, bottom))
-        if isinstance(panel, Raster):
-            y_axis = _Axis(0, panel.rows, y, bottom, exact=True)
-            marks.append(_text(LEFT - 7, y + 10, "0", "end"))
-            marks.append(_text(LEFT - 7, bottom, str(panel.rows - 1), "end"))
-            tall = max(2.0, PANEL / panel.rows)
-            for name, times, units in panel.groups:
-                path = "".join(
-                    f"M{x_axis(t):.1f} {y_axis(u):.1f}v{tall:.1f}"
-                    for t, u in zip(times, units, strict=True)
-                )
-                marks.append(f'<path class="event {name}" d="{path}"/>')
-        else:
-            y_axis = _Axis(0, 1.06, bottom, y, exact=True)  # shows what is near 1
-            for tick in (0, 0.5, 1):
-                marks.append(_segment("grid", LEFT, y_axis(tick), width - RIGHT, y_axis(tick)))
-                marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
-            levels = map(y_axis, panel.levels)
-            marks += [_segment("axis level", LEFT, y, width - RIGHT, y) for y in levels]
-            marks += [_line(x_axis, y_axis, s, n, 100) for n, s in enumerate(panel.series, 1)]
-            marks += [
-                _dot(x_axis(a), y_axis(b), f"{100 * b:.1f} %", "end") for a, b in panel.points
-            ]
-        y = bottom + gap
-    end = y - gap
+        bottom = top + PANEL
+        marks.append(_text(LEFT, top - 6, panel.title, "start"))
+        marks.append(_segment("axis", LEFT, bottom, TIMELINE - RIGHT, bottom))
+        draw = _draw_raster if isinstance(panel, Raster) else _draw_curves
+        marks += draw(panel, x_axis, top)
+        top = bottom + PANEL_GAP
+    end = top - PANEL_GAP
     if mark is not None:
-        marks.append(_segment("reference", x_axis(mark), top, x_axis(mark), end))
+        marks.append(_segment("reference", x_axis(mark), FIRST_PANEL, x_axis(mark), end))
     for tick in x_axis.ticks():
         marks.append(_segment("axis", x_axis(tick), end, x_axis(tick), end + 4))
-        anchor = "end" if x_axis(tick) > width - 2 * RIGHT else "middle"
+        anchor = "end" if x_axis(tick) > TIMELINE - 2 * RIGHT else "middle"
         marks.append(_text(x_axis(tick), end + 18, x_axis.label(tick), anchor))
-    marks.append(_text((LEFT + width) / 2, end + 36, x_label, "middle"))
-    return _svg(width, end + 42, marks, description, "timeline")
+    marks.append(_text((LEFT + TIMELINE) / 2, end + 36, x_label, "middle"))
+    return _svg(TIMELINE, end + 42, marks, description, "timeline")
+
+
+def _draw_raster(panel: Raster, x_axis, top) -> list:
+    """The marks of a panel of events or spikes."""
+    bottom = top + PANEL
+    y_axis = _Axis(0, panel.rows, top, bottom, exact=True)
+    marks = [
+        _text(LEFT - 7, top + 10, "0", "end"),
+        _text(LEFT - 7, bottom, str(panel.rows - 1), "end"),
+    ]
+    height = max(2.0, PANEL / panel.rows)
+    for name, times, units in panel.groups:
+        path = "".join(
+            f"M{x_axis(time):.1f} {y_axis(unit):.1f}v{height:.1f}"
+            for time, unit in zip(times, units, strict=True)
+        )
+        marks.append(f'<path class="event {name}" d="{path}"/>')
+    return marks
+
+
+def _draw_curves(panel: Lines, x_axis, top) -> list:
+    """The marks of a panel of curves between 0 and 1."""
+    y_axis = _Axis(0, 1.06, top + PANEL, top, exact=True)  # shows what is near 1
+    right = TIMELINE - RIGHT
+    marks = []
+    for tick in (0, 0.5, 1):
+        marks.append(_segment("grid", LEFT, y_axis(tick), right, y_axis(tick)))
+        marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
+    for level in panel.levels:
+        marks.append(_segment("axis level", LEFT, y_axis(level), right, y_axis(level)))
+    for number, series in enumerate(panel.series, 1):
+        marks.append(_line(x_axis, y_axis, series, number, 100))
+    for x, y in panel.points:
+        marks.append(_dot(x_axis(x), y_axis(y), f"{100 * y:.1f} %", "end"))
+    return marks
 
 
 def thumbnail(values, description: str = "", positions=None) -> Markup:

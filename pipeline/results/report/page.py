@@ -280,39 +280,52 @@ def _ladder(results):
 def _over_time(inputs):
     """Accuracy over the recording (events), or over the steps of the presentation (images)."""
     result = inputs.results[-1]
-    spec = inputs.bundle.spec
-    name = title_of(result["target"])
-    n = result["n_samples"]
-    written = result.get("while_written")
-    if written:
-        x = [100 * share for share in written["shares"]]
-        y = written["accuracy"]
-        label = "share of the recording, %"
-    else:
-        start = spec.presentation.readout_start
-        y = result["anytime_accuracy"][start:]
-        x = range(start + 1, start + 1 + len(y))
-        x = [1000 * spec.stimulus.step_seconds * step for step in x]
-        label = "milliseconds of the presentation"
-    if len(y) < 2:
+    n_samples = result["n_samples"]
+    times, accuracies, label = _accuracy_by_time(result, inputs.bundle.spec)
+    if len(accuracies) < 2:
         return None
-    band = tuple(tuple(100 * v for v in wilson_interval(round(n * a), n)) for a in y)
-    series = charts.Series(name, tuple(x), tuple(100 * a for a in y), band)
-    early = written and written.get("by_itself")
-    early = early if early and early["confidence"] < 1 else None
-    points = [(x[-1], 100 * result["accuracy"], "end")]
+    intervals = (wilson_interval(round(n_samples * share), n_samples) for share in accuracies)
+    series = charts.Series(
+        title_of(result["target"]),
+        tuple(times),
+        tuple(100 * share for share in accuracies),
+        tuple((100 * low, 100 * high) for low, high in intervals),
+    )
+    early = _early_decision(result)
+    points = [(times[-1], 100 * result["accuracy"], "end")]
     if early:
         points.append((100 * early["share_of_writing_mean"], 100 * early["accuracy"], "early"))
-    counts = [r["accuracy"] for r in inputs.results if r["target"] == "counts"]
-    level = [(100 * accuracy, "logistic regression") for accuracy in counts]
-    title = "Accuracy over time"
+    counts = [row["accuracy"] for row in inputs.results if row["target"] == "counts"]
+    levels = [(100 * accuracy, "logistic regression") for accuracy in counts]
+    middle = times[-1] / 2
     return {
-        "chart": charts.line_chart([series], label, "accuracy, %", title, 0, points, level),
-        "half": y[int(np.searchsorted(x, x[-1] / 2))] if x[0] <= x[-1] / 2 else None,
-        "name": name,
+        "chart": charts.line_chart(
+            [series], label, "accuracy, %", "Accuracy over time", 0, points, levels
+        ),
+        "half": accuracies[int(np.searchsorted(times, middle))] if times[0] <= middle else None,
+        "name": series.name,
         "early": early,
-        "on_events": bool(written),
+        "on_events": bool(result.get("while_written")),
     }
+
+
+def _accuracy_by_time(result, spec):
+    """Times, the accuracy at each, and what the times are."""
+    written = result.get("while_written")
+    if written:
+        shares = [100 * share for share in written["shares"]]
+        return shares, written["accuracy"], "share of the recording, %"
+    start = spec.presentation.readout_start
+    accuracies = result["anytime_accuracy"][start:]
+    step_ms = 1000 * spec.stimulus.step_seconds
+    times = [step_ms * step for step in range(start + 1, start + 1 + len(accuracies))]
+    return times, accuracies, "milliseconds of the presentation"
+
+
+def _early_decision(result):
+    """The record of early decisions; None if the network makes none."""
+    early = (result.get("while_written") or {}).get("by_itself")
+    return early if early and early["confidence"] < 1 else None
 
 
 def _answers(inputs):
@@ -403,63 +416,69 @@ def _frequent_mistake(groups, inputs):
 
 def _stories(inputs, groups):
     """Samples one by one: events, spikes of the layers and probabilities on one time axis."""
-    pictures = {s["index"]: s["picture"] for group in groups for s in group["samples"]}
-    result = inputs.results[-1]
-    classes = inputs.classes
-    spec = inputs.bundle.spec
-    step_ms = 1000 * spec.stimulus.step_seconds
-    limit = spec.presentation.threshold
+    pictures = {}
+    for group in groups:
+        pictures.update({sample["index"]: sample["picture"] for sample in group["samples"]})
     stories = []
     for index, replay in inputs.replays.items():
-        sample = result["samples"][index]
-        answered = sample["prediction"]
-        at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
-        end = replay.decided
-        is_early = replay.decided < len(at_ms) - 1
-        point = at_ms[end], replay.chances[end, replay.answer]
-        drawn = choose_drawn_steps(len(at_ms))
-        lines = charts.Lines(
-            f"{'probability of the classes' if spec.estimator else 'softmax of the outputs'}, %",
-            tuple(
-                charts.Series(classes[c], tuple(at_ms[drawn]), tuple(replay.chances[drawn, c]))
-                for c in replay.choose_classes(sample["label"])
-            ),
-            (limit,) * (limit < 1),
-            (point,) * is_early,
-        )
-        layers = [
-            charts.Raster(
-                f"{layer.name}: {layer.size} {layer.unit}, "
-                f"{sum(len(steps) for _, steps, _ in layer.groups):,} spikes",
-                [(kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups],
-                layer.size,
-            )
-            for layer in replay.layers
-        ]
-        stories.append(
-            {
-                "index": index,
-                "id": sample["id"],
-                "picture": pictures[index],
-                "right": sample["label"] == answered,
-                "shown": classes[sample["label"]],
-                "answered": classes[answered],
-                "probability": float(replay.chances[-1, answered]),
-                "early": (at_ms[end], classes[replay.answer], point[1]) if is_early else None,
-                "chart": charts.timeline(
-                    [*layers, lines],
-                    spec.presentation.steps * step_ms,
-                    "milliseconds since the start of the presentation",
-                    f"Spikes and probabilities over time, sample {sample['id']}",
-                    mark=at_ms[end] if is_early else None,
-                ),
-                "legend": charts.legend(
-                    f"{s.name}{' (true)' * (s.name == classes[sample['label']])}"
-                    for s in lines.series
-                ),
-            }
-        )
+        sample = inputs.results[-1]["samples"][index]
+        story = _story(inputs.bundle.spec, inputs.classes, sample, replay)
+        stories.append({"index": index, "picture": pictures[index], **story})
     return stories
+
+
+def _story(spec, classes, sample, replay):
+    """What the template needs of a replayed sample, but for its picture."""
+    step_ms = 1000 * spec.stimulus.step_seconds
+    at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
+    decided_ms = at_ms[replay.decided]
+    probability = replay.chances[replay.decided, replay.answer]
+    is_early = replay.decided < len(at_ms) - 1
+    label = sample["label"]
+    prediction = sample["prediction"]
+    drawn = choose_drawn_steps(len(at_ms))
+    limit = spec.presentation.threshold
+    what = "probability of the classes" if spec.estimator else "softmax of the outputs"
+    curves = tuple(
+        charts.Series(classes[number], tuple(at_ms[drawn]), tuple(replay.chances[drawn, number]))
+        for number in replay.choose_classes(label)
+    )
+    lines = charts.Lines(
+        f"{what}, %",
+        curves,
+        levels=(limit,) if limit < 1 else (),
+        points=((decided_ms, probability),) if is_early else (),
+    )
+    layers = [_draw_spikes(layer, step_ms) for layer in replay.layers]
+    return {
+        "id": sample["id"],
+        "right": label == prediction,
+        "shown": classes[label],
+        "answered": classes[prediction],
+        "probability": float(replay.chances[-1, prediction]),
+        "early": (decided_ms, classes[replay.answer], probability) if is_early else None,
+        "chart": charts.timeline(
+            [*layers, lines],
+            spec.presentation.steps * step_ms,
+            "milliseconds since the start of the presentation",
+            f"Spikes and probabilities over time, sample {sample['id']}",
+            mark=decided_ms if is_early else None,
+        ),
+        "legend": charts.legend(
+            f"{curve.name} (true)" if curve.name == classes[label] else curve.name
+            for curve in curves
+        ),
+    }
+
+
+def _draw_spikes(layer, step_ms) -> charts.Raster:
+    """The panel of a replayed layer."""
+    spikes = sum(len(steps) for _, steps, _ in layer.groups)
+    return charts.Raster(
+        f"{layer.name}: {layer.size} {layer.unit}, {spikes:,} spikes",
+        [(kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups],
+        layer.size,
+    )
 
 
 def choose_drawn_steps(n: int) -> np.ndarray:
