@@ -327,53 +327,93 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
         Threshold and bias do not fit with any exponent of the weights.
     """
     levels = chip.weight_levels
-    decays = link.decays.keep_u, link.decays.keep_v
-    real = link.weights / link.pool**2  # the link's weights are those of averages
+    real = _weights_of_sums(link)
+    scale = _choose_scale(link, float(np.abs(real).max()) * clip, levels)
+    if moments is None:
+        weights = np.clip(np.rint(real / scale), -levels, levels)
+    else:
+        weights = _round_with_compensation(real / scale, moments, levels)
+    threshold, exponent = _choose_threshold(link, scale, chip)
+    weights, own = np.split(weights.astype(np.int32), [len(link.weights)])
+    return Integers(
+        weights=weights,
+        bias=_round_bias(link.bias * threshold, chip),
+        threshold=threshold,
+        floor=FLOOR,
+        keep_u=_round_decay(link.decays.keep_u, LEAST_KEEP_U, chip),
+        keep_v=_round_decay(link.decays.keep_v, LEAST_KEEP_V, chip),
+        exponent=exponent,
+        loop=None if link.loop is None else own,
+    )
+
+
+def _weights_of_sums(link):
+    """The link's weights for sums over the squares that it averages, its own spikes' last.
+
+    Raises
+    ------
+    UserError
+        A weight, bias or decay is infinite.
+    """
+    real = link.weights / link.pool**2
     if link.loop is not None:
         real = np.concatenate([real, link.loop])
-    if not all(np.isfinite(array).all() for array in (real, link.bias, *decays)):
+    parameters = (real, link.bias, link.decays.keep_u, link.decays.keep_v)
+    if not all(np.isfinite(values).all() for values in parameters):
         raise UserError(
             f"{link}: its weights or biases become infinite when divided by its threshold; "
             "scale the threshold to about 1 in training"
         )
-    largest = float(np.abs(real).max()) * clip
+    return real
+
+
+def _choose_scale(link, largest, levels):
+    """The real weight of one level, for a largest weight.
+
+    Raises
+    ------
+    UserError
+        The largest weight is 0, or too large beside the threshold.
+    """
     if largest == 0:
         raise UserError(f"{link}: all its weights are 0; train it, or leave it out")
     # The threshold, a whole number of units, is rounded up: only the largest weights are clipped.
     with np.errstate(over="ignore"):
         units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * levels / largest - 1e-9)
-    units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as the loop below finds
+    units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as `_choose_threshold` finds
     scale = WEIGHT_UNIT / THRESHOLD_UNIT / max(units, 1)
-    if moments is None:
-        weights = np.clip(np.rint(real / scale), -levels, levels)
-    else:
-        weights = _round_with_compensation(real / scale, moments, levels)
-    keep_u, keep_v = (
-        int(np.clip(np.rint(chip.decay_unit * keep), least, chip.decay_levels))
-        for keep, least in zip(decays, (LEAST_KEEP_U, LEAST_KEEP_V), strict=True)
-    )
     if largest > 1.5 * levels * scale:
         raise UserError(
             f"{link}: its weights are too large beside its threshold for the chip's integers, "
             f"{largest:.3g} of it; scale the weights or the threshold in training"
         )
+    return scale
+
+
+def _choose_threshold(link, scale, chip) -> tuple:
+    """The threshold, and the largest exponent of the weights with which it and the biases fit.
+
+    Raises
+    ------
+    UserError
+        They fit with no exponent.
+    """
     largest_bias = _mantissa(chip) * MAX_BIAS_FACTOR
     for lowered in range(WEIGHT_EXPONENTS):
         per_threshold = WEIGHT_UNIT * 2.0**-lowered / scale
         threshold = THRESHOLD_UNIT * round(per_threshold / THRESHOLD_UNIT)
         bias = link.bias * threshold
         if 0 < threshold <= MAX_THRESHOLD and np.abs(bias).max() <= largest_bias:
-            break
-    else:
-        raise UserError(
-            f"{link}: its weights are too small beside its threshold for the chip's integers, or "
-            "its biases too large; scale weights and threshold in training, or use shorter time "
-            "constants"
-        )
-    weights, own = np.split(weights.astype(np.int32), [len(link.weights)])
-    loop = None if link.loop is None else own
-    bias = _round_bias(bias, chip)
-    return Integers(weights, bias, threshold, FLOOR, keep_u, keep_v, -lowered, loop)
+            return threshold, -lowered
+    raise UserError(
+        f"{link}: its weights are too small beside its threshold for the chip's integers, or its "
+        "biases too large; scale weights and threshold in training, or use shorter time constants"
+    )
+
+
+def _round_decay(keep, least, chip):
+    """What remains after a step, in the chip's units."""
+    return int(np.clip(np.rint(chip.decay_unit * keep), least, chip.decay_levels))
 
 
 def _round_with_compensation(real, moments, levels) -> np.ndarray:

@@ -1,9 +1,8 @@
 """The stages of a run: each reads the artifacts of the previous one, and is made only if outdated.
 
 :func:`open_run` loads the recordings and chooses what the settings leave open; the others take what
-it returns: :meth:`Opened.make` trains a network, :func:`convert` writes the bundle,
-:func:`check_stage`
-answers its samples with a network or target.
+it returns: :meth:`Opened.make` trains a network, :func:`convert` writes the bundle, and
+:func:`check_stage` runs a network or target on its samples.
 """
 
 from __future__ import annotations
@@ -195,13 +194,7 @@ def open_run(
     chosen = dataset.settings
     opened = opened_in(run, chosen, dataset, say)
     if check:
-        require_replaceable(run.bundle)
-        sensor = recordings.sensor
-        stimulus = chosen.stimulus
-        shape = (sensor.rows, sensor.columns, opened.kind.channels)
-        samples = chosen.check.count_samples(len(dataset.split.test))
-        require_room(samples, stimulus.sample_shape(shape, chosen.steps), stimulus)
-        opened.kind.require_presentable(dataset)
+        _require_check_fits(opened)
     opened.kind.require_usable(opened.step_inputs(chosen.flat()))
     for line in _notes(opened, lines):
         say(line)
@@ -214,6 +207,18 @@ def open_run(
     return opened
 
 
+def _require_check_fits(opened):
+    """Refuse a run whose bundle or check could not be written later."""
+    settings = opened.settings
+    sensor = opened.dataset.recordings.sensor
+    require_replaceable(opened.run.bundle)
+    shape = (sensor.rows, sensor.columns, opened.kind.channels)
+    stimulus = settings.stimulus
+    samples = settings.check.count_samples(len(opened.dataset.split.test))
+    require_room(samples, stimulus.sample_shape(shape, settings.steps), stimulus)
+    opened.kind.require_presentable(opened.dataset)
+
+
 @contextlib.contextmanager
 def opened_run(path, settings: Settings | dict | None = None, **more):
     """Lock a run's folder, new or not, for a block of statements, and open it.
@@ -224,9 +229,7 @@ def opened_run(path, settings: Settings | dict | None = None, **more):
         Folder of the run.
     settings : Settings or dict, optional
         A dict, nested as in :meth:`pipeline.run.settings.schema.Settings.with_values`, changes
-        what was
-        set
-        for the run; settings replace it.
+        what was set for the run; settings replace it.
     **more
         As in :func:`open_run`.
 
@@ -331,27 +334,11 @@ def convert(opened: Opened) -> Bundle:
         return read_bundle(run.bundle)
     state.announce("writing", say)
     inputs = opened.step_inputs(origin.settings)
-    view = inputs.settings
+    seed = inputs.settings.seed
     dataset = inputs.dataset
-    recordings = inputs.dataset.recordings
-    source = recordings.source
-    test = dataset.split.test
-    chosen = dataset.split.check_samples(view.check.count_samples(len(test)), view.seed)
-    lost = reading_lines(source.name, recordings)
-    notes = (*lost, *_notes_on_recordings(opened))
-    provenance = {
-        "made_from": origin.to_json(),
-        **dataset.provenance,
-        "seed": view.seed,
-        "recipe": opened.kind.recipe,
-        "package": __version__,
-        "warnings": [n.removeprefix(WARNING) for n in notes if n.startswith(WARNING)],
-    }
-    spec = opened.spec(provenance)
-    spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, view.seed)
-    some = recordings.subset(chosen)
-    checks = CheckSet(dataset.inputs[chosen], some.labels, some.ids, view.seed)
-    bundle = write_bundle(run.bundle, spec, checks)
+    spec = opened.spec(_describe_source(opened, inputs, origin))
+    spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, seed)
+    bundle = write_bundle(run.bundle, spec, _choose_check_samples(inputs))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     for name in find_rescaled_layers(spec.layers) if opened.kind.is_trained_in_integers else ():
         say(
@@ -359,6 +346,31 @@ def convert(opened: Opened) -> Bundle:
             "that integers differ a bit from training: see 'stmnist ladder', or use fewer neurons"
         )
     return bundle
+
+
+def _describe_source(opened, inputs, origin) -> dict:
+    """The provenance that is stored in a bundle."""
+    recordings = inputs.dataset.recordings
+    lost = reading_lines(recordings.source.name, recordings)
+    notes = (*lost, *_notes_on_recordings(opened))
+    return {
+        "made_from": origin.to_json(),
+        **inputs.dataset.provenance,
+        "seed": inputs.settings.seed,
+        "recipe": opened.kind.recipe,
+        "package": __version__,
+        "warnings": [note.removeprefix(WARNING) for note in notes if note.startswith(WARNING)],
+    }
+
+
+def _choose_check_samples(inputs) -> CheckSet:
+    """The samples of a bundle's check."""
+    dataset = inputs.dataset
+    seed = inputs.settings.seed
+    number = inputs.settings.check.count_samples(len(dataset.split.test))
+    chosen = dataset.split.check_samples(number, seed)
+    some = dataset.recordings.subset(chosen)
+    return CheckSet(dataset.inputs[chosen], some.labels, some.ids, seed)
 
 
 def bundle_artifact(run: RunFolder, kind: NetworkKind, dataset: Origin, name="bundle") -> Artifact:
@@ -406,24 +418,29 @@ def check_stage(opened: Opened, bundle: Bundle, stage: str) -> dict:
     if stage in TARGETS:
         with progress(f"check {stage}", len(bundle.checks)) as advance:
             return run_check(bundle, stage, path, opened.settings.seed, advance)
+    result = _check_reference(opened, bundle, stage)
+    write_json(path, result)
+    return result
+
+
+def _check_reference(opened, bundle, stage) -> dict:
+    """The check result of a reference stage, whose network is trained if it is missing."""
     reference = opened.kind.references[stage]
-    step = reference.step
-    if not opened.kind.is_deployed(step):
-        opened.make(step)
-    origin = opened.artifact(step).origin
+    extra = {"versions": reference.versions()}
+    is_deployed = opened.kind.is_deployed(reference.step)
+    if not is_deployed:
+        opened.make(reference.step)
+    origin = opened.artifact(reference.step).origin
+    if not is_deployed:
+        extra["network"] = origin.key
     made_from = bundle.spec.provenance["made_from"]
     inputs = opened.step_inputs(made_from["settings"].keys() | origin.settings.keys())
     begun = time.perf_counter()
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         responses = reference.respond_to(stage, inputs, bundle, advance)
     seconds = time.perf_counter() - begun
-    extra = {"versions": reference.versions()}
-    if not opened.kind.is_deployed(step):
-        extra["network"] = origin.key
     samples = records_of(bundle.checks, responses)
-    result = result_of(bundle, stage, opened.settings.seed, samples, seconds, extra)
-    write_json(path, result)
-    return result
+    return result_of(bundle, stage, opened.settings.seed, samples, seconds, extra)
 
 
 def check_stages(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
@@ -451,27 +468,42 @@ def check_stages(opened: Opened, bundle: Bundle, stages, jobs: int = 1) -> list:
     """
     artifacts = {stage: _check_artifact_of(opened, bundle, stage) for stage in stages}
     states = {stage: artifact.state() for stage, artifact in artifacts.items()}
-    results = {}
     targets = [stage for stage in stages if stage in TARGETS and not states[stage].is_current]
+    results = {}
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
-        here = [stage for stage in stages if stage not in targets]
-        with progress("check", len(stages) * len(bundle.checks)) as advance:
-
-            def answer_here():
-                for stage in here:
-                    with hide_progress():
-                        results[stage] = check_stage(opened, bundle, stage)
-                    advance(len(bundle.checks), stage)
-
-            for name in targets:
-                states[name].announce("answering", opened.say)
-            paths = {name: artifacts[name].record for name in targets}
-            seed = opened.settings.seed
-            results |= _run_targets(bundle, paths, seed, jobs, advance, answer_here)
+        for name in targets:
+            states[name].announce("answering", opened.say)
+        paths = {name: artifacts[name].record for name in targets}
+        others = [stage for stage in stages if stage not in targets]
+        results = _check_side_by_side(opened, bundle, paths, others, jobs)
     for stage in stages:
         if stage not in results:
             results[stage] = check_stage(opened, bundle, stage)
     return [results[stage] for stage in stages]
+
+
+def _check_side_by_side(opened, bundle, paths, others, jobs) -> dict:
+    """Results by name of targets in processes, and of the other stages in this process.
+
+    Parameters
+    ----------
+    paths : dict of str to Path
+        File of each target's result.
+    others : list of str
+    """
+    results = {}
+    n_stages = len(paths) + len(others)
+    with progress("check", n_stages * len(bundle.checks)) as advance:
+
+        def check_others():
+            for stage in others:
+                with hide_progress():
+                    results[stage] = check_stage(opened, bundle, stage)
+                advance(len(bundle.checks), stage)
+
+        seed = opened.settings.seed
+        of_targets = _run_targets(bundle, paths, seed, jobs, advance, check_others)
+    return {**results, **of_targets}
 
 
 def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):
@@ -506,7 +538,8 @@ def _run_all_streams(work):
 
 def _check_artifact_of(opened, bundle, stage):
     """The artifact of a check's result; one that is damaged is refused and not replaced."""
-    if stage not in (stages := (*opened.kind.references, *TARGETS)):
+    stages = (*opened.kind.references, *TARGETS)
+    if stage not in stages:
         raise UserError(f"no stage or target {stage!r}; they are {', '.join(stages)}")
     origin = opened.dataset.origin
     artifact = check_artifact(opened.place, stage, opened.kind, origin, bundle.id)

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional
+from typing import Callable, Dict, Iterator, List, Optional
 
 from ..errors import UserError
 from ..files import lock_file, reporting_os_errors, write_json
@@ -17,7 +17,7 @@ from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..targets.overflow import OverflowWatch, overflow_text
-from ..targets.registry import refuse_unfit, run_target, target_named
+from ..targets.registry import Target, refuse_unfit, run_target, target_named
 from ..terminal import WARNING, remark
 from .bundle import Bundle, CheckSet
 from .results import result_of, versions
@@ -159,48 +159,60 @@ def run_streams(work: Work) -> Iterator[dict]:
         yield record
 
 
+@dataclass
 class OpenCheck:
     """A check in progress, with finished and remaining streams; see :func:`open_check`.
 
     Attributes
     ----------
-    target : deploy.targets.registry.Target
+    bundle : Bundle
+    identity : dict
+        What distinguishes this check from others: bundle, target, seed, versions and samples.
+    out, saved : Path
+        File of the result, and of the responses to the finished streams.
+    done : dict of int to dict
+        Records of the finished streams, by their first sample.
+    options : object or None
+        Options of the target.
+    advance : callable
+        Called with the number of samples done since the last call.
     """
 
-    def __init__(self, bundle, check, out, saved, done, advance, options):
-        self.target = target_named(check["target"])
-        self._bundle = bundle
-        self._check = check
-        self._out = out
-        self._saved = saved
-        self._done = done
-        self._options = options
-        self._advance = advance or (lambda n: None)
-        for record in done.values():
-            self._advance(len(record["samples"]))
+    bundle: Bundle
+    identity: dict
+    out: Path
+    saved: Path
+    done: Dict[int, dict]
+    options: Optional[object]
+    advance: Callable
+
+    @property
+    def target(self) -> Target:
+        """The target."""
+        return target_named(self.identity["target"])
 
     @property
     def left(self) -> list:
         """The remaining streams in order, as slices of the samples."""
-        return [stream for stream in _streams(self._bundle) if stream.start not in self._done]
+        return [stream for stream in _streams(self.bundle) if stream.start not in self.done]
 
     def work(self, streams) -> Work:
         """The data to run some of the remaining streams."""
-        samples = tuple((stream.start, self._bundle.checks[stream]) for stream in streams)
+        samples = tuple((stream.start, self.bundle.checks[stream]) for stream in streams)
         # An absolute path, because another process may have another working directory.
-        return Work(self._bundle.spec, samples, self._check, self._saved.absolute(), self._options)
+        return Work(self.bundle.spec, samples, self.identity, self.saved.absolute(), self.options)
 
     def take(self, record: dict):
         """Add a record from :func:`run_streams`, in any order."""
-        self._done[record["first"]] = record
-        self._advance(len(record["samples"]))
+        self.done[record["first"]] = record
+        self.advance(len(record["samples"]))
 
     def finish(self) -> dict:
         """Write and return the result, after the last stream."""
-        bundle = self._bundle
+        bundle = self.bundle
         target = self.target
-        seed = self._check["seed"]
-        records = [self._done[stream.start] for stream in _streams(bundle)]
+        seed = self.identity["seed"]
+        records = [self.done[stream.start] for stream in _streams(bundle)]
         answers = [sample for record in records for sample in record["samples"]]
         notes = [record["notes"] for record in records if "notes" in record]
         extra = target.describe(notes) if notes and target.describe else {}
@@ -218,10 +230,14 @@ class OpenCheck:
             remark(WARNING + overflow_text(bundle.spec, target.name, overflows))
         seconds = sum(record["seconds"] for record in records)
         result = result_of(bundle, target.name, seed, answers, seconds, extra)
-        write_json(self._out, result)
+        write_json(self.out, result)
         with contextlib.suppress(OSError):
-            self._saved.unlink()
+            self.saved.unlink()
         return result
+
+
+def _ignore(n_samples):
+    """Report no progress."""
 
 
 def _streams(bundle):
@@ -270,7 +286,18 @@ def open_check(
     with lock_file(saved, taken, "choose another --out") as file:
         try:
             done = _resume(file, check, _streams(bundle))
-            yield OpenCheck(bundle, check, out, saved, done, advance, options)
+            advance = advance or _ignore
+            for record in done.values():
+                advance(len(record["samples"]))
+            yield OpenCheck(
+                bundle=bundle,
+                identity=check,
+                out=out,
+                saved=saved,
+                done=done,
+                options=options,
+                advance=advance,
+            )
         finally:
             if os.path.exists(str(saved)) and not os.path.getsize(str(saved)):
                 os.unlink(str(saved))

@@ -476,7 +476,7 @@ def _draw_spikes(layer, step_ms) -> charts.Raster:
     spikes = sum(len(steps) for _, steps, _ in layer.groups)
     return charts.Raster(
         f"{layer.name}: {layer.size} {layer.unit}, {spikes:,} spikes",
-        [(kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups],
+        tuple((kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups),
         layer.size,
     )
 
