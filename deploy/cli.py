@@ -78,13 +78,13 @@ def _add_target_options(parser):
     for name, (target, option) in list_options().items():
         if target not in groups:
             groups[target] = parser.add_argument_group(f"target {target}")
-        how = {"default": option.default, "help": option.metadata["help"]}
+        keywords = {"default": option.default, "help": option.metadata["help"]}
         if option.default is False:
-            how["action"] = "store_true"
+            keywords["action"] = "store_true"
         elif option.default is not None:
-            how["type"] = type(option.default)
-            how["help"] += " (default: %(default)s)"
-        groups[target].add_argument(f"--{name}", **how)
+            keywords["type"] = type(option.default)
+            keywords["help"] += " (default: %(default)s)"
+        groups[target].add_argument(f"--{name}", **keywords)
 
 
 def _check(options):

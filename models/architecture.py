@@ -87,10 +87,10 @@ class Architecture:
         Layers are numbered separately for each kind.
         """
         names: list = []
-        seen: dict = {}
+        numbers: dict = {}
         for layer in self.layers:
-            seen[layer.kind] = seen.get(layer.kind, 0) + 1
-            names.append("output" if layer.output else f"{layer.kind}{seen[layer.kind]}")
+            numbers[layer.kind] = numbers.get(layer.kind, 0) + 1
+            names.append("output" if layer.output else f"{layer.kind}{numbers[layer.kind]}")
         return tuple(names)
 
     @property
@@ -182,10 +182,12 @@ def parse(text: str) -> Architecture:
     tokens = [token.strip() for token in text.replace("×", "x").split("-")]
 
     def fail(position: int, problem: str) -> NoReturn:
-        shown = text if len(text) <= 100 else f"{text[:97]}..."
+        shortened = text if len(text) <= 100 else f"{text[:97]}..."
         token = tokens[position]
         token = token if len(token) <= 40 else f"{token[:37]}..."
-        raise NotationError(f"architecture {shown!r}: token {position + 1} ({token!r}) {problem}")
+        raise NotationError(
+            f"architecture {shortened!r}: token {position + 1} ({token!r}) {problem}"
+        )
 
     size = _SIZE.fullmatch(tokens[0])
     if not size:

@@ -132,11 +132,11 @@ def _sum_of_decays(keep):
     x(k+1) = floor(r x(k)), where rounding down subtracts 0.494 per step on average.
     """
     start = 2.0**21
-    lost = 0.494
+    lost_per_step = 0.494
     r = keep / DECAY_UNIT
-    steps = -np.log1p(start * (1 - r) / lost) / np.log(r)
+    steps = -np.log1p(start * (1 - r) / lost_per_step) / np.log(r)
     geometric = (1 - r ** (steps + 1)) / (1 - r)
-    return geometric - lost / ((1 - r) * start) * (steps + 1 - geometric)
+    return geometric - lost_per_step / ((1 - r) * start) * (steps + 1 - geometric)
 
 
 def from_integers(
@@ -263,16 +263,16 @@ def in_integers(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple
     UserError
         As :func:`round_to_integers`.
     """
-    made = []
+    rounded = []
     for index, link in enumerate(chain):
         if link.neuron is None:
-            made.append(link)
+            rounded.append(link)
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(link, weights=link.weights * factor)
-        made.append(on_loihi(link, choose_integers(scaled, spikes, chip), factor))
+        rounded.append(on_loihi(link, choose_integers(scaled, spikes, chip), factor))
         spikes = simulate_spikes(scaled, spikes)
-    return tuple(made)
+    return tuple(rounded)
 
 
 def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
@@ -286,16 +286,16 @@ def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
     chip : Chip
     """
     spiked = simulate_spikes(link, spikes)
-    wanted = spiked.sum(1, dtype=float)
-    tried = []
+    real_counts = spiked.sum(1, dtype=float)
+    candidates = []
     ways: list[np.ndarray | None] = [None]
     if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
         ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
     for clip, moments in itertools.product(CLIPS, ways):
         integers = round_to_integers(link, clip, moments, chip)
-        error = simulate_spikes(link, spikes, integers, chip).sum(1, dtype=float) - wanted
-        tried.append((float(np.square(error).mean()), -clip, integers))
-    return min(tried, key=lambda entry: entry[:2])[2]
+        error = simulate_spikes(link, spikes, integers, chip).sum(1, dtype=float) - real_counts
+        candidates.append((float(np.square(error).mean()), -clip, integers))
+    return min(candidates, key=lambda entry: entry[:2])[2]
 
 
 def _with_own(spikes, own):
@@ -457,11 +457,11 @@ def moments_of(link: Link, spikes) -> np.ndarray:
         v = link.decays.keep_v * v + u
         if t % MOMENTS_EVERY == 0:
             left.append(v)
-    seen = np.stack(left, 1)
-    seen = link.operation.windows(link, seen)
-    inputs = seen.shape[-1]
-    seen = seen.reshape(-1, inputs)
-    moments = seen.T @ seen / len(seen)
+    values = np.stack(left, 1)
+    values = link.operation.windows(link, values)
+    inputs = values.shape[-1]
+    values = values.reshape(-1, inputs)
+    moments = values.T @ values / len(values)
     return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)
 
 

@@ -351,8 +351,8 @@ def convert(opened: Opened) -> Bundle:
 def _describe_source(opened, inputs, origin) -> dict:
     """The provenance that is stored in a bundle."""
     recordings = inputs.dataset.recordings
-    lost = reading_lines(recordings.source.name, recordings)
-    notes = (*lost, *_notes_on_recordings(opened))
+    lost_lines = reading_lines(recordings.source.name, recordings)
+    notes = (*lost_lines, *_notes_on_recordings(opened))
     return {
         "made_from": origin.to_json(),
         **inputs.dataset.provenance,

@@ -153,17 +153,19 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         require_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(TEMPORARY, ".bundle.", str(path.parent)) as temporary:
-            made = Path(temporary) / "new"
-            made.mkdir()
-            write_json(made / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
-            write_arrays(made / "weights.npz", **spec.arrays())
-            write_arrays(made / "checks.npz", **samples)
-            with replacing(made / "deploy.pyz") as file:
+            folder_of_new = Path(temporary) / "new"
+            folder_of_new.mkdir()
+            write_json(folder_of_new / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
+            write_arrays(folder_of_new / "weights.npz", **spec.arrays())
+            write_arrays(folder_of_new / "checks.npz", **samples)
+            with replacing(folder_of_new / "deploy.pyz") as file:
                 file.write(zipapp_bytes())
-            hashes = {name: sha256_of(made / name) for name in FILES}
-            write_json(made / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes})
-            read_bundle(made)
-            _exchange(made, path, Path(temporary) / "old")
+            hashes = {name: sha256_of(folder_of_new / name) for name in FILES}
+            write_json(
+                folder_of_new / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes}
+            )
+            read_bundle(folder_of_new)
+            _exchange(folder_of_new, path, Path(temporary) / "old")
     return read_bundle(path)
 
 

@@ -164,7 +164,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
         The result has no counts of this network's layers.
     """
     counted = result.get("synaptic_operations", {})
-    shown = spec.presentation
+    presentation = spec.presentation
     if not {layer.name for layer in spec.layers} <= set(counted):
         raise UserError(
             "the result has no synaptic operations of this network; "
@@ -175,13 +175,13 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
             layer=layer.name,
             on_chip=layer.placement == "chip",
             synaptic_operations=counted[layer.name] / result["n_samples"],
-            neuron_updates=layer.size * shown.period,
+            neuron_updates=layer.size * presentation.period,
             multiply_accumulates=layer.multiply_accumulates,
             neurons=layer.size,
         )
         for layer in spec.layers
     ]
-    return EnergyEstimate(layers, shown.steps * spec.stimulus.step_seconds)
+    return EnergyEstimate(layers, presentation.steps * spec.stimulus.step_seconds)
 
 
 def _numbers(estimate: Union[LayerEstimate, EnergyEstimate]) -> List[str]:

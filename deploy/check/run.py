@@ -132,12 +132,12 @@ def run_streams(work: Work) -> Iterator[dict]:
         The disk is full, or the network's stimulus cannot present the samples.
     """
     chosen = {} if work.options is None else {"options": work.options}
-    shown = [work.spec.flatten_samples(checks.inputs) for _, checks in work.streams]
+    presented = [work.spec.flatten_samples(checks.inputs) for _, checks in work.streams]
     run = target_named(work.target).run
     watch = OverflowWatch()
     begun = time.perf_counter()
     for (first, checks), responses in zip(
-        work.streams, watch.during(run(work.spec, shown, work.check["seed"], **chosen))
+        work.streams, watch.during(run(work.spec, presented, work.check["seed"], **chosen))
     ):
         now = time.perf_counter()
         record = {
@@ -213,7 +213,7 @@ class OpenCheck:
         target = self.target
         seed = self.identity["seed"]
         records = [self.done[stream.start] for stream in _streams(bundle)]
-        answers = [sample for record in records for sample in record["samples"]]
+        samples = [sample for record in records for sample in record["samples"]]
         notes = [record["notes"] for record in records if "notes" in record]
         extra = target.describe(notes) if notes and target.describe else {}
         if target.hardware:
@@ -223,13 +223,13 @@ class OpenCheck:
                 assert expected.spike_hashes is not None  # this target gives them
                 extra["samples_unlike_fast"] = sum(
                     sample.get("spike_hash") != str(spikes)
-                    for sample, spikes in zip(answers, expected.spike_hashes)
+                    for sample, spikes in zip(samples, expected.spike_hashes)
                 )
         overflows = {number for record in records for number in record.get("overflows", ())}
         if overflows:
             remark(WARNING + overflow_text(bundle.spec, target.name, overflows))
         seconds = sum(record["seconds"] for record in records)
-        result = result_of(bundle, target.name, seed, answers, seconds, extra)
+        result = result_of(bundle, target.name, seed, samples, seconds, extra)
         write_json(self.out, result)
         with contextlib.suppress(OSError):
             self.saved.unlink()

@@ -54,8 +54,8 @@ class PaddedConvInc(ConvInc):
         def step_padded_convolution():
             padded = np.pad(values, (edge, edge, (0, 0)))
             for row, column in np.ndindex(*weights.shape[:2]):
-                seen = padded[row : row + rows : down, column : column + columns : right]
-                output[...] += seen @ weights[row, column]
+                window = padded[row : row + rows : down, column : column + columns : right]
+                output[...] += window @ weights[row, column]
 
         return step_padded_convolution
 

@@ -241,15 +241,15 @@ def probabilities(outputs, sure) -> np.ndarray:
     ndarray, shape (..., n_classes)
     """
     ahead = outputs - outputs.max(-1, keepdims=True)
-    least = np.full(np.shape(sure), -5.0)
-    most = np.full(np.shape(sure), 3.0)
+    lowest = np.full(np.shape(sure), -5.0)
+    highest = np.full(np.shape(sure), 3.0)
     for _ in range(20):  # bisection of the logarithm of the inverse temperature
-        middle = (least + most) / 2
+        middle = (lowest + highest) / 2
         powers = np.exp(10 ** middle[..., None] * ahead)
         shares = powers / powers.sum(-1, keepdims=True)
         above = shares.max(axis=-1) > sure
-        least = np.where(above, least, middle)
-        most = np.where(above, middle, most)
+        lowest = np.where(above, lowest, middle)
+        highest = np.where(above, middle, highest)
     return shares
 
 

@@ -163,16 +163,16 @@ def _neurons(nir, layer):
 
 def _metadata(spec):
     """Properties that NIR cannot represent, as text and numbers."""
-    shown = spec.presentation
+    presentation = spec.presentation
     return {
         "made_by": f"stmnist-loihi {__version__}",
         "architecture": spec.architecture,
         "dt": DT,
         "spike": "a pulse of height 1 that lasts one time step dt",
-        "steps": shown.steps,
-        "gap": shown.gap,
-        "readout_start": shown.readout_start,
-        "stream_length": shown.stream_length,
+        "steps": presentation.steps,
+        "gap": presentation.gap,
+        "readout_start": presentation.readout_start,
+        "stream_length": presentation.stream_length,
         "refractory_steps": max(
             (round(layer.neurons.tau_ref / DT) for layer in spec.layers if layer.neurons), default=0
         ),

@@ -203,9 +203,10 @@ class Layer:
             "recurrent": shape * 2,
         }
         for name in self.arrays:
-            found = getattr(self, name).shape
+            shape_found = getattr(self, name).shape
             self._require(
-                found == expected[name], f"{name} of shape {found} should have {expected[name]}"
+                shape_found == expected[name],
+                f"{name} of shape {shape_found} should have {expected[name]}",
             )
 
     @property

@@ -62,9 +62,9 @@ class Stimulus:
 
     def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        wanted = self.sample_shape(input_shape, steps)
-        if samples.shape[1:] != wanted:
-            return f"samples have shape {samples.shape[1:]}, not {wanted}"
+        expected = self.sample_shape(input_shape, steps)
+        if samples.shape[1:] != expected:
+            return f"samples have shape {samples.shape[1:]}, not {expected}"
         if samples.dtype.kind not in "fiub":
             return "samples are not real numbers"
         # Only the extremes are converted: the frames of a test set are too large to copy.
@@ -280,5 +280,5 @@ class Feed:
         sample, step = divmod(round(float(t) / LOIHI.dt) - 1, self.period)
         if step < self.gap:
             return self.blank
-        shown = self.samples[sample]
-        return shown if shown.ndim == 1 else shown[step - self.gap].astype(float)
+        values = self.samples[sample]
+        return values if values.ndim == 1 else values[step - self.gap].astype(float)

@@ -124,7 +124,9 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
         NengoLoihi cannot make blocks of the network.
     """
     model, blocks = _blocks(spec, chip)
-    placed = [(layer, i, block) for layer, made in blocks.items() for i, block in enumerate(made)]
+    placed = [
+        (layer, i, block) for layer, of_layer in blocks.items() for i, block in enumerate(of_layer)
+    ]
     needed = -(-len(placed) // chip.cores)
     places = _placement(model, needed, chip)
     axons = _Axons(_shortest_intervals(spec, model), _targets(model))
@@ -169,8 +171,10 @@ def _blocks(spec, chip):
     blocks = {}
     for ensemble in built.network.all_ensembles:
         if built.network.config[ensemble].on_chip and ensemble in model.objs:
-            made = model.objs[ensemble]["out"]
-            blocks[ensemble.label] = list(made) if isinstance(made, (list, tuple)) else [made]
+            of_ensemble = model.objs[ensemble]["out"]
+            blocks[ensemble.label] = (
+                list(of_ensemble) if isinstance(of_ensemble, (list, tuple)) else [of_ensemble]
+            )
     return model, blocks
 
 
@@ -260,13 +264,13 @@ def _problems(cores, chip):
 
 def _refractory_problems(blocks, chip):
     """Layers with a longer refractory period than the chip can count."""
-    most = chip.refractory_steps
+    limit = chip.refractory_steps
     for layer, of_layer in blocks.items():
         steps = max(int(block.compartment.refract_delay.max()) for block in of_layer) - 1
-        if steps > most:
+        if steps > limit:
             yield (
-                f"layer {layer}: a refractory period of {steps} steps, {steps - most} more than "
-                f"the {most} that the chip can count; choose a shorter one (snn.tau_ref)"
+                f"layer {layer}: a refractory period of {steps} steps, {steps - limit} more than "
+                f"the {limit} that the chip can count; choose a shorter one (snn.tau_ref)"
             )
 
 
@@ -326,8 +330,8 @@ def plan_text(plan: Plan) -> str:
         kinds = sorted({kind for core in cores for kind in core.pop_types})
         cells = [layer, str(len(cores)), "+".join(map(str, kinds))]
         for name, limit in plan.chip.limits.items():
-            most = max(core.used[name] for core in cores)
-            cells.append(f"{most} {most / limit:.0%}")
+            largest = max(core.used[name] for core in cores)
+            cells.append(f"{largest} {largest / limit:.0%}")
         worst_input = max(core.worst_input for core in cores)
         worst_current = max(core.worst_current for core in cores)
         threshold = max(core.threshold for core in cores)

@@ -186,11 +186,11 @@ def _time_limit(seconds):
 @contextlib.contextmanager
 def _environment(options):
     """Set the environment from which NxSDK reads the board, the partition and the use of SLURM."""
-    wanted = {"BOARD": options.board, "PARTITION": options.partition}
+    variables = {"BOARD": options.board, "PARTITION": options.partition}
     if options.partition is not None:
-        wanted["SLURM"] = "1"
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update({name: value for name, value in wanted.items() if value is not None})
+        variables["SLURM"] = "1"
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update({name: value for name, value in variables.items() if value is not None})
     try:
         yield
     finally:

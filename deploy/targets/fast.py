@@ -305,8 +305,8 @@ class InputNeurons:
         spikes = np.zeros((n_streams, last - first, size), np.uint8)
         dark = min(max(-first, 0), last - first)
         if not self._static:
-            shown = self._frames[:, first + dark : last]
-            np.greater(shown, 0, out=spikes[:, dark:].view(bool))
+            frames = self._frames[:, first + dark : last]
+            np.greater(frames, 0, out=spikes[:, dark:].view(bool))
             return spikes
         if dark:  # no input resets the phase
             self._voltage[:] = self._phase
@@ -409,8 +409,8 @@ def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
         _warn_of(recording.overflows)
         for index, output in enumerate(recording.output):
             counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
-            answer = read_output(spec, select_readout(spec, output[:, gap:]), counts)
-            yield replace(answer, spike_hashes=np.transpose(hashes)[index])
+            readout = read_output(spec, select_readout(spec, output[:, gap:]), counts)
+            yield replace(readout, spike_hashes=np.transpose(hashes)[index])
 
 
 def _batches(streams, fitting):

@@ -27,10 +27,10 @@ def plan(
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
     from deploy.preflight.plan import make_plan, plan_text
 
-    made = make_plan(_read_bundle(bundle).spec, chips)
-    options.tell(made.to_json(), lambda _: plan_text(made), as_json)
-    if made.problems:
-        raise UserError("the network does not fit: " + made.problems[0])
+    placement = make_plan(_read_bundle(bundle).spec, chips)
+    options.tell(placement.to_json(), lambda _: plan_text(placement), as_json)
+    if placement.problems:
+        raise UserError("the network does not fit: " + placement.problems[0])
 
 
 def export(

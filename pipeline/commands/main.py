@@ -137,9 +137,9 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
 
 def command_line() -> TyperGroup:
     """The command with its :data:`VERBS`, none of whose modules is imported yet."""
-    made = _typer(root.__doc__)
-    made.callback(invoke_without_command=True)(root)
-    group = typer.main.get_command(made)
+    command = _typer(root.__doc__)
+    command.callback(invoke_without_command=True)(root)
+    group = typer.main.get_command(command)
     assert isinstance(group, TyperGroup)  # because the root has a callback
     for panel, names in PANELS.items():
         for name in names:

@@ -156,8 +156,8 @@ class _Model:
         spread = rows.std(0)
         active = np.ptp(rows, axis=0) > 0 if len(known) > 1 else np.zeros(1, bool)
         if not active.any():
-            most = int(np.bincount(labels, minlength=classes).argmax())
-            return cls(classes, known, active, mean, spread, most)
+            most_frequent = int(np.bincount(labels, minlength=classes).argmax())
+            return cls(classes, known, active, mean, spread, most_frequent)
         x = (rows[:, active] - mean[active]) / spread[active]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it need not converge to the last digit

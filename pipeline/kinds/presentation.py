@@ -166,11 +166,11 @@ def image_gap_choice(settings: Settings) -> tuple:
         None if the gap of the settings is the user's or suffices, or each sample begins at rest.
     reason : str
     """
-    shown = settings.presentation
+    presentation = settings.presentation
     tau = settings.deployment.synapse / LOIHI.dt
     gap = silent_steps(tau, MAX_SHARE_LEFT_OF_IMAGE) if tau else 0
     is_open = settings.is_open("presentation.gap")
-    if not is_open or shown.stream_length == 1 or gap <= shown.gap:
+    if not is_open or presentation.stream_length == 1 or gap <= presentation.gap:
         return None, ""
     return gap, (
         f"gap of {gap} silent steps before each sample, for currents with a time constant of "

@@ -266,8 +266,8 @@ class FramesOnDemand:
         frames = np.empty((len(some), *self.shape[1:]), np.uint8)
         for batch in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
             steps = self.shape[1]
-            made = self._table.frames(some[batch], self._step_ms, steps, self._limits)
-            frames[batch] = np.moveaxis(made, 0, 1)
+            frames_by_step = self._table.frames(some[batch], self._step_ms, steps, self._limits)
+            frames[batch] = np.moveaxis(frames_by_step, 0, 1)
         return frames if np.ndim(samples) else frames[0]
 
 
@@ -347,17 +347,18 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
     if empty == len(recordings):
         raise UserError(f"{recordings.source.name}: no recording has events; use other recordings")
     shared = table.lost(step)
-    lost = table.lost(step, settings.input.refractory_steps)
+    lost_share = table.lost(step, settings.input.refractory_steps)
     lines = [
         f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
         f"polarity in the same step of {step:g} ms"
     ]
     if shared > MAX_MERGED_EVENT_SHARE:
         lines[0] += "; a shorter input.step merges fewer"
-    if lost > shared:
+    if lost_share > shared:
+        refractory_ms = settings.input.refractory_steps * step
         lines.append(
-            f"events: {lost - shared:.1%} more are ignored in their taxel's refractory period, "
-            f"{settings.input.refractory_steps * step:g} ms after a spike (input.refractory)"
+            f"events: {lost_share - shared:.1%} more are ignored in their taxel's refractory "
+            f"period, {refractory_ms:g} ms after a spike (input.refractory)"
         )
     if empty:
         lines.append(f"{WARNING}{empty} of {len(recordings)} recordings have no events")

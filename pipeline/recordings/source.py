@@ -457,26 +457,26 @@ def read_source(
         raise SeveralErrors(_refusals(path, refused, listing.total, False))
     parts = [entry.part for entry in entries]
     read, order = _settle_orders(path, read)
-    found = sensor.interpret(path, read, parts, lookup, positions, reading)
-    refused += [(entries[index].member, why) for index, why in found.refused.items()]
+    interpretation = sensor.interpret(path, read, parts, lookup, positions, reading)
+    refused += [(entries[index].member, why) for index, why in interpretation.refused.items()]
     if refused and not skip_bad:
         raise SeveralErrors(_refusals(path, refused, listing.total))
-    entries = [entries[index] for index in found.kept]
-    read = [read[index] for index in found.kept]
+    entries = [entries[index] for index in interpretation.kept]
+    read = [read[index] for index in interpretation.kept]
     classes = {entry.of_class for entry in entries}
     if lost := sorted({entry.of_class for entry in listing.entries} - classes):
         head = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or remove them"
         raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
-    the_sensor = found.make_sensor(classes)
+    the_sensor = interpretation.make_sensor(classes)
     ids = [entry.id for entry in entries]
     left_out = tuple(f"{_shorten(name)}: {reason}" for name, reason in refused)
     return collect(
-        samples=found.events,
+        samples=interpretation.events,
         labels=[the_sensor.classes.index(entry.of_class) for entry in entries],
         ids=ids if len(set(ids)) == len(ids) else [entry.member for entry in entries],
         writers=[recording.writer for recording in read],
-        source=_describe_source(listing, read, found, left_out, order),
-        taxels=found.taxels,
+        source=_describe_source(listing, read, interpretation, left_out, order),
+        taxels=interpretation.taxels,
         sensor=the_sensor,
         parts=[entry.part for entry in entries],
     )

@@ -289,12 +289,12 @@ def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> 
     names, sizes = np.unique(writers, return_counts=True)
     if len(names) < 2:
         raise ValueError("all recordings are of one writer")
-    wanted = len(writers) * test_fraction
+    n_test_writers = len(writers) * test_fraction
     chosen: list = []
     size = 0
     rng = np.random.default_rng([seed, 0x3217])
     for index in rng.permutation(len(names)):
-        nearer = abs(size + sizes[index] - wanted) < abs(size - wanted)
+        nearer = abs(size + sizes[index] - n_test_writers) < abs(size - n_test_writers)
         if (nearer or not chosen) and len(chosen) < len(names) - 1:
             chosen.append(names[index])
             size += sizes[index]

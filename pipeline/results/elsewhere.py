@@ -162,8 +162,8 @@ def predict(
         warn(line)
     spec = bundle.spec.with_presentation(stream_length=1)
     names = recordings.sensor.classes
-    answers = run_target(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
-    pairs = zip(recordings.ids, answers.predictions, strict=True)
+    responses = run_target(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
+    pairs = zip(recordings.ids, responses.predictions, strict=True)
     return {name: names[prediction] for name, prediction in pairs}
 
 

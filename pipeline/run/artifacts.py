@@ -193,9 +193,9 @@ class State:
 
     def reasons(self) -> str:
         """The first reasons why the artifact is outdated, in one line."""
-        shown = list(map(str, self.because[:3]))
-        left = len(self.because) - len(shown)
-        return ", ".join(shown) + (f" and {left} more" if left else "")
+        first_reasons = list(map(str, self.because[:3]))
+        left = len(self.because) - len(first_reasons)
+        return ", ".join(first_reasons) + (f" and {left} more" if left else "")
 
     def announce(self, action: str, say):
         """Say why an outdated artifact is made again.

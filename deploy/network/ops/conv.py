@@ -141,12 +141,12 @@ def _pooled_kernel(layer, kernel):
     cut = tuple(n * pool for n in layer.read_shape[:2])
     if layer.padding != "same":
         return kernel, (*cut, layer.input_shape[2])
-    wanted = [
+    zeros_before = [
         pool * windows(n, layer.kernel, layer.stride, "same")[1] for n in layer.read_shape[:2]
     ]
     for zeros in (0, pool):
         size = len(kernel) + zeros
-        front = [windows(n, size, stride, "same")[1] - pad for n, pad in zip(cut, wanted)]
+        front = [windows(n, size, stride, "same")[1] - pad for n, pad in zip(cut, zeros_before)]
         if all(0 <= n <= zeros for n in front):
             break
     pads = [(n, zeros - n) for n in front]

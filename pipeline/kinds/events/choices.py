@@ -147,9 +147,10 @@ class EventChoices:
     def _choose_augmentation(self):
         if self.settings.events.augment != "auto":
             return
-        how = choose_augmentation(self.recordings)
-        reason = f"augmentation: {how} (another: --set events.augment=time, slight, space, none)"
-        self._choose("events.augment", how, reason)
+        augmentation = choose_augmentation(self.recordings)
+        others = "another: --set events.augment=time, slight, space, none"
+        reason = f"augmentation: {augmentation} ({others})"
+        self._choose("events.augment", augmentation, reason)
 
     def _choose_dropout(self):
         default = Settings().events.dropout
@@ -183,8 +184,8 @@ class EventChoices:
 
     def _choose_max_spikes(self):
         """The maximum number of spikes of a taxel, which bounds the weight of a hot one."""
-        shown = self.presented
-        max_spikes = choose_max_spikes(self.table, self.train, shown.input, shown.steps)
+        presented = self.presented
+        max_spikes = choose_max_spikes(self.table, self.train, presented.input, presented.steps)
         if max_spikes == 0:
             return
         most = plural(max_spikes, "spike")

@@ -80,11 +80,11 @@ def _respond(inputs, bundle, advance):
 
     network = TrainedOnEvents.of(inputs.settings, inputs.weights("events"))
     frames = bundle.checks.inputs.astype(np.uint8)
-    made = network.run_on_frames(frames, advance)
+    outcome = network.run_on_frames(frames, advance)
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
-    delayed = delay_as_on_chip(made.outputs, network.recipe).astype(float)
+    delayed = delay_as_on_chip(outcome.outputs, network.recipe).astype(float)
     output = np.diff(delayed, axis=1, prepend=0)
-    return read_output(bundle.spec, output, {"input": arrived, **made.spikes})
+    return read_output(bundle.spec, output, {"input": arrived, **outcome.spikes})
 
 
 class EventsKind(NetworkKind):
@@ -189,14 +189,18 @@ class EventsKind(NetworkKind):
     def spec(self, inputs, provenance):
         from pipeline.training.events import EventRecipe
 
-        shown = inputs.settings.make_presentation(confidence_of(inputs.artifact("threshold")))
+        presentation = inputs.settings.make_presentation(
+            confidence_of(inputs.artifact("threshold"))
+        )
         recipe = EventRecipe.of(inputs.settings)
         weights = inputs.weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
-        shown, line = fit_gap(shown, taus, inputs.settings.is_users("presentation.gap"))
+        presentation, line = fit_gap(
+            presentation, taus, inputs.settings.is_users("presentation.gap")
+        )
         if line:
             inputs.say(line)
-        return spec_of_events(recipe, weights, shown, provenance)
+        return spec_of_events(recipe, weights, presentation, provenance)
 
     def choices(self, recordings, train):
         return EventChoices(self.settings, recordings, train).choices

@@ -285,8 +285,8 @@ def _train_cnn(settings, dataset, weights=None):
     """Train the CNN from given weights or from new ones; return it and the seconds."""
     from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
 
-    how = settings.cnn.augment
-    samples = _collect_samples(dataset, "none" if how == "auto" else how)
+    augmentation = settings.cnn.augment
+    samples = _collect_samples(dataset, "none" if augmentation == "auto" else augmentation)
     epochs = cnn_recipe(settings.cnn, len(samples)).epochs
     seed = settings.seed
     return time_training("cnn", epochs, train_cnn, settings, samples, seed, weights=weights)
@@ -330,19 +330,19 @@ def _train_further(name, function, inputs, artifact):
 
     settings = inputs.settings
     dataset = inputs.dataset
-    how = "none"
+    augmentation = "none"
     if settings.snn.recipe == "loihi":
-        how = settings.cnn.augment
-        if how == "auto":
-            how = choose_augmentation(dataset.recordings)
-    samples = _collect_samples(dataset, how)
+        augmentation = settings.cnn.augment
+        if augmentation == "auto":
+            augmentation = choose_augmentation(dataset.recordings)
+    samples = _collect_samples(dataset, augmentation)
     epochs = snn_recipe(settings.snn, len(samples)).epochs
     trained, seconds = time_training(
         name, epochs, function, settings, samples, settings.seed, inputs.weights("cnn")
     )
     write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = metrics_of(trained, dataset, seconds, training_versions())
-    return trained, {**metrics, "augment": how}
+    return trained, {**metrics, "augment": augmentation}
 
 
 def _measure_activity(settings, trained, inputs):

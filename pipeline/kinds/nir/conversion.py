@@ -23,11 +23,11 @@ FLOOR_IN_THRESHOLDS = -8
 
 def record_convention(network: NirNetwork, stepped: Stepped) -> dict:
     """What a graph was recognised as and how it is run, for the bundle's provenance."""
-    found = network.convention
+    convention = network.convention
     return {
-        "framework": found.framework,
-        "recognised_by": found.evidence,
-        "equation": found.equation if stepped.method == found.method else stepped.method,
+        "framework": convention.framework,
+        "recognised_by": convention.evidence,
+        "equation": convention.equation if stepped.method == convention.method else stepped.method,
         "method": stepped.method,
         "step_seconds": stepped.seconds,
         "reset": stepped.reset,
@@ -45,15 +45,15 @@ def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, setti
     stepped : Stepped
     settings : Settings
     """
-    found = network.convention
+    convention = network.convention
     record = record_convention(network, stepped)
     yield (
-        f"read as {found.framework}, by {found.evidence}: {record['equation']}; a step is "
-        f"{1000 * stepped.seconds:g} ms of the graph's time, reset: {stepped.reset}"
+        f"read as {convention.framework}, by {convention.evidence}: {record['equation']}; a step "
+        f"is {1000 * stepped.seconds:g} ms of the graph's time, reset: {stepped.reset}"
     )
     is_as_recognised = (settings.nir.step, settings.nir.method) == (0, "auto")
-    if found.doubt and is_as_recognised and settings.nir.reset == "auto":
-        yield f"{WARNING}{found.doubt}"
+    if convention.doubt and is_as_recognised and settings.nir.reset == "auto":
+        yield f"{WARNING}{convention.doubt}"
     for node in network.nodes:
         yield from _doubtful_times(node, stepped.seconds, settings.steps)
     for layer in layers:

@@ -92,34 +92,36 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         In the order of ``indices``.
     """
     spec = bundle.spec
-    wanted = set(indices)
+    chosen = set(indices)
     replays = {}
     emulation = Emulation(spec, seed)
-    shown = spec.presentation
+    presentation = spec.presentation
     sizes = {"input": int(np.prod(spec.input_shape))}
     sizes |= {layer.name: layer.size for layer in spec.layers}
-    for stream in shown.streams(len(bundle.checks)):
-        here = sorted(wanted & set(range(stream.start, stream.stop)))
+    for stream in presentation.streams(len(bundle.checks)):
+        here = sorted(chosen & set(range(stream.start, stream.stop)))
         if not here:
             continue
         packed: list[dict] = []
         samples = spec.stimulus.flat(bundle.checks.inputs[stream.start : here[-1] + 1])
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]
-        sums = running_sums(spec, select_readout(spec, output[:, shown.gap :]))
-        limit = shown.threshold
-        decided, answers = decide(sums, limit, spec.estimator, shown.readout_start)
+        sums = running_sums(spec, select_readout(spec, output[:, presentation.gap :]))
+        limit = presentation.threshold
+        decided, predictions = decide(sums, limit, spec.estimator, presentation.readout_start)
         if spec.stimulus.static and limit == 1:  # trained on means, without a threshold for sums
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
-        chances = probabilities(sums, confidence(sums, spec.estimator, shown.readout_start))
+        chances = probabilities(sums, confidence(sums, spec.estimator, presentation.readout_start))
         for index in here:
             layers = []
             for name in spec.spiking_layers:
-                bits = packed[index - stream.start][name][0, shown.gap :]
+                bits = packed[index - stream.start][name][0, presentation.gap :]
                 steps, neurons = np.nonzero(np.unpackbits(bits, axis=1, count=sizes[name]))
                 layers.append(_spikes(spec, name, sizes[name], steps, neurons))
             at = index - stream.start
-            replays[index] = Replay(tuple(layers), chances[at], int(decided[at]), int(answers[at]))
+            replays[index] = Replay(
+                tuple(layers), chances[at], int(decided[at]), int(predictions[at])
+            )
             if advance is not None:
                 advance(1)
     return {index: replays[index] for index in indices}

@@ -518,16 +518,16 @@ class Settings(Section):
         confidence : float, optional
             See :class:`deploy.network.spec.Presentation`.
         """
-        shown = {**asdict(self.presentation), "steps": self.steps, "confidence": confidence}
-        del shown["early_loss"]  # by which the confidence was chosen
-        return Presentation(**(shown | {"readout_start": 0} if self.on_events else shown))
+        values = {**asdict(self.presentation), "steps": self.steps, "confidence": confidence}
+        del values["early_loss"]  # by which the confidence was chosen
+        return Presentation(**(values | {"readout_start": 0} if self.on_events else values))
 
     @property
     def stimulus(self) -> Stimulus:
         """The input of the chip."""
         if self.on_events:
-            shown = self.input
-            return EventFrames(shown.step / 1000, shown.refractory_steps, shown.max_spikes)
+            inputs = self.input
+            return EventFrames(inputs.step / 1000, inputs.refractory_steps, inputs.max_spikes)
         return ImageSpikes(self.deployment.input_rate, self.deployment.input_phase)
 
     @property

@@ -89,15 +89,15 @@ class EventRecipe:
     @classmethod
     def of(cls, settings: Settings) -> EventRecipe:
         """Make the recipe from the settings."""
-        shown = settings.input
+        inputs = settings.input
         values = asdict(settings.events)
         how = values.pop("augment")
         how = AUGMENTATIONS["space" if how == "auto" else how]  # auto: not fitted, so simulated
         if how.hot:  # "none" has no faults either
             how = replace(how, hot=HOT_SHARE, dead=DEAD_SHARE)
         values |= {
-            "step_ms": shown.step,
-            "limits": SpikeLimits.of(shown),
+            "step_ms": inputs.step,
+            "limits": SpikeLimits.of(inputs),
             "starts": settings.section_starts,
         }
         del values["parts"], values["part"], values["size"]
