@@ -51,8 +51,9 @@ class ProgressLines:
         self._told_line = line
         self._printed = now
         seconds = now - self._begun
-        left = seconds * (self._total - self._done) / self._done
+        seconds_left = seconds * (self._total - self._done) / self._done
         label = self._label if note is None else f"{self._label} {note}"
         remark(
-            f"{label}: {self._done} of {self._total} after {seconds:.0f} s, about {left:.0f} s left"
+            f"{label}: {self._done} of {self._total} after {seconds:.0f} s, "
+            f"about {seconds_left:.0f} s left"
         )

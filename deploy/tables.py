@@ -19,13 +19,12 @@ def align_rows(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     """
     rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows)]
-    return [
-        "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths))
-        ).rstrip()
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        flush_left = [cell.ljust(width) for cell, width in zip(row[:left], widths)]
+        flush_right = [cell.rjust(width) for cell, width in zip(row[left:], widths[left:])]
+        lines.append("  ".join(flush_left + flush_right).rstrip())
+    return lines
 
 
 # Maximum width of a table in characters.

@@ -277,12 +277,11 @@ def activations(model: tf.keras.Model, images) -> dict:
     layers = [layer for layer in model.layers if layer.name.endswith(suffix)]
     probe = tf.keras.Model(model.input, {layer.name: layer.output for layer in layers})
     by_batch = [probe(batch, training=False) for batch in _batches(images)]
-    return {
-        layer.name[: -len(suffix)]: np.concatenate(
-            [batch[layer.name] for batch in by_batch]
-        ).reshape(len(images), -1)
-        for layer in layers
-    }
+    outputs = {}
+    for layer in layers:
+        values = np.concatenate([batch[layer.name] for batch in by_batch])
+        outputs[layer.name.removesuffix(suffix)] = values.reshape(len(images), -1)
+    return outputs
 
 
 def _batches(images):

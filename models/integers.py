@@ -334,7 +334,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     else:
         weights = _round_with_compensation(real / scale, moments, levels)
     threshold, exponent = _choose_threshold(link, scale, chip)
-    weights, own = np.split(weights.astype(np.int32), [len(link.weights)])
+    weights, loop = np.split(weights.astype(np.int32), [len(link.weights)])
     return Integers(
         weights=weights,
         bias=_round_bias(link.bias * threshold, chip),
@@ -343,7 +343,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
         keep_u=_round_decay(link.decays.keep_u, LEAST_KEEP_U, chip),
         keep_v=_round_decay(link.decays.keep_v, LEAST_KEEP_V, chip),
         exponent=exponent,
-        loop=None if link.loop is None else own,
+        loop=None if link.loop is None else loop,
     )
 
 
@@ -425,15 +425,15 @@ def _round_with_compensation(real, moments, levels) -> np.ndarray:
     """
     flat = real.reshape(len(moments), -1)
     order = np.argsort(-np.abs(flat).max(1), kind="stable")
-    left = flat[order]
+    remaining = flat[order]
     moments = moments[np.ix_(order, order)]
     upper = np.linalg.cholesky(np.linalg.inv(moments)).T
-    for i in range(len(left)):
-        whole = np.clip(np.rint(left[i]), -levels, levels)
-        error = (left[i] - whole) / upper[i, i]
-        left[i] = whole
-        left[i + 1 :] -= np.outer(upper[i, i + 1 :], error)
-    return left[np.argsort(order)].reshape(real.shape)
+    for i in range(len(remaining)):
+        whole = np.clip(np.rint(remaining[i]), -levels, levels)
+        error = (remaining[i] - whole) / upper[i, i]
+        remaining[i] = whole
+        remaining[i + 1 :] -= np.outer(upper[i, i + 1 :], error)
+    return remaining[np.argsort(order)].reshape(real.shape)
 
 
 def moments_of(link: Link, spikes) -> np.ndarray:
@@ -449,15 +449,15 @@ def moments_of(link: Link, spikes) -> np.ndarray:
     ndarray, shape (inputs, inputs) or (rows * columns * channels,) twice
         In the order of the weights.
     """
-    left = []
+    voltages = []
     u = 0.0
     v = 0.0
     for t in range(spikes.shape[1]):
         u = link.decays.keep_u * u + spikes[:, t]
         v = link.decays.keep_v * v + u
         if t % MOMENTS_EVERY == 0:
-            left.append(v)
-    values = np.stack(left, 1)
+            voltages.append(v)
+    values = np.stack(voltages, 1)
     values = link.operation.windows(link, values)
     inputs = values.shape[-1]
     values = values.reshape(-1, inputs)

@@ -154,15 +154,17 @@ def results_of(calls, processes: int, in_order: bool = True):
 
 
 def _in_processes(function, jobs, processes, meanwhile):
-    left = dict(enumerate(jobs))
-    calls = (delayed(_run_numbered)(number, function, job) for number, job in left.copy().items())
+    remaining = dict(enumerate(jobs))
+    calls = (
+        delayed(_run_numbered)(number, function, job) for number, job in remaining.copy().items()
+    )
     try:
         with results_of(calls, min(processes, len(jobs)), in_order=False) as results:
             meanwhile()
             for number, result in results:
-                yield left.pop(number), result
+                yield remaining.pop(number), result
     except TerminatedWorkerError:
-        for job in left.values():
+        for job in remaining.values():
             yield job, Failure(KILLED, KILLED, UserError(KILLED))
 
 

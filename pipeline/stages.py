@@ -369,8 +369,8 @@ def _choose_check_samples(inputs) -> CheckSet:
     seed = inputs.settings.seed
     number = inputs.settings.check.count_samples(len(dataset.split.test))
     chosen = dataset.split.check_samples(number, seed)
-    some = dataset.recordings.subset(chosen)
-    return CheckSet(dataset.inputs[chosen], some.labels, some.ids, seed)
+    recordings = dataset.recordings.subset(chosen)
+    return CheckSet(dataset.inputs[chosen], recordings.labels, recordings.ids, seed)
 
 
 def bundle_artifact(run: RunFolder, kind: NetworkKind, dataset: Origin, name="bundle") -> Artifact:

@@ -138,15 +138,16 @@ class EnergyEstimate:
                 "neuron update": self.share_of_updates,
             },
             "presentation_seconds": self.presentation_seconds,
-            "layers": [
-                {
-                    **asdict(layer),
-                    "chip_joules": layer.chip_joules,
-                    **{f"cnn_{device}_joules": layer.cnn_joules(device) for device in MAC},
-                }
-                for layer in self.layers
-            ],
+            "layers": [_layer_to_json(layer) for layer in self.layers],
         }
+
+
+def _layer_to_json(layer) -> dict:
+    return {
+        **asdict(layer),
+        "chip_joules": layer.chip_joules,
+        **{f"cnn_{device}_joules": layer.cnn_joules(device) for device in MAC},
+    }
 
 
 def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:

@@ -71,9 +71,6 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     correct = int(right[:, -1].sum())
     extra = dict(extra or {})
 
-    def total(name):
-        return {layer: sum(s[name][layer] for s in samples) for layer in samples[0][name]}
-
     return {
         "schema": SCHEMA,
         "target": target,
@@ -87,14 +84,27 @@ def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
         "accuracy_ci95": list(wilson_interval(correct, len(samples))),
         "anytime_accuracy": [float(share) for share in right.mean(0)],
         **_measure_while_written(bundle, decisions, labels, samples),
-        "samples": [{key: sample[key] for key in PUBLISHED if key in sample} for sample in samples],
-        "spikes": total("spikes"),
-        "synaptic_operations": total("operations"),
+        "samples": [_select_published(sample) for sample in samples],
+        "spikes": _sum_by_layer(samples, "spikes"),
+        "synaptic_operations": _sum_by_layer(samples, "operations"),
         "multiply_accumulates": bundle.spec.multiply_accumulates,
         "wall_seconds": wall_seconds,
         "versions": {**versions(), **extra.pop("versions", {})},
         **extra,
     }
+
+
+def _select_published(sample) -> dict:
+    return {key: sample[key] for key in PUBLISHED if key in sample}
+
+
+def _sum_by_layer(samples, name) -> dict:
+    """The counts of all samples together, by layer."""
+    totals = dict.fromkeys(samples[0][name], 0)
+    for sample in samples:
+        for layer in totals:
+            totals[layer] += sample[name][layer]
+    return totals
 
 
 def _find_classes_without_samples(spec, labels) -> list:
@@ -319,27 +329,47 @@ def compare_results(a: dict, b: dict) -> Comparison:
             f"the results are of different bundles ({a['bundle'][:12]} and {b['bundle'][:12]}); "
             "run both checks on the same bundle"
         )
-    of_a, of_b = ([(s["id"], s["label"]) for s in result["samples"]] for result in (a, b))
-    if of_a != of_b:
+    if _list_labels(a) != _list_labels(b):
         remedy = "on the same bundle"
         if "data" in a or "data" in b:
             remedy = "with the same --data, --samples and --seed"
         raise UserError(f"the results are of different samples; run both checks {remedy}")
     pairs = list(zip(a["samples"], b["samples"]))
-    hashed = all("spike_hash" in sample for pair in pairs for sample in pair)
-    right = [[s["prediction"] == s["label"] for s in result["samples"]] for result in (a, b)]
     return Comparison(
         targets=(a["target"], b["target"]),
         accuracies=(a["accuracy"], b["accuracy"]),
         n_samples=len(pairs),
         disagreements=[
-            {"id": x["id"], "label": x["label"], "a": x["prediction"], "b": y["prediction"]}
-            for x, y in pairs
-            if x["prediction"] != y["prediction"]
+            {
+                "id": in_a["id"],
+                "label": in_a["label"],
+                "a": in_a["prediction"],
+                "b": in_b["prediction"],
+            }
+            for in_a, in_b in pairs
+            if in_a["prediction"] != in_b["prediction"]
         ],
-        p_value=mcnemar(*right),
-        other_spikes=sum(x["spike_hash"] != y["spike_hash"] for x, y in pairs) if hashed else None,
+        p_value=mcnemar(_list_right(a), _list_right(b)),
+        other_spikes=_count_other_spikes(pairs),
     )
+
+
+def _list_labels(result) -> list:
+    """(id, label) of each sample."""
+    return [(sample["id"], sample["label"]) for sample in result["samples"]]
+
+
+def _list_right(result) -> list:
+    """Whether the prediction of each sample is right."""
+    return [sample["prediction"] == sample["label"] for sample in result["samples"]]
+
+
+def _count_other_spikes(pairs):
+    """Number of samples with other spikes in the two results; None if a hash is missing."""
+    hashes = [(in_a.get("spike_hash"), in_b.get("spike_hash")) for in_a, in_b in pairs]
+    if any(None in pair for pair in hashes):
+        return None
+    return sum(of_a != of_b for of_a, of_b in hashes)
 
 
 # McNemar's p below which a lower accuracy causes a warning. It is lower than the 0.05 of tables,

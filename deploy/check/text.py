@@ -131,7 +131,9 @@ def comparison_text(comparison: Comparison) -> str:
     elif comparison.other_spikes is not None:
         lines.append(f"spikes differ in {comparison.other_spikes} samples")
     if differ:
-        rows = [[s["id"], *(str(s[key]) for key in ("label", "a", "b"))] for s in differ[:10]]
+        rows = []
+        for sample in differ[:10]:
+            rows.append([sample["id"], str(sample["label"]), str(sample["a"]), str(sample["b"])])
         lines += align_rows([["sample", "label", a, b], *rows])
     if len(differ) > 10:
         lines.append(f"and {len(differ) - 10} more")

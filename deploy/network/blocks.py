@@ -130,8 +130,8 @@ class BlockNeeds:
 
     def input_axons(self, block) -> int:
         """Number of input axons of all blocks of one shape."""
-        own = self.own_axons * n_blocks(self.layer.shape, block)
-        return self.resources.input_axons(block) + own
+        recurrent_axons = self.own_axons * n_blocks(self.layer.shape, block)
+        return self.resources.input_axons(block) + recurrent_axons
 
     def count(self, ranges) -> Tuple[int, int]:
         """Input axons and words of synapse memory of the block with these ranges of outputs."""

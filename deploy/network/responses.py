@@ -108,8 +108,8 @@ def show(built, sim, samples) -> Iterator[Shown]:
             if len(rows) != period:
                 raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} were returned")
             spikes[name] = np.asarray(rows) != 0
-            one = probe.target.ensemble.neuron_type.amplitude / LOIHI.dt
-            if not np.allclose(np.asarray(rows)[spikes[name]], one, rtol=1e-6):
+            amplitude_per_step = probe.target.ensemble.neuron_type.amplitude / LOIHI.dt
+            if not np.allclose(np.asarray(rows)[spikes[name]], amplitude_per_step, rtol=1e-6):
                 raise ShortOfSteps(f"layer {name} had more than one spike per step and neuron")
         output = np.array(sim.data[built.output])
         sim.clear_probes()
@@ -371,7 +371,10 @@ def join(by_stream) -> Responses:
     def concatenate(name):
         values = [getattr(responses, name) for responses in by_stream]
         if isinstance(values[0], dict):
-            return {key: np.concatenate([value[key] for value in values]) for key in values[0]}
+            joined = {}
+            for key in values[0]:
+                joined[key] = np.concatenate([value[key] for value in values])
+            return joined
         return np.concatenate(values)
 
     names = [entry.name for entry in fields(Responses) if entry.name != "notes"]

@@ -118,11 +118,11 @@ class ImageSpikes(Stimulus):
         if problem is not None:
             return problem
         largest = np.max(samples, initial=0)
-        most = 1 / (self.max_rate * LOIHI.dt)
-        if largest > most:
+        largest_value = 1 / (self.max_rate * LOIHI.dt)
+        if largest > largest_value:
             return (
                 f"a pixel is {largest:g}; at {self.max_rate:g} spikes per second for a pixel of 1, "
-                f"pixels above {most:g} would spike more than once per step"
+                f"pixels above {largest_value:g} would spike more than once per step"
             )
         return None
 

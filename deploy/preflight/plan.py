@@ -250,14 +250,14 @@ def _shortest_intervals(spec, model):
 
 def _problems(cores, chip):
     for layer in dict.fromkeys(core.layer for core in cores):
-        own = [core for core in cores if core.layer == layer]
+        of_layer = [core for core in cores if core.layer == layer]
         for resource, limit in chip.limits.items():
-            used = [core.used[resource] for core in own]
+            used = [core.used[resource] for core in of_layer]
             if max(used) > limit:
                 over = sum(n > limit for n in used)
                 yield (
                     f"layer {layer}: {max(used)} {resource} on {over} of its "
-                    f"{plural(len(own), 'core')}, {max(used) - limit} more than the {limit} of a "
+                    f"{plural(len(used), 'core')}, {max(used) - limit} more than the {limit} of a "
                     f"core; {REMEDIES[resource].format(limit=limit)}"
                 )
 
@@ -277,8 +277,8 @@ def _refractory_problems(blocks, chip):
 def _lost_weights(spec, cores):
     """Layers whose weights all become 0 in the chip's integers."""
     for layer in spec.layers:
-        own = [core for core in cores if core.layer == layer.name]
-        if own and layer.weights.any() and not any(core.worst_input for core in own):
+        of_layer = [core for core in cores if core.layer == layer.name]
+        if of_layer and layer.weights.any() and not any(core.worst_input for core in of_layer):
             yield (
                 f"layer {layer.name}: all its weights become 0 in the chip's integers, the largest "
                 f"is {abs(layer.weights).max():.3g}; scale the network so that its neurons' "
@@ -290,10 +290,10 @@ def _warn_of_layers(cores, chip):
     """One line a layer and kind of warning, with the worst core's number."""
     limit = chip.limits["AxonCfg registers"]
     for layer in dict.fromkeys(core.layer for core in cores):
-        own = [core for core in cores if core.layer == layer]
+        of_layer = [core for core in cores if core.layer == layer]
         unshared = max(
             core.unshared_axon_cfgs if core.used["AxonCfg registers"] <= limit else 0
-            for core in own
+            for core in of_layer
         )
         if unshared > limit:
             yield (
@@ -302,8 +302,8 @@ def _warn_of_layers(cores, chip):
                 f"(NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
             )
         for what, worst, most in (
-            ("one step's input", max(core.worst_input for core in own), chip.input_limit),
-            ("the current", max(core.worst_current for core in own), chip.current_limit),
+            ("one step's input", max(core.worst_input for core in of_layer), chip.input_limit),
+            ("the current", max(core.worst_current for core in of_layer), chip.current_limit),
         ):
             if worst >= most:
                 yield f"layer {layer}: {what} can wrap around ({worst / most:.1f} x)"

@@ -117,9 +117,9 @@ class PresentingNetwork:
         """
         gap = self._spec.presentation.gap
         for first in range(0, len(frames), MAX_STEPS_AT_ONCE):
-            some = frames[first : first + MAX_STEPS_AT_ONCE]
-            self._thin(some, presentation.n_steps)
-            output = self._compute(some, presentation, gap + presentation.n_steps)
+            next_frames = frames[first : first + MAX_STEPS_AT_ONCE]
+            self._thin(next_frames, presentation.n_steps)
+            output = self._compute(next_frames, presentation, gap + presentation.n_steps)
             presentation.readout.take(output)
 
     def _thin(self, frames, step):

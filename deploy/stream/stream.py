@@ -436,8 +436,8 @@ class Stream:
             self._end_touch(int(touch.last_ns + self._silence_ns))
             return
         over = int(self._step_at(np.int64(now_ns))) - touch.presentation.n_steps
-        left = self._last_step(touch) - touch.presentation.n_steps
-        self._compute(touch, self._frames_to_come(min(over, left)))
+        steps_left = self._last_step(touch) - touch.presentation.n_steps
+        self._compute(touch, self._frames_to_come(min(over, steps_left)))
 
     def _last_step(self, touch):
         """Steps after which nothing happens any more, unless there are other events.
@@ -526,9 +526,9 @@ class Stream:
     def _end_touch(self, time_ns):
         """End the touch: compute the rest of its presentation, decide, prepare the next one."""
         touch = self._touch
-        left = self._last_step(touch) - touch.presentation.n_steps
-        if left > 0:
-            self._network.advance(touch.presentation, self._frames_to_come(left))
+        steps_left = self._last_step(touch) - touch.presentation.n_steps
+        if steps_left > 0:
+            self._network.advance(touch.presentation, self._frames_to_come(steps_left))
         self._decide_early(touch, time_ns)
         if touch.decision is None:
             self._decide_at_end(touch, time_ns)

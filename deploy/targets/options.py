@@ -26,14 +26,14 @@ class Options:
 
     def __post_init__(self):
         for each in fields(self):
-            least, most = each.metadata["range"]
-            if least is None:
+            lowest, highest = each.metadata["range"]
+            if lowest is None:
                 continue
             value = getattr(self, each.name)
-            if value < least:
-                raise UserError(f"--{each.name} must be at least {least:g}")
-            if not value <= most:  # also refuses NaN
-                raise UserError(f"--{each.name} must be at most {most:g}")
+            if value < lowest:
+                raise UserError(f"--{each.name} must be at least {lowest:g}")
+            if not value <= highest:  # also refuses NaN
+                raise UserError(f"--{each.name} must be at most {highest:g}")
 
 
 @dataclass(frozen=True)

@@ -164,14 +164,14 @@ def options_for(name: str, **values):
         There is no target of that name, or an option belongs to another target.
     """
     target = target_named(name)
-    own = {}
+    values_of_target = {}
     for option_name, (owner, option) in list_options().items():
         value = values.get(option_name, option.default)
         if owner == name:
-            own[option_name] = value
+            values_of_target[option_name] = value
         elif value != option.default:
             raise UserError(f"--{option_name} is for --target {owner}, not for {name}")
-    return None if target.options is None else target.options(**own)
+    return None if target.options is None else target.options(**values_of_target)
 
 
 def refuse_unfit(spec: NetworkSpec, target: str, seed=0):

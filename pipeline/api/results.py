@@ -196,10 +196,10 @@ class CheckResult(Result):
         """See :meth:`Result.table`."""
         rows: list[list] = [["class", "samples", "right", "accuracy"]]
         for label, name in enumerate(self.classes):
-            own = self.labels == label
-            if own.any():
-                right = self.predictions[own] == label
-                rows.append([name, int(own.sum()), int(right.sum()), f"{right.mean():.3f}"])
+            of_class = self.labels == label
+            if of_class.any():
+                right = self.predictions[of_class] == label
+                rows.append([name, int(of_class.sum()), int(right.sum()), f"{right.mean():.3f}"])
         return rows
 
 

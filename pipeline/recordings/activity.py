@@ -54,9 +54,9 @@ def measure_activity(recordings: Recordings) -> TaxelActivity:
     offsets = recordings.offsets
     first = np.zeros(n, np.int64)
     span = np.ones(n, np.int64)
-    some = np.flatnonzero(np.diff(offsets))
-    first[some] = events.time_ns[offsets[some]]
-    span[some] = events.time_ns[offsets[some + 1] - 1] - first[some] + 1
+    with_events = np.flatnonzero(np.diff(offsets))
+    first[with_events] = events.time_ns[offsets[with_events]]
+    span[with_events] = events.time_ns[offsets[with_events + 1] - 1] - first[with_events] + 1
     slices = (events.time_ns - first[sample]) * SLICES // span[sample]
     pair = sample * n_taxels + events.taxel
     fires = np.unique(pair * SLICES + slices) // SLICES

@@ -128,9 +128,9 @@ def alter_recordings(
     sensor = chosen.sensor
     old = chosen.events
     sample = chosen.sample_of_event
-    some = np.diff(chosen.offsets) > 0
+    has_events = np.diff(chosen.offsets) > 0
     begins = np.zeros(len(chosen), np.int64)
-    begins[some] = old.time_ns[chosen.offsets[:-1][some]]
+    begins[has_events] = old.time_ns[chosen.offsets[:-1][has_events]]
     time_ms = (old.time_ns - begins[sample]) / 1e6
     size = (sensor.rows, sensor.columns)
     events = EventColumns(

@@ -488,9 +488,9 @@ def reading_text(recordings: Recordings) -> str:
     time_ns = recordings.events.time_ns
     offsets = recordings.offsets
     sensor = recordings.sensor
-    some = np.diff(offsets) > 0
-    lasts = (time_ns[offsets[1:][some] - 1] - time_ns[offsets[:-1][some]]) * 1e-9
-    lasts = lasts if some.any() else np.zeros(1)
+    has_events = np.diff(offsets) > 0
+    lasts = (time_ns[offsets[1:][has_events] - 1] - time_ns[offsets[:-1][has_events]]) * 1e-9
+    lasts = lasts if has_events.any() else np.zeros(1)
     parts = [
         f"{len(recordings)} recordings",
         size_text(sensor),

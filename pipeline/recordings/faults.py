@@ -242,8 +242,8 @@ def add_faults(recordings: Recordings, hot: int, dead: int, seed) -> Recordings:
     old = recordings.events
     size = (sensor.rows, sensor.columns)
     begins_ns = np.zeros(len(recordings), np.int64)
-    some = np.diff(recordings.offsets) > 0
-    begins_ns[some] = old.time_ns[recordings.offsets[:-1][some]]
+    has_events = np.diff(recordings.offsets) > 0
+    begins_ns[has_events] = old.time_ns[recordings.offsets[:-1][has_events]]
     sample = recordings.sample_of_event
     events = EventColumns(
         sample,

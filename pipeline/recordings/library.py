@@ -80,8 +80,8 @@ def import_recordings(
     # An import without the bad files must not be used as a complete import later, and refused
     # files are not in the hash.
     refused = [list(entry) for entry in listing.refused]
-    how = (skip_bad, *astuple(reading), refused)
-    path = cache_file("imported", source.name, find_hash(listing), *how)
+    options = (skip_bad, *astuple(reading), refused)
+    path = cache_file("imported", source.name, find_hash(listing), *options)
     recordings = load(path)
     if recordings is None:
         read = sources.read_source(source, jobs, skip_bad, progress, reading)

@@ -464,8 +464,10 @@ def read_source(
     entries = [entries[index] for index in interpretation.kept]
     read = [read[index] for index in interpretation.kept]
     classes = {entry.of_class for entry in entries}
-    if lost := sorted({entry.of_class for entry in listing.entries} - classes):
-        head = f"{path}: no recording of {printable(lost[0])!r} can be read; correct or remove them"
+    unread = sorted({entry.of_class for entry in listing.entries} - classes)
+    if unread:
+        name = printable(unread[0])
+        head = f"{path}: no recording of {name!r} can be read; correct or remove them"
         raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
     the_sensor = interpretation.make_sensor(classes)
     ids = [entry.id for entry in entries]

@@ -119,11 +119,11 @@ def find_other_units(times) -> list:
     Recordings with a single event have no duration, and fit any unit.
     """
     spans = np.array([find_span(time) for time in times])
-    some = np.flatnonzero(spans > 0)
-    if len(some) < 2:
+    with_events = np.flatnonzero(spans > 0)
+    if len(with_events) < 2:
         return []
-    ratio = spans[some] / np.median(spans[some])
-    return some[(ratio > MIN_UNIT_FACTOR) | (ratio < 1 / MIN_UNIT_FACTOR)].tolist()
+    ratio = spans[with_events] / np.median(spans[with_events])
+    return with_events[(ratio > MIN_UNIT_FACTOR) | (ratio < 1 / MIN_UNIT_FACTOR)].tolist()
 
 
 def is_clock(times, unit: str) -> bool:

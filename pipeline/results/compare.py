@@ -3,6 +3,7 @@
 import itertools
 import string
 import textwrap
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -141,7 +142,8 @@ def compare_runs(runs) -> dict:
         runs, each with ``accuracies`` and ``differences`` from the first run in the order of the
         runs (see :func:`difference`), None for a run without it.
     """
-    shared = [stage for stage in ORDER if sum(stage in run.results for run in runs) > 1]
+    runs_with = Counter(stage for run in runs for stage in run.results)
+    shared = [stage for stage in ORDER if runs_with[stage] > 1]
     return {
         "schema": SCHEMA,
         "runs": [
@@ -253,21 +255,31 @@ def difference(a: Run, b: Run, stage: str) -> dict | None:
         return None
     first = a.results[stage]
     second = b.results[stage]
-    labels_a, labels_b = ({s["id"]: s["label"] for s in r["samples"]} for r in (first, second))
     sources = [run.spec.provenance.get("source_sha256") for run in (a, b)]
-    paired = labels_a == labels_b and (None in sources or sources[0] == sources[1])
+    same_source = None in sources or sources[0] == sources[1]
+    paired = same_source and _labels_by_id(first) == _labels_by_id(second)
     value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}
     if not paired:
         counts = (_right(first), first["n_samples"], _right(second), second["n_samples"])
         return {**value, "only_a": None, "only_b": None, "p": fisher(*counts)}
-    right_b = {s["id"]: s["prediction"] == s["label"] for s in second["samples"]}
-    pairs = [(s["prediction"] == s["label"], right_b[s["id"]]) for s in first["samples"]]
+    right_a = _right_by_id(first)
+    right_b = _right_by_id(second)
+    pairs = [(right, right_b[sample]) for sample, right in right_a.items()]
     return {
         **value,
         "only_a": sum(in_a and not in_b for in_a, in_b in pairs),
         "only_b": sum(in_b and not in_a for in_a, in_b in pairs),
         "p": mcnemar(*zip(*pairs, strict=True)),
     }
+
+
+def _labels_by_id(result) -> dict:
+    return {sample["id"]: sample["label"] for sample in result["samples"]}
+
+
+def _right_by_id(result) -> dict:
+    """Whether the prediction of each sample is right."""
+    return {sample["id"]: sample["prediction"] == sample["label"] for sample in result["samples"]}
 
 
 def runs_text(compared: dict) -> str:

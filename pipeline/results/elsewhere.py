@@ -227,10 +227,13 @@ def _typical_duration_s(recordings):
     """Median duration of the recordings with events, in seconds."""
     time_ns = recordings.events.time_ns
     offsets = recordings.offsets
-    some = np.diff(offsets) > 0
-    if not some.any():
+    has_events = np.diff(offsets) > 0
+    if not has_events.any():
         return math.inf
-    return float(np.median(time_ns[offsets[1:][some] - 1] - time_ns[offsets[:-1][some]])) * 1e-9
+    return (
+        float(np.median(time_ns[offsets[1:][has_events] - 1] - time_ns[offsets[:-1][has_events]]))
+        * 1e-9
+    )
 
 
 def with_recordings(

@@ -194,8 +194,8 @@ class State:
     def reasons(self) -> str:
         """The first reasons why the artifact is outdated, in one line."""
         first_reasons = list(map(str, self.because[:3]))
-        left = len(self.because) - len(first_reasons)
-        return ", ".join(first_reasons) + (f" and {left} more" if left else "")
+        others = len(self.because) - len(first_reasons)
+        return ", ".join(first_reasons) + (f" and {others} more" if others else "")
 
     def announce(self, action: str, say):
         """Say why an outdated artifact is made again.

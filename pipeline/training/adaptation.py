@@ -111,8 +111,8 @@ class Refit:
     @property
     def helps(self) -> bool:
         """True if the accuracy improves for the person and is almost unchanged for other people."""
-        lost = self.kept_before.mean() - self.kept_after.mean()
-        return bool(self.after.sum() > self.before.sum() and lost <= MOST_LOST)
+        kept_loss = self.kept_before.mean() - self.kept_after.mean()
+        return bool(self.after.sum() > self.before.sum() and kept_loss <= MOST_LOST)
 
 
 # In one thread: matrix products of a few hundred rows take 12 times as long in several threads.
@@ -356,14 +356,14 @@ class Responder:
         n = len(recordings)
         step_ms = 1e3 * self.spec.stimulus.step_seconds
         often = np.repeat(np.arange(n), COPIES)
-        how = AUGMENTATIONS[choose_augmentation(recordings)]
-        altered = alter_recordings(recordings, often, how, step_ms, seed)
+        augmentation = AUGMENTATIONS[choose_augmentation(recordings)]
+        altered = alter_recordings(recordings, often, augmentation, step_ms, seed)
         return self.responses_to(altered).reshape(n, COPIES, -1)
 
     def person(self, recordings: Recordings, seed) -> Person:
         """The responses to a person's recordings that a refit needs."""
-        own = self.responses_to(recordings)
-        return Person(own, recordings.labels, self.copies(recordings, seed))
+        responses = self.responses_to(recordings)
+        return Person(responses, recordings.labels, self.copies(recordings, seed))
 
 
 def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> NetworkSpec:
@@ -382,9 +382,9 @@ def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> Netwo
     """
     if spec.layers[-1].neurons is not None or len(spec.layers) < 2:
         return spec
-    some = np.random.default_rng([seed, 0xADA97]).permutation(np.asarray(train))[:KEPT]
-    responses = Responder(spec).responses(inputs[some])
-    return replace(spec, rehearsal=Rehearsal(responses.astype(np.float32), labels[some]))
+    chosen = np.random.default_rng([seed, 0xADA97]).permutation(np.asarray(train))[:KEPT]
+    responses = Responder(spec).responses(inputs[chosen])
+    return replace(spec, rehearsal=Rehearsal(responses.astype(np.float32), labels[chosen]))
 
 
 @dataclass(frozen=True)
@@ -555,8 +555,8 @@ def text_of(adapted: Adapted, place) -> str:
     if place is not None:
         lines.append(f"bundle: written to {place}")
     elif fit.after.sum() > fit.before.sum():
-        lost = 100 * (fit.kept_before.mean() - fit.kept_after.mean())
-        lines.append(f"{lost:.1f} points lost on samples of the training: nothing was changed")
+        kept_loss = 100 * (fit.kept_before.mean() - fit.kept_after.mean())
+        lines.append(f"{kept_loss:.1f} points lost on samples of the training: nothing was changed")
     else:
         lines.append("no improvement: nothing was changed")
     return "\n".join(lines)

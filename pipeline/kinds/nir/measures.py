@@ -126,15 +126,15 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
         ``agreement``, the share of samples with the same prediction.
     """
     rng = np.random.default_rng([settings.seed, 0x5EB])
-    some = np.sort(rng.permutation(dataset.split.train)[:MAX_RESET_SAMPLES])
-    inputs = dataset.inputs[some]
-    labels = dataset.labels[some]
+    chosen = np.sort(rng.permutation(dataset.split.train)[:MAX_RESET_SAMPLES])
+    inputs = dataset.inputs[chosen]
+    labels = dataset.labels[chosen]
     chip, trained = (
         predictions_of(simulate_samples(network, run, inputs, settings)[0], settings)
         for run in (replace(stepped, reset="value"), stepped)
     )
     return {
-        "samples": len(some),
+        "samples": len(chosen),
         "accuracy": float((chip == labels).mean()),
         "accuracy_as_trained": float((trained == labels).mean()),
         "agreement": float((chip == trained).mean()),

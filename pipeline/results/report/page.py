@@ -270,11 +270,11 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
 
 def _ladder(results):
     rows = ladder_rows(results)
-    least = np.floor(min(row["accuracy_ci95"][0] for row in rows) * 20) / 20
+    lowest = np.floor(min(row["accuracy_ci95"][0] for row in rows) * 20) / 20
     for row in rows:
         row["title"] = title_of(row["stage"])
-        row["chart"] = charts.interval(row["accuracy"], *row["accuracy_ci95"], least)
-    return {"rows": rows, "least": float(least), "n": results[0]["n_samples"]}
+        row["chart"] = charts.interval(row["accuracy"], *row["accuracy_ci95"], lowest)
+    return {"rows": rows, "least": float(lowest), "n": results[0]["n_samples"]}
 
 
 def _over_time(inputs):
@@ -328,13 +328,15 @@ def _early_decision(result):
     return early if early and early["confidence"] < 1 else None
 
 
-def _answers(inputs):
+def _list_predictions(inputs) -> tuple:
+    """The label and the prediction of each sample."""
     samples = inputs.results[-1]["samples"]
-    return [[sample[key] for sample in samples] for key in ("label", "prediction")]
+    labels = [sample["label"] for sample in samples]
+    return labels, [sample["prediction"] for sample in samples]
 
 
 def _confusion(inputs):
-    return confusion_matrix(*_answers(inputs), len(inputs.classes))
+    return confusion_matrix(*_list_predictions(inputs), len(inputs.classes))
 
 
 def _matrix(inputs):
@@ -346,11 +348,12 @@ def _matrix(inputs):
     rows = []
     for label, name in enumerate(inputs.classes):
         cells = []
-        for answer, count in enumerate(matrix[label].tolist()):
+        for prediction, count in enumerate(matrix[label].tolist()):
             # Errors are few: the square root makes one in a hundred visible.
-            share = shares[label, answer]
-            shade = 55 * share if label == answer else 75 * share**0.5
-            cells.append({"count": count, "shade": round(float(shade)), "right": label == answer})
+            share = shares[label, prediction]
+            is_right = label == prediction
+            shade = 55 * share if is_right else 75 * share**0.5
+            cells.append({"count": count, "shade": round(float(shade)), "right": is_right})
         rows.append((name, cells))
     return rows
 
@@ -361,7 +364,7 @@ def over_time(spec) -> bool:
 
 
 def _groups(inputs):
-    """Thumbnails of all samples by class and answer, wrong answers first, frequent ones first."""
+    """Thumbnails of all samples by class and prediction, frequent mistakes first."""
     groups = defaultdict(list)
     positions = read_positions(inputs.bundle.spec)
     images = inputs.bundle.checks.inputs
@@ -371,31 +374,33 @@ def _groups(inputs):
         images = np.add.reduceat(images.sum((2, -1)), starts, axis=1).swapaxes(1, 2)
     else:
         images = images.sum(-1 if static else (1, -1))
-    for index, (label, answer) in enumerate(zip(*_answers(inputs), strict=True)):
-        groups[label, answer].append(index)
-    order = sorted(
-        groups,
-        key=lambda pair: (pair[0] == pair[1], -len(groups[pair]) * (pair[0] != pair[1]), pair),
-    )
+    for index, pair in enumerate(zip(*_list_predictions(inputs), strict=True)):
+        groups[pair].append(index)
+
+    def rank(pair):
+        label, prediction = pair
+        if label == prediction:
+            return (1, 0, pair)
+        return (0, -len(groups[pair]), pair)
+
+    def describe(index):
+        sample = inputs.bundle.checks.ids[index]
+        return {
+            "index": index,
+            "id": sample,
+            "has_story": index in inputs.replays,
+            "picture": charts.thumbnail(images[index], sample, positions),
+        }
+
     return [
         {
-            "key": f"{label}-{answer}",
-            "right": label == answer,
+            "key": f"{label}-{prediction}",
+            "right": label == prediction,
             "shown": inputs.classes[label],
-            "answered": inputs.classes[answer],
-            "samples": [
-                {
-                    "index": index,
-                    "id": inputs.bundle.checks.ids[index],
-                    "has_story": index in inputs.replays,
-                    "picture": charts.thumbnail(
-                        images[index], inputs.bundle.checks.ids[index], positions
-                    ),
-                }
-                for index in groups[label, answer]
-            ],
+            "answered": inputs.classes[prediction],
+            "samples": [describe(index) for index in groups[label, prediction]],
         }
-        for label, answer in order
+        for label, prediction in sorted(groups, key=rank)
     ]
 
 
@@ -493,14 +498,15 @@ def _learning_curves(histories):
     curves = []
     for name, rows in histories.items():
         epochs = tuple(row["epoch"] for row in rows)
-        series = [
-            charts.Series(title, epochs, tuple(100 * row[f"{prefix}accuracy"] for row in rows))
-            for prefix, title in prefixes.items()
-            if f"{prefix}accuracy" in rows[0]
-        ]
+        series = []
+        for prefix, title in prefixes.items():
+            column = f"{prefix}accuracy"
+            if column in rows[0]:
+                percents = tuple(100 * row[column] for row in rows)
+                series.append(charts.Series(title, epochs, percents))
         if series:
             chart = charts.line_chart(series, "epoch", "accuracy, %", f"Learning curve: {name}")
-            legend = charts.legend([s.name for s in series])
+            legend = charts.legend([curve.name for curve in series])
             curves.append({"title": name, "chart": chart, "legend": legend})
     return curves
 

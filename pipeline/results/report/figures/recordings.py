@@ -55,8 +55,8 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
         grid = figure.add_gridspec(2, FRAMES, height_ratios=[1, 4])
         frames = [figure.add_subplot(grid[0, column]) for column in range(FRAMES)]
         axes = figure.add_subplot(grid[1, :])
-        most = _draw_growing(frames, recordings, events, duration_s)
-        _scale(figure, f"{most} event{'s' * (most > 1)}")
+        largest = _draw_growing(frames, recordings, events, duration_s)
+        _scale(figure, f"{largest} event{'s' * (largest > 1)}")
     seconds = events.time_ns * 1e-9
     is_grid = taxels.positions is None and not _is_strip(taxels)
     place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
@@ -92,12 +92,12 @@ def _draw_growing(frames, recordings, events, duration_s):
     grown = np.zeros((FRAMES, sensor.rows, sensor.columns))
     frame = np.minimum(events.time_ns * 1e-9 * FRAMES / duration_s, FRAMES - 1).astype(int)
     np.add.at(grown, (frame, taxels.row[events.taxel], taxels.column[events.taxel]), 1)
-    most = max(int(grown.sum(axis=0).max()), 1)
-    grown = np.cumsum(grown, axis=0) / most
+    largest = max(int(grown.sum(axis=0).max()), 1)
+    grown = np.cumsum(grown, axis=0) / largest
     for axes, end, image in zip(frames, ends, grown, strict=True):
         _show(axes, recordings.taxels, image, 2 * TILE)
         axes.set_title(f"up to {end:.2f} s", fontsize=9)
-    return most
+    return largest
 
 
 def sheet(recordings: Recordings, seed: int = 0) -> Figure:
