@@ -277,7 +277,7 @@ def _deploy(link: Link) -> Layer:
         pool=link.pool,
         starts=link.starts,
         recurrent=None if link.loop is None else link.loop.T,
-        **link.operation.layer_values(),
+        **link.operation.layer_attributes(),
     )
 
 

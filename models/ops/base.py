@@ -39,7 +39,6 @@ class Operation(DeployedOperation):
     =============================  =================================================================
     `from_token`                   if the notation has more than numbers
     `kernel_shape`, `to_deployed`  if the trained kernel has other axes than the deployed weights
-    `layer_values`                 if a deployed layer needs more than the shapes, such as a stride
     `keras_layer`                  for networks on images
     `sums`, `synapses`             for networks trained on events
     `currents`, `windows`          for networks that are rounded to integers, such as NIR graphs
@@ -94,10 +93,6 @@ class Operation(DeployedOperation):
         sections : int
         """
         return kernel
-
-    def layer_values(self) -> dict:
-        """Attributes of a deployed layer from which `of_layer` makes the operation."""
-        return {"kernel": 0}
 
     # --- networks on images -----------------------------------------------------------------------
 

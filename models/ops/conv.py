@@ -35,9 +35,6 @@ class Convolution(Operation, DeployedConvolution):
             windows(n, self.kernel, self.stride, self.padding)[1:] for n in input_shape[:2]
         )
 
-    def layer_values(self):
-        return {"kernel": self.kernel, "stride": self.stride, "padding": self.padding}
-
     def keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
 

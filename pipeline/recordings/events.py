@@ -351,15 +351,15 @@ class Recordings:
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
 
-def join_events(parts) -> Events:
+def join_events(by_recording) -> Events:
     """Join a list of events, in this order."""
-    if not parts:
+    if not by_recording:
         return Events(*(np.empty(0, dtype) for dtype in EVENT_DTYPES.values()))
     return Events(
-        time_ns=np.concatenate([part.time_ns for part in parts]),
-        taxel=np.concatenate([part.taxel for part in parts]),
-        polarity=np.concatenate([part.polarity for part in parts]),
-        columns=np.concatenate([part.columns for part in parts]),
+        time_ns=np.concatenate([events.time_ns for events in by_recording]),
+        taxel=np.concatenate([events.taxel for events in by_recording]),
+        polarity=np.concatenate([events.polarity for events in by_recording]),
+        columns=np.concatenate([events.columns for events in by_recording]),
     )
 
 

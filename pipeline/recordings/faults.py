@@ -199,7 +199,8 @@ def place_faults(
     """
     if hot + dead > len(places):
         raise ValueError(f"{hot + dead} faulty taxels, the sensor has {len(places)}")
-    durations_ms, samples = np.asarray(durations_ms, float), len(durations_ms)
+    durations_ms = np.asarray(durations_ms, float)
+    samples = len(durations_ms)
     order = rng.permuted(np.tile(np.arange(len(places)), (samples, 1)), axis=1)
     row, column = np.asarray(places)[order[:, : hot + dead]].transpose(2, 0, 1)
     silent_from_ms = np.full((samples, *size), np.inf)

@@ -24,9 +24,18 @@ class DeployedOperation:
     """A linear map from a layer's input, after averaging, to its neurons.
 
     A subclass is a frozen dataclass whose fields are the operation's numbers, such as the number of
-    filters.  It has `kind`, `shape`, `weight_shape`, `fan_out` and `transform`, and `of_layer` if
-    it has fields.  The other methods have defaults: `by_output` for weights whose first axis is the
-    output, `resources` for a synapse from each input to each neuron, and `nir_nodes` refuses.
+    filters.  Its methods are:
+
+    ==============================  ================================================================
+    `kind`, `shape`,                always
+    `weight_shape`, `fan_out`,
+    `transform`
+    `of_layer`, `layer_attributes`  if it has fields
+    `by_output`                     if the first axis of the weights is not that of the outputs
+    `resources`                     if not every input has a synapse to every neuron (without it the
+                                    axons and the memory are counted too high)
+    `nir_nodes`                     for the export to NIR, which is refused without it
+    ==============================  ================================================================
 
     ``layer`` is a :class:`deploy.network.spec.Layer`, and ``read_shape`` the shape of its input
     after averaging: (rows, columns, channels) or (values,).
@@ -58,6 +67,10 @@ class DeployedOperation:
             A number is out of range.
         """
         return cls()
+
+    def layer_attributes(self) -> dict:
+        """Attributes of a layer from which `of_layer` makes this operation, but for the shapes."""
+        return {"kernel": 0}
 
     def shape(self, read_shape) -> Tuple[int, ...]:
         """Shape of the output.

@@ -54,6 +54,9 @@ class DeployedConvolution(DeployedOperation):
     def of_layer(cls, layer):
         return cls(layer.shape[-1], layer.kernel, layer.stride, layer.padding)
 
+    def layer_attributes(self):
+        return {"kernel": self.kernel, "stride": self.stride, "padding": self.padding}
+
     def shape(self, read_shape):
         shape = convolution_shape(read_shape, self.kernel, self.filters, self.stride, self.padding)
         if min(shape) < 1:
