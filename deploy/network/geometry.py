@@ -31,7 +31,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2
 
 
-def padded_kernel(n: int, kernel: int, stride: int, zeros: str) -> int:
+def padded_kernel_size(n: int, kernel: int, stride: int, zeros: str) -> int:
     """Size of a kernel with zeros at its end, whose last window ends with the padded values."""
     count = windows(n, kernel, stride, zeros)[0]
     return n + 2 * int(zeros) - (count - 1) * stride

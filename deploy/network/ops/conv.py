@@ -11,7 +11,7 @@ from ..geometry import (
     convolution_fan_out,
     convolution_shape,
     inputs_within,
-    padded_kernel,
+    padded_kernel_size,
     windows,
 )
 from .base import (
@@ -89,13 +89,13 @@ class DeployedConvolution(DeployedOperation):
         has_own_padding = layer.padding not in ("valid", "same")
         if has_own_padding:
             sizes = [
-                padded_kernel(n, layer.kernel, layer.stride, layer.padding)
+                padded_kernel_size(n, layer.kernel, layer.stride, layer.padding)
                 for n in layer.read_shape[:2]
             ]
             edges = [(0, size - layer.kernel) for size in sizes]
             kernel = np.pad(kernel, (*edges, (0, 0), (0, 0)))
         if layer.pool > 1:
-            kernel, input_shape = _pooled_kernel(layer, kernel)
+            kernel, input_shape = _fold_pooling(layer, kernel)
             inputs = inputs_within(layer.input_shape, input_shape)
         shapes = {
             "n_filters": layer.shape[-1],
@@ -130,7 +130,7 @@ class DeployedConvolution(DeployedOperation):
         return f"{layer.kernel}x{layer.kernel} convolution, stride {layer.stride}"
 
 
-def _pooled_kernel(layer, kernel):
+def _fold_pooling(layer, kernel):
     """A kernel that includes average pooling, and the shape of its input.
 
     With padding it may need zeros: Nengo puts half of the padding, rounded down, before the values,
@@ -208,14 +208,14 @@ class _Line(NamedTuple):
         return _Reach(lowest, number, at - lowest * self.stride)
 
 
-def _lines(layer) -> List[_Line]:
+def _make_lines(layer) -> List[_Line]:
     lines = []
     pool = layer.pool
     for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
         _, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
         kernel = layer.kernel
         if layer.padding not in ("valid", "same"):  # the network is built with zeros at the end
-            kernel = padded_kernel(read, kernel, layer.stride, layer.padding)
+            kernel = padded_kernel_size(read, kernel, layer.stride, layer.padding)
         # With padding a window would reach values outside of complete pooling windows.
         length = n if layer.padding == "valid" else read * pool
         lines.append(_Line(length, kernel * pool, layer.stride * pool, before * pool))
@@ -227,7 +227,7 @@ class _ConvolutionResources(Resources):
 
     def __init__(self, layer, chip):
         super().__init__(layer, chip)
-        self.lines = _lines(layer)
+        self.lines = _make_lines(layer)
 
     def input_axons(self, block):
         pixels = 1

@@ -51,7 +51,7 @@ class DeployedDense(DeployedOperation):
         import nengo
 
         if reads_populations(layer, chip):
-            return _population_transform(layer)
+            return _make_population_transform(layer)
         weights = layer.weights
         inputs = math.prod(layer.input_shape)
         if layer.pool > 1:
@@ -95,7 +95,7 @@ def _pixels_read(layer):
     return tuple(n * layer.pool for n in layer.read_shape[:2])
 
 
-def _population_transform(layer):
+def _make_population_transform(layer):
     """The layer as a convolution whose only window is the whole input."""
     import nengo
 
