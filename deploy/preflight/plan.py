@@ -17,7 +17,7 @@ from ..network.chip import LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
 from ..network.spec import DT, NetworkSpec
 from ..tables import in_blocks, plural
-from .resources import axon_cfg_registers, find_axons_with_targets, count_used, worst_case
+from .resources import axon_cfg_registers, count_used, find_axons_with_targets, worst_case
 
 # Column titles of a chip's limits in a table.
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
