@@ -1,9 +1,17 @@
 """The list of targets: the simulators and the hardware that run the samples of a check.
 
-To add a target, write a function ``run`` in a file of this folder, and a `Target` with its name,
-title and options in `TARGETS`.  Ladder, report and both command lines read it from there.  The list
-is read without Nengo, since the help of the commands needs it; the file of a target is imported
-when the target runs.
+To add a target:
+
+1. Write a function ``run(spec, streams, seed)`` in a file of this folder.  A stream is an array of
+   samples that are presented one after the other, from a fresh network on.  The function yields the
+   :class:`~deploy.network.responses.Responses` to each stream, which
+   :func:`~deploy.network.responses.read_output` makes of the readout at each step and the spikes.
+   :mod:`.simulators` has the shortest examples.
+2. Write its options, if it has any, in :mod:`.options`: a dataclass with a field for each.
+3. Enter a `Target` in `TARGETS`, in the place that its row has in a ladder.
+
+Ladder, report and both command lines read it from there.  The list is read without Nengo, since the
+help of the commands needs it; the file of a target is imported when the target runs.
 """
 
 from __future__ import annotations
@@ -30,9 +38,8 @@ class Target:
     ----------
     name : str
     run : callable
-        ``run(spec, streams, seed)`` yields the :class:`~deploy.network.responses.Responses` to each
-        stream of samples, in order; each stream starts from a fresh network.  Targets with options
-        also have a keyword argument ``options``, which is None for their defaults.
+        ``run(spec, streams, seed)`` yields the responses to each stream, in order.  Targets with
+        options also have a keyword argument ``options``, which is None for their defaults.
     title : str
         Short description.
     note : str
