@@ -222,20 +222,17 @@ class SpikingNetwork(tf.Module):
             parameters = self._on_chip(name, values, dtype)
             current = weighted_sums(layer, parameters["kernel"], signal)
             current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
-            spread = _spread(parameters, current.shape[2])
-            spikes.append(
-                fire(current, *(spread[name] for name in _FIRED_BY), beta=self.neuron.beta)
-            )
+            parameters = _spread(parameters, current.shape[2])
+            spikes.append(fire(current, parameters, self.neuron.beta))
             signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
             signal = tf.reshape(signal, (steps, samples, *layer.shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
         kernels = tf.split(kernel, len(self.starts))
-        added = [
-            tf.matmul(tf.reshape(signal[first:end], (-1, section_kernel.shape[0])), section_kernel)
-            for first, end, section_kernel in zip(
-                self.starts, (*self.starts[1:], None), kernels, strict=True
-            )
-        ]
+        ends = (*self.starts[1:], None)
+        added = []
+        for first, end, of_section in zip(self.starts, ends, kernels, strict=True):
+            section = tf.reshape(signal[first:end], (-1, of_section.shape[0]))
+            added.append(tf.matmul(section, of_section))
         added = tf.reshape(tf.concat(added, 0), (steps, samples, kernel.shape[1]))
         return tf.cumsum(added), spikes
 
@@ -374,20 +371,19 @@ def operations(architecture: Architecture, frames, spikes):
     )
 
 
-_FIRED_BY = ("keep_u", "keep_v", "bias", "threshold", "floor")
+_NEURON_PARAMETERS = ("keep_u", "keep_v", "bias", "threshold", "floor")
 
 
-def fire(current, keep_u, keep_v, bias, threshold, floor, beta):
+def fire(current, parameters: dict, beta: float):
     """Simulate a layer of neurons, with the surrogate gradient of the module's docstring.
 
     Parameters
     ----------
     current : tensor, shape (steps, samples, neurons)
         q of the module's docstring.
-    keep_u, keep_v : scalar tensor
-    bias : tensor, shape (neurons,)
-    threshold, floor : scalar tensor
-        All in the chip's integers; threshold and floor have no gradient.
+    parameters : dict of str to tensor
+        ``keep_u``, ``keep_v``, ``threshold``, ``floor``: scalars; ``bias``: shape (neurons,).  All
+        are in the chip's integers; threshold and floor have no gradient.
     beta : float
         See :class:`Neuron`.
 
@@ -411,7 +407,7 @@ def fire(current, keep_u, keep_v, bias, threshold, floor, beta):
 
         return spikes, gradient
 
-    return with_gradient(current, keep_u, keep_v, bias, threshold, floor)
+    return with_gradient(current, *(parameters[name] for name in _NEURON_PARAMETERS))
 
 
 _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
