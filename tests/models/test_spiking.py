@@ -134,9 +134,13 @@ def test_gradients_through_time_are_those_of_plain_numpy(floor):
 
     q = 128 * (frames.reshape(steps, 8).astype(float) @ layer.weights)
     inputs = [tensor(q[:, None]), tensor(layer.keep_u), tensor(layer.keep_v), tensor(layer.bias)]
-    constants = [tf.constant(float(x), tf.float64) for x in (layer.threshold, layer.floor)]
+    parameters = {
+        **dict(zip(("keep_u", "keep_v", "bias"), inputs[1:], strict=True)),
+        "threshold": tf.constant(float(layer.threshold), tf.float64),
+        "floor": tf.constant(float(layer.floor), tf.float64),
+    }
     with tf.GradientTape() as tape:
-        result = spiking.fire(*inputs, *constants, beta=beta)
+        result = spiking.fire(inputs[0], parameters, beta)
         total = tf.reduce_sum(result[:, 0] * error)
     np.testing.assert_array_equal(result[:, 0], spikes)
     for mine, its in zip(tape.gradient(total, inputs), expected, strict=True):
