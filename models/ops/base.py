@@ -53,7 +53,7 @@ class Operation(DeployedOperation):
     token : re.Pattern
         The notation; numbers are its groups of digits.
     noun : str
-        Such as ``"a convolution"``, of operations that are spatial.
+        For messages, such as ``"a convolution"``.
     has_neurons : bool
         True if neurons follow, unless the layer is the output.
     output : bool
@@ -61,7 +61,7 @@ class Operation(DeployedOperation):
     """
 
     token: ClassVar[re.Pattern]
-    noun: ClassVar[str]
+    noun: ClassVar[str] = "a layer"
     has_neurons: ClassVar[bool] = True
     output: bool = False
 
