@@ -198,7 +198,10 @@ def recognise_spikingjelly(nodes, _):
         return None
     integrators = [node for node in nodes if node.kind == "IF"]
     leaky = [node for node in nodes if node.kind == "LIF"]
-    doubt = ""
+    doubt = (
+        "SpikingJelly does not export v_reset=None, with which it subtracts the threshold: if it "
+        "was trained so, give --set nir.reset=subtract"
+    )
     if integrators:
         h = float(1 / _nonzero(integrators[0]["r"]).flat[0])
         exponent = np.log10(h) if h > 0 else 0
@@ -215,7 +218,9 @@ def recognise_spikingjelly(nodes, _):
         is_short = (taus >= SHORTEST_SPIKINGJELLY * (1 - TOLERANCE)) & (taus < SHORTEST_IN_SECONDS)
         if not is_short.all() or not _gains_are_one(leaky):
             return None
-        doubt = "if these are seconds, or its exporter had another dt, give --set nir.step (in ms)"
+        doubt += (
+            "; if its exporter had another dt, or these are seconds, give --set nir.step (in ms)"
+        )
     gains = [(node["r"], node["tau"] / h) for node in leaky]
     if not all(_all_near(r, 1.0) or _all_near(r, whole) for r, whole in gains):
         return None

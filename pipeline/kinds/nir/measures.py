@@ -41,8 +41,9 @@ RESET_TEXT = (
 
 CHANCE_TEXT = (
     "nir: hardly better than chance; was the graph trained on inputs in this order (ON, OFF, rows, "
-    "columns), with this --step, input.refractory and order of the classes, and with the step, "
-    "equation and reset that are printed above ('nir.step', 'nir.method', 'nir.reset')?"
+    "columns), with this --step, input.refractory, image.normalisation and order of the classes, "
+    "and with the step, equation and reset that are printed above ('nir.step', 'nir.method', "
+    "'nir.reset')?"
 )
 
 
