@@ -3,7 +3,7 @@
 from .terminal import printable
 
 # Maximum number of characters of an error message, which may quote the content of a file.
-LONGEST = 2400
+MAX_LINE_LENGTH = 2400
 
 # The message if a worker process ended without an answer.
 KILLED = "a process was killed, perhaps for lack of memory; use fewer --jobs"
@@ -16,8 +16,8 @@ def one_line(message) -> str:
     middle of a message that is too long is left out, because the remedy is at the end.
     """
     line = printable(" ".join(str(message).split()))
-    if len(line) > LONGEST:
-        line = line[: LONGEST * 3 // 4] + " ... " + line[-LONGEST // 4 :]
+    if len(line) > MAX_LINE_LENGTH:
+        line = line[: MAX_LINE_LENGTH * 3 // 4] + " ... " + line[-MAX_LINE_LENGTH // 4 :]
     return line
 
 

@@ -17,7 +17,7 @@ from dataclasses import MISSING, field, fields, is_dataclass
 from typing import Callable, NamedTuple, Union, get_type_hints
 
 # Largest magnitude of a number; NaN and infinite values are refused.
-LARGEST = 1e300
+MAX_NUMBER = 1e300
 
 
 class Limit(NamedTuple):
@@ -159,7 +159,9 @@ def _build_value(hint, value, name, extra):
         return int(value)
     elif origin is float:
         number = isinstance(value, numbers.Real) and type(value) is not bool
-        _require(number and -LARGEST <= float(value) <= LARGEST, name, "a finite number", value)
+        _require(
+            number and -MAX_NUMBER <= float(value) <= MAX_NUMBER, name, "a finite number", value
+        )
         return float(value)
     elif origin is str:
         value = os.fspath(value) if isinstance(value, os.PathLike) else value

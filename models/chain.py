@@ -160,8 +160,8 @@ def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
 # An output neuron's full rate, as a share of the rate that its refractory period allows, and the
 # percentile of the largest wrong logit that maps to its threshold: chosen on validation samples, on
 # which the readout on the chip is then as accurate as on the host with 100 steps.
-OUTPUT_SHARE = 0.5
-OUTPUT_THRESHOLD = 20
+OUTPUT_RATE_SHARE = 0.5
+OUTPUT_THRESHOLD_PERCENTILE = 20
 
 
 def from_rates(
@@ -216,9 +216,9 @@ def from_rates(
         labels = np.asarray(range_of[1])
         right = logits[np.arange(len(labels)), labels]
         logits[np.arange(len(labels)), labels] = -np.inf
-        threshold = np.percentile(logits.max(axis=1), OUTPUT_THRESHOLD)
+        threshold = np.percentile(logits.max(axis=1), OUTPUT_THRESHOLD_PERCENTILE)
         full = np.percentile(right, 99)
-        rate = OUTPUT_SHARE / snn.tau_ref
+        rate = OUTPUT_RATE_SHARE / snn.tau_ref
         gain = gain_for(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
         bias = 1 + gain * (output.bias - threshold)
         output = spiking(output, rate, gain * output.weights, bias)

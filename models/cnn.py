@@ -27,7 +27,7 @@ from models.architecture import Architecture
 from models.keras.keras2 import as_written, tf
 
 # Lower bound for the excess over the threshold, which keeps the logarithm finite.
-LEAST_EXCESS = 1e-12
+MIN_EXCESS = 1e-12
 
 
 def on_chip_time_constants(tau_rc: float, tau_ref: float, chip: Chip = LOIHI):
@@ -130,7 +130,7 @@ class RateLIF(tf.keras.layers.Layer):
 
             def gradient(upstream):
                 scaled = self.gain * z / self.smoothing
-                excess = tf.maximum(self.smoothing * tf.math.softplus(scaled), LEAST_EXCESS)
+                excess = tf.maximum(self.smoothing * tf.math.softplus(scaled), MIN_EXCESS)
                 steepness = self.gain * self.tau_rc / self.max_rate * tf.sigmoid(scaled)
                 interval = self._interval(excess)
                 return upstream * steepness / (excess * (excess + 1) * tf.square(interval))
@@ -147,7 +147,7 @@ class RateLIF(tf.keras.layers.Layer):
 
     def _interval(self, excess):
         """Interspike interval in seconds at a current ``excess`` above the threshold."""
-        rise = tf.math.log1p(1 / tf.maximum(excess, LEAST_EXCESS))
+        rise = tf.math.log1p(1 / tf.maximum(excess, MIN_EXCESS))
         return self.shortest_interval + self.tau_rc * rise
 
 

@@ -32,8 +32,8 @@ BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 MAX_BIAS_FACTOR = 2**7
 
 # In 4096ths.
-LEAST_KEEP_U = 1
-LEAST_KEEP_V = 2
+MIN_KEEP_U = 1
+MIN_KEEP_V = 2
 
 # The chip's lowest voltage, for neurons without a lower bound.
 FLOOR = -(2**23) + 1
@@ -44,13 +44,13 @@ WEIGHT_EXPONENTS = 8
 CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 
 # Interval in steps at which inputs are sampled for the rounding of weights.
-MOMENTS_EVERY = 4
+MOMENT_INTERVAL_STEPS = 4
 
 # Added to the diagonal of the moments, in units of its mean.
 DAMPING = 0.01
 
 # Maximum number of inputs of a neuron for which the rounding of weights is compensated.
-MOST_MOMENTS = 2000
+MAX_COMPENSATED_INPUTS = 2000
 
 
 @dataclass(frozen=True)
@@ -289,7 +289,7 @@ def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
     real_counts = spiked.sum(1, dtype=float)
     candidates = []
     ways: list[np.ndarray | None] = [None]
-    if math.prod(link.weights.shape[:-1]) <= MOST_MOMENTS:
+    if math.prod(link.weights.shape[:-1]) <= MAX_COMPENSATED_INPUTS:
         ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
     for clip, moments in itertools.product(CLIPS, ways):
         integers = round_to_integers(link, clip, moments, chip)
@@ -340,8 +340,8 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
         bias=_round_bias(link.bias * threshold, chip),
         threshold=threshold,
         floor=FLOOR,
-        keep_u=_round_decay(link.decays.keep_u, LEAST_KEEP_U, chip),
-        keep_v=_round_decay(link.decays.keep_v, LEAST_KEEP_V, chip),
+        keep_u=_round_decay(link.decays.keep_u, MIN_KEEP_U, chip),
+        keep_v=_round_decay(link.decays.keep_v, MIN_KEEP_V, chip),
         exponent=exponent,
         loop=None if link.loop is None else loop,
     )
@@ -455,7 +455,7 @@ def moments_of(link: Link, spikes) -> np.ndarray:
     for t in range(spikes.shape[1]):
         u = link.decays.keep_u * u + spikes[:, t]
         v = link.decays.keep_v * v + u
-        if t % MOMENTS_EVERY == 0:
+        if t % MOMENT_INTERVAL_STEPS == 0:
             voltages.append(v)
     values = np.stack(voltages, 1)
     values = link.operation.windows(link, values)

@@ -19,7 +19,7 @@ from pipeline.interrupts import interruptible
 MESSAGE_LENGTH = 160
 
 # Seconds in which a scheduler must answer.
-PATIENCE = 5
+CONNECT_TIMEOUT_S = 5
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def _on_cluster(function, jobs, scheduler, say):
             "--scheduler needs Dask, which is not installed; pip install 'stmnist-loihi[cluster]'"
         ) from None
     try:
-        client = Client(scheduler, timeout=PATIENCE)
+        client = Client(scheduler, timeout=CONNECT_TIMEOUT_S)
     except (OSError, ValueError, TimeoutError) as error:
         raise UserError(
             f"--scheduler {scheduler}: no Dask scheduler answers there ({type(error).__name__}); "

@@ -279,10 +279,10 @@ def _notes(opened, choices):
 
 
 # Test recordings below which a user is warned.
-FEW = 10
+MIN_TEST_RECORDINGS = 10
 
 # What is wrong with recordings that are in the source twice; see :func:`copies`.
-COPIES = (
+COPY_TEXTS = (
     "test recordings that are also in training (their accuracy says little about others)",
     "recordings that are also in another class",
 )
@@ -294,7 +294,7 @@ def _notes_on_recordings(opened):
     split = opened.dataset.split
     yield from opened.kind.notes(recordings)
     if split.kind == PUBLISHED or not recordings.source.simulated:
-        for pairs, what in zip(copies(recordings, split), COPIES, strict=True):
+        for pairs, what in zip(copies(recordings, split), COPY_TEXTS, strict=True):
             if pairs:
                 what = f"{what}: {len(pairs)}, such as {pairs[0][1]} ({pairs[0][0]})"
                 yield f"{WARNING}{recordings.source.name}: {what}"
@@ -305,7 +305,7 @@ def _notes_on_recordings(opened):
             f"{recordings.source.name}: the test set has {n_test} recordings, fewer than the "
             f"{samples} of a check; the check uses all of them"
         )
-    if n_test < FEW:
+    if n_test < MIN_TEST_RECORDINGS:
         few = plural(n_test, "recording")
         yield f"{WARNING}{recordings.source.name}: only {few} for the test; record more"
     if absent := find_classes_without_test(recordings, split):
@@ -549,7 +549,7 @@ def _check_artifact_of(opened, bundle, stage):
 
 
 # The samples of a check on those of the bundle.
-OWN = "the bundle's"
+OWN_SAMPLES = "the bundle's"
 
 
 def check_artifact(
@@ -560,7 +560,7 @@ def check_artifact(
     It depends on the bundle, which may have been copied to another machine; the result of a network
     from which the bundle is not made depends on that network too.
     """
-    contents = {"bundle": bundle_id, "target": stage, "samples": OWN}
+    contents = {"bundle": bundle_id, "target": stage, "samples": OWN_SAMPLES}
     if stage in kind.references and stage not in kind.deployed_stages:
         contents["network"] = kind.origin(kind.references[stage].step, dataset).key
     origin = Origin({"seed": kind.settings.seed}, contents)
@@ -570,5 +570,5 @@ def check_artifact(
 def _read_check_record(result):
     names = ("bundle", "network", "target")
     contents = {name: result[name] for name in names if name in result}
-    contents["samples"] = "others" if result.get("data") else OWN
+    contents["samples"] = "others" if result.get("data") else OWN_SAMPLES
     return Origin({"seed": result.get("seed")}, contents).to_json()

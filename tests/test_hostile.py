@@ -104,11 +104,11 @@ def test_a_name_that_a_terminal_would_obey(refused, tmp_path):
 
 
 def test_a_message_is_one_line_of_a_bearable_length():
-    from deploy.errors import LONGEST, one_line
+    from deploy.errors import MAX_LINE_LENGTH, one_line
 
     assert one_line("a\n b\x1b[2J\ud800") == "a b\\x1b[2J\\ud800"
     long = one_line("begins " + "x" * 10_000 + " ends")
-    assert len(long) <= LONGEST + 5
+    assert len(long) <= MAX_LINE_LENGTH + 5
     assert long.startswith("begins ")
     assert long.endswith(" ends")
 

@@ -374,7 +374,7 @@ def _count_other_spikes(pairs):
 
 # McNemar's p below which a lower accuracy causes a warning. It is lower than the 0.05 of tables,
 # because every check of every target is compared.
-ALARMING = 0.01
+WARNING_P_VALUE = 0.01
 
 
 def loss_text(reference: dict, result: dict) -> Optional[str]:
@@ -389,7 +389,7 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
     Returns
     -------
     str or None
-        None if the difference is not significant (p of :data:`ALARMING` or more).
+        None if the difference is not significant (p of :data:`WARNING_P_VALUE` or more).
 
     Raises
     ------
@@ -397,13 +397,13 @@ def loss_text(reference: dict, result: dict) -> Optional[str]:
         The results are of different bundles or of different samples.
     """
     compared = compare_results(reference, result)
-    if compared.accuracy_drop <= 0 or compared.p_value >= ALARMING:
+    if compared.accuracy_drop <= 0 or compared.p_value >= WARNING_P_VALUE:
         return None
     own, other = compared.accuracies
     return WARNING + (
         f"{result['target']} is significantly less accurate than {reference['target']} on the same "
         f"samples: {other:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g}, "
-        f"below {ALARMING:g})"
+        f"below {WARNING_P_VALUE:g})"
     )
 
 

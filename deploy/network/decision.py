@@ -25,7 +25,7 @@ LAGS = (2, 5)
 
 # Upper bound of the confidence. It is below 1, the threshold for deciding at the end only, which
 # floating-point confidences could otherwise reach.
-SUREST = np.nextafter(1.0, 0.0)
+MAX_CONFIDENCE = np.nextafter(1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Threshold(NamedTuple):
 
 
 def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -> np.ndarray:
-    """Confidence in the outputs at each step, from 0 to `SUREST`; 0 where the outputs are all zero.
+    """Confidence in the outputs at each step, to `MAX_CONFIDENCE`; 0 where all outputs are zero.
 
     An estimator is trained from the start of a recording to its last event.  Where outputs stay the
     same, in silence, its confidence stays, too.
@@ -190,7 +190,7 @@ def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -
         sure = np.take_along_axis(estimator(outputs, first), since, -1)
     else:
         sure = 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
-    return np.where(outputs.any(-1), np.minimum(sure, SUREST), 0.0)
+    return np.where(outputs.any(-1), np.minimum(sure, MAX_CONFIDENCE), 0.0)
 
 
 def continue_confidence(

@@ -23,7 +23,7 @@ from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
 from ..network.responses import Responses, respond
 from ..network.spec import NetworkSpec
 from ..preflight.plan import REMEDIES, require_fit
-from .options import LONGEST_WAIT, BoardOptions
+from .options import MAX_WAIT_S, BoardOptions
 
 # Number of bins of the board's energy probe, spread over the steps of a stream.
 POWER_BINS = 1024
@@ -96,7 +96,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
                         f"board lost in stream {index + 1} of this run, {attempt} attempts: "
                         f"{error}; the previous streams are saved: repeat the command to resume"
                     ) from error
-                time.sleep(min(options.wait * 2 ** (attempt - 1), max(options.wait, LONGEST_WAIT)))
+                time.sleep(min(options.wait * 2 ** (attempt - 1), max(options.wait, MAX_WAIT_S)))
         responses.notes.update(nxsdk=version, attempts=attempt)
         yield responses
 

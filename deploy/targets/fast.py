@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fastloihi.streams import StreamState
 
 # Maximum memory in bytes for the spikes of some steps of all streams that run together.
-MEMORY = 32 << 20
+MAX_SPIKE_BYTES = 32 << 20
 
 # Sums that can overflow, by NengoLoihi's names: input, current, current and bias.
 OVERFLOWS = ("q0", "current", "u2")
@@ -173,7 +173,7 @@ class Emulation:
         decoded = self._sum_rows(_at(spikes, self._decoded), self._decoded_weights)
         return spikes, state.readout.advance(decoded), overflows
 
-    def run(self, samples, watch=None, memory=MEMORY) -> StreamOutputs:
+    def run(self, samples, watch=None, memory=MAX_SPIKE_BYTES) -> StreamOutputs:
         """Present streams of samples, each to a fresh network, as the spec's presentation says.
 
         Parameters
@@ -373,7 +373,7 @@ class Readout:
         return values
 
 
-def run_fast(spec, streams, seed=0, memory=MEMORY) -> Iterator[Responses]:
+def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[Responses]:
     """Run NengoLoihi's emulator, with identical integers and spikes, on many streams at once.
 
     Parameters

@@ -6,7 +6,7 @@ from typing import Optional
 from ..errors import UserError
 
 # Seconds up to which the wait between two attempts is doubled.
-LONGEST_WAIT = 600.0
+MAX_WAIT_S = 600.0
 
 
 def option(default, text, least=None, most=None):
@@ -51,7 +51,7 @@ class BoardOptions(Options):
     attempts : int
         Maximum number of attempts per stream.  NengoLoihi tries to connect three times in each.
     wait : float
-        Seconds before the second attempt, doubled for each further one up to `LONGEST_WAIT`.
+        Seconds before the second attempt, doubled for each further one up to `MAX_WAIT_S`.
     energy : bool
         Measure power.
     timeout : float

@@ -15,7 +15,7 @@ from pipeline.run.settings import Deployment
 from pipeline.training.recipe import NetworkSize, choose_hidden_units
 
 # Rows and columns of the first convolution's output on images, at most, on average.
-LARGEST_MAP = 14
+MAX_MAP_SIDE = 14
 
 # More chips than any system has, for whether the cores are large enough.
 ANY_NUMBER = 10_000
@@ -54,10 +54,10 @@ def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels
         middle = [f"24c{stride + 1}s{stride}", f"{hidden}"] if smallest > stride else [f"{hidden}"]
     elif smallest < MIN_GRID_SIDE:
         middle = [f"{hidden}"]
-    elif side <= LARGEST_MAP + 3:
+    elif side <= MAX_MAP_SIDE + 3:
         middle = ["6c4", "24c3"]
     else:
-        stride = math.ceil((side - 4) / (LARGEST_MAP - 2))
+        stride = math.ceil((side - 4) / (MAX_MAP_SIDE - 2))
         first = f"6c{stride + 2}s{stride}"
         middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else ["64"]
     return "-".join([size, *middle, end])

@@ -20,7 +20,7 @@ from pipeline.kinds.steps import Step
 from pipeline.run.folder import DELETE_ITS_FOLDER
 
 # Event counts of a sample, at most; a sensor with more has them in one slice of time.
-MOST_FEATURES = 20_000
+MAX_FEATURES = 20_000
 
 # Scores of the test samples, by their ids.
 SCORES = "scores.npz"
@@ -34,7 +34,7 @@ STRENGTHS = (0.003, 0.02, 0.1)
 FOLDS = 3
 
 # Maximum number of samples of the cross-validation, so that it takes a few seconds.
-MOST_SAMPLES = 2400
+MAX_FITTED_SAMPLES = 2400
 
 # Maximum number of training samples that the classifier is fitted to, so that they fit into memory.
 MAX_FITTED_SAMPLES = 20_000
@@ -86,7 +86,7 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     Baseline
     """
     order = np.random.default_rng(seed).permutation(training)
-    some = order[:MOST_SAMPLES]
+    some = order[:MAX_FITTED_SAMPLES]
     some = some[np.argsort(labels[some], kind="stable")]
     folds = np.arange(len(some)) % FOLDS  # each class is in every fold, if it can be
     best = -1.0
@@ -198,7 +198,7 @@ def _fit(inputs, artifact):
     table = recordings.table
     duration_ms = table.typical_duration_of(split.train)
     features = 2 * recordings.sensor.rows * recordings.sensor.columns
-    slices = max(SLICES) if features * max(SLICES) <= MOST_FEATURES else 1
+    slices = max(SLICES) if features * max(SLICES) <= MAX_FEATURES else 1
     counts = table.count_in_slices(slices, duration_ms)
     classes = len(recordings.sensor.classes)
     baseline = fit_baseline(counts, dataset.labels, split.train, classes, seed)

@@ -50,10 +50,10 @@ from pipeline.run.settings import Choice, Settings
 MAX_CURVE_SAMPLES = 500
 
 # Settings that change if another file is imported.
-FROM_ELSEWHERE = ("nir.sha256", "cnn.model_sha256")
+IMPORT_SETTINGS = ("nir.sha256", "cnn.model_sha256")
 
 # Beginnings of the changes after which other samples are in the test set.
-SPLIT_AGAIN = ("seed", "split", "recordings", "data.", "skin.")
+SPLIT_SETTINGS = ("seed", "split", "recordings", "data.", "skin.")
 
 
 class Reference(NamedTuple):
@@ -137,8 +137,8 @@ class Imported(NamedTuple):
                 f"{self.step}: must have been trained on the training samples of this split only "
                 f"(seed {seed}), otherwise the accuracies are too high"
             )
-        again = [what for what in changed if what.startswith(SPLIT_AGAIN)]
-        if again and not set(changed) & set(FROM_ELSEWHERE):
+        again = [what for what in changed if what.startswith(SPLIT_SETTINGS)]
+        if again and not set(changed) & set(IMPORT_SETTINGS):
             yield (
                 f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
                 "among those of its training; train it on this split, and give it again"

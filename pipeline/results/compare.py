@@ -18,7 +18,7 @@ from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, plural, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import command_text, printable
 from pipeline.kinds import REFERENCES, kind_of_network
-from pipeline.kinds.kind import FROM_ELSEWHERE
+from pipeline.kinds.kind import IMPORT_SETTINGS
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.events import is_written
 from pipeline.results.status import find_outdated, remedy_text, status_of
@@ -173,7 +173,7 @@ def _different_settings(runs):
     if len({one and one.sha256 for one in imported}) > 1:
         files = [one.file if one else "training" for one in imported]
         different.append({"name": "network from", "values": files})
-    for name in (name for name in names if name not in FROM_ELSEWHERE):
+    for name in (name for name in names if name not in IMPORT_SETTINGS):
         values = [settings.get(name) for settings in read]
         if len({repr(value) for value in values if value is not None}) > 1:
             different.append({"name": name, "values": values})

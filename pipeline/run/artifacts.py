@@ -44,7 +44,7 @@ MISSING = "missing"
 DELETE_IT = "delete it and run the command again"
 
 # Characters of a value in a reason.
-LONGEST = 100
+MAX_TEXT_LENGTH = 100
 
 # The entry of an origin's contents that changes with each release of this package.
 PACKAGE = "package version"
@@ -306,4 +306,4 @@ def _plain(value):
 
 def _value_text(value):
     text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+    return text if len(text) <= MAX_TEXT_LENGTH else text[: MAX_TEXT_LENGTH - 3] + "..."

@@ -45,14 +45,14 @@ FOLDS = 5
 
 # Directions of the responses in which the weights may change, those of the largest variance: a
 # layer of many neurons would take minutes without a gain.
-MOST_DIRECTIONS = 96
+MAX_DIRECTIONS = 96
 
 # The largest weight in integers: 8 bits with the sign.
 LEVELS = 127
 
 # Maximum loss of accuracy on the kept samples in cross-validation, similar to the loss of other
 # people.
-MOST_LOST = 0.015
+MAX_KEPT_LOSS = 0.015
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Refit:
     def helps(self) -> bool:
         """True if the accuracy improves for the person and is almost unchanged for other people."""
         kept_loss = self.kept_before.mean() - self.kept_after.mean()
-        return bool(self.after.sum() > self.before.sum() and kept_loss <= MOST_LOST)
+        return bool(self.after.sum() > self.before.sum() and kept_loss <= MAX_KEPT_LOSS)
 
 
 # In one thread: matrix products of a few hundred rows take 12 times as long in several threads.
@@ -160,7 +160,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
         # The best fit keeps the accuracy for others, if possible, and then is the most likely one.
         after = _right(log_p, person.labels)
         sure = log_p[np.arange(len(person)), person.labels].mean()
-        worth = (kept_before.mean() - kept_after.mean() <= MOST_LOST, sure)
+        worth = (kept_before.mean() - kept_after.mean() <= MAX_KEPT_LOSS, sure)
         if best is None or worth > best_worth:
             best = (pull, rehearsal, after, kept_after)
             best_worth = worth
@@ -197,7 +197,7 @@ class _Problem:
         self._kept_logits = self._logits(weights, self._kept)
         self._unit = max(np.sqrt((self._kept**2).sum(axis=1).mean()), 1e-12)
         every = np.concatenate([self._kept, person.select_with_copies(np.arange(len(person)))[0]])
-        self._directions = np.linalg.eigh(every.T @ every)[1][:, -MOST_DIRECTIONS:]
+        self._directions = np.linalg.eigh(every.T @ every)[1][:, -MAX_DIRECTIONS:]
 
     def _logits(self, weights, responses):
         return self._scale * (responses @ weights.T + self.bias)
@@ -248,7 +248,7 @@ def _right(log_p, labels):
 
 
 # Number of training samples whose responses are in a bundle.
-KEPT = 500
+MAX_KEPT_SAMPLES = 500
 
 # Number of augmented copies of each sample of a person.
 COPIES = 10
@@ -382,7 +382,9 @@ def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> Netwo
     """
     if spec.layers[-1].neurons is not None or len(spec.layers) < 2:
         return spec
-    chosen = np.random.default_rng([seed, 0xADA97]).permutation(np.asarray(train))[:KEPT]
+    chosen = np.random.default_rng([seed, 0xADA97]).permutation(np.asarray(train))[
+        :MAX_KEPT_SAMPLES
+    ]
     responses = Responder(spec).responses(inputs[chosen])
     return replace(spec, rehearsal=Rehearsal(responses.astype(np.float32), labels[chosen]))
 

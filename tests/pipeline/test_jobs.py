@@ -126,7 +126,7 @@ def test_an_interruption_is_no_failure():
 
 def test_a_wrong_address_is_named(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(jobs, "PATIENCE", 0.1)
+    monkeypatch.setattr(jobs, "CONNECT_TIMEOUT_S", 0.1)
     with pytest.raises(UserError, match=r"tcp://127\.0\.0\.1:1"):
         list(run_jobs(reciprocal, [1], scheduler="tcp://127.0.0.1:1"))
 

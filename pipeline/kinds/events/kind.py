@@ -36,7 +36,7 @@ from pipeline.run.settings import Settings
 MIN_HELD_OUT = 100
 
 # Settings that the confidence depends on.
-DECIDES = ("presentation.steps", "presentation.early_loss")
+DECISION_SETTINGS = ("presentation.steps", "presentation.early_loss")
 
 # Maximum number of samples that are held out to choose a confidence: the others are for training.
 MAX_HELD_OUT = 300
@@ -120,7 +120,7 @@ class EventsKind(NetworkKind):
             counts.STEP,
             Step("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
             # The confidence depends on the length of the presentation, unlike the training.
-            Step("threshold", "snn", ("metrics.json",), DECIDES, self._choose,
+            Step("threshold", "snn", ("metrics.json",), DECISION_SETTINGS, self._choose,
                  uses=("events",), action="choosing"),
         )  # fmt: skip
 

@@ -54,11 +54,11 @@ def _compute_logits(stage, inputs, samples, advance):
 
 
 # Settings of the neurons, and those that have an effect in each recipe of the spiking network.
-NEURONS = ("snn.recipe", "snn.max_rates", "snn.tau_rc", "snn.tau_ref")
+NEURON_SETTINGS = ("snn.recipe", "snn.max_rates", "snn.tau_rc", "snn.tau_ref")
 SNN_SETTINGS = {
     "loihi": ("snn", "cnn.augment"),
-    "paper": (*NEURONS, "snn.epochs", "snn.batch_size", "snn.learning_rate"),
-    "as-is": NEURONS,
+    "paper": (*NEURON_SETTINGS, "snn.epochs", "snn.batch_size", "snn.learning_rate"),
+    "as-is": NEURON_SETTINGS,
 }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from deploy.errors import UserError
 from models.nir.graph import read_nir
 from pipeline.kinds import counts
-from pipeline.kinds.events.kind import DECIDES, confidence_of
+from pipeline.kinds.events.kind import DECISION_SETTINGS, confidence_of
 from pipeline.kinds.kind import Imported, NetworkKind, Reference, is_file
 from pipeline.kinds.nir.conversion import record_convention, spec_of_nir
 from pipeline.kinds.nir.importing import (
@@ -90,7 +90,7 @@ class NirKind(NetworkKind):
 
     @property
     def steps(self):
-        shown = DECIDES if self.settings.on_events else IMAGE_READS
+        shown = DECISION_SETTINGS if self.settings.on_events else IMAGE_READS
         reads = ("input", "nir.sha256", "nir.step", "nir.method", "nir.reset", *shown)
         files = ("metrics.json", GRAPH)
         return counts.STEP, Step("nir", "snn", files, reads, self._read, action="reading")

@@ -28,7 +28,7 @@ FIRST_PANEL = 20
 PANEL = 90
 PANEL_GAP = 26
 # Points of a line that have a tooltip of their own.
-MOST_TOOLTIPS = 60
+MAX_TOOLTIPS = 60
 
 
 @dataclass(frozen=True)
@@ -312,7 +312,7 @@ def _line(x_axis, y_axis, series, number, scale=1):
     """A line of percentages, or of shares, which a scale of 100 makes percentages."""
     points = _points(x_axis, y_axis, series.x, series.y)
     dots = ""
-    if len(series.x) <= MOST_TOOLTIPS:
+    if len(series.x) <= MAX_TOOLTIPS:
         dots = "".join(
             f'<circle class="hit" cx="{x_axis(x):.1f}" cy="{y_axis(y):.1f}" r="6">'
             f"{_title(f'{series.name}: {scale * y:.1f} % at {x:.4g}')}</circle>"

@@ -28,7 +28,7 @@ from pipeline.stages import settings_read
 BINS = 40
 
 # Largest number of classes for which a confusion matrix is drawn.
-MOST_IN_A_MATRIX = 40
+MAX_MATRIX_CLASSES = 40
 
 
 @dataclass(frozen=True)
@@ -342,7 +342,7 @@ def _confusion(inputs):
 def _matrix(inputs):
     """Rows of (name, cells): count, shade in percent, and whether it is on the diagonal."""
     matrix = _confusion(inputs)
-    if len(matrix) > MOST_IN_A_MATRIX:
+    if len(matrix) > MAX_MATRIX_CLASSES:
         return None
     shares = matrix / np.maximum(matrix.sum(1, keepdims=True), 1)
     rows = []

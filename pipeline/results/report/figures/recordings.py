@@ -19,7 +19,7 @@ BINS = 40
 
 # Recordings in a row of a sheet, and the most rows; more classes are side by side.
 SAMPLES = 16
-MOST_ROWS = 20
+MAX_SHEET_ROWS = 20
 
 # Width of a recording on a sheet in points.
 TILE = 43.0
@@ -114,7 +114,7 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     """
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)
-    blocks = -(-len(digits) // MOST_ROWS)
+    blocks = -(-len(digits) // MAX_SHEET_ROWS)
     rows = -(-len(digits) // blocks)
     per_digit = max(SAMPLES // blocks, 2)
     images = tactile_images(recordings)[..., 0]
