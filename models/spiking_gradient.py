@@ -221,7 +221,7 @@ class SpikingGradient:
         for name, layer in zip(self.names, layers, strict=True):
             kernel_shape = np.shape(values[f"{name}.kernel"])
             sums[f"{name}.kernel"] = (sums[f"{name}.kernel"] * layer.gain).reshape(kernel_shape)
-            to_bias = sums[f"{name}.bias"].reshape(-1, kernel_shape[-1]).sum(0)
+            to_bias = sums[f"{name}.bias"].reshape(-1, len(values[f"{name}.bias"])).sum(0)
             sums[f"{name}.bias"] = to_bias * layer.threshold
             for tau in ("tau_u", "tau_v"):
                 share = _sigmoid(values[f"{name}.{tau}"])

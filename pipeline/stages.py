@@ -1,4 +1,4 @@
-"""The stages of a run: each reads the artifacts of the previous one, and is made only if outdated.
+"""The work on a run: open it, train, convert, and check; what is current is not made again.
 
 :func:`open_run` loads the recordings and chooses what the settings leave open; the others take what
 it returns: :meth:`Opened.make` trains a network, :func:`convert` writes the bundle, and
@@ -404,7 +404,7 @@ def check_stage(opened: Opened, bundle: Bundle, stage: str) -> dict:
     opened : Opened
         Of a run.
     bundle : Bundle
-        The run's own bundle, or :func:`on_test_split` of it.
+        The run's own bundle, or that with other recordings of it.
     stage : str
         One of the kind's reference stages, or a target.
     """

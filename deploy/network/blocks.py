@@ -5,8 +5,9 @@ equal blocks (`nengo_loihi.BlockShape`); of all splits in which every block fits
 with the fewest input axons in total is chosen, and of those the one with the fewest blocks.  Axons
 are the cost of a split: an input that two blocks read needs an axon into each.
 
-The counts are computed here before NengoLoihi makes the blocks (`Operation.resources`); pre-flight
-counts the blocks made (:mod:`deploy.preflight.resources`) and refuses those that do not fit.
+The counts are computed here before NengoLoihi makes the blocks (`DeployedOperation.resources`);
+pre-flight counts the blocks made (:mod:`deploy.preflight.resources`) and refuses those that do not
+fit.
 """
 
 from __future__ import annotations

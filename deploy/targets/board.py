@@ -141,7 +141,10 @@ def _simulator(network, options):
             network, target="loihi", precompute=True, hardware_options={"n_chips": options.chips}
         )
     except (*BUILD_ERRORS, ImportError, NotImplementedError, ValueError) as error:
-        problem = one_line(str(error)) or "one of its limits, which has no message, is not met"
+        problem = (
+            one_line(str(error))
+            or "a limit that it does not name is exceeded; see the command 'plan'"
+        )
         raise UserError(f"NengoLoihi cannot build this network for a board: {problem}") from error
 
 

@@ -8,7 +8,9 @@ To add a target:
    :func:`~deploy.network.responses.read_output` makes of the readout at each step and the spikes.
    :mod:`.simulators` has the shortest examples.
 2. Write its options, if it has any, in :mod:`.options`: a dataclass with a field for each.
-3. Enter a `Target` in `TARGETS`, in the place that its row has in a ladder.
+3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.
+4. Should every ladder have a row of it, set ``in_ladder``, and enter it before the emulator: the
+   last row is the deployed network, of which the ladder and the report tell.
 
 Ladder, report and both command lines read it from there.  The list is read without Nengo, since the
 help of the commands needs it; the file of a target is imported when the target runs.
@@ -52,7 +54,8 @@ class Target:
     hardware : bool
         True if the target needs a board.
     in_ladder : bool
-        True if every ladder has a row of it, unless it needs a board.
+        True if every ladder has a row of it, that of a board if there is one.  The last of them is
+        the deployed network of the ladder and the report.
     options : type or None
         Subclass of :class:`~deploy.targets.options.Options`; its field names are the names of the
         command's options, and no other target has them.
@@ -67,7 +70,7 @@ class Target:
     slow: bool = False
     floating: bool = False
     hardware: bool = False
-    in_ladder: bool = True
+    in_ladder: bool = False
     options: Optional[Type[Options]] = None
     describe: Optional[Callable] = None
 
@@ -92,6 +95,7 @@ TARGETS: Dict[str, Target] = {
             title="Nengo's reference simulator",
             slow=True,
             floating=True,
+            in_ladder=True,
         ),
         Target(
             name="simreal",
@@ -99,25 +103,27 @@ TARGETS: Dict[str, Target] = {
             title="Loihi's network before rounding",
             slow=True,
             floating=True,
+            in_ladder=True,
         ),
         Target(
             name="emulator",
             run=import_when_called("simulators", "run_emulator"),
             title="Emulated Loihi",
             slow=True,
+            in_ladder=True,
         ),
         Target(
             name="fast",
             run=import_when_called("fast", "run_fast"),
             title="Emulated Loihi (fast)",
             note="bit-identical to NengoLoihi's emulator",
-            in_ladder=False,
         ),
         Target(
             name="loihi",
             run=import_when_called("board", "run_loihi"),
             title="Loihi 1 through NxSDK",
             hardware=True,
+            in_ladder=True,
             options=BoardOptions,
             describe=import_when_called("board", "describe"),
         ),

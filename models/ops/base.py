@@ -1,6 +1,5 @@
 """The base class of the operations of an architecture."""
 
-import math
 import re
 from typing import ClassVar, NamedTuple
 
@@ -120,12 +119,8 @@ class Operation(DeployedOperation):
         raise self._refuse("networks on events")
 
     def synapses(self, input_shape) -> Synapses:
-        """The synapses for the kernels that train networks on events.
-
-        By default each input has one synapse to each neuron.
-        """
-        inputs = math.prod(input_shape)
-        return Synapses(np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs))
+        """The synapses for the kernels that train networks on events."""
+        raise self._refuse("networks on events")
 
     # --- rounding to integers ---------------------------------------------------------------------
 

@@ -4,8 +4,10 @@ import math
 import re
 from dataclasses import dataclass
 
+import numpy as np
+
 from deploy.network.ops.dense import DeployedDense
-from models.ops.base import NUMBER, Operation
+from models.ops.base import NUMBER, Operation, Synapses
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,10 @@ class Dense(Operation, DeployedDense):
         from models.keras.keras2 import tf
 
         return tf.matmul(tf.reshape(frames, (-1, kernel.shape[0])), kernel)
+
+    def synapses(self, input_shape):
+        inputs = math.prod(input_shape)
+        return Synapses(np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs))
 
     def currents(self, link, weights, spikes):
         currents = spikes.reshape(-1, spikes.shape[-1]) @ weights

@@ -324,9 +324,10 @@ class NetworkKind:
             has = "x".join(map(str, parsed.input_shape))
             remedy = suggest_sensor_size(parsed.input_shape[:2], (sensor.rows, sensor.columns))
             raise UserError(
-                f"{self.imported.file}: for an input of {has} and {parsed.outputs} classes; "
-                f"recordings give {size} and {classes} classes: {remedy}train one "
-                "for those, or give its --data or images (--set image.slices, image.aggregation)"
+                f"{self.imported.file}: is for an input of {has} and {parsed.outputs} classes; "
+                f"recordings give {size} and {classes} classes: {remedy}train one for these "
+                "recordings, or give those that it was trained on (--data) or their images "
+                "(--set image.slices, image.aggregation)"
             )
         like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(

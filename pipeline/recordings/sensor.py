@@ -173,7 +173,7 @@ def interpret(
         options,
     )
     others = {
-        index: f"is {LAYOUT_NAMES[layout]}, most others are {LAYOUT_NAMES[usual]}s"
+        index: f"is {LAYOUT_NAMES[layout]}, unlike most others: {LAYOUT_NAMES[usual]}"
         for index, layout in enumerate(layouts)
         if layout != usual
     }

@@ -264,7 +264,8 @@ def with_recordings(
         chosen = draw_check_samples(np.arange(n), count, seed)
     except ValueError as error:
         raise UserError(
-            f"{recordings.source.name}: {count} samples requested, only {n} exist"
+            f"{recordings.source.name}: {count} samples requested, only {n} exist; "
+            "ask for fewer (--samples)"
         ) from error
     spec = bundle.spec
     drawn = recordings.subset(chosen)

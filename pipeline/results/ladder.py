@@ -274,7 +274,7 @@ def ladder_text(ladder: dict) -> str:
         )
     losing = losing_stages(ladder)
     for a, b, points in losing:
-        lines.append(f"{WARNING}{b} loses {points:.1f} points on {a}{STREAM_REMEDY.get(b, '')}")
+        lines.append(f"{WARNING}{b} is {points:.1f} points below {a}{STREAM_REMEDY.get(b, '')}")
     if losing and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
     if simplest and simplest["difference"] < 0 and simplest["mcnemar_p"] < SIGNIFICANCE:

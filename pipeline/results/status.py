@@ -222,7 +222,7 @@ def _number(value):
     """A finite number, or None."""
     if value is None or (type(value) in (int, float) and math.isfinite(value)):
         return value
-    raise ValueError(f"{str(value)[:40]!r} is no number")
+    raise ValueError(f"{str(value)[:40]!r} is not a number")
 
 
 def _answers(run, kind, dataset, bundle):

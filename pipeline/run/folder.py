@@ -230,7 +230,7 @@ def working_in(path, of_results: bool = False):
     Raises
     ------
     UserError
-        As :func:`refuse_other_folders` and :meth:`RunFolder.locked`.
+        As :func:`refuse_other_folders` and :meth:`RunFolder.lock`.
     """
     folder = RunFolder(path)
     refuse_other_folders(folder.path, of_results)

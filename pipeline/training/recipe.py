@@ -1,10 +1,10 @@
 """How a network on events is trained, and what it reads, by rules on the recordings.
 
 For handwriting on the skin the defaults of the settings are the recipe.  They were chosen on
-thousands of recordings of ten classes with few events.  For all other recordings :func:`recipe_for`
-chooses what suits their number, their classes and their events.  The rules were cross-validated
-within the training sets of two sets of real recordings of touch, objects in a robot's hand and
-Braille letters.
+thousands of recordings of ten classes with few events.  For all other recordings the functions
+below choose what suits their number, their classes and their events.  The rules were
+cross-validated within the training sets of two sets of real recordings of touch, objects in a
+robot's hand and Braille letters.
 
 The refractory period of the input compresses large counts of events, as a square root does, and
 saves operations, but it loses events.  Readout weights for sections of a recording tell when
@@ -34,14 +34,11 @@ UPDATES = 1440
 # Updates by the square root of the number of training samples.
 UPDATES_BY_ROOT = 60
 
-# Minimum number of passes over the training samples for handwriting.
-HANDWRITING_EPOCHS = 80
-
 # Number of training samples below which spikes are left out of training with this probability.
 FEW = 2000
 FEW_DROPOUT = 0.5
 
-# Minimum number of passes over other recordings, unless these take more updates than that.
+# Minimum number of passes over the training samples, unless these take more updates than that.
 MIN_EPOCHS = 40
 MAX_UPDATES_OF_MIN_EPOCHS = 8000
 
@@ -158,7 +155,7 @@ class Reading(NamedTuple):
         )
 
 
-def epochs_for(samples: int, batch_size: int, handwriting: bool) -> int:
+def epochs_for(samples: int, batch_size: int) -> int:
     """Number of passes over the training samples, which has a suitable number of updates.
 
     Parameters
@@ -167,13 +164,11 @@ def epochs_for(samples: int, batch_size: int, handwriting: bool) -> int:
         Number of training samples.
     batch_size : int
         Samples per update.
-    handwriting : bool
-        True for handwriting on the skin.
     """
     batches = -(-max(samples, 1) // batch_size)
     updates = max(UPDATES, UPDATES_BY_ROOT * math.sqrt(samples))
     fewest = min(MIN_EPOCHS, MAX_UPDATES_OF_MIN_EPOCHS // batches)
-    return max(round(updates / batches), HANDWRITING_EPOCHS if handwriting else fewest, 1)
+    return max(round(updates / batches), fewest, 1)
 
 
 def choose_size(name: str, recordings: Recordings) -> NetworkSize:

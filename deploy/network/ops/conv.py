@@ -74,7 +74,7 @@ class DeployedConvolution(DeployedOperation):
         return np.moveaxis(layer.weights, -1, 0)
 
     def transform(self, layer, chip):
-        """As `Operation.transform`.
+        """As `DeployedOperation.transform`.
 
         Average pooling over P x P values without overlap, followed by a convolution with a kernel
         of size K and a stride S, is one convolution with a kernel of size K P and a stride of S P.

@@ -40,5 +40,9 @@ def read_file(content: bytes, name: str):
     """
     if not content:
         raise BadRecording("is an empty file")
-    reader = READERS.get(PurePosixPath(name).suffix.lower(), read_mat)
-    return reader(content, name)
+    ending = PurePosixPath(name).suffix.lower()
+    if ending not in READERS:
+        raise BadRecording(
+            f"has the ending {ending!r}; recordings end in {', '.join(sorted(READERS))}"
+        )
+    return READERS[ending](content, name)

@@ -67,5 +67,7 @@ def _read_columns(content):
     try:
         table = np.loadtxt(body, delimiter=separator, ndmin=2, max_rows=most, usecols=read)
     except ValueError as error:
-        raise BadRecording("has a line that is not numbers, as many as in the others") from error
+        raise BadRecording(
+            "has a line that is not numbers, or has more or fewer than the others"
+        ) from error
     return dict(zip(wanted, table.T, strict=True)) if has_names else table

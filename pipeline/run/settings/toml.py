@@ -65,7 +65,9 @@ def _read(path):
     given = values.pop("given", None)
     for name, kind, named in (("chosen", dict, chosen), ("given", list, given or [])):
         if not isinstance(named, kind) or not {*map(str, named)} <= Settings().flat().keys():
-            raise UserError(f"{path}: {name!r} has not the names of settings; delete that line")
+            raise UserError(
+                f"{path}: {name!r} lists something that is not a setting; delete that line"
+            )
     return values, chosen, given
 
 

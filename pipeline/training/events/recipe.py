@@ -107,8 +107,7 @@ class EventRecipe:
         """The recipe with its number of epochs, for some number of training samples."""
         if self.epochs:
             return self
-        is_handwriting = self.alteration == AUGMENTATIONS["space"]
-        return replace(self, epochs=epochs_for(samples, self.batch_size, is_handwriting))
+        return replace(self, epochs=epochs_for(samples, self.batch_size))
 
     @property
     def stimulus(self) -> EventFrames:

@@ -93,9 +93,11 @@ def test_left_out_accuracy_is_that_of_fits_without_the_sample():
 
 
 @pytest.mark.parametrize(
-    ("samples", "handwriting", "expected"), [(576, False, 80), (1079, False, 58), (5006, True, 80)]
+    ("samples", "expected"), [(576, 80), (1079, 58), (5271, recipe.MIN_EPOCHS)]
 )
-def test_the_number_of_updates_is_fixed(samples, handwriting, expected):
-    assert recipe.epochs_for(samples, 32, handwriting) == expected
-    assert recipe.epochs_for(5271, 32, False) == recipe.MIN_EPOCHS
-    assert recipe.epochs_for(200, 32, handwriting) * 7 == pytest.approx(recipe.UPDATES, rel=0.01)
+def test_the_number_of_updates_is_fixed(samples, expected):
+    assert recipe.epochs_for(samples, 32) == expected
+
+
+def test_few_samples_have_as_many_updates():
+    assert recipe.epochs_for(200, 32) * 7 == pytest.approx(recipe.UPDATES, rel=0.01)
