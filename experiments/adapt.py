@@ -20,7 +20,7 @@ from deploy.errors import UserError
 from deploy.files import sha256_of, write_json
 from deploy.tables import align_rows
 from experiments import handwriting, unipen
-from experiments.studies import RESULTS, Store, measured
+from experiments.studies import RESULTS, Store, describe_machine
 from experiments.tables import interval_text
 from pipeline.commands import options
 from pipeline.paper import SAMPLES_PER_DIGIT
@@ -241,7 +241,7 @@ def main(
         rows, failed = study(cases, folder.path, sha256_of(pen), workers, options.say, by)
     people = [person for row in rows for person in row["people"]]
     found = {"experiment": name, "simulated": True, "pen": sha256_of(pen), "draws": draws}
-    found |= {"rows": summarise(people), "measured": measured()}
+    found |= {"rows": summarise(people), "measured": describe_machine()}
     write_json(out / f"{name}.json", found)
     if store and not failed:
         write_json(RESULTS / f"{store}.json", found)

@@ -127,7 +127,7 @@ def part(name: str) -> str:
         return markdown(growth.cells(content))
     experiment = next(one for one in studies.EXPERIMENTS if one.name == kind)
     splits = dict.fromkeys(row["split"] for row in content["rows"])
-    parts = [markdown(studies.cells(experiment, content, split)) for split in splits]
+    parts = [markdown(studies.make_cells(experiment, content, split)) for split in splits]
     if content["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
         parts.append(markdown(tables.comparisons_cells(content, titles)))

@@ -21,7 +21,7 @@ import typer
 from deploy.errors import CheckFailed
 from deploy.files import write_json
 from deploy.tables import align_rows
-from experiments.studies import RESULTS, Store, processor
+from experiments.studies import RESULTS, Store, name_processor
 from pipeline import sources
 from pipeline.commands import options
 from pipeline.recordings import library
@@ -140,7 +140,7 @@ def main(
     """Measure time and memory of a training on 7,000, 30,000 and 100,000 recordings."""
     out.mkdir(parents=True, exist_ok=True)
     rows = measure(size or SIZES, kind or tuple(EPOCHS), out, options.say)
-    found = {"experiment": "growth", "rows": rows, "measured": {"processor": processor()}}
+    found = {"experiment": "growth", "rows": rows, "measured": {"processor": name_processor()}}
     if store:
         write_json(RESULTS / f"{store}.json", found)
     options.tell(found, text_of, as_json)

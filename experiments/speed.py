@@ -23,7 +23,7 @@ from deploy.network.responses import respond
 from deploy.tables import align_rows
 from deploy.targets.fast import Emulation
 from deploy.targets.registry import run_target
-from experiments.studies import RESULTS, Store, processor
+from experiments.studies import RESULTS, Store, name_processor
 from fastloihi import FastSimulator
 from pipeline.commands import options
 from pipeline.progress import progress
@@ -255,7 +255,7 @@ def main(
     as_json: options.Json = False,
 ):
     """Measure how many times as fast as NengoLoihi's emulator fast and FastSimulator are."""
-    found = {"experiment": "speed", "bundles": {}, "measured": {"processor": processor()}}
+    found = {"experiment": "speed", "bundles": {}, "measured": {"processor": name_processor()}}
     for path in bundles or ():
         bundle = read_bundle(options.bundle_in(path))
         kind = "image" if bundle.spec.stimulus.static else "events"

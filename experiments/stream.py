@@ -21,7 +21,7 @@ from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.tables import align_rows
 from deploy.targets.fast import Emulation
-from experiments.studies import RESULTS, Store, processor
+from experiments.studies import RESULTS, Store, name_processor
 from pipeline.commands import options
 from pipeline.live.network import SHIPPED
 
@@ -222,7 +222,7 @@ def measure(bundle, rate: float, samples: int) -> dict:
         "step_ms": 1000 * bundle.spec.stimulus.step_seconds,
         "architecture": bundle.spec.architecture,
         "rows": rows,
-        "measured": {"processor": processor()},
+        "measured": {"processor": name_processor()},
     }
 
 

@@ -451,7 +451,7 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
     UserError
         There is no such row, or the recordings cannot be read or do not fit.
     """
-    lines = chosen(experiment, only)
+    lines = select_lines(experiment, only)
     recordings = recordings_of(settings, workers.processes, say)
     of_lines = fit_settings(wanted_settings(experiment, lines, settings), recordings, say)
     splits = splits_of(experiment, settings, recordings)
@@ -461,15 +461,15 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
     sha256 = recordings.source.sha256
     rows, failed = study.study(cases, folder.path, sha256, workers, say, measure)
     result = {"experiment": experiment.name, **tables.table(rows, against=experiment.pairs)}
-    result["measured"] = measured()
+    result["measured"] = describe_machine()
     write_json(folder.path / f"{experiment.name}.json", result)
     return result, "; ".join(f"{c.name}, {c.split} {c.seed}: {e}" for c, e in failed.items())
 
 
-def measured() -> dict:
+def describe_machine() -> dict:
     """Where and when something was measured: processor, versions and time of the end."""
     return {
-        "processor": processor(),
+        "processor": name_processor(),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in ("tensorflow", "numpy", "nengo-loihi")},
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -487,7 +487,7 @@ def splits_of(experiment: Experiment, settings, recordings) -> tuple:
     return (kind, "writers" if are_known else STYLES)
 
 
-def chosen(experiment: Experiment, only: str) -> list:
+def select_lines(experiment: Experiment, only: str) -> list:
     """The lines that ``--only`` names, or all that are not on request.
 
     Raises
@@ -503,7 +503,7 @@ def chosen(experiment: Experiment, only: str) -> list:
     ]
 
 
-def cells(experiment: Experiment, found: dict, split: str) -> list:
+def make_cells(experiment: Experiment, found: dict, split: str) -> list:
     """The rows of a table as lists of text, the heads first; the paper's only on random splits."""
     titles = {line.name: line.title for line in experiment.lines}
     paper = experiment.name == "table2" and split == "random"
@@ -544,12 +544,12 @@ COSTS = (
 )
 
 
-def text(experiment: Experiment, found: dict) -> str:
+def format_result(experiment: Experiment, found: dict) -> str:
     """A result as tables."""
     what = "simulated recordings" if found["simulated"] else "recordings"
     lines = [f"{experiment.title}, on {what}: means over splits"]
     for split in dict.fromkeys(row["split"] for row in found["rows"]):
-        lines += ["", *align_rows(cells(experiment, found, split))]
+        lines += ["", *align_rows(make_cells(experiment, found, split))]
         if any(len(row["seeds"]) == 1 for row in found["rows"]):
             lines.append("the intervals of a single split are Wilson's, over its test samples")
         elif split == "published":
@@ -565,13 +565,13 @@ def text(experiment: Experiment, found: dict) -> str:
     return "\n".join(lines)
 
 
-def processor() -> str:
+def name_processor() -> str:
     """Name of this machine's processor, and its number of cores."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
-        name = platform.processor()
+        name = platform.name_processor()
     return f"{name}, {os.cpu_count()} cores"
 
 
@@ -609,7 +609,7 @@ def command_of(experiment: Experiment) -> Callable:
             found, failed = run(experiment, folder, settings, seeds, only, workers, options.say)
         if store and not failed:
             write_json(RESULTS / f"{store}.json", found)
-        options.conclude(found, failed, lambda value: text(experiment, value), as_json)
+        options.conclude(found, failed, lambda value: format_result(experiment, value), as_json)
 
     command.__doc__ = f"{experiment.title}: {experiment.time}."
     return command

@@ -61,13 +61,15 @@ def test_the_paper_is_beside_random_splits_only():
         for split in ("random", "writers")
     ]
     found = tables.table(rows, against=BY_NAME["table2"].pairs)
-    random, writers = (studies.cells(BY_NAME["table2"], found, s) for s in ("random", "writers"))
+    random, writers = (
+        studies.make_cells(BY_NAME["table2"], found, s) for s in ("random", "writers")
+    )
     assert [line[-1] for line in random] == ["paper, real data", "0.89 (0.01)", "0.86 (0.02)"]
     assert len(writers[0]) == len(random[0]) - 1
     titles = {line.name: line.title for line in BY_NAME["table2"].lines}
     pairs = [tuple(cells[:3]) for cells in tables.comparisons_cells(found, titles)[1:]]
     assert (titles["loihi"], titles["cnn"], "random") in pairs
-    text = studies.text(BY_NAME["table2"], found)
+    text = studies.format_result(BY_NAME["table2"], found)
     assert missing(text, "random splits", "writers splits", "this row", "against", "Holm") == []
 
 

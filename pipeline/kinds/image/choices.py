@@ -56,7 +56,7 @@ GRID = SlicedRecipe(slices=8, hidden=128, dropout=0.1, input_rate=60.0)
 STRIP = SlicedRecipe(slices=8, hidden=256, dropout=0.5, input_rate=60.0)
 
 
-def choose_augmentation(recordings: Recordings) -> str:
+def choose_image_augmentation(recordings: Recordings) -> str:
     """The augmentation in training with rate-LIF neurons, where ``cnn.augment`` is ``auto``.
 
     Returns

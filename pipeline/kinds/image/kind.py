@@ -15,7 +15,7 @@ from models.architecture import parse
 from models.keras.reader import original_network, read_keras
 from pipeline.kinds import counts
 from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
-from pipeline.kinds.image.choices import choose_augmentation, choose_image_settings
+from pipeline.kinds.image.choices import choose_image_augmentation, choose_image_settings
 from pipeline.kinds.kind import (
     Imported,
     NetworkKind,
@@ -175,7 +175,7 @@ class ImageKind(NetworkKind):
         settings = inputs.settings
         dataset = inputs.dataset
         if settings.cnn.model:
-            path, model = take_over(artifact.folder, settings, dataset)
+            path, model = read_usable_model(artifact.folder, settings, dataset)
             trained, seconds = _adopt(model, settings, dataset, inputs.say)
             copy = copy_of_model(artifact.folder, settings)
             if path != copy:
@@ -239,7 +239,7 @@ class ImageKind(NetworkKind):
         if self.settings.cnn.model and not artifact.state().is_current:
             if self.settings.is_open("image.normalisation"):
                 _require_images_of_model(artifact.folder, self.settings, inputs.dataset)
-            take_over(artifact.folder, self.settings, inputs.dataset)
+            read_usable_model(artifact.folder, self.settings, inputs.dataset)
 
 
 def describe_network(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
@@ -334,7 +334,7 @@ def _train_further(name, function, inputs, artifact):
     if settings.snn.recipe == "loihi":
         augmentation = settings.cnn.augment
         if augmentation == "auto":
-            augmentation = choose_augmentation(dataset.recordings)
+            augmentation = choose_image_augmentation(dataset.recordings)
     samples = _collect_samples(dataset, augmentation)
     epochs = snn_recipe(settings.snn, len(samples)).epochs
     trained, seconds = time_training(
@@ -413,7 +413,7 @@ def copy_of_model(folder: Path, settings: Settings) -> Path:
     return folder / f"model{Path(settings.cnn.model).suffix.lower()}"
 
 
-def take_over(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
+def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     """Use the user's model instead of the CNN; it must be better than chance.
 
     The run's copy is used if the user's file has changed or cannot be read, for example on another

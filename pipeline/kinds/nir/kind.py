@@ -23,7 +23,7 @@ from pipeline.kinds.nir.importing import (
     graph_in,
     require_fit,
 )
-from pipeline.kinds.nir.measures import take_over
+from pipeline.kinds.nir.measures import import_graph
 from pipeline.kinds.nir.simulation import NUMPY, graph_responses, simulate_samples
 from pipeline.kinds.presentation import choose_presentation, current_taus, fit_gap
 from pipeline.kinds.steps import Step
@@ -110,7 +110,7 @@ class NirKind(NetworkKind):
     @staticmethod
     def _read(inputs, artifact):
         """Make the user's graph the run's network."""
-        return take_over(artifact.folder, inputs.settings, inputs.dataset, inputs.say)
+        return import_graph(artifact.folder, inputs.settings, inputs.dataset, inputs.say)
 
     def spec(self, inputs, provenance):
         settings = inputs.settings

@@ -47,7 +47,7 @@ CHANCE_TEXT = (
 )
 
 
-def take_over(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
+def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) -> dict:
     """Copy the user's graph into a network's folder, and measure its accuracy.
 
     Parameters

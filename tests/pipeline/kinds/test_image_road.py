@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.commands.stages import _images_of
 from pipeline.kinds import find_compared_stage, kind_of_network
-from pipeline.kinds.image.choices import choose_augmentation
+from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.kind import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
@@ -95,10 +95,10 @@ def test_a_graph_has_no_slices():
 
 def test_digits_on_a_grid_are_altered_in_space():
     digits = replace(recordings(10, 10), sensor=Sensor(10, 10, classes=tuple("0123456789")))
-    assert choose_augmentation(digits) == "slight"
-    assert choose_augmentation(recordings(10, 10)) == "time"
+    assert choose_image_augmentation(digits) == "slight"
+    assert choose_image_augmentation(recordings(10, 10)) == "time"
     strip = replace(recordings(1, 30), sensor=Sensor(1, 30, classes=tuple("0123456789")))
-    assert choose_augmentation(strip) == "time"
+    assert choose_image_augmentation(strip) == "time"
 
 
 def test_what_the_user_sets_is_kept():
