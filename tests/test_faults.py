@@ -50,6 +50,12 @@ def test_wrong_usage_and_wrong_paths(refused, tmp_path, monkeypatch, arguments, 
     assert not list(tmp_path.iterdir())
 
 
+def test_inspecting_a_zip_says_what_describes_all_of_it(refused, tmp_path):
+    path = tmp_path / "own.zip"
+    path.touch()
+    assert missing(refused("data", "inspect", path), "own.zip: is a zip", "data stats") == []
+
+
 def test_a_wrong_path_does_not_stick_to_the_run(refused, run):
     before = content(run)
     assert "nowhere.zip: " in refused("ladder", run, "--data", "nowhere.zip")

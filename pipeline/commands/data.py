@@ -66,9 +66,11 @@ def inspect(
     from pipeline.recordings.library import options_from
     from pipeline.recordings.statistics import facts_of_file, file_text
 
-    if file.is_dir():
+    is_zip = file.suffix.lower() == ".zip" and file.is_file()
+    if file.is_dir() or is_zip:
+        what = "zip" if is_zip else "folder"
         raise UserError(
-            f"{file}: is a folder; name one recording in it, or describe all of them with "
+            f"{file}: is a {what}; name one recording in it, or describe all of them with "
             f"{command_text('data', 'stats', '--data', str(file))}"
         )
     facts = facts_of_file(file, options_from(_settings(str(file), reading)))
