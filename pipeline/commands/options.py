@@ -93,17 +93,35 @@ Run = Annotated[Path, typer.Argument(help="Folder of the run, such as runs/defau
 Bundle = Annotated[Path, typer.Argument(help="Folder of the bundle or of its run.")]
 Data = Annotated[
     str | None,
-    typer.Option(help="Zip or folder of recordings, or 'simulated' (default: as in the settings)."),
+    typer.Option(
+        help="Zip or folder of recordings, or 'simulated' (default: that of the run, or simulated)."
+    ),
 ]
-Seed = Annotated[int | None, typer.Option(help="Seed of split, training and samples.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(help="Seed of split, training and samples (default: that of the run, or 0)."),
+]
 Input = Annotated[
     str | None,
-    typer.Option("--input", help="Input of the chip: image, slices or events."),
+    typer.Option(
+        "--input",
+        help="Input of the chip: image, slices or events (default: that of the run, or image).",
+    ),
 ]
 Samples = Annotated[
-    int | None, typer.Option(help="Number of samples of the check; 0 for the whole test set.")
+    int | None,
+    typer.Option(
+        help="Number of samples of the check; 0 for the whole test set (default: that of the run, "
+        "or 200)."
+    ),
 ]
-Steps = Annotated[int | None, typer.Option(help="Number of steps of a sample.")]
+Steps = Annotated[
+    int | None,
+    typer.Option(
+        help="Number of steps of a sample (default: that of the run; or 100 on images, and as many "
+        "as the longest recording needs on events)."
+    ),
+]
 SettingsFile = Annotated[
     Path | None,
     typer.Option("--settings", help="TOML file of settings that replaces the folder's."),
