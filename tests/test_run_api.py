@@ -126,6 +126,18 @@ def test_an_error_names_recordings_in_memory_and_no_temporary_file(run):
         run.predict(outside)
 
 
+def test_wrong_recordings_and_samples_are_refused(run, tmp_path):
+    events, labels = arrays(4)
+    with pytest.raises(TypeError, match=r"Recordings\.from_arrays"):
+        run.predict(events)
+    with pytest.raises(TypeError, match="not int"):
+        Run(tmp_path / "new", data=3)
+    with pytest.raises(UserError, match="-1 samples"):
+        run.check("fast", data=Recordings.from_arrays(events, labels), samples=-1)
+    with pytest.raises(UserError, match="no sample 99"):
+        run.replay([99])
+
+
 def _number(name):
     return int(name.rpartition("/")[2])
 
@@ -139,6 +151,7 @@ def test_plan_energy_report_and_replay(run):
     energy = run.energy()
     assert energy.estimate.chip_joules > 0
     assert is_one_line(energy)
+    assert "uJ" in repr(energy)
     assert run.report().is_file()
     assert list(run.replay([3])) == [3]
 

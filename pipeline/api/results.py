@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from deploy.check.energy import EnergyEstimate, estimate_text
+from deploy.check.energy import EnergyEstimate, estimate_text, joules_text
 from deploy.check.text import others_text, summary
 from deploy.preflight.plan import Plan, plan_text
 from deploy.tables import plural
@@ -325,7 +325,7 @@ class Energy(Result):
 
     def line(self) -> str:
         """See :meth:`Result.line`."""
-        return " ".join(str(self).splitlines()[-1].split())
+        return f"{joules_text(self.estimate.chip_joules)} on Loihi, an estimate"
 
     def table(self) -> list:
         """See :meth:`Result.table`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from functools import partial
+from os import PathLike
 from pathlib import Path, PurePath
 
 from deploy.check.bundle import Bundle, read_bundle
@@ -250,7 +251,14 @@ class Run:
         -------
         dict of int to pipeline.results.report.samples.Replay
         """
-        return replay(self.bundle, numbers)
+        bundle = self.bundle
+        n_samples = len(bundle.checks.labels)
+        for number in numbers:
+            if not 0 <= number < n_samples:
+                raise UserError(
+                    f"{ORIGIN}: no sample {number}; those of the check are 0 to {n_samples - 1}"
+                )
+        return replay(bundle, numbers)
 
     @contextlib.contextmanager
     def _open(self, check=True, examine=None):
@@ -274,28 +282,41 @@ class Run:
     def _source(self, data):
         if isinstance(data, Recordings):
             return str(self.path.with_name(self.path.name + RECORDINGS_ENDING))
-        return str(data)
+        return str(_require_path(data))
 
     @contextlib.contextmanager
     def _on_disk(self, recordings):
         """The path of recordings, which are written to a temporary file if they are in memory."""
         if not isinstance(recordings, Recordings):
-            yield recordings
+            yield _require_path(recordings)
             return
         name = recordings.source.name
         with tempfile.TemporaryDirectory() as folder:
             path = recordings.write(Path(folder) / f"{PurePath(name).stem}.zip")
-            with errors_naming(name, path):
+            with errors_naming(name, path), errors_naming(name, Path(path.name)):
                 yield path
 
     def _check_on_others(self, target, data, samples):
         """The check on other recordings, as ``stmnist check run --data``."""
+        if samples is not None and samples < 0:
+            raise UserError(f"{ORIGIN}: {samples} samples; give a number from 0, which means all")
         bundle = self.bundle
         check = TargetCheck(target, bundle.seed)
         with self._noting(), self._on_disk(data) as path:
             others = OtherRecordings(str(path), samples, jobs=self._jobs)
             result, _ = check_on_others(bundle, others, check, self._say)
         return CheckResult(result, read_classes(bundle.spec))
+
+
+def _require_path(recordings):
+    """A path as it is; anything else cannot be recordings."""
+    if not isinstance(recordings, (str, PathLike)):
+        kind = type(recordings).__name__
+        raise TypeError(
+            f"recordings are a path or Recordings, not {kind}; Recordings.from_arrays makes them "
+            "from arrays"
+        )
+    return recordings
 
 
 def compare_runs(*runs) -> RunsComparison:
