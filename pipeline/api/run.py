@@ -293,7 +293,7 @@ class Run:
         name = recordings.source.name
         with tempfile.TemporaryDirectory() as folder:
             path = recordings.write(Path(folder) / f"{PurePath(name).stem}.zip")
-            with errors_naming(name, path), errors_naming(name, Path(path.name)):
+            with errors_naming(name, Path(path.name)), errors_naming(name, path):
                 yield path
 
     def _check_on_others(self, target, data, samples):
