@@ -24,7 +24,17 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import read_json, replacing
-from experiments import adapt, fidelity, growth, licences, speed, stream, studies, tables
+from experiments import (
+    adapt,
+    fidelity,
+    growth,
+    licences,
+    speed,
+    stream,
+    studies,
+    tables,
+    transfer,
+)
 from pipeline.results.sweep import sweep_text
 from pipeline.run.settings import Settings, describe
 
@@ -119,6 +129,8 @@ def part(name: str) -> str:
         return markdown(adapt.cells(content))
     if kind == "fidelity":
         return markdown(fidelity.cells(content))
+    if kind == "transfer":
+        return markdown(transfer.cells(content))
     if kind == "speed":
         return markdown(speed.cells(content))
     if kind == "stream":
