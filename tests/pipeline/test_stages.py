@@ -82,7 +82,7 @@ def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, 
 
 
 def test_an_unknown_name_is_answered_with_the_known_ones(bundle, tmp_path):
-    with pytest.raises(ValueError, match="emulator"):
+    with pytest.raises(UserError, match="emulator"):
         answered(tmp_path, bundle, ["emu"])
     with pytest.raises(ValueError, match="cnn"):
         kind_of_network(Settings()).step("cn")
