@@ -143,7 +143,7 @@ def test_a_file_that_is_not_there_does_not_become_a_run(refused, tmp_path, verb)
 def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.recordings.formats.mat.MAX_FILE_BYTES", 10_000)
     monkeypatch.setattr("deploy.limits.TEXT_BYTES", 10_000)
-    path = tmp_path / "large"
+    path = tmp_path / "large.mat"
     path.touch()
     os.truncate(path, 1 << 40)
     for command in (
@@ -151,7 +151,7 @@ def test_a_file_larger_than_any_of_its_kind(refused, tmp_path, monkeypatch):
         ("check", "compare", path, path),
         ("train", tmp_path / "run", "--settings", path),
     ):
-        assert re.search("large: .*larger", refused(*command))
+        assert re.search(r"large\.mat: .*larger", refused(*command))
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])

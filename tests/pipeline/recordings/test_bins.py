@@ -159,7 +159,7 @@ def test_one_channel_has_rises_only(tmp_path):
         (
             "train/bad_label_1.npy",
             np.array([[0.0, 0, 0, 1], [1, 0, 90, 0]]),
-            "a list of events, most",
+            "a list of events, unlike",
         ),
         ("train/bad_label_x.npy", counts(), "the label 'x' in its name, which is no class"),
         ("train/bad_label_.npy", counts(), "the label '' in its name, which is no class"),

@@ -210,7 +210,7 @@ def test_bad_input_is_one_clear_line_and_status_2(pair, tmp_path, capsys):
         ([], "(?i)runs"),
         ([run, tmp_path], "experiment.toml"),
         ([run, tmp_path / "none"], "experiment.toml"),
-        ([run, run / "ladder.json"], "experiment.toml"),
+        ([run, run / "ladder.json"], "is a file"),
         ([run, copy("a", "bundle")], "bundle.*stmnist convert"),
         ([run, copy("b", "checks")], "'stmnist ladder"),
     ):
