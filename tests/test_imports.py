@@ -229,3 +229,15 @@ finally:
     assert not heavy, heavy
 """
     assert "settings" in printed_by(code)
+
+
+@pytest.mark.parametrize("package", [*ALLOWED, "fastloihi/src"])
+def test_no_constant_is_assigned_twice(package):
+    for path in sources(package):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        targets = [
+            target for node in body if isinstance(node, ast.Assign) for target in node.targets
+        ]
+        names = [target.id for target in targets if isinstance(target, ast.Name)]
+        constants = [name for name in names if name.isupper()]
+        assert len(constants) == len(set(constants)), path

@@ -34,7 +34,7 @@ STRENGTHS = (0.003, 0.02, 0.1)
 FOLDS = 3
 
 # Maximum number of samples of the cross-validation, so that it takes a few seconds.
-MAX_FITTED_SAMPLES = 2400
+MAX_COMPARED_SAMPLES = 2400
 
 # Maximum number of training samples that the classifier is fitted to, so that they fit into memory.
 MAX_FITTED_SAMPLES = 20_000
@@ -86,7 +86,7 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     Baseline
     """
     order = np.random.default_rng(seed).permutation(training)
-    some = order[:MAX_FITTED_SAMPLES]
+    some = order[:MAX_COMPARED_SAMPLES]
     some = some[np.argsort(labels[some], kind="stable")]
     folds = np.arange(len(some)) % FOLDS  # each class is in every fold, if it can be
     best = -1.0
