@@ -104,12 +104,12 @@ def draw_writer(rng, p) -> Writer:
     rng : numpy.random.Generator
     p : pipeline.simulation.parameters.Parameters
     """
-    ways = p.shapes.allographs
-    size = DIGITS, max(map(len, ways)), max(way.rank for mine in ways for way in mine)
+    shapes = p.shapes
+    size = DIGITS, shapes.most_ways, shapes.highest_rank
     faster, harder, rougher = rng.standard_normal(3)
     own = np.sqrt(p.writers.habit)
     return Writer(
-        allographs=tuple(draw_way(rng, mine) for mine in ways),
+        allographs=tuple(draw_way(rng, digit, shapes) for digit in range(DIGITS)),
         offsets=rng.standard_normal(size),
         backwards=rng.random(DIGITS),
         placing=rng.standard_normal(3),
@@ -121,9 +121,9 @@ def draw_writer(rng, p) -> Writer:
     )
 
 
-def draw_way(rng, ways) -> int:
-    """Draw the index of a way of writing with the shares of the ways."""
-    shares = np.cumsum([way.share for way in ways])
+def draw_way(rng, digit: int, shapes: ShapeModel) -> int:
+    """Draw the index of a way of writing a digit with the shares of the ways."""
+    shares = shapes.cumulative_shares[digit]
     return int(np.searchsorted(shares, rng.random() * shares[-1], "right"))
 
 
@@ -144,10 +144,10 @@ class Shape(NamedTuple):
 
 def draw_shape(digit: int, who: Writer, rng, shapes: ShapeModel) -> Shape:
     """Draw the shape of one digit as one person writes it this time."""
-    ways, choice = shapes.allographs[digit], who.allographs[digit]
+    choice = who.allographs[digit]
     if rng.random() >= shapes.loyalty[digit]:
-        choice = draw_way(rng, ways)
-    way = ways[choice]
+        choice = draw_way(rng, digit, shapes)
+    way = shapes.allographs[digit][choice]
     person = who.offsets[digit, choice, : way.rank]
     trial = rng.standard_normal(way.rank)
     return Shape(choice, way.between @ person + way.within @ trial)

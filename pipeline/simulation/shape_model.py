@@ -120,6 +120,21 @@ class ShapeModel:
     trial_tempo: float
     about: dict
 
+    @functools.cached_property
+    def most_ways(self) -> int:
+        """Number of allographs of the digit that has most."""
+        return max(map(len, self.allographs))
+
+    @functools.cached_property
+    def highest_rank(self) -> int:
+        """Number of components of the allograph that has most."""
+        return max(way.rank for ways in self.allographs for way in ways)
+
+    @functools.cached_property
+    def cumulative_shares(self) -> tuple:
+        """For each digit the cumulative sums of the shares of its allographs."""
+        return tuple(np.cumsum([way.share for way in ways]) for ways in self.allographs)
+
     def arrays(self) -> dict:
         """The parameters as arrays, for a file; the inverse of :meth:`from_arrays`."""
         arrays = {
