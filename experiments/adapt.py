@@ -76,9 +76,11 @@ def people_of(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> People:
 
 def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     """Train the network of a fold and fit it to each of the fold's people; for :func:`study`."""
-    settings, fold = case.resolved, int(case.alter.partition(" ")[2])
+    settings = case.resolved
+    fold = int(case.alter.partition(" ")[2])
     people = people_of(pen, fold, settings.data.writers)
-    seed, each = settings.data.simulation_seed, settings.data.samples_per_digit
+    seed = settings.data.simulation_seed
+    each = settings.data.samples_per_digit
     counts = [each] * 10 if each else list(SAMPLES_PER_DIGIT)
     training = load_simulated(seed, counts, 1, parameters=people.parameters)
     shares = settings.split.test_fraction, settings.split.validation_fraction
@@ -116,7 +118,9 @@ def fitted_to_people(spec, others, recordings, draws: int, seed: int):
         draws in which the network was changed.
     """
     require_fit(spec, recordings)
-    responder, readout, kept = Responder(spec, seed), spec.layers[-1], spec.rehearsal
+    responder = Responder(spec, seed)
+    readout = spec.layers[-1]
+    kept = spec.rehearsal
     elsewhere = responder.responses(others[0]), others[1]
     for who in np.unique(recordings.writers[recordings.writers >= 0]):
         mine = recordings.subset(np.flatnonzero(recordings.writers == who))
@@ -230,7 +234,8 @@ def main(
     with options.resolve_settings(out, given, of_results=True) as (folder, settings):
         if settings.data.source != SIMULATED:
             raise UserError("the networks are trained on simulated recordings; omit data.source")
-        pen, name = pen.absolute(), f"adapt-{settings.input.kind}"
+        pen = pen.absolute()
+        name = f"adapt-{settings.input.kind}"
         people_of(pen, 0)  # a wrong file is reported now
         folder.save_settings(settings)
         cases = [

@@ -177,7 +177,8 @@ def step_faults(fit: dict, target: Target, bits) -> dict:
     """Move the rate of the hot taxels, its variation and the share of rises to the real ones."""
     fit = copy.deepcopy(fit)
     faults = fit["sections"]["faults"]
-    real, mine = measure_hot(target.bits, target.hot), measure_hot(bits, target.hot)
+    real = measure_hot(target.bits, target.hot)
+    mine = measure_hot(bits, target.hot)
     faults["hot_rate"] = round(float(faults["hot_rate"] * np.exp(1.2 * (real[0] - mine[0]))), 2)
     spread = faults["hot_rate_spread"] * real[1] / mine[1]
     faults["hot_rate_spread"] = round(float(np.clip(spread, 0.1, 1.5)), 3)
@@ -232,7 +233,8 @@ def place_forms(fit: dict, traces) -> dict:
 def _box(strokes):
     """Centre, and logarithm of the height, of a digit's box."""
     points = np.concatenate(strokes)
-    low, high = points.min(0), points.max(0)
+    low = points.min(0)
+    high = points.max(0)
     return [*(low + high) / 2, np.log(high[0] - low[0])]
 
 
@@ -247,7 +249,8 @@ def step_forms(fit: dict, target: Target, bits, labels, damping: float = 0.6) ->
     fit = copy.deepcopy(fit)
     found = summarise_recordings(bits)
     for digit, form in enumerate(fit["digits"]):
-        real, mine = target.labels == digit, labels == digit
+        real = target.labels == digit
+        mine = labels == digit
         more = {
             name: np.log(target.summaries[name][real].mean() / found[name][mine].mean())
             for name in ("bits per taxel", "active")
@@ -291,7 +294,8 @@ def fit_sections(fit: dict, shapes: ShapeModel, target: Target, seed: int, jobs:
 def step_gain(fit: dict, target: Target, bits, damping: float = 0.5) -> dict:
     """Move the gain of each taxel towards the real mean number of its bits when it is active."""
     fit = copy.deepcopy(fit)
-    real, mine = _usual_bits(target.bits), _usual_bits(bits)
+    real = _usual_bits(target.bits)
+    mine = _usual_bits(bits)
     change = np.log(real / mine)
     change[target.hot] = 0
     gain = np.array(fit["sections"]["skin"]["gain"]) + damping * (change - change.mean())

@@ -39,7 +39,8 @@ def predict_test_samples(dataset: Dataset, index, stage: str) -> np.ndarray:
     ndarray of int, shape (n,)
     """
     features = root_counts(dataset)
-    labels, train = dataset.labels, dataset.split.train
+    labels = dataset.labels
+    train = dataset.split.train
     if stage == "nearest":
         from sklearn.neighbors import KNeighborsClassifier  # the import takes a second
 

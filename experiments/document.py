@@ -181,7 +181,8 @@ def with_parts(text: str) -> str:
     """
     mark = "made by experiments/document.py -->"
     for name in re.findall(rf"^<!-- ([\w-]+): {mark}$", text, re.MULTILINE):
-        begin, end = f"<!-- {name}: {mark}", f"<!-- end of {name} -->"
+        begin = f"<!-- {name}: {mark}"
+        end = f"<!-- end of {name} -->"
         before, _, rest = text.partition(begin)
         _, closed, after = rest.partition(end)
         if not closed:

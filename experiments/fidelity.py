@@ -51,7 +51,8 @@ def chunk_recordings(recordings: Recordings) -> np.ndarray:
     UserError
         The recordings are not of the paper's sensor.
     """
-    taxels, sensor = recordings.taxels, recordings.sensor
+    taxels = recordings.taxels
+    sensor = recordings.sensor
     if (sensor.rows, sensor.columns, sensor.polarities) != (GRID, GRID, 2):
         raise UserError(
             f"{recordings.source.name}: a sensor of {sensor} with {sensor.polarities} polarities; "
@@ -63,7 +64,8 @@ def chunk_recordings(recordings: Recordings) -> np.ndarray:
     place = taxels.column * GRID + taxels.row
     for index in range(len(recordings)):
         events = recordings[index] if is_chunked else chunk_events(recordings[index])
-        chunk, falls = events.time_ns // CHUNK_NS, (events.polarity < 0).astype(int)
+        chunk = events.time_ns // CHUNK_NS
+        falls = (events.polarity < 0).astype(int)
         bits[index, place[events.taxel], falls, chunk] = True
     return bits
 
@@ -89,9 +91,11 @@ def summarise_recordings(bits) -> dict:
     """
     counts = bits.sum(-1, dtype=np.int32)
     total = counts.sum(2)
-    active, some = total > 0, np.maximum(total.sum(1), 1)
+    active = total > 0
+    some = np.maximum(total.sum(1), 1)
     n_active = np.maximum(active.sum(1), 1)
-    row, column = np.arange(N_TAXELS) % GRID, np.arange(N_TAXELS) // GRID
+    row = np.arange(N_TAXELS) % GRID
+    column = np.arange(N_TAXELS) // GRID
     neighbours = count_neighbours(active)
     any_bit = bits.any(2)
     first = any_bit.argmax(-1)
@@ -167,7 +171,8 @@ def classify(train, labels, test) -> np.ndarray:
     -------
     ndarray of int, shape (n_test,)
     """
-    known, new = describe_counts(train, SLICES), describe_counts(test, SLICES)
+    known = describe_counts(train, SLICES)
+    new = describe_counts(test, SLICES)
     kernel = _kernel(known, known)
     kernel[np.diag_indices_from(kernel)] += RIDGE
     weights = solve(kernel, 2.0 * np.eye(10)[labels] - 1.0, assume_a="pos", overwrite_a=True)
@@ -208,7 +213,8 @@ def tell_apart(real, simulated, seed: int = 0) -> float:
     target = is_simulated[train] - is_simulated[train].mean()
     gram = centred[train].T @ centred[train] + RIDGE * np.eye(features.shape[1])
     score = centred[test] @ solve(gram, centred[train].T @ target, assume_a="pos")
-    ranks, positive = rankdata(score), is_simulated[test]
+    ranks = rankdata(score)
+    positive = is_simulated[test]
     count = positive.sum()
     above = ranks[positive].sum() - count * (count + 1) / 2
     return float(above / count / (len(test) - count))
@@ -269,7 +275,8 @@ def main(
     if not are_digits(real.sensor.classes):
         raise UserError(f"{data}: its classes are not the ten digits; give recordings of digits")
     made = load_recordings(jobs=jobs, simulated=SimulatedSource(seed, chunked=1.0))
-    simulated, is_known = chunk_recordings(made), np.arange(len(made)) % 4 > 0
+    simulated = chunk_recordings(made)
+    is_known = np.arange(len(made)) % 4 > 0
     trains = {"simulated": (simulated, made.labels)}
     tests = {"simulated": (simulated[~is_known], made.labels[~is_known])}
     fit, held_out = hold_out(real)

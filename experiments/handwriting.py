@@ -30,7 +30,8 @@ KNOWN_HANDWRITING = {
 MOST_ALLOGRAPHS = 10
 
 # Minimum of digits and writers for an allograph: fewer would describe individuals.
-LEAST_DIGITS, LEAST_WRITERS = 15, 3
+LEAST_DIGITS = 15
+LEAST_WRITERS = 3
 
 MOST_COMPONENTS = 12
 
@@ -75,7 +76,8 @@ def estimate(
     missing = sorted(set(range(DIGITS)) - set(digits.tolist()))
     if missing:
         raise ValueError(f"no known writer wrote a {missing[0]}")
-    allographs, loyalty = [], []
+    allographs = []
+    loyalty = []
     for digit in range(DIGITS):
         mine = [trace for trace in traces if trace.digit == digit]
         ways, share = _ways_of(mine, seed, most)
@@ -96,7 +98,8 @@ def add_straight_one(model: ShapeModel) -> ShapeModel:
     Its components are the change of the speed along the stroke, its slant and its bow.
     """
     even = np.linspace(-0.5, 0.5, POINTS)
-    eased, nowhere = 1.5 * even - 2 * even**3, np.zeros(POINTS)
+    eased = 1.5 * even - 2 * even**3
+    nowhere = np.zeros(POINTS)
     bow = 0.04 * (1 - (2 * even) ** 2)
     pace = ((even - eased) / 2, nowhere)
     parts = (((even + eased) / 2, nowhere), pace, (nowhere, 0.2 * even), (nowhere, bow))
@@ -132,7 +135,9 @@ def _tempo(traces, digits, writers):
 
 def _ways_of(traces, seed, most):
     """The allographs of a digit, and the share of digits in a person's habitual one."""
-    used, ways, usage = 0, [], []
+    used = 0
+    ways = []
+    usage = []
     writers = sorted({trace.writer for trace in traces})
     for count in sorted({len(trace.strokes) for trace in traces}):
         mine = [trace for trace in traces if len(trace.strokes) == count]

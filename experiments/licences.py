@@ -74,7 +74,8 @@ def _name_in(requirement):
 
 def restricted_packages() -> list:
     """All installed packages of users, also indirect ones, whose licence is not permissive."""
-    kinds, waiting = {}, packages_of_users()
+    kinds = {}
+    waiting = packages_of_users()
     while waiting:
         name = _normalise(waiting.pop())
         if name in kinds:

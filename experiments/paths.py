@@ -54,7 +54,8 @@ SMOOTH = 1.2
 # Recordings whose paths are sought together.
 BATCH = 400
 
-ROW, COLUMN = np.arange(N_TAXELS) % GRID, np.arange(N_TAXELS) // GRID
+ROW = np.arange(N_TAXELS) % GRID
+COLUMN = np.arange(N_TAXELS) // GRID
 
 
 def find_paths(bits) -> list:
@@ -127,9 +128,11 @@ def seek_places(reports) -> tuple:
 def _move_along(score, before, axis):
     """Best scores after a move along an axis, and the places before it."""
     reach = range(-FARTHEST_MOVE, FARTHEST_MOVE + 1)
-    best, origin = np.full_like(score, -np.inf), before
+    best = np.full_like(score, -np.inf)
+    origin = before
     for move in reach:
-        here, there = [slice(None)] * 3, [slice(None)] * 3
+        here = [slice(None)] * 3
+        there = [slice(None)] * 3
         here[axis] = slice(max(-move, 0), SIDE - max(move, 0))
         there[axis] = slice(max(move, 0), SIDE - max(-move, 0))
         candidate = np.full_like(score, -np.inf)

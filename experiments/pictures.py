@@ -65,7 +65,8 @@ def stamps() -> dict:
 
 def _hand(seed):
     """A simulated person's 8 in 1.2 s: milliseconds, and shares of the width and height."""
-    p, rng = parameters.load(), np.random.default_rng(seed)
+    p = parameters.load()
+    rng = np.random.default_rng(seed)
     who = handwriting.draw_writer(rng, p)
     motion = simulate.motion(simulate.Sample(8, 0, 0), who, rng, p)
     first, last = np.flatnonzero(motion.force > 0.3 * motion.force.max())[[0, -1]]
@@ -191,7 +192,8 @@ def main():
         raise UserError(
             "no Chromium here; install one (on Debian and Ubuntu: apt install chromium)"
         )
-    docs, sample = ROOT / "docs", load_simulated(0, SAMPLES_PER_DIGIT, 2)
+    docs = ROOT / "docs"
+    sample = load_simulated(0, SAMPLES_PER_DIGIT, 2)
     index = sample.ids.index("8/0007")
     figures.save(recordings.draw_recording(sample, index), docs / "recording.png")
     figures.save(recordings.sheet(sample), docs / "sheet.png")

@@ -125,7 +125,8 @@ def predict_test_samples(dataset: Dataset, index, name: str, settings: Settings)
     """
     from pipeline.training.networks import TrainingSamples, train_cnn  # imports TensorFlow
 
-    reading, train = READINGS[name], dataset.split.train
+    reading = READINGS[name]
+    train = dataset.split.train
     table = dataset.recordings.table
     counts = table.count_in_slices(1, table.typical_duration_ms)[:, 0]
     images = reading.aggregate(counts[..., 0], counts[..., 1])

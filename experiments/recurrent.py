@@ -51,7 +51,8 @@ def main(
         parts = {name: images[getattr(dataset.split, name)] for name in ("train", "test")}
         write_arrays(frames, labels=dataset.labels[dataset.split.train], **parts)
         for seed in range(seeds):
-            graph, answers = Path(folder) / f"{seed}.nir", Path(folder) / f"{seed}.npz"
+            graph = Path(folder) / f"{seed}.nir"
+            answers = Path(folder) / f"{seed}.npz"
             script = ROOT / "experiments" / "recurrent_torch.py"
             arguments = python, script, frames, graph, answers, seed, epochs
             subprocess.run([str(argument) for argument in arguments], check=True)
@@ -61,15 +62,18 @@ def main(
 
 def compared(graph, answers, settings, dataset, target) -> tuple:
     """The columns of a network: accuracies, and what snnTorch, graph and chip have in common."""
-    network, theirs = read_nir(graph), read_arrays(answers, "train again")
-    stepped, shown = Stepped.of(settings, network), settings.make_presentation()
+    network = read_nir(graph)
+    theirs = read_arrays(answers, "train again")
+    stepped = Stepped.of(settings, network)
+    shown = settings.make_presentation()
     samples = dataset.inputs[np.sort(dataset.split.train)[:: len(dataset.split.train) // 48]]
     spec = spec_of_nir(network, stepped, settings.stimulus, shown, samples, {})
     inputs, labels = (x[dataset.split.test] for x in (dataset.inputs, dataset.labels))
     held = graph_inputs(network, inputs, settings.steps)
     outputs = simulate(network, held, stepped.seconds, stepped.method).outputs
     same = (outputs == np.moveaxis(theirs["outputs"], 0, 1)).mean()
-    chip, torch = run_target(spec, inputs, target).predictions, theirs["predictions"]
+    chip = run_target(spec, inputs, target).predictions
+    torch = theirs["predictions"]
     accuracies = [(p == labels).mean() for p in (torch, outputs.sum(1).argmax(1), chip)]
     lost = 100 * (accuracies[0] - accuracies[2])
     return (

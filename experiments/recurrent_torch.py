@@ -44,7 +44,8 @@ def run(network, frames):
     first, recurrent, second, output = network
     signal = first(frames.transpose(0, 1).float())
     recurrent.spk = torch.zeros_like(signal[0])
-    recurrent.syn, recurrent.mem = torch.zeros_like(signal[0]), torch.zeros_like(signal[0])
+    recurrent.syn = torch.zeros_like(signal[0])
+    recurrent.mem = torch.zeros_like(signal[0])
     spikes = []
     for step in signal:
         spikes.append(recurrent(step))

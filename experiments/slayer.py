@@ -125,8 +125,10 @@ class SlayerNetwork:
 
     def __init__(self, recipe: Slayer, seed: int = 0):
         quiet_compiler()
-        self.recipe, self.architecture = recipe, parse(recipe.architecture)
-        rng, self.kernels = np.random.default_rng(seed), []
+        self.recipe = recipe
+        self.architecture = parse(recipe.architecture)
+        rng = np.random.default_rng(seed)
+        self.kernels = []
         for name, shape in self.architecture.weight_shapes.items():
             if name.endswith(".kernel"):
                 scale = recipe.conv_scale if len(shape) == 4 else recipe.dense_scale
@@ -147,7 +149,9 @@ class SlayerNetwork:
             Each of shape (steps, samples, rows, columns, filters) or (steps, samples, units): u,
             including the refractory response, and 1 or 0.
         """
-        signal, layers, kernels = tf.cast(frames, tf.float32), [], iter(self.kernels)
+        signal = tf.cast(frames, tf.float32)
+        layers = []
+        kernels = iter(self.kernels)
         for layer in self.architecture.layers:
             if not layer.has_neurons:
                 signal = _pooled(signal, layer.size)
@@ -221,12 +225,14 @@ def fire(drive, recipe: Slayer) -> tuple:
 
 @_compiled
 def _potential(drive, recipe):
-    (decay, gain), (after, back) = _filter(recipe.tau_s), _filter(recipe.tau_r)
+    decay, gain = _filter(recipe.tau_s)
+    after, back = _filter(recipe.tau_r)
     back *= -recipe.scale_ref * recipe.theta
 
     def step(t, state):
         p, q, own_p, own_q = state
-        q, own_q = decay * (q + p), after * (own_q + own_p)
+        q = decay * (q + p)
+        own_q = after * (own_q + own_p)
         potential = gain * q + back * own_q
         fired = tf.cast(potential >= recipe.theta, tf.float32)
         return (decay * p + drive[t], q, after * own_p + fired, own_q), (potential,)
@@ -238,7 +244,8 @@ def _potential(drive, recipe):
 @_compiled
 def _credit(error, potential, recipe):
     """The gradient eps (x) (rho . error) of the drive, for that of the spikes, eps (x) e."""
-    (decay, gain), tau = _filter(recipe.tau_s), recipe.tau_rho * recipe.theta
+    decay, gain = _filter(recipe.tau_s)
+    tau = recipe.tau_rho * recipe.theta
     delta = error * recipe.scale_rho / tau * tf.exp(-tf.abs(potential - recipe.theta) / tau)
 
     def step(t, state):
@@ -285,7 +292,8 @@ def train_slayer(
     UserError
         The checkpoint is damaged.
     """
-    network, size = SlayerNetwork(recipe, seed), recipe.batch_size
+    network = SlayerNetwork(recipe, seed)
+    size = recipe.batch_size
     optimizer = tf.keras.optimizers.Adam(recipe.learning_rate, amsgrad=True)
     optimizer.build(network.kernels)
     wanted = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
@@ -307,7 +315,8 @@ def train_slayer(
 
     def train_for(epoch):
         order = np.random.default_rng([seed, epoch, 0x51A]).permutation(train)
-        loss, right = 0.0, 0
+        loss = 0.0
+        right = 0
         for start in range(0, len(order), size):
             batch = order[start : start + size]
             of_batch, counts = update(tf.constant(frames[:, batch]), desired[batch])
@@ -341,7 +350,9 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     ndarray of uint8, shape (bins, n_samples, rows, columns, 2)
         1 or 0; polarities are first ON, then OFF.
     """
-    events, taxels, sensor = recordings.events, recordings.taxels, recordings.sensor
+    events = recordings.events
+    taxels = recordings.taxels
+    sensor = recordings.sensor
     step = events.time_ns * (bins / (sensor.duration_s * 1e9))
     columns = EventColumns(
         sample=recordings.sample_of_event,
@@ -373,13 +384,15 @@ def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Pat
     history : list of dict
         See :func:`train_slayer`.
     """
-    recordings, sensor = dataset.recordings, dataset.recordings.sensor
+    recordings = dataset.recordings
+    sensor = dataset.recordings.sensor
     layers = Slayer().architecture.split("-")[1:-1]
     size = f"{sensor.rows}x{sensor.columns}x2"
     architecture = "-".join([size, *layers, f"{len(sensor.classes)}o"])
     recipe = Slayer(architecture=architecture, conv_scale=conv_scale)
     key = hashlib.sha256(f"{recipe} {seed} {dataset.origin.key}".encode()).hexdigest()
-    frames, labels = bin_events(recordings, recipe.bins), recordings.labels
+    frames = bin_events(recordings, recipe.bins)
+    labels = recordings.labels
     kept = Checkpoint(checkpoint, key)
     _, history, counts = train_slayer(
         recipe, frames, labels, dataset.split.train, index, seed, kept

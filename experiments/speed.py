@@ -56,17 +56,21 @@ def of_bundle(bundle, samples: int | None = None) -> dict:
         ``identical``, and the medians over turns of the ``ratio`` of processor times per sample and
         of the samples a second of both.  ``fast`` runs all streams of equal length at once.
     """
-    spec, inputs = bundle.spec, bundle.checks.inputs[:samples]
+    spec = bundle.spec
+    inputs = bundle.checks.inputs[:samples]
     parts = spec.presentation.streams(len(inputs))
-    found, emulation = run_target(spec, inputs, "fast", SEED), Emulation(spec, SEED)
+    found = run_target(spec, inputs, "fast", SEED)
+    emulation = Emulation(spec, SEED)
     whole = [part for part in parts if part.stop - part.start == parts[0].stop]
     streams = np.stack([spec.flatten_samples(inputs[part]) for part in whole])
     n_streamed = len(whole) * parts[0].stop
-    paces, identical = [], True
+    paces = []
+    identical = True
     with progress("speed", len(inputs)) as advance, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for part in parts:
-            built, shown = build(spec), spec.flatten_samples(inputs[part])
+            built = build(spec)
+            shown = spec.flatten_samples(inputs[part])
             with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
                 slow, expected = _spent(respond, spec, built, sim, shown)
             quick, _ = _spent(emulation.run, streams)
@@ -89,7 +93,8 @@ def channel(n=1000):
     """Two ensembles of n neurons; the first is connected to the second."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
-        first, second = nengo.Ensemble(n, 1), nengo.Ensemble(n, 1)
+        first = nengo.Ensemble(n, 1)
+        second = nengo.Ensemble(n, 1)
         nengo.Connection(wave, first)
         nengo.Connection(first, second)
         return network, nengo.Probe(second, synapse=0.01)
@@ -120,7 +125,8 @@ def learning(n=1000):
     """PES on the chip from n neurons; the host computes the error at every step."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
-        error, result = nengo.Node(size_in=1), nengo.Node(size_in=1)
+        error = nengo.Node(size_in=1)
+        result = nengo.Node(size_in=1)
         ensemble = nengo.Ensemble(n, 1)
         nengo.Connection(wave, ensemble)
         learned = nengo.Connection(
@@ -142,7 +148,8 @@ def convolutions(size=28):
         ensembles.max_rates = nengo.dists.Choice([100])
         ensembles.intercepts = nengo.dists.Choice([0])
         network.config[nengo.Connection].synapse = 0.005
-        source, shape = nengo.Node(image), (size, size, 1)
+        source = nengo.Node(image)
+        shape = (size, size, 1)
         for filters, kernel, stride in ((4, 1, 1), (8, 3, 2), (16, 3, 1), (8, 3, 2)):
             transform = nengo.Convolution(
                 filters, shape, kernel_size=(kernel, kernel), strides=(stride, stride),
@@ -156,7 +163,8 @@ def convolutions(size=28):
                     (7, 7, 8), transform.output_shape.shape
                 )
             nengo.Connection(source, layer.neurons, transform=transform)
-            source, shape = layer.neurons, transform.output_shape
+            source = layer.neurons
+            shape = transform.output_shape
         return network, nengo.Probe(source)
 
 
@@ -211,7 +219,8 @@ class _Timed:
 def of_network(title, make, steps) -> dict:
     """Run NengoLoihi's simulator and FastSimulator on a network in turns."""
     pair = [_Timed(kind, make) for kind in (nengo_loihi.Simulator, FastSimulator)]
-    ratios, identical = [], True
+    ratios = []
+    identical = True
     for simulator in pair:
         simulator.run(20)  # compiles, and fills caches
     for _ in range(TURNS):

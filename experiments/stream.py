@@ -73,7 +73,8 @@ def events_at(bundle, rate: float, samples: int, pause_s: float):
     """
     rng = np.random.default_rng(0)
     step_ns = round(1e9 * bundle.spec.stimulus.step_seconds)
-    parts, start_ns = [], 0
+    parts = []
+    start_ns = 0
     for frames in bundle.checks.inputs[:samples]:
         step, row, column, polarity = np.nonzero(frames)
         if not len(step):
@@ -119,8 +120,11 @@ def play(stream, columns, one_by_one: bool) -> dict:
     """
     times = columns[0].tolist()
     events = list(zip(*(column.tolist() for column in columns), strict=True))
-    said, done, pushed_ns = [], 0, 0
-    begun, processor_s = time.perf_counter(), time.thread_time()
+    said = []
+    done = 0
+    pushed_ns = 0
+    begun = time.perf_counter()
+    processor_s = time.thread_time()
 
     def passed_ns():
         return (time.perf_counter() - begun) * 1e9
@@ -142,7 +146,8 @@ def play(stream, columns, one_by_one: bool) -> dict:
         else:
             arrived = bisect.bisect_right(times, now_ns)
             note(stream.push(*(column[done:arrived] for column in columns)))
-            done, pushed_ns = arrived, now_ns
+            done = arrived
+            pushed_ns = now_ns
     busy = (time.thread_time() - processor_s) / (passed_ns() * 1e-9)
     last = stream.finish()  # at no time of its own
     latency = [now_ns - _moment(decision, times, stream.step_ns) for decision, now_ns in said]

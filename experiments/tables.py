@@ -117,7 +117,8 @@ def estimate(values, n_train: float, n_test: float, split: str = "random") -> di
         a mean of zero, which are None for fewer splits than :data:`FEWEST`.
     """
     values = np.asarray(values, float)
-    n, mean = len(values), float(values.mean())
+    n = len(values)
+    mean = float(values.mean())
     if n < FEWEST:
         return {"mean": mean, "sd": None, "ci95": None, "p": None}
     sd = float(values.std(ddof=1))
@@ -131,7 +132,8 @@ def estimate(values, n_train: float, n_test: float, split: str = "random") -> di
 def holm(p_values) -> list:
     """p values corrected for their number (Holm 1979); None stays None and is not counted."""
     order = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
-    corrected, largest = [None] * len(p_values), 0.0
+    corrected = [None] * len(p_values)
+    largest = 0.0
     for rank, (p, index) in enumerate(order):
         largest = max(largest, min(1.0, (len(order) - rank) * p))
         corrected[index] = largest

@@ -45,7 +45,9 @@ def executed(notebook: dict, folder) -> tuple:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    names, cells, count = {"__name__": "__main__"}, [], 0
+    names = {"__name__": "__main__"}
+    cells = []
+    count = 0
     with contextlib.chdir(folder):
         for cell in notebook["cells"]:
             if cell["cell_type"] == "code":
@@ -80,7 +82,8 @@ def main(
 ):
     """Execute the notebooks of the tutorials and store their outputs."""
     for path in notebooks or [p for p in sorted(FOLDER.glob("*.ipynb")) if p.stem[0] in "123"]:
-        notebook, start = json.loads(path.read_text(encoding="utf-8")), time.monotonic()
+        notebook = json.loads(path.read_text(encoding="utf-8"))
+        start = time.monotonic()
         sys.path.insert(0, os.getcwd())
         with tempfile.TemporaryDirectory() as folder:
             shutil.copy(FOLDER / "network.nir", folder)

@@ -47,7 +47,10 @@ def read(path) -> tuple:
     reporting = reporting_os_errors(path, "cannot read", "give a UNIPEN file")
     with reporting, open_regular(path, "r", encoding="utf-8", errors="replace") as file:
         lines = file.read(MOST_TEXT).splitlines()
-    traces, segment, strokes, pen_down = [], None, [], False
+    traces = []
+    segment = None
+    strokes = []
+    pen_down = False
     begin, x_y = 1, (0, 1)  # line of the segment, places of x and y
 
     def finish():
@@ -69,7 +72,8 @@ def read(path) -> tuple:
                 finish()
                 match = _SEGMENT.match(line)
                 segment = (match[2], -1, _strokes_of(match[1])) if match else None
-                begin, strokes = number, []
+                begin = number
+                strokes = []
             elif keyword == ".COMMENT" and segment is not None and not strokes:
                 segment = segment[0], _writer(line, segment[0]), segment[2]
             elif keyword == ".COORD":

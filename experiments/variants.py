@@ -84,7 +84,8 @@ def shuffled(recordings: Recordings, seed: int) -> Recordings:
     time.
     """
     rng = np.random.default_rng([seed, 0x5B0F])
-    events, sample = recordings.events, recordings.sample_of_event
+    events = recordings.events
+    sample = recordings.sample_of_event
     order = np.lexsort((rng.random(len(sample)), sample))
     columns = {name: getattr(events, name)[order] for name in EVENT_DTYPES if name != "time_ns"}
     return replace(recordings, events=Events(time_ns=events.time_ns, **columns))
@@ -102,7 +103,8 @@ def only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
     lasts_ns : float
         The time in nanoseconds.
     """
-    events, sample = recordings.events, recordings.sample_of_event
+    events = recordings.events
+    sample = recordings.sample_of_event
     key = (sample * (int(events.taxel.max(initial=0)) + 1) + events.taxel) * 2
     key += events.polarity < 0
     order = np.argsort(key, kind="stable")
@@ -119,8 +121,11 @@ def only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
 
 def _ends(recordings):
     """Time of each recording's first and last event, 0 without events."""
-    time_ns, offsets = recordings.events.time_ns, recordings.offsets
+    time_ns = recordings.events.time_ns
+    offsets = recordings.offsets
     some = np.diff(offsets) > 0
-    first, last = np.zeros(len(recordings), np.int64), np.zeros(len(recordings), np.int64)
-    first[some], last[some] = time_ns[offsets[:-1][some]], time_ns[offsets[1:][some] - 1]
+    first = np.zeros(len(recordings), np.int64)
+    last = np.zeros(len(recordings), np.int64)
+    first[some] = time_ns[offsets[:-1][some]]
+    last[some] = time_ns[offsets[1:][some] - 1]
     return first, last

@@ -49,7 +49,8 @@ class Decoder:
     """
 
     def __init__(self, p):
-        self._p, self._free = p, 0
+        self._p = p
+        self._free = 0
         self._waiting = np.empty(0), np.empty(0, int), np.empty(0, int)
 
     def advance(self, time_ns, taxel, polarity, until_ns) -> Events:
@@ -88,7 +89,8 @@ def in_turn(tick, taxel, polarity, columns, free=0) -> Events:
     all earlier bursts.
     """
     order = np.lexsort((taxel, tick))
-    tick, columns = np.asarray(tick)[order], np.asarray(columns)[order]
+    tick = np.asarray(tick)[order]
+    columns = np.asarray(columns)[order]
     before = np.cumsum(columns) - columns
     tick = before + np.maximum(np.maximum.accumulate(tick - before), free)
     return Events(tick * TICK_NS, np.asarray(taxel)[order], np.asarray(polarity)[order], columns)

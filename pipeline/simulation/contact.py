@@ -65,7 +65,8 @@ class Creep:
 
     def __init__(self, n_taxels, step_s, p):
         self._late = np.zeros(n_taxels, np.float32)
-        self._lag, self._share = np.float32(np.exp(-step_s / p.creep_s)), np.float32(p.creep)
+        self._lag = np.float32(np.exp(-step_s / p.creep_s))
+        self._share = np.float32(p.creep)
 
     def advance(self, felt):
         """Convert the signal of some steps to the film's response, in place.
@@ -158,11 +159,14 @@ class Receptors:
 
     def __init__(self, adapted, on, off, step_s, refractory_s, poll_s):
         n_channels = len(adapted)
-        self._on, self._off, self._step_s = on, off, step_s
+        self._on = on
+        self._off = off
+        self._step_s = step_s
         self._refractory_s = np.broadcast_to(refractory_s, n_channels)
         self._poll_s = np.broadcast_to(poll_s, n_channels)
         self._before = adapted
-        self._upper, self._lower = adapted + on, adapted - off
+        self._upper = adapted + on
+        self._lower = adapted - off
         self._ready = np.zeros(n_channels)
         self._row = 0
 
@@ -184,13 +188,19 @@ class Receptors:
         polarity : ndarray of int8, shape (n_events,)
             1 for ON, -1 for OFF.  In no particular order.
         """
-        step_s, own = self._step_s, slice(signal.shape[1])
-        upper, lower, ready = self._upper[own], self._lower[own], self._ready[own]
-        times, channels, polarities = [], [], []
+        step_s = self._step_s
+        own = slice(signal.shape[1])
+        upper = self._upper[own]
+        lower = self._lower[own]
+        ready = self._ready[own]
+        times = []
+        channels = []
+        polarities = []
         last = self._before
         for now in signal:
             self._row += 1
-            earlier, last = last, now
+            earlier = last
+            last = now
             crossed = ((now > upper) | (now < lower)).nonzero()[0]
             if len(crossed) == 0:
                 continue
@@ -198,7 +208,8 @@ class Receptors:
             crossed = crossed[ready[crossed] < end]
             if len(crossed) == 0:
                 continue
-            value, before = now[crossed], earlier[crossed]
+            value = now[crossed]
+            before = earlier[crossed]
             rises = value > upper[crossed]
             limit = np.where(rises, upper[crossed], lower[crossed])
             move = value - before

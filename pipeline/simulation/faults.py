@@ -30,7 +30,8 @@ def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s:
     polarity : ndarray of int, shape (n,)
     """
     rows, columns = size
-    times, taxels = [], []
+    times = []
+    taxels = []
     for row, column in _hot_taxels(session, p):
         rate = p.hot_rate * np.exp(p.hot_rate_spread * rng.standard_normal())
         if row < rows and column < columns:
@@ -40,7 +41,8 @@ def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s:
     strays = rng.poisson(p.strays * np.exp(p.strays_spread * rng.standard_normal()))
     times.append(rng.uniform(start_s, end_s, strays))
     taxels.append(rng.integers(0, rows * columns, strays))
-    time, taxel = np.concatenate(times), np.concatenate(taxels).astype(int)
+    time = np.concatenate(times)
+    taxel = np.concatenate(taxels).astype(int)
     # A stray is a rise: the taxel does not come back to the threshold of a fall.
     is_rise = (np.arange(len(time)) >= hot) | (rng.random(len(time)) < p.rise)
     return time, taxel, np.where(is_rise, 1, -1)

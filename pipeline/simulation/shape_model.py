@@ -252,7 +252,8 @@ def boxed(strokes) -> tuple:
     """
     strokes = tuple(strokes)
     points = np.concatenate(strokes)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     height = max(high[0] - low[0], 1e-9)
     return tuple((stroke - (low + high) / 2) / height for stroke in strokes)
 

@@ -269,7 +269,8 @@ def motion(sample, who, rng, p):
     -------
     pipeline.simulation.handwriting.Motion
     """
-    form, kinematics = p.forms[sample.digit], p.kinematics
+    form = p.forms[sample.digit]
+    kinematics = p.kinematics
     if sample.trace is None:
         shape = handwriting.draw_shape(sample.digit, who, rng, p.shapes)
         strokes = handwriting.write(sample.digit, shape, who, p)
@@ -333,7 +334,8 @@ def _receive(touches, p, size):
     order = sorted(range(len(touches)), key=lambda index: -len(touches[index].felt))
     touches = [touches[index] for index in order]
     first = np.cumsum([0] + [len(touch.taxels) for touch in touches])
-    widths, columns = np.diff(first), list(itertools.starmap(slice, itertools.pairwise(first)))
+    widths = np.diff(first)
+    columns = list(itertools.starmap(slice, itertools.pairwise(first)))
     # One row before the pen touches the skin.
     ends = [1 + len(touch.felt) for touch in touches]
     signal = np.empty((ends[0], first[-1]), np.float32)
@@ -375,7 +377,8 @@ def _read_out(written, touch, p, size):
     """The decoder's reports of what the pen and the faults have caused."""
     parts = [written]
     if len(written[0]):
-        begin, end = written[0].min(), written[0].max()
+        begin = written[0].min()
+        end = written[0].max()
         refractory_s = p.receptor.refractory_s
         parts.append(
             draw_faults(touch.rng, touch.session, begin, end, refractory_s, p.faults, size)

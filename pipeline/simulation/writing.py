@@ -25,7 +25,8 @@ START_S = 0.2
 USUAL_PRESSURE = 0.5
 
 # Bounds of a pen's force, as multiples of the usual one.
-WEAKEST, STRONGEST = 0.3, 2.0
+WEAKEST = 0.3
+STRONGEST = 2.0
 
 # Taxels beyond the first and the last ones' centres within which a pen may be.
 MARGIN = 2.0
@@ -76,7 +77,10 @@ class Writing:
         off = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
         off *= p.receptor.threshold
         clock = np.exp(p.receptor.clock * np.abs(rng.standard_normal(n_taxels)))
-        self._p, self._rng, self._size, self._polarities = p, rng, size, polarities
+        self._p = p
+        self._rng = rng
+        self._size = size
+        self._polarities = polarities
         self._usual = np.exp(np.mean([form.force for form in p.forms]))
         self._gain = gain.astype(np.float32)
         self._skin = draw_skin(NOBODY, rng, p)

@@ -82,7 +82,8 @@ class FastEmulator(EmulatorInterface):
 
     def __deepcopy__(self, memo):
         """Copy the state as NengoLoihi keeps it; the copy has its own arrays of the kernel."""
-        link, kind = self._link, type(self)
+        link = self._link
+        kind = type(self)
         if link is None:
             raise TypeError("a closed emulator cannot be copied")
         _disconnect(self)
@@ -288,7 +289,9 @@ def take_over(emulator, kind=FastEmulator):
 
 def _connect(emulator, link):
     """Let an emulator use the arrays of a link, which have its state."""
-    state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
+    state = emulator.compartment
+    synapses = emulator.synapses
+    probes = emulator.probes
     vars(state).update(link.state_arrays())
     _lock(emulator, link)
     link.learn_from(synapses)
@@ -300,25 +303,31 @@ def _connect(emulator, link):
     vars(synapses).pop("spikes_in")
     vars(synapses).pop("trace_spikes")
     synapses.link = link
-    state.__class__, synapses.__class__, probes.__class__ = _Compartments, _Synapses, _Probes
+    state.__class__ = _Compartments
+    synapses.__class__ = _Synapses
+    probes.__class__ = _Probes
     state.noise.__class__ = _Noise
-    emulator.__dict__["_link"], emulator.__dict__["_random"] = link, link.random
+    emulator.__dict__["_link"] = link
+    emulator.__dict__["_random"] = link.random
 
 
 def _disconnect(emulator):
     """The inverse of `_connect`: NengoLoihi's own steps find all arrays where they expect them."""
     link = emulator._link
     link.random.settle()
-    state, synapses, probes = emulator.compartment, emulator.synapses, emulator.probes
-    trace_spikes, spikes_in = synapses.trace_spikes, synapses.spikes_in
+    state = emulator.compartment
+    synapses = emulator.synapses
+    probes = emulator.probes
+    trace_spikes = synapses.trace_spikes
+    spikes_in = synapses.spikes_in
     lists = {probe: [list(part) for part in parts] for probe, parts in probes.outputs.items()}
-    state.__class__, synapses.__class__, probes.__class__ = (
-        CompartmentState,
-        SynapseState,
-        ProbeState,
-    )
+    state.__class__ = CompartmentState
+    synapses.__class__ = SynapseState
+    probes.__class__ = ProbeState
     state.noise.__class__ = NoiseState
-    synapses.trace_spikes, synapses.spikes_in, probes.outputs = trace_spikes, spikes_in, lists
+    synapses.trace_spikes = trace_spikes
+    synapses.spikes_in = spikes_in
+    probes.outputs = lists
     del synapses.link, probes.kept
     _unlock(link)
     emulator.__class__ = EmulatorInterface
@@ -356,8 +365,10 @@ def hand_over(emulator, reason):
 
 def one_step_as_nengo_loihi(emulator):
     """Run one step of NengoLoihi; the kernel continues afterwards, unless the step failed."""
-    link, kind = emulator._link, type(emulator)
-    spiked, t = emulator.compartment.spiked.copy(), emulator.t
+    link = emulator._link
+    kind = type(emulator)
+    spiked = emulator.compartment.spiked.copy()
+    t = emulator.t
     last = [(item, item.spikes.get(t, [])) for item in emulator.inputs]
     _disconnect(emulator)
     EmulatorInterface.step(emulator)

@@ -45,7 +45,10 @@ RATE, PRODUCT_SHIFT, OLD_SHIFT, FRACTION_BITS, NEW_SHIFT, LIMIT, IS_DOUBLE = ran
 DECAY, MAGNITUDE, REAL_RATE = range(3)  # columns of `rates`
 
 # Kinds of warnings in the log.  The count of the last is a bit mask of the places of overflow.
-LOST, TRACE, WEIGHTS, OVERFLOWS = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
+LOST = np.int64(0)
+TRACE = np.int64(1)
+WEIGHTS = np.int64(2)
+OVERFLOWS = np.int64(3)
 UNSUPPORTED = -1  # returned instead of a number of steps; no step was run
 
 ROOM = 32767  # the largest sum of 16 bits
@@ -168,7 +171,8 @@ def _sample(state, into):
 @_jit(inline="always")
 def _unit(high, low):
     """``RandomState.rand``, of two words."""
-    a, b = float(int32(high >> uint32(5))), float(int32(low >> uint32(6)))
+    a = float(int32(high >> uint32(5)))
+    b = float(int32(low >> uint32(6)))
     return (a * 67108864.0 + b) / 9007199254740992.0
 
 
@@ -178,7 +182,8 @@ def _unit(high, low):
 @_jit()
 def _list(words, blocks, events, ends, in_use):
     """List the compartments that spike, in order, and the end of each block in this list."""
-    n_in_use, n = uint64(0), uint64(0)
+    n_in_use = uint64(0)
+    n = uint64(0)
     for w in range(uint64(len(words))):  # without a branch, which is faster
         in_use[n_in_use] = w
         n_in_use += uint64(words[w] != 0)
@@ -211,7 +216,8 @@ def _add(  # noqa: PLR0913 - Numba takes each array as an argument
             continue
         base = entries[TARGET, entry]
         for r in range(uint64(first_run[row]), uint64(first_run[row + 1])):
-            to, place = uint64(base + runs[r, 0]), uint64(runs[r, 1])
+            to = uint64(base + runs[r, 0])
+            place = uint64(runs[r, 1])
             for i in range(uint64(runs[r, 2])):
                 sums[to + i] += pool[place + i]
 
@@ -219,7 +225,8 @@ def _add(  # noqa: PLR0913 - Numba takes each array as an argument
 @_jit()
 def _empty_sums(block, block_now, sums, total):
     """Move the sums of 16 bits of a block to its input."""
-    shift, loaded = int32(block[SHIFT]), block_now[LOADED] != 0
+    shift = int32(block[SHIFT])
+    loaded = block_now[LOADED] != 0
     for i in range(uint64(block[START]), uint64(block[STOP])):
         value = int32(int32(sums[i]) << shift)
         total[i] = int32(total[i] + value) if loaded else value
@@ -278,7 +285,8 @@ def _currents(  # noqa: PLR0913 - Numba takes each array as an argument
     first, last, keep, shift, loaded, sums, total, current
 ):
     """u <- wrap(decay(u) + wrap(q)); return the numbers of overflows of q and u."""
-    over_q, over_u = int32(0), int32(0)
+    over_q = int32(0)
+    over_u = int32(0)
     if loaded:
         for i in range(first, last):
             total[i] = int32(total[i] + int32(int32(sums[i]) << shift))
@@ -350,8 +358,10 @@ def _log(log, kind, count):
 @_jit()
 def _round_traces(rule, rate, traces, pending, drawn):
     """Advance the traces of a synapse, rounded at random; return whether one was clipped."""
-    first, last = uint64(rule[TRACE0]), uint64(rule[TRACE1])
-    decay, magnitude = rate[DECAY], rate[MAGNITUDE]
+    first = uint64(rule[TRACE0])
+    last = uint64(rule[TRACE1])
+    decay = rate[DECAY]
+    magnitude = rate[MAGNITUDE]
     clipped = int32(0)
     for i in range(last - first):
         x = decay * traces[first + i]
@@ -371,9 +381,12 @@ def _round_traces(rule, rate, traces, pending, drawn):
 def _learn(rule, traces, errors, wide, drawn, scratch):
     """PES in integers, rounded at random; return the number of clipped rows."""
     half = uint64(rule[ERROR1] - rule[ERROR0])
-    width, error0 = uint64(2) * half, uint64(rule[ERROR0])
-    n_rows, trace0 = uint64(rule[TRACE1] - rule[TRACE0]), uint64(rule[TRACE0])
-    rate, weight0 = int32(rule[RATE]), uint64(rule[WEIGHT0])
+    width = uint64(2) * half
+    error0 = uint64(rule[ERROR0])
+    n_rows = uint64(rule[TRACE1] - rule[TRACE0])
+    trace0 = uint64(rule[TRACE0])
+    rate = int32(rule[RATE])
+    weight0 = uint64(rule[WEIGHT0])
     for r in range(n_rows):
         trace = int32(traces[trace0 + r])
         for j in range(half):
@@ -381,9 +394,12 @@ def _learn(rule, traces, errors, wide, drawn, scratch):
             scratch[r * width + j] = int32(int32(-product) * rate)
             scratch[r * width + half + j] = int32(product * rate)
     _shift(scratch, n_rows * width, rule[PRODUCT_SHIFT])
-    old, bits = int32(rule[OLD_SHIFT]), uint32(rule[FRACTION_BITS])
-    mask, rest = int32((1 << rule[FRACTION_BITS]) - 1), uint32(32 - rule[FRACTION_BITS])
-    limit, up = int32(rule[LIMIT]), int32(rule[NEW_SHIFT])
+    old = int32(rule[OLD_SHIFT])
+    bits = uint32(rule[FRACTION_BITS])
+    mask = int32((1 << rule[FRACTION_BITS]) - 1)
+    rest = uint32(32 - rule[FRACTION_BITS])
+    limit = int32(rule[LIMIT])
+    up = int32(rule[NEW_SHIFT])
     clipped = int32(0)
     for i in range(n_rows * width):
         weight = wide[weight0 + i]
@@ -438,7 +454,8 @@ def _clip(first, last, low, high, x):
 
 @_jit()
 def _float_traces(rule, rate, traces, pending):
-    decay, magnitude = rate[DECAY], rate[MAGNITUDE]
+    decay = rate[DECAY]
+    magnitude = rate[MAGNITUDE]
     for i in range(uint64(rule[TRACE0]), uint64(rule[TRACE1])):
         x = decay * traces[i]
         traces[i] = x + magnitude if pending[i] else x
@@ -448,7 +465,8 @@ def _float_traces(rule, rate, traces, pending):
 @_jit()
 def _float_learn(rule, rate, traces, errors, wide):
     half = uint64(rule[ERROR1] - rule[ERROR0])
-    error0, place = uint64(rule[ERROR0]), uint64(rule[WEIGHT0])
+    error0 = uint64(rule[ERROR0])
+    place = uint64(rule[WEIGHT0])
     for t in range(uint64(rule[TRACE0]), uint64(rule[TRACE1])):
         for j in range(uint64(2) * half):
             error = -errors[error0 + j] if j < half else errors[error0 + j - half]
@@ -469,8 +487,10 @@ def _record(  # noqa: PLR0913 - Numba takes each array as an argument
 ):
     """Store a step's values of the probed compartments."""
     for r in range(len(recorded)):
-        key, start = recorded[r, 0], uint64(recorded[r, 1])
-        length, column = uint64(recorded[r, 2]), uint64(recorded[r, 3])
+        key = recorded[r, 0]
+        start = uint64(recorded[r, 1])
+        length = uint64(recorded[r, 2])
+        column = uint64(recorded[r, 3])
         if key == 0:
             for i in range(length):
                 currents[s, column + i] = current[start + i]
@@ -504,10 +524,17 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
         Number of steps: fewer than requested if the log of warnings is full, or if it has a warning
         that should be an error; `UNSUPPORTED`, without a step, if NengoLoihi's own code should run.
     """
-    current, voltage, total = cells[CURRENT], cells[VOLTAGE], cells[INPUT]
-    bias, threshold = cells[BIAS], cells[THRESHOLD]
-    waiting, count = counters[WAITING], counters[COUNT]
-    n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
+    current = cells[CURRENT]
+    voltage = cells[VOLTAGE]
+    total = cells[INPUT]
+    bias = cells[BIAS]
+    threshold = cells[THRESHOLD]
+    waiting = counters[WAITING]
+    count = counters[COUNT]
+    n = len(current)
+    n_inputs = len(input_sizes)
+    n_blocks = len(blocks)
+    n_rules = len(rules)
     if not _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
         return UNSUPPORTED
     for i in range(uint64(n)):
@@ -535,13 +562,18 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
         for k in range(n_rules):
             lost[k] = 0
         for r in range(len(routes)):
-            source, offset, b = routes[r, SOURCE], routes[r, OFFSET], routes[r, BLOCK]
+            source = routes[r, SOURCE]
+            offset = routes[r, OFFSET]
+            b = routes[r, BLOCK]
             if source < n_inputs:
-                heard, place = arriving, s * n_inputs + source
-                first, last = arriving_ends[place], arriving_ends[place + 1]
+                heard = arriving
+                place = s * n_inputs + source
+                first = arriving_ends[place]
+                last = arriving_ends[place + 1]
             else:
                 heard = events
-                first, last = ends[source - n_inputs], ends[source - n_inputs + 1]
+                first = ends[source - n_inputs]
+                last = ends[source - n_inputs + 1]
             if first == last:
                 continue
             if routes[r, RULE] >= 0:
@@ -577,7 +609,9 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
             _sample(state, noisy)
         elif draws:
             skip_samples(state, n)
-        over_q, over_u, over_u2 = int32(0), int32(0), int32(0)
+        over_q = int32(0)
+        over_u = int32(0)
+        over_u2 = int32(0)
         for b in range(n_blocks):
             shift = int32(blocks[b, SHIFT])
             if is_noisy:
@@ -588,9 +622,12 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
                     noisy[i] = int32(bias[i] + noise) if noise_on_voltage[i] else bias[i]
             loaded = blocks_now[b, LOADED] != 0
             for g in range(blocks[b, FIRST_SEGMENT], blocks[b, LAST_SEGMENT]):
-                first, last = uint64(segments[g, START]), uint64(segments[g, STOP])
-                keep_u, keep_v = constants[g, KEEP_U], constants[g, KEEP_V]
-                v_min, v_max = constants[g, V_MIN], constants[g, V_MAX]
+                first = uint64(segments[g, START])
+                last = uint64(segments[g, STOP])
+                keep_u = constants[g, KEEP_U]
+                keep_v = constants[g, KEEP_V]
+                v_min = constants[g, V_MIN]
+                v_max = constants[g, V_MAX]
                 q, u = _currents(first, last, keep_u, shift, loaded, sums, total, current)
                 u2 = _voltages(first, last, keep_v, v_min, v_max, noisy, current, voltage)
                 over_q |= q
@@ -614,7 +651,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
 
 
 @_jit(from_python=True)
-def advance_floats(  # noqa: C901, PLR0913 - one loop over time, on all arrays of a network
+def advance_floats(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all arrays of a network
     cells, counters, spiked, words, before, segments, constants, blocks, routes, entries,
     first_run, runs, narrow, wide, sums, input_sizes, rules, rates, traces, pending, errors,
     noise_offset, noise_scale, noise_on_voltage, overflows, events, ends, in_use, blocks_now, lost,
@@ -622,10 +659,17 @@ def advance_floats(  # noqa: C901, PLR0913 - one loop over time, on all arrays o
     t0, n_steps, arriving, arriving_ends, currents, voltages, spikes, log, stop_at_warning,
 ):  # fmt: skip
     """Advance a network that was not discretised; as `advance_integers`."""
-    current, voltage, total = cells[CURRENT], cells[VOLTAGE], cells[INPUT]
-    bias, threshold = cells[BIAS], cells[THRESHOLD]
-    waiting, count = counters[WAITING], counters[COUNT]
-    n, n_inputs, n_blocks, n_rules = len(current), len(input_sizes), len(blocks), len(rules)
+    current = cells[CURRENT]
+    voltage = cells[VOLTAGE]
+    total = cells[INPUT]
+    bias = cells[BIAS]
+    threshold = cells[THRESHOLD]
+    waiting = counters[WAITING]
+    count = counters[COUNT]
+    n = len(current)
+    n_inputs = len(input_sizes)
+    n_blocks = len(blocks)
+    n_rules = len(rules)
     if not _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
         return UNSUPPORTED
     _list(words, blocks, events, ends, in_use)
@@ -639,13 +683,17 @@ def advance_floats(  # noqa: C901, PLR0913 - one loop over time, on all arrays o
         for k in range(n_rules):
             lost[k] = 0
         for r in range(len(routes)):
-            source, offset = routes[r, SOURCE], routes[r, OFFSET]
+            source = routes[r, SOURCE]
+            offset = routes[r, OFFSET]
             if source < n_inputs:
-                heard, place = arriving, s * n_inputs + source
-                first, last = arriving_ends[place], arriving_ends[place + 1]
+                heard = arriving
+                place = s * n_inputs + source
+                first = arriving_ends[place]
+                last = arriving_ends[place + 1]
             else:
                 heard = events
-                first, last = ends[source - n_inputs], ends[source - n_inputs + 1]
+                first = ends[source - n_inputs]
+                last = ends[source - n_inputs + 1]
             if first == last:
                 continue
             if routes[r, RULE] >= 0:
@@ -666,7 +714,8 @@ def advance_floats(  # noqa: C901, PLR0913 - one loop over time, on all arrays o
                 noisy[i] = float32(x + noise_offset[i]) * noise_scale[i]
                 total[i] += float32(0) if noise_on_voltage[i] else noisy[i]
         for g in range(len(segments)):
-            first, last = uint64(segments[g, START]), uint64(segments[g, STOP])
+            first = uint64(segments[g, START])
+            last = uint64(segments[g, STOP])
             constant = constants[g]
             _decay_and_add(first, last, constant[KEEP_U], constant[SCALE_U], total, current)
             for i in range(first, last):
@@ -693,7 +742,8 @@ def list_inputs(words, edges, spikes, ends):
     ``words`` has a row of bytes for each step, eight in a word; ``edges`` are the first columns of
     the inputs and the end of the last one.
     """
-    n, n_inputs = uint64(0), len(edges) - 1
+    n = uint64(0)
+    n_inputs = len(edges) - 1
     for s in range(len(words)):
         i = 0
         for w in range(uint64(words.shape[1])):

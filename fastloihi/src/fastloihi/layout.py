@@ -85,7 +85,8 @@ def make_layout(emulator) -> Layout:
 
 
 def _layout(emulator):
-    info, state = emulator.block_info, emulator.compartment
+    info = emulator.block_info
+    state = emulator.compartment
     integers = state.dtype == np.int32
     for item in emulator.inputs:
         if type(item) is not SpikeInput:
@@ -122,10 +123,8 @@ def _layout(emulator):
 
 def _segments(info, state, integers):
     """Segments, their constants, and the first and last segment of each block."""
-    keep_u, keep_v = (
-        (4095 if integers else 1) - state.decay_u,
-        (4096 if integers else 1) - state.decay_v,
-    )
+    keep_u = (4095 if integers else 1) - state.decay_u
+    keep_v = (4096 if integers else 1) - state.decay_v
     if integers:
         for keep in (keep_u, keep_v):
             if np.any((keep < 0) | (keep > 4096)):
@@ -172,10 +171,16 @@ class _Pools:
     """
 
     def __init__(self, synapses, info, integers):
-        self.first_row, self.atoms, self.reach = {}, {}, {}
-        self.narrow, self.largest, self.shifts, self.is_wide = {}, {}, [], []
+        self.first_row = {}
+        self.atoms = {}
+        self.reach = {}
+        self.narrow = {}
+        self.largest = {}
+        self.shifts = []
+        self.is_wide = []
         self._place = {}
-        self._runs, self._runs_of_row = [], []
+        self._runs = []
+        self._runs_of_row = []
         self._pools = {True: [], False: []}
         self._sizes = {True: 0, False: 0}
         n_rows = 0
@@ -191,7 +196,8 @@ class _Pools:
                 self.narrow[synapse] = narrow
                 self.largest[synapse] = max(1, rows.largest >> shift) if narrow else 1
                 self.is_wide[-1] |= not narrow
-                self.first_row[synapse], self.atoms[synapse] = n_rows, rows.n_atoms
+                self.first_row[synapse] = n_rows
+                self.atoms[synapse] = rows.n_atoms
                 self.reach[synapse] = rows.lowest, rows.highest
                 self._place[synapse] = self._sizes[narrow]
                 runs, per_row, pool = rows.cut(shift) if narrow else rows.cut(None)
@@ -242,7 +248,8 @@ class _Rows:
 
     def __init__(self, synapse, block, dtype):
         self.synapse = synapse
-        weights, indices = synapse.weights, synapse.indices
+        weights = synapse.weights
+        indices = synapse.indices
         if not weights or any(w.dtype != dtype for w in weights):
             raise Unsupported(f"weights of another type than {dtype}")
         self.n_atoms = weights[0].shape[0]
@@ -266,7 +273,8 @@ class _Rows:
         self.bits = self.largest = 0
         if dtype == np.int32 and len(self.weights):
             values = self.weights.astype(np.int64)
-            self.bits, self.largest = int(np.bitwise_or.reduce(values)), int(np.abs(values).max())
+            self.bits = int(np.bitwise_or.reduce(values))
+            self.largest = int(np.abs(values).max())
 
     def _check_that_it_can_learn(self, block):
         """Check that NengoLoihi can change all weights of a row; otherwise it fails."""
@@ -284,10 +292,13 @@ class _Rows:
         if np.all(rises):
             return
         order = np.lexsort((np.arange(len(self.row)), self.targets, self.row))
-        row, targets = self.row[order], self.targets[order]
+        row = self.row[order]
+        targets = self.targets[order]
         last = np.ones(len(row), bool)
         last[:-1] = (row[1:] != row[:-1]) | (targets[1:] != targets[:-1])
-        self.row, self.targets, self.weights = row[last], targets[last], self.weights[order][last]
+        self.row = row[last]
+        self.targets = targets[last]
+        self.weights = self.weights[order][last]
         self.lengths = np.bincount(self.row, minlength=len(self.lengths))
 
     def cut(self, shift):
@@ -323,7 +334,9 @@ def _trailing_zeros(bits):
 
 def _routes(emulator, pools):
     """Connections from each input and block to each synapse, in the order of the emulator."""
-    synapses, info, inputs = emulator.synapses, emulator.block_info, emulator.inputs
+    synapses = emulator.synapses
+    info = emulator.block_info
+    inputs = emulator.inputs
     order = {synapse: i for i, synapse in enumerate(synapses.slices)}
     rule = {synapse: k for k, synapse in enumerate(synapses.traces)}
     trace0 = dict(zip(rule, np.cumsum([0, *(s.n_axons for s in rule)]).tolist()))
@@ -332,7 +345,9 @@ def _routes(emulator, pools):
     routes = [(axon.target, axon, *source) for source in sources for axon in source[2].axons]
     routes.sort(key=lambda route: order[route[0]])  # leaves a synapse's order unchanged
     number = {block: b for b, block in enumerate(info.blocks)}
-    table, columns, size = [], [], 0
+    table = []
+    columns = []
+    size = 0
     for synapse, axon, source, start, sender in routes:
         for part, kind in ((synapse, Synapse), (axon, Axon)):
             if type(part) is not kind:
@@ -403,10 +418,12 @@ def _rows_of(synapse, index, atom, pools):
 
 def _learning(synapses, pools, integers):
     """``rules`` and ``rates``."""
-    rules, rates = [], []
+    rules = []
+    rates = []
     trace = error = 0
     for s in synapses.traces:
-        n, n_errors = s.n_axons, len(synapses.pes_errors[s])
+        n = s.n_axons
+        n_errors = len(synapses.pes_errors[s])
         product = old = new = bits = limit = 0
         rate = s._lr_int if integers else 0
         whole = [s.train_epoch, s.learn_epoch]
@@ -417,10 +434,13 @@ def _learning(synapses, pools, integers):
         if not (min(s.train_epoch, s.learn_epoch) > 0 and s.tracing_tau > 0):
             raise Unsupported("a learning rule with a period that is not positive")
         if integers:
-            exponent, spare = s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits
+            exponent = s.synapse_cfg.real_weight_exp
+            spare = s.synapse_cfg.shift_bits
             product = LEARN_FRAC + s._lr_exp - learn_overflow_bits(n_factors=2)
-            old, new = LEARN_FRAC - exponent, exponent + spare
-            bits, limit = LEARN_FRAC + spare, 2 ** (8 - spare) - 1
+            old = LEARN_FRAC - exponent
+            new = exponent + spare
+            bits = LEARN_FRAC + spare
+            limit = 2 ** (8 - spare) - 1
             if not (abs(product) < 32 and abs(old) < 32 and 0 <= new < 32 and 0 < bits < 28):
                 raise Unsupported("learning with shifts beyond 32 bits")
             if not -(2**31) <= rate < 2**31 or not 0 <= s.tracing_mag < 2**30:
@@ -433,13 +453,16 @@ def _learning(synapses, pools, integers):
              s.learn_epoch, rate, product, old, bits, new, limit, product_type == np.float64)
         )  # fmt: skip
         rates.append((np.exp(-s.train_epoch / s.tracing_tau), s.tracing_mag, s.learning_rate))
-        trace, error = trace + n, error + n_errors
+        trace = trace + n
+        error = error + n_errors
     return np.array(rules, np.int64).reshape(-1, 14), np.array(rates, float).reshape(-1, 3)
 
 
 def _plan_probes(probes):
     """The runs of compartments that are probed, the width of each key, each probe's columns."""
-    runs, columns, widths = [], {}, [0] * len(KEYS)
+    runs = []
+    columns = {}
+    widths = [0] * len(KEYS)
     for probe, blocks in probes.probes.items():
         if probe.key not in KEYS:
             raise Unsupported(f"a probe of {probe.key!r}")

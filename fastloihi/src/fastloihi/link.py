@@ -43,7 +43,8 @@ class Random:
     """
 
     def __init__(self, rng, skip, n_each):
-        self._skip, self._n_each = skip, n_each
+        self._skip = skip
+        self._n_each = n_each
         self.draw_from(rng)
 
     def draw_from(self, rng):
@@ -95,14 +96,16 @@ class Link:
     def __init__(self, emulator):
         from . import kernel  # Numba takes long to import, and not everyone runs a network
 
-        state, synapses = emulator.compartment, emulator.synapses
+        state = emulator.compartment
+        synapses = emulator.synapses
         kinds = {state: CompartmentState, state.noise: NoiseState, synapses: SynapseState,
                  emulator.probes: ProbeState}  # fmt: skip
         for part, kind in kinds.items():
             if type(part) is not kind:
                 raise Unsupported(f"a state of the class {type(part).__name__}")
         self.layout = layout = make_layout(emulator)
-        n, dtype = emulator.block_info.n_compartments, state.dtype
+        n = emulator.block_info.n_compartments
+        dtype = state.dtype
         integers = dtype == np.int32
         self.advance = kernel.advance_integers if integers else kernel.advance_floats
         skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
@@ -119,7 +122,8 @@ class Link:
         self._n = n
         sizes = [s.n_axons for s in synapses.traces]
         self.first_trace = dict(zip(synapses.traces, np.cumsum([0, *sizes]).tolist()))
-        self.traces, self.pending = np.zeros(sum(sizes), dtype), np.zeros(sum(sizes), np.uint8)
+        self.traces = np.zeros(sum(sizes), dtype)
+        self.pending = np.zeros(sum(sizes), np.uint8)
         self.errors = np.zeros(sum(map(len, synapses.pes_errors.values())), dtype)
         error = 0
         for s, first in self.first_trace.items():
@@ -140,7 +144,8 @@ class Link:
         self._types = [dtype, dtype, np.uint8]
         self._empty = [np.zeros((1, 0), kind) for kind in self._types]
         self.histories = self._empty
-        self._inputs, self._axons = list(emulator.inputs), emulator.axons
+        self._inputs = list(emulator.inputs)
+        self._axons = emulator.axons
         most = max([s.n_axons * max(1, len(e) * 2) for s, e in synapses.pes_errors.items()] + [n])
         self.overflows = np.zeros((len(emulator.block_info.blocks), 3), np.int64)
         scratch = (
@@ -259,7 +264,8 @@ class Arriving:
     """
 
     def __init__(self, inputs, t, steps):
-        self._t, self._n = t, len(inputs)
+        self._t = t
+        self._n = len(inputs)
         columns = [
             list(map(item.spikes.get, range(t, t + steps), repeat(_NONE))) for item in inputs
         ]
@@ -281,7 +287,8 @@ class Arriving:
     def forget(self, inputs, done):
         """Delete the spikes of the first steps, as NengoLoihi does after use."""
         for item in inputs:
-            spikes, permanent = item.spikes, item.permanent
+            spikes = item.spikes
+            permanent = item.permanent
             for sent in range(max(self._t, 1), self._t + done):
                 if sent in spikes and sent not in permanent:
                     del spikes[sent]

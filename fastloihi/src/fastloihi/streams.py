@@ -118,7 +118,8 @@ class StreamEmulator:
         sent = np.empty(max(1, n_steps * n_inputs), np.int64)
         ends = np.zeros(n_steps * len(self.input_sizes) + 1, np.int64)
         log = np.zeros((n_steps + 4, 2), np.int64)  # so that it cannot fill up
-        empty, link = np.zeros((1, 0), np.int32), self._link
+        empty = np.zeros((1, 0), np.int32)
+        link = self._link
         link.overflows[:] = 0
         for b in range(n_streams):
             kernel.list_inputs(arriving[b].view(np.uint64), self._edges, sent, ends)
@@ -155,7 +156,8 @@ class StreamEmulator:
     def set_constants(self, refractory, v_min):
         """Give all compartments other refractory steps and another lower bound of the voltage."""
         segments, table = self.network[:2]
-        segments[:, kernel.REFRACTORY], table[:, kernel.V_MIN] = refractory + 1, v_min
+        segments[:, kernel.REFRACTORY] = refractory + 1
+        table[:, kernel.V_MIN] = v_min
 
     def weights(self):
         """All weights on the chip: (source, target, value) of each, int64 arrays.
