@@ -131,7 +131,7 @@ def fitted_to_people(spec, others, recordings, draws: int, seed: int):
         copies = responder.copies(mine, [seed, int(who)])
         results = {each: [] for each in EACH}
         for draw in range(draws):
-            first, rest = drawn(mine.labels, [seed, int(who), draw])
+            first, rest = split_recordings(mine.labels, [seed, int(who), draw])
             for each in EACH:
                 some = first[:, :each].ravel()
                 person = Person(responses[some], mine.labels[some], copies[some])
@@ -150,7 +150,7 @@ def fitted_to_people(spec, others, recordings, draws: int, seed: int):
             yield {"who": int(who), "each": each, **dict(zip(MEASURES, means, strict=True))}
 
 
-def drawn(labels, seed) -> tuple:
+def split_recordings(labels, seed) -> tuple:
     """Indices of the recordings to fit to, shape (classes, max(EACH)), and of all others."""
     rng = np.random.default_rng(seed)
     order = [rng.permutation(np.flatnonzero(labels == label)) for label in np.unique(labels)]

@@ -48,7 +48,7 @@ from pipeline.recordings.events import GRID, are_digits
 from pipeline.simulation import shape_model
 from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.parameters import FITTED, from_fit
-from pipeline.simulation.shape_model import ShapeModel, boxed
+from pipeline.simulation.shape_model import ShapeModel, fit_in_box
 from pipeline.simulation.simulate import simulate
 from pipeline.sources import load_recordings
 
@@ -209,7 +209,7 @@ def trace_paths(bits, labels) -> list:
 def learn_shapes(traces, seed: int, about: dict) -> ShapeModel:
     """The ways of writing of the people who wrote on the sensor."""
     shapes = estimate(
-        [Trace(trace.digit, trace.writer, boxed(trace.strokes)) for trace in traces],
+        [Trace(trace.digit, trace.writer, fit_in_box(trace.strokes)) for trace in traces],
         seed,
         about,
         MOST_WAYS,

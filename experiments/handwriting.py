@@ -15,7 +15,7 @@ from deploy.terminal import show
 from experiments import unipen
 from pipeline.simulation import shape_model
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resampled
+from pipeline.simulation.shape_model import DIGITS, POINTS, Allograph, ShapeModel, resample
 
 # Source and licence of files from which a model may be estimated, by their hash.
 KNOWN_HANDWRITING = {
@@ -164,7 +164,7 @@ def _points_of(traces, count):
 
 def vector(trace: Trace, points) -> np.ndarray:
     """A trajectory as the vector that :class:`.Allograph` describes."""
-    places = [resampled(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
+    places = [resample(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
     last = np.log([len(stroke) - 1 for stroke in trace.strokes])
     return np.concatenate([*places, last[1:] - last[0]])
 

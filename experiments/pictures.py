@@ -68,7 +68,7 @@ def _hand(seed):
     p = parameters.load()
     rng = np.random.default_rng(seed)
     who = handwriting.draw_writer(rng, p)
-    motion = simulate.motion(simulate.Sample(8, 0, 0), who, rng, p)
+    motion = simulate.draw_motion(simulate.Sample(8, 0, 0), who, rng, p)
     first, last = np.flatnonzero(motion.force > 0.3 * motion.force.max())[[0, -1]]
     at = np.linspace(first, last, 120).astype(int)
     places = (motion.right[at] + 0.5) / 10, (motion.down[at] + 0.5) / 10

@@ -56,11 +56,11 @@ def main(
             script = ROOT / "experiments" / "recurrent_torch.py"
             arguments = python, script, frames, graph, answers, seed, epochs
             subprocess.run([str(argument) for argument in arguments], check=True)
-            rows.append((str(seed), *compared(graph, answers, settings, dataset, target)))
+            rows.append((str(seed), *compare_with_torch(graph, answers, settings, dataset, target)))
     show("\n".join(align_rows(rows)))
 
 
-def compared(graph, answers, settings, dataset, target) -> tuple:
+def compare_with_torch(graph, answers, settings, dataset, target) -> tuple:
     """The columns of a network: accuracies, and what snnTorch, graph and chip have in common."""
     network = read_nir(graph)
     theirs = read_arrays(answers, "train again")

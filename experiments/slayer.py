@@ -154,7 +154,7 @@ class SlayerNetwork:
         kernels = iter(self.kernels)
         for layer in self.architecture.layers:
             if not layer.has_neurons:
-                signal = _pooled(signal, layer.size)
+                signal = _pool(signal, layer.size)
             else:
                 layers.append(fire(weighted_sums(layer, next(kernels), signal), self.recipe))
                 signal = layers[-1][1]
@@ -192,7 +192,7 @@ class SlayerNetwork:
         return loss, counts, tape.gradient(credited, self.kernels)
 
 
-def _pooled(signal, size):
+def _pool(signal, size):
     """Means over windows that do not overlap, shape (steps, samples, rows, columns, channels)."""
     frames = tf.reshape(signal, (-1, *signal.shape[2:]))
     means = tf.nn.avg_pool2d(frames, size, size, "VALID")

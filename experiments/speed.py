@@ -34,7 +34,7 @@ SEED = 5
 TURNS = 4
 
 
-def _spent(function, *arguments):
+def _time_call(function, *arguments):
     """The processor time that a call takes, and its result."""
     begun = time.process_time()
     result = function(*arguments)
@@ -72,8 +72,8 @@ def of_bundle(bundle, samples: int | None = None) -> dict:
             built = build(spec)
             shown = spec.flatten_samples(inputs[part])
             with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
-                slow, expected = _spent(respond, spec, built, sim, shown)
-            quick, _ = _spent(emulation.run, streams)
+                slow, expected = _time_call(respond, spec, built, sim, shown)
+            quick, _ = _time_call(emulation.run, streams)
             identical &= np.array_equal(expected.decisions, found.decisions[part])
             identical &= np.array_equal(expected.spike_hashes, found.spike_hashes[part])
             paces.append([len(shown) / slow, n_streamed / quick])
@@ -190,13 +190,13 @@ class _Timed:
         # As NengoLoihi calls it: one step after the other if the chip needs the host.
         alone = self.simulator.precompute or set(self.simulator.sims) == {"emulator"}
         method = "run_steps" if alone else "step"
-        setattr(self.emulator, method, self._counted(getattr(self.emulator, method)))
+        setattr(self.emulator, method, self._count_calls(getattr(self.emulator, method)))
         simulator = self.simulator
         simulator._runner = type(simulator._runner)(
             simulator.model, simulator.sims, simulator.precompute, simulator.timers
         )
 
-    def _counted(self, method):
+    def _count_calls(self, method):
         def call(*arguments):
             begun = time.thread_time()
             method(*arguments)

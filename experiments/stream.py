@@ -81,7 +81,7 @@ def events_at(bundle, rate: float, samples: int, pause_s: float):
             continue
         steps = int(step[-1]) + 1
         wanted = max(len(step), round(rate * steps * step_ns * 1e-9))
-        which = np.concatenate([np.arange(len(step)), _repeated(rng, step, wanted)])
+        which = np.concatenate([np.arange(len(step)), _draw_repetitions(rng, step, wanted)])
         within_ns = rng.integers(0, step_ns, len(which))
         within_ns[0] = 0  # the first event, from which the steps are counted
         time_ns = start_ns + step[which] * step_ns + within_ns
@@ -92,7 +92,7 @@ def events_at(bundle, rate: float, samples: int, pause_s: float):
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
 
-def _repeated(rng, step, wanted):
+def _draw_repetitions(rng, step, wanted):
     """Events to repeat, evenly over the time from the first step to the last."""
     more = wanted - len(step)
     moments = rng.integers(0, int(step[-1]) + 1, more)
@@ -189,20 +189,20 @@ def measure(bundle, rate: float, samples: int) -> dict:
     """Latencies at a rate in real time, and the highest rate, for both ways to push events."""
     network = SharedNetwork(Emulation(bundle.spec, bundle.seed))
 
-    def opened():
+    def open_stream():
         return Stream(bundle, "ns", network=network)
 
-    pause_s = opened().silence + PAUSE_S
+    pause_s = open_stream().silence + PAUSE_S
     columns = events_at(bundle, rate, samples, pause_s)
-    expected = [decision.number for decision in _at_once(opened(), columns)]
+    expected = [decision.number for decision in _at_once(open_stream(), columns)]
     rows = []
     for name, (one_by_one, rates) in WAYS.items():
-        played = play(opened(), columns, one_by_one)
+        played = play(open_stream(), columns, one_by_one)
         latency = played["latency_ms"]
         loads = []
         for load in rates:
             events = events_at(bundle, load, LOAD_SAMPLES, TOUCHING_S)
-            loads.append(busy_at_once(opened(), events, one_by_one))
+            loads.append(busy_at_once(open_stream(), events, one_by_one))
         slope, rest = np.polyfit(rates, loads, 1)
         highest = float((1 - rest) / slope) if slope > 0 else np.inf
         rows.append(

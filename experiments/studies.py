@@ -20,7 +20,7 @@ from deploy.files import write_json
 from deploy.tables import align_rows
 from experiments import classifiers, readings, tables
 from experiments.styles import STYLES, hold_out_styles
-from experiments.variants import VARIANTS, varied
+from experiments.variants import VARIANTS, vary_dataset
 from pipeline import paper
 from pipeline.commands import options
 from pipeline.kinds import choose_settings
@@ -146,7 +146,7 @@ def _on_events(trained, chip, **more):
     )
 
 
-def _presented(name, stage, steps, rate=150.0, **sections):
+def _line_of_presentation(name, stage, steps, rate=150.0, **sections):
     """The paper's network with choices that the paper leaves open."""
     title = f"{'NengoDL' if stage == 'spiking-lif' else 'emulated Loihi'}, {name}"
     shown = {"steps": steps, "readout_start": steps // 5, **sections.pop("presentation", {})}
@@ -157,11 +157,14 @@ def _presented(name, stage, steps, rate=150.0, **sections):
 
 CHOICES = (
     Line("rate-lif", "rate-LIF, 150 Hz", "rate-lif", PAPER),
-    *(_presented(f"{n} steps", "spiking-lif", n) for n in (100, 50, 40, 30, 20)),
-    _presented("100 steps at 100 Hz", "spiking-lif", 100, 100.0),
-    _presented("100 steps, no synapse", "spiking-lif", 100, deployment={"synapse": 0.0}),
-    *(_presented(f"{n} steps", "fast", n) for n in (100, 50, 40, 30)),
-    *(_presented(f"{n} steps, no gap", "fast", n, presentation={"gap": 0}) for n in (100, 50)),
+    *(_line_of_presentation(f"{n} steps", "spiking-lif", n) for n in (100, 50, 40, 30, 20)),
+    _line_of_presentation("100 steps at 100 Hz", "spiking-lif", 100, 100.0),
+    _line_of_presentation("100 steps, no synapse", "spiking-lif", 100, deployment={"synapse": 0.0}),
+    *(_line_of_presentation(f"{n} steps", "fast", n) for n in (100, 50, 40, 30)),
+    *(
+        _line_of_presentation(f"{n} steps, no gap", "fast", n, presentation={"gap": 0})
+        for n in (100, 50)
+    ),
 )
 
 ARCHITECTURES = (
@@ -335,7 +338,7 @@ def measure(case: Case, networks: Library) -> dict:
 
 def _measure_on(dataset, case, networks):
     if case.alter in VARIANTS:
-        dataset = varied(dataset, case.alter, case.seed)
+        dataset = vary_dataset(dataset, case.alter, case.seed)
     index = getattr(dataset.split, case.part)
     if case.stage == readings.STAGE:
         predictions = readings.predict_test_samples(dataset, index, case.alter, case.resolved)

@@ -58,7 +58,7 @@ def table(rows, by=("split", "name"), against=()) -> dict:
         {**dict(zip(by, key, strict=True)), "a": key[-1], "b": b, **found}
         for a, b in against
         for key in groups
-        if key[-1] == a and (found := _compared(groups[key], groups.get((*key[:-1], b), {})))
+        if key[-1] == a and (found := _compare_rows(groups[key], groups.get((*key[:-1], b), {})))
     ]
     for comparison, p in zip(comparisons, holm([c["p"] for c in comparisons]), strict=True):
         comparison["p_holm"] = p
@@ -74,7 +74,7 @@ def _mean(rows, name):
     return float(np.mean([row[name] for row in rows]))
 
 
-def _compared(ones, others):
+def _compare_rows(ones, others):
     """Accuracy of one row minus another's, over their common seeds and samples."""
     seeds = [seed for seed in ones if seed in others]
     if not seeds:

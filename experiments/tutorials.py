@@ -25,7 +25,7 @@ from deploy.terminal import show
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "tutorials"
 
 
-def executed(notebook: dict, folder) -> tuple:
+def execute(notebook: dict, folder) -> tuple:
     """A notebook with the outputs of its cells, and the names that they leave.
 
     Parameters
@@ -87,7 +87,7 @@ def main(
         sys.path.insert(0, os.getcwd())
         with tempfile.TemporaryDirectory() as folder:
             shutil.copy(FOLDER / "network.nir", folder)
-            notebook, _ = executed(notebook, folder)
+            notebook, _ = execute(notebook, folder)
         with replacing(path, "w") as file:
             file.write(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
         show(f"{path.name}: {time.monotonic() - start:.0f} s, {path.stat().st_size / 1000:.0f} kB")

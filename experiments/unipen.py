@@ -15,7 +15,7 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.shape_model import boxed
+from pipeline.simulation.shape_model import fit_in_box
 
 # Characters that are read of a file; a thousand writers take a tenth of it.
 MOST_TEXT = 1 << 26
@@ -121,4 +121,4 @@ def _trace(label, writer, strokes):
     strokes = [np.array(stroke) for stroke in strokes if len(stroke) > 1]
     if not re.fullmatch("[0-9]", label) or not strokes:
         return None
-    return Trace(int(label), writer, boxed(strokes))
+    return Trace(int(label), writer, fit_in_box(strokes))

@@ -37,13 +37,13 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
         "as-is": lambda: recordings,
         "no-polarity": lambda: without_polarity(recordings),
         "even": lambda: even(recordings),
-        "shuffled": lambda: shuffled(recordings, seed),
+        "shuffled": lambda: shuffle_events(recordings, seed),
         "counts": lambda: only_counts(recordings, lasts_ns),
     }
     return made[variant]()
 
 
-def varied(dataset: Dataset, variant: str, seed: int) -> Dataset:
+def vary_dataset(dataset: Dataset, variant: str, seed: int) -> Dataset:
     """A data set with changed events; see :func:`vary`.
 
     Recordings that are reduced to counts last as long as the median training sample.
@@ -77,7 +77,7 @@ def even(recordings: Recordings) -> Recordings:
     return replace(recordings, events=replace(recordings.events, time_ns=time_ns))
 
 
-def shuffled(recordings: Recordings, seed: int) -> Recordings:
+def shuffle_events(recordings: Recordings, seed: int) -> Recordings:
     """The times of a recording's events are assigned to the events at random.
 
     The number of events in each step does not change, but their places are independent of the

@@ -23,7 +23,7 @@ from pipeline.recordings.source import list_source
 from pipeline.recordings.splits import PUBLISHED, RANDOM
 from pipeline.run.settings import SIMULATED, Settings
 from pipeline.simulation import parameters
-from pipeline.simulation.simulate import simulate, source_of
+from pipeline.simulation.simulate import describe_source, simulate
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def identity_of(settings: Settings) -> tuple:
     if settings.data.source == SIMULATED:
         simulated = SimulatedSource.of(settings)
         how = simulated.how(settings.skin.rows, settings.skin.columns)
-        sha256 = source_of(simulated.seed, simulated.counts, **how).sha256
+        sha256 = describe_source(simulated.seed, simulated.counts, **how).sha256
         return sha256, RANDOM if kind == "auto" else kind
     listing = list_source(settings.data.source)
     if kind == "auto":
@@ -174,7 +174,7 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     **how
         ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
     """
-    path = path_of_simulated(source_of(seed, counts, **how).sha256)
+    path = path_of_simulated(describe_source(seed, counts, **how).sha256)
     recordings = load(path)
     if recordings is None:
         with progress("simulate", sum(counts)) as advance:

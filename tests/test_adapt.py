@@ -17,7 +17,7 @@ from pipeline.results.elsewhere import recordings_for
 from pipeline.run.settings import Settings, write_settings
 from pipeline.simulation import handwriting, parameters
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.shape_model import boxed
+from pipeline.simulation.shape_model import fit_in_box
 from pipeline.simulation.simulate import simulate
 from tests.command import call
 
@@ -33,7 +33,7 @@ def strange_hand(each, seed=5):
     for digit in np.repeat(np.arange(10), each):
         shape = handwriting.draw_shape(digit, who, rng, p.shapes)
         strokes = handwriting.write(digit, shape, who, p)
-        traces.append(Trace(int(digit), 7, boxed(stroke @ LEANING for stroke in strokes)))
+        traces.append(Trace(int(digit), 7, fit_in_box(stroke @ LEANING for stroke in strokes)))
     return simulate(seed, [each] * 10, 1, traces=traces)
 
 

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments.tutorials import FOLDER, executed
+from experiments.tutorials import FOLDER, execute
 from pipeline.recordings.writing import write_recordings
 from tests.command import ROOT, printed_by, users_environment
 
@@ -16,13 +16,13 @@ REAL = ROOT.parent / "shared" / "data" / "stmnist-train.zip"
 
 CODE = """
 import json, sys
-from experiments.tutorials import FOLDER, executed
+from experiments.tutorials import FOLDER, execute
 text = (FOLDER / f"{sys.argv[1]}.ipynb").read_text(encoding="utf-8")
 for change in sys.argv[2:]:
     before, after = change.split(" -> ")
     assert before in text
     text = text.replace(before, after)
-executed(json.loads(text), ".")
+execute(json.loads(text), ".")
 """
 
 
@@ -49,7 +49,7 @@ def test_a_notebook_gets_the_outputs_of_its_cells(tmp_path):
     code = ["import matplotlib.pyplot as plt\n", "print(1)\n", "plt.plot([1, 2])"]
     text = {"cell_type": "markdown", "metadata": {}, "source": ["# title"]}
     cells = [{**cell, "source": code}, text, {**cell, "source": ["x = 2"]}]
-    made, names = executed({"cells": cells}, tmp_path)
+    made, names = execute({"cells": cells}, tmp_path)
     first, second, third = made["cells"]
     assert [output["output_type"] for output in first["outputs"]] == ["stream", "display_data"]
     assert first["outputs"][0]["text"] == ["1\n"]

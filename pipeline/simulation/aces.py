@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.recordings.events import TICK_NS, Events
 
 
-def bursts(time_ns, taxel, polarity, p) -> Events:
+def make_bursts(time_ns, taxel, polarity, p) -> Events:
     """The decoder's reports without losses on the wire, computed directly.
 
     An event at ``t`` with pulses of width ``w`` is reported at every tick from ``t`` to just before
@@ -36,12 +36,12 @@ def bursts(time_ns, taxel, polarity, p) -> Events:
     Events
         In order of time, no two in the same tick.
     """
-    first, columns = _ticks(time_ns, polarity, p)
-    return in_turn(first, taxel, polarity, columns)
+    first, columns = find_ticks(time_ns, polarity, p)
+    return queue_bursts(first, taxel, polarity, columns)
 
 
 class Decoder:
-    """:func:`bursts` for events that arrive in parts.
+    """:func:`make_bursts` for events that arrive in parts.
 
     Parameters
     ----------
@@ -59,30 +59,30 @@ class Decoder:
         Parameters
         ----------
         time_ns, taxel, polarity
-            As in :func:`bursts`; not before ``until_ns`` of the previous call.
+            As in :func:`make_bursts`; not before ``until_ns`` of the previous call.
         until_ns : float
         """
         every = [
             np.concatenate([old, new])
             for old, new in zip(self._waiting, (time_ns, taxel, polarity), strict=True)
         ]
-        first, columns = _ticks(every[0], every[2], self._p)
+        first, columns = find_ticks(every[0], every[2], self._p)
         due = first < np.ceil(until_ns / TICK_NS)
         self._waiting = tuple(values[~due] for values in every)
-        events = in_turn(first[due], every[1][due], every[2][due], columns[due], self._free)
+        events = queue_bursts(first[due], every[1][due], every[2][due], columns[due], self._free)
         if len(events):
             self._free = int(events.time_ns[-1]) // TICK_NS + int(events.columns[-1])
         return events
 
 
-def _ticks(time_ns, polarity, p):
+def find_ticks(time_ns, polarity, p):
     """First tick and number of ticks at which a pulse sent at ``time_ns`` is high."""
     width = np.where(np.asarray(polarity) > 0, p.rise_ns, p.fall_ns)
     first = np.ceil(np.asarray(time_ns) / TICK_NS).astype(np.int64)
     return first, np.ceil((time_ns + width) / TICK_NS).astype(np.int64) - first
 
 
-def in_turn(tick, taxel, polarity, columns, free=0) -> Events:
+def queue_bursts(tick, taxel, polarity, columns, free=0) -> Events:
     """Events in order of time; one that would start within another's burst waits for its end.
 
     In the published arrays no two taxels report in the same tick.  ``free`` is the first tick after

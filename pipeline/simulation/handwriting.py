@@ -198,9 +198,9 @@ def draw_placing(who: Writer, rng, form, habit: float):
     return lambda points: points * np.exp(log_height) + centre
 
 
-def length_s(strokes, p) -> float:
+def measure_duration_s(strokes, p) -> float:
     """Duration in seconds of :func:`move` at tempo 1."""
-    return float(_timing(strokes, 1.0, p)[-1][-1])
+    return float(_time_points(strokes, 1.0, p)[-1][-1])
 
 
 def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
@@ -225,16 +225,16 @@ def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
     Motion
         From ``p.landing_s`` before the first stroke to ``p.settle_s`` after the last one.
     """
-    clock = _timing(strokes, tempo, p)
+    clock = _time_points(strokes, tempo, p)
     end = clock[-1][-1]
     time = np.arange(-p.landing_s, end + p.settle_s, step_s)
     path = PchipInterpolator(np.concatenate(clock), np.concatenate(strokes))
     down, right = path(np.clip(time, 0, end)).T
     lands, lifts = np.array([(stroke[0], stroke[-1]) for stroke in clock]).T
-    return Motion(start_s + time, down, right, on_skin(time, lands, lifts, p))
+    return Motion(start_s + time, down, right, compute_contact_force(time, lands, lifts, p))
 
 
-def _timing(strokes, tempo, p):
+def _time_points(strokes, tempo, p):
     """Time of each point of each stroke, from the first point on."""
     path = sum(np.hypot(*np.diff(stroke, axis=0).T).sum() for stroke in strokes)
     interval = max(path, 1.0) / p.speed / tempo / sum(len(stroke) - 1 for stroke in strokes)
@@ -247,7 +247,7 @@ def _timing(strokes, tempo, p):
     return clock
 
 
-def on_skin(time, lands, lifts, p):
+def compute_contact_force(time, lands, lifts, p):
     """Force over time: 0 in the air and 1 on the skin, rising and falling smoothly.
 
     Parameters

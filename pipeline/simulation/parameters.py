@@ -122,7 +122,7 @@ def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
         name: _section(name, {**entries, **fit["sections"].get(name, {})})
         for name, entries in assumed.items()
     }
-    forms = [{key: _frozen(value) for key, value in form.items()} for form in fit["digits"]]
+    forms = [{key: _freeze(value) for key, value in form.items()} for form in fit["digits"]]
     return Parameters(
         **sections,
         forms=tuple(Form(**form) for form in forms),
@@ -133,12 +133,12 @@ def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
 
 def _section(name, values):
     """A section as a dataclass."""
-    values = {key: _frozen(value) for key, value in values.items()}
+    values = {key: _freeze(value) for key, value in values.items()}
     return dataclasses.make_dataclass(name, values, frozen=True)(**values)
 
 
-def _frozen(value):
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+def _freeze(value):
+    return tuple(map(_freeze, value)) if isinstance(value, list) else value
 
 
 def _plain(value):

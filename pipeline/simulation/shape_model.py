@@ -90,8 +90,8 @@ class Allograph:
         strokes = np.split(drawn[: 2 * POINTS].reshape(POINTS, 2), np.cumsum(self.points)[:-1])
         ratio = np.exp(np.concatenate([[0.0], np.clip(drawn[2 * POINTS :], -3, 3)]))
         counts = np.maximum(np.rint(ratio / ratio.sum() * POINTS).astype(int), 3)
-        return boxed(
-            resampled(stroke, count) for stroke, count in zip(strokes, counts, strict=True)
+        return fit_in_box(
+            resample(stroke, count) for stroke, count in zip(strokes, counts, strict=True)
         )
 
 
@@ -143,15 +143,14 @@ class ShapeModel:
             "tempo": np.array([self.tempo, self.trial_tempo]),
         }
         for digit, ways in enumerate(self.allographs):
-            arrays |= {f"{digit}.{part}": array for part, array in _packed(ways).items()}
+            arrays |= {f"{digit}.{part}": array for part, array in _pack(ways).items()}
         return arrays
 
     @classmethod
     def from_arrays(cls, arrays: dict) -> ShapeModel:
         """The model of :meth:`arrays`."""
         ways = tuple(
-            _unpacked({part: arrays[f"{digit}.{part}"] for part in PARTS})
-            for digit in range(DIGITS)
+            _unpack({part: arrays[f"{digit}.{part}"] for part in PARTS}) for digit in range(DIGITS)
         )
         tempo, trial_tempo = arrays["tempo"].astype(float).tolist()
         return cls(
@@ -208,7 +207,7 @@ def scale_shares(ways, total: float) -> tuple:
 PARTS = ("share", "points", "rank", "mean", "components", "between", "within")
 
 
-def _packed(ways) -> dict:
+def _pack(ways) -> dict:
     """A digit's allographs as arrays of equal size, padded with zeros."""
     k = max(way.rank for way in ways)
     strokes = max(len(way.points) for way in ways)
@@ -229,8 +228,8 @@ def _packed(ways) -> dict:
     }
 
 
-def _unpacked(arrays) -> tuple:
-    """The inverse of :func:`_packed`."""
+def _unpack(arrays) -> tuple:
+    """The inverse of :func:`_pack`."""
     ways = []
     for share, points, rank, mean, components, between, within in zip(
         *(arrays[part] for part in PARTS), strict=True
@@ -243,7 +242,7 @@ def _unpacked(arrays) -> tuple:
     return tuple(ways)
 
 
-def boxed(strokes) -> tuple:
+def fit_in_box(strokes) -> tuple:
     """Strokes shifted and scaled to a box of height 1 around 0, with the same proportions.
 
     Parameters
@@ -258,7 +257,7 @@ def boxed(strokes) -> tuple:
     return tuple((stroke - (low + high) / 2) / height for stroke in strokes)
 
 
-def resampled(stroke, count: int) -> np.ndarray:
+def resample(stroke, count: int) -> np.ndarray:
     """A stroke with another number of evenly spaced times, shape (count, 2)."""
     at = np.linspace(0, len(stroke) - 1, count)
     return np.stack([np.interp(at, np.arange(len(stroke)), axis) for axis in stroke.T], 1)

@@ -113,11 +113,11 @@ def simulate(
         A digit is requested that no trace has.
     """
     parameters = parameters or settings.load()
-    counts = _counts(samples_per_digit)
+    counts = _check_counts(samples_per_digit)
     samples = list_samples(seed, counts, parameters.people, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
-    work = (delayed(_batch)(seed, batch, parameters, size) for batch in batches)
+    work = (delayed(_simulate_batch)(seed, batch, parameters, size) for batch in batches)
     with results_of(work, jobs) as results:
         for done in results:
             parts += done
@@ -128,16 +128,18 @@ def simulate(
         labels=[sample.digit for sample in samples],
         ids=[sample.name for sample in samples],
         writers=[sample.writer for sample in samples],
-        source=source_of(seed, counts, parameters, traces, size),
+        source=describe_source(seed, counts, parameters, traces, size),
         taxels=TaxelMap.grid(*size),
         sensor=Sensor(*size),
     )
 
 
-def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
+def describe_source(
+    seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE
+) -> Source:
     """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
     parameters = parameters or settings.load()
-    content = [VERSION, int(seed), _counts(samples_per_digit), parameters.fingerprint()]
+    content = [VERSION, int(seed), _check_counts(samples_per_digit), parameters.fingerprint()]
     if tuple(size) != SIZE:
         content.append(list(size))
     digest = hashlib.sha256(json.dumps(content).encode())
@@ -154,7 +156,7 @@ def source_of(seed=0, samples_per_digit=None, parameters=None, traces=None, size
     return Source(name, digest.hexdigest(), True)
 
 
-def _counts(samples_per_digit):
+def _check_counts(samples_per_digit):
     counts = SAMPLES_PER_DIGIT if samples_per_digit is None else samples_per_digit
     counts = [int(n) for n in counts]
     if len(counts) != 10 or min(counts) < 0:
@@ -203,10 +205,12 @@ def list_samples(seed, counts, people, traces=None) -> list:
     return samples
 
 
-def _batch(seed, samples, p, size):
+def _simulate_batch(seed, samples, p, size):
     """Events of some recordings; runs in a process of its own."""
-    gain = array_gain(p.skin, size)
-    touches = [_touch(sample, *begin_sample(seed, sample, p), gain, p, size) for sample in samples]
+    gain = compute_gain(p.skin, size)
+    touches = [
+        _simulate_touch(sample, *begin_sample(seed, sample, p), gain, p, size) for sample in samples
+    ]
     events = _receive(touches, p, size)
     for number, sample in enumerate(samples):
         # Spread evenly over the recordings of a digit.
@@ -226,7 +230,7 @@ def begin_sample(seed, sample, p):
     return who, rng
 
 
-def array_gain(p, size=SIZE) -> np.ndarray:
+def compute_gain(p, size=SIZE) -> np.ndarray:
     """Gain of each taxel, shape (n_taxels,): that of the real array, repeated on a larger skin.
 
     Parameters
@@ -240,7 +244,7 @@ def array_gain(p, size=SIZE) -> np.ndarray:
     return np.exp(gain[taxels.column % GRID, taxels.row % GRID])
 
 
-def stretched(moved, size):
+def scale_motion(moved, size):
     """A motion over the paper's skin as one over a skin of another size, around its middle.
 
     The smaller side determines the scale, so that digits keep their proportions.
@@ -255,7 +259,7 @@ def stretched(moved, size):
     return replace(moved, down=down, right=right)
 
 
-def motion(sample, who, rng, p):
+def draw_motion(sample, who, rng, p):
     """The pen's movement over the skin for one recording, force included.
 
     Parameters
@@ -283,22 +287,22 @@ def motion(sample, who, rng, p):
     force = form.force + who.force + np.sqrt(1 - p.writers.habit) * p.trials.force * harder
     place = handwriting.draw_placing(who, rng, form, p.writers.habit)
     strokes = [place(stroke) for stroke in strokes]
-    length = handwriting.length_s(strokes, kinematics)
+    length = handwriting.measure_duration_s(strokes, kinematics)
     # The writing must end within the recording.
     tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
     moved = handwriting.move(strokes, tempo, STEP_S, start, kinematics)
-    return replace(moved, force=np.exp(force) * moved.force * _waver(moved, rng, kinematics))
+    return replace(moved, force=np.exp(force) * moved.force * _draw_waver(moved, rng, kinematics))
 
 
-def _waver(motion, rng, p):
+def _draw_waver(motion, rng, p):
     """Slow changes of the force along the movement, with a geometric mean of 1."""
     along = (motion.time_s - motion.time_s[0]) / p.waver_s
     knots = rng.standard_normal(int(along[-1]) + 2)
     return np.exp(p.waver * np.interp(along, np.arange(len(knots)), knots))
 
 
-def _touch(sample, who, rng, gain, p, size):
-    moved = stretched(motion(sample, who, rng, p), size)
+def _simulate_touch(sample, who, rng, gain, p, size):
+    moved = scale_motion(draw_motion(sample, who, rng, p), size)
     skin = draw_skin(who, rng, p, p.forms[sample.digit].contact)
     gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(len(gain)))
     taxels, felt, speed = press(moved, gain, p.receptor.threshold / 2, skin, size)
@@ -384,7 +388,7 @@ def _read_out(written, touch, p, size):
             draw_faults(touch.rng, touch.session, begin, end, refractory_s, p.faults, size)
         )
     seconds, taxel, polarity = map(np.concatenate, zip(*parts, strict=True))
-    return aces.bursts(1e9 * seconds, taxel, polarity, p.aces)
+    return aces.make_bursts(1e9 * seconds, taxel, polarity, p.aces)
 
 
 def _stretches(ends, first):

@@ -3,9 +3,9 @@
 The motion of a simulated writer is known completely before the skin is simulated.  Here the points
 of the pen arrive one by one.  Between two of them the tip moves in a straight line, after the last
 one it rests, and it lands and lifts like a simulated writer's
-(:func:`pipeline.simulation.handwriting.on_skin`).  Contact, film, receptors and read-out are those
-of the simulation (:mod:`pipeline.simulation.contact`, :mod:`~pipeline.simulation.aces`); the skin
-has no faults.
+(:func:`pipeline.simulation.handwriting.compute_contact_force`).  Contact, film, receptors and
+read-out are those of the simulation (:mod:`pipeline.simulation.contact`,
+:mod:`~pipeline.simulation.aces`); the skin has no faults.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,8 @@ import numpy as np
 from pipeline.recordings.events import Events
 from pipeline.simulation import aces, contact
 from pipeline.simulation.contact import Receptors
-from pipeline.simulation.handwriting import NOBODY, on_skin
-from pipeline.simulation.simulate import SIZE, STEP_S, array_gain, draw_skin
+from pipeline.simulation.handwriting import NOBODY, compute_contact_force
+from pipeline.simulation.simulate import SIZE, STEP_S, compute_gain, draw_skin
 
 # Time at which the pen first touches the skin; 0.197 s in the one available real recording.
 START_S = 0.2
@@ -71,7 +71,7 @@ class Writing:
 
     def __init__(self, seed, p, size=SIZE, polarities=2):
         rng = np.random.default_rng(seed)
-        gain = array_gain(p.skin, size)
+        gain = compute_gain(p.skin, size)
         n_taxels = len(gain)
         gain = gain * np.exp(p.skin.gain_drift * rng.standard_normal(n_taxels))
         off = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
@@ -193,7 +193,7 @@ class Writing:
         kinematics = self._p.kinematics
         lands, lifts = np.array(self._contacts).T + kinematics.landing_s
         force = self._usual * np.clip(pressure / USUAL_PRESSURE, WEAKEST, STRONGEST)
-        return down, right, force * on_skin(time, lands, lifts, kinematics)
+        return down, right, force * compute_contact_force(time, lands, lifts, kinematics)
 
     def _forget(self):
         """Delete data on which no later row depends."""

@@ -12,7 +12,7 @@ from experiments.calibration import Target, find_sessions, place_forms, simulate
 from pipeline.recordings.writing import write_zip
 from pipeline.simulation import parameters, shape_model
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.simulate import simulate, source_of
+from pipeline.simulation.simulate import describe_source, simulate
 
 BUILT_IN = read_json(parameters.FITTED, "restore it")
 SHAPES = shape_model.read(parameters.FITTED_SHAPES)
@@ -34,7 +34,7 @@ def target_of(fit, each=15, seed=5):
 def test_sample_counts_are_the_papers():
     counts = [697, 690, 699, 690, 690, 693, 698, 704, 697, 695]
     assert sum(counts) == 6953
-    assert source_of(0) == source_of(0, counts)
+    assert describe_source(0) == describe_source(0, counts)
 
 
 def test_the_built_in_fit_has_its_source_and_no_recording():

@@ -33,7 +33,7 @@ def people(digits=range(10), writers=6, each=10, seed=0, **how):
             for _ in range(each):
                 end = habit + how.get("within", 0.1) * rng.standard_normal()
                 line = stroke([-0.5, 0.0], [0.5, end])
-                strokes = shape_model.boxed([line[::-1] if writer % 3 == 2 else line])
+                strokes = shape_model.fit_in_box([line[::-1] if writer % 3 == 2 else line])
                 traces.append(Trace(digit, writer, strokes))
     return traces
 

@@ -68,7 +68,7 @@ def test_written_on_the_skin(tmp_path):
     assert (motion.down[lands[1]], motion.right[lands[1]]) == pytest.approx((5, 3.8), abs=0.2)
     assert (motion.down[0], motion.right[0]) == pytest.approx((1, 3))
     assert motion.time_s[-1] - motion.time_s[0] == pytest.approx(
-        handwriting.length_s(strokes, P.kinematics)
+        handwriting.measure_duration_s(strokes, P.kinematics)
         + P.kinematics.landing_s
         + P.kinematics.settle_s,
         abs=2e-3,

@@ -75,7 +75,7 @@ def digit(number, index=0):
     """A simulated hand's motion in a third of its time."""
     who = handwriting.draw_writer(np.random.default_rng([0, 1, index]), P)
     sample = simulate.Sample(number, index, index)
-    motion = simulate.motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
+    motion = simulate.draw_motion(sample, who, np.random.default_rng([0, 2, number, index]), P)
     return replace(motion, time_s=motion.time_s / 3)
 
 

@@ -42,7 +42,7 @@ def test_signatures_meet_in_few_pulses():
 def test_burst_lengths_are_those_of_the_real_recording():
     time_ns = np.random.default_rng(0).uniform(0, 1e12, 40_000)
     polarity = np.repeat([1, -1], 20_000)
-    events = aces.bursts(time_ns, np.zeros(40_000, int), polarity, P)
+    events = aces.make_bursts(time_ns, np.zeros(40_000, int), polarity, P)
     rises, falls = (events.columns[events.polarity == sign] for sign in (1, -1))
     assert set(falls) == {4, 5}
     assert set(rises) == {2, 3}
@@ -65,7 +65,9 @@ def test_encode_by_hand():
 def test_decode_of_encode_is_the_short_way(events):
     time_ns, taxel, polarity = (np.array(column) for column in zip(*events, strict=True))
     wire = wire_of.encode(time_ns, taxel, polarity, P, 0, round(4.2e6 / TICK_NS))
-    assert columns(wire_of.decode(wire, P, 0)) == columns(aces.bursts(time_ns, taxel, polarity, P))
+    assert columns(wire_of.decode(wire, P, 0)) == columns(
+        aces.make_bursts(time_ns, taxel, polarity, P)
+    )
 
 
 @given(sent)
@@ -73,7 +75,7 @@ def test_decode_of_encode_is_the_short_way(events):
 def test_no_two_bursts_share_a_tick(events):
     time_ns, taxel, polarity = (np.array(column) for column in zip(*events, strict=True))
     # Squeezed together until they collide.
-    reported = aces.bursts(time_ns / 1e4, taxel, polarity, P)
+    reported = aces.make_bursts(time_ns / 1e4, taxel, polarity, P)
     ticks = expand_bursts(reported)
     assert (np.diff(ticks[0]) > 0).all()
     assert columns(merge_bursts(*ticks)) == columns(reported)
@@ -91,5 +93,5 @@ def test_the_short_way_stands_for_the_wire_on_a_simulated_recording():
     )
     wire += P.noise * np.random.default_rng(0).standard_normal(len(wire), np.float32)
     decoded = wire_of.decode(wire, P, start)
-    again = aces.bursts(part.time_ns.astype(float), part.taxel, part.polarity, P)
+    again = aces.make_bursts(part.time_ns.astype(float), part.taxel, part.polarity, P)
     assert columns(decoded) == columns(again)

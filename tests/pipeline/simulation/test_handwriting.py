@@ -48,7 +48,7 @@ def test_the_pen_is_in_the_air_between_strokes():
 @given(st.floats(0.5, 3.0))
 def test_tempo_scales_time_only(tempo):
     strokes = [line([0, 0], [4, 1]), line([0, 5], [6, 5], 9)]
-    length = handwriting.length_s(strokes, P.kinematics)
+    length = handwriting.measure_duration_s(strokes, P.kinematics)
     pen = move(strokes, tempo, STEP, 0.0, P.kinematics)
     assert pen.time_s[-1] == pytest.approx(length / tempo + P.kinematics.settle_s, abs=2 * STEP)
     assert (pen.down[-1], pen.right[-1]) == pytest.approx((6, 5))

@@ -57,7 +57,7 @@ def test_the_decoder_piece_by_piece_is_the_decoder_at_once():
     rng = np.random.default_rng(0)
     time = np.sort(rng.uniform(0, 3e4, 400))  # so dense that most wait for another's end
     taxel, polarity = rng.integers(0, 100, 400), rng.choice([-1, 1], 400)
-    whole = aces.bursts(time, taxel, polarity, P.aces)
+    whole = aces.make_bursts(time, taxel, polarity, P.aces)
     decoder, parts, before = aces.Decoder(P.aces), [], 0.0
     for until in (10.0, 5000.0, 5001.0, 2e4, 1e9):
         now = (time > before) & (time <= until + 30)  # receptors look a little past the step

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 
 from pipeline.recordings.events import N_TAXELS, TICK_NS, Events
-from pipeline.simulation.aces import _ticks, in_turn
+from pipeline.simulation.aces import find_ticks, queue_bursts
 
 # Seed of the random search for signatures: a property of the hardware, not of a data set.
 SIGNATURE_SEED = 2020
@@ -75,7 +75,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
     Parameters
     ----------
     time_ns, taxel, polarity
-        As in :func:`pipeline.simulation.aces.bursts`.
+        As in :func:`pipeline.simulation.aces.make_bursts`.
     p : section ``[aces]`` of the parameters, and :data:`WIRE`
     start_ns : int
         Time of the first sample, on the grid.
@@ -89,7 +89,7 @@ def encode(time_ns, taxel, polarity, p, start_ns, n_ticks) -> np.ndarray:
     """
     delays = signatures(p.pulses, p.signature_s, p.most_shared)[np.asarray(taxel, int)]
     wire = np.zeros(n_ticks, np.float32)
-    for first, columns, delay in zip(*_ticks(time_ns, polarity, p), delays, strict=True):
+    for first, columns, delay in zip(*find_ticks(time_ns, polarity, p), delays, strict=True):
         ticks = (first + delay - start_ns // TICK_NS)[:, None] + np.arange(columns)
         wire[ticks[(ticks >= 0) & (ticks < n_ticks)]] += 1  # its pulses do not overlap
     return wire
@@ -130,7 +130,7 @@ def decode(wire, p, start_ns) -> Events:
         whole = length >= p.shortest
         found.append((begin[whole], np.full(whole.sum(), taxel), length[whole]))
     if not found:
-        return in_turn(*(np.empty(0, int),) * 4)
+        return queue_bursts(*(np.empty(0, int),) * 4)
     begin, taxel, length = (np.concatenate(column) for column in zip(*found, strict=True))
     polarity = np.where(length * TICK_NS < (p.rise_ns + p.fall_ns) / 2, 1, -1)
-    return in_turn(begin + start_ns // TICK_NS, taxel, polarity, length)
+    return queue_bursts(begin + start_ns // TICK_NS, taxel, polarity, length)
