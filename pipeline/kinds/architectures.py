@@ -12,7 +12,7 @@ from models.architecture import parse
 from models.chain import build_network_spec, links_of
 from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, size_text
 from pipeline.run.settings import Deployment
-from pipeline.training.recipe import NetworkSize, choose_hidden_units
+from pipeline.training.event_rules import NetworkSize, choose_hidden_units
 
 # Rows and columns of the first convolution's output on images, at most, on average.
 MAX_MAP_SIDE = 14
@@ -69,7 +69,7 @@ def event_architecture_for(sensor: Sensor, size: NetworkSize, samples: int) -> s
     Parameters
     ----------
     sensor : Sensor
-    size : pipeline.training.recipe.NetworkSize
+    size : pipeline.training.event_rules.NetworkSize
     samples : int
         Number of training samples; 0 for handwriting on a simulated sensor.
     """

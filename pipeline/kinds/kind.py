@@ -215,7 +215,7 @@ class NetworkKind:
 
     @property
     def recipe(self) -> str:
-        """How the network was made, for the bundle's provenance."""
+        """How the network was made, for the bundle's provenance: ``snn.recipe`` of images."""
         return self.name
 
     @property

@@ -53,8 +53,8 @@ PRICED_STEPS = 100
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """Hyperparameters of a training.
+class TrainingSchedule:
+    """How long a network is trained, and with which optimiser.
 
     Attributes
     ----------
@@ -64,24 +64,24 @@ class Recipe:
     annealed : bool
         Use Adam with a learning rate that falls to 0 along a half cosine; else RMSProp with a
         constant one (paper, Section 3.2).
-    shown_at_least : int
-        Samples that are shown in all epochs, at least: a small data set gets more epochs.
+    min_shown_samples : int
+        Minimum number of samples shown in all epochs: a small data set gets more epochs.
     """
 
     epochs: int
     batch_size: int
     learning_rate: float
     annealed: bool = False
-    shown_at_least: int = 0
+    min_shown_samples: int = 0
 
     def batches(self, n_samples: int) -> int:
         """Number of updates in an epoch."""
         return -(-n_samples // self.batch_size)
 
-    def apply_settings(self, section, n_samples: int) -> Recipe:
-        """This recipe with the values of a section of the settings that are not 0.
+    def apply_settings(self, section, n_samples: int) -> TrainingSchedule:
+        """This schedule with the values of a section of the settings that are not 0.
 
-        The default number of epochs is the recipe's, or more for a small data set.
+        The default number of epochs is the schedule's, or more for a small data set.
 
         Parameters
         ----------
@@ -91,24 +91,26 @@ class Recipe:
         """
         return replace(
             self,
-            epochs=section.epochs or max(self.epochs, -(-self.shown_at_least // n_samples)),
+            epochs=section.epochs or max(self.epochs, -(-self.min_shown_samples // n_samples)),
             batch_size=section.batch_size or self.batch_size,
             learning_rate=section.learning_rate or self.learning_rate,
         )
 
 
-# Defaults of the networks, where a setting is 0.
-RECIPES = {
+# Defaults of each ``snn.recipe``, where a setting is 0; the CNN has the paper's.
+SCHEDULES = {
     # The paper's 20 epochs of ST-MNIST show 111,240 samples.
-    "paper": Recipe(epochs=20, batch_size=8, learning_rate=0.001, shown_at_least=80_000),
-    "loihi": Recipe(
+    "paper": TrainingSchedule(
+        epochs=20, batch_size=8, learning_rate=0.001, min_shown_samples=80_000
+    ),
+    "loihi": TrainingSchedule(
         epochs=60,
         batch_size=64,
         learning_rate=0.004,
         annealed=True,
-        shown_at_least=160_000,
+        min_shown_samples=160_000,
     ),
-    "as-is": Recipe(epochs=0, batch_size=0, learning_rate=0.0),
+    "as-is": TrainingSchedule(epochs=0, batch_size=0, learning_rate=0.0),
 }
 
 
@@ -213,8 +215,8 @@ def train_cnn(
     model = new_cnn(settings, seed)
     if weights is not None:
         set_weights(model, weights)
-    recipe = cnn_recipe(settings.cnn, len(samples))
-    history = fit(model, recipe, samples, seed, advance)
+    schedule = make_cnn_schedule(settings.cnn, len(samples))
+    history = fit(model, schedule, samples, seed, advance)
     return TrainedCNN(settings, get_weights(model), history)
 
 
@@ -240,8 +242,8 @@ def train_matched(
     snn = settings.snn
     model = build_cnn(parse(settings.cnn.architecture), lambda index: relu(snn.noise, snn.dropout))
     set_weights(model, scale_to_unit(settings, cnn_weights, samples.images))
-    recipe = snn_recipe(snn, len(samples))
-    history = fit(model, recipe, samples, seed, advance)
+    schedule = make_snn_schedule(snn, len(samples))
+    history = fit(model, schedule, samples, seed, advance)
     return TrainedCNN(settings, get_weights(model), history)
 
 
@@ -251,14 +253,14 @@ def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
     return TrainedCNN.build(settings)
 
 
-def cnn_recipe(cnn, n_samples: int) -> Recipe:
-    """The paper's recipe for the CNN, with changes from the settings."""
-    return RECIPES["paper"].apply_settings(cnn, n_samples)
+def make_cnn_schedule(cnn, n_samples: int) -> TrainingSchedule:
+    """The paper's schedule for the CNN, with changes from the settings."""
+    return SCHEDULES["paper"].apply_settings(cnn, n_samples)
 
 
-def snn_recipe(snn, n_samples: int) -> Recipe:
-    """The recipe for the rate-based network, with changes from the settings."""
-    own = RECIPES[snn.recipe]
+def make_snn_schedule(snn, n_samples: int) -> TrainingSchedule:
+    """The schedule of ``snn.recipe`` for the rate-based network, with changes from the settings."""
+    own = SCHEDULES[snn.recipe]
     return own if snn.recipe == "as-is" else own.apply_settings(snn, n_samples)
 
 
@@ -310,10 +312,10 @@ def train_rate_network(
 ) -> TrainedRates:
     """Train the network with rate-LIF neurons (paper, Section 3.2.2).
 
-    With ``recipe = "as-is"`` it is not trained: the CNN's weights are fitted to the neurons.  With
-    ``"paper"`` it starts from random weights.  With ``"loihi"`` it starts from the CNN's weights,
-    scaled so that the activations fit the neurons' range, and uses the chip's rates and weights in
-    the forward pass, noise on the neurons' input, and the settings' penalty on spikes.
+    With ``snn.recipe = "as-is"`` it is not trained: the CNN's weights are fitted to the neurons.
+    With ``"paper"`` it starts from random weights.  With ``"loihi"`` it starts from the CNN's
+    weights, scaled so that the activations fit the neurons' range, and uses the chip's rates and
+    weights in the forward pass, noise on the neurons' input, and the settings' penalty on spikes.
 
     Parameters
     ----------
@@ -329,8 +331,8 @@ def train_rate_network(
     if settings.snn.recipe == "as-is":
         return TrainedRates(settings, fit_to_rates(settings, cnn_weights, samples.images))
     model = new_rate_network(settings, seed, samples.images, cnn_weights)
-    recipe = snn_recipe(settings.snn, len(samples))
-    history = fit(model, recipe, samples, seed, advance)
+    schedule = make_snn_schedule(settings.snn, len(samples))
+    history = fit(model, schedule, samples, seed, advance)
     return TrainedRates(settings, get_weights(model), history)
 
 
@@ -433,14 +435,16 @@ def _best_shift(neurons, activations):
     return min(errors)[1:]
 
 
-def fit(model, recipe: Recipe, samples: TrainingSamples, seed: int, advance=None) -> list:
+def fit(
+    model, schedule: TrainingSchedule, samples: TrainingSamples, seed: int, advance=None
+) -> list:
     """Train a model with logit outputs with sparse categorical cross-entropy.
 
     Parameters
     ----------
     model : tf.keras.Model
         Trained in place; losses added by its layers are included.
-    recipe : Recipe
+    schedule : TrainingSchedule
     samples : TrainingSamples
     seed : int
         Seed of the order of the samples, and of the noise.
@@ -453,7 +457,7 @@ def fit(model, recipe: Recipe, samples: TrainingSamples, seed: int, advance=None
         The history, one row per epoch.
     """
     history: list[dict] = []
-    for row in train_epochs(model, recipe, samples, seed):
+    for row in train_epochs(model, schedule, samples, seed):
         history.append({"epoch": len(history) + 1, **row})
         if samples.validation is not None:
             images, labels = samples.validation
@@ -463,7 +467,7 @@ def fit(model, recipe: Recipe, samples: TrainingSamples, seed: int, advance=None
     return history
 
 
-def train_epochs(model, recipe: Recipe, samples: TrainingSamples, seed: int):
+def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, seed: int):
     """Train a model as :func:`fit` does; each value requested trains one epoch.
 
     An epoch is one call of a compiled loop over its batches, or a few calls if there is much noise.
@@ -476,11 +480,11 @@ def train_epochs(model, recipe: Recipe, samples: TrainingSamples, seed: int):
         ``loss`` and ``accuracy`` of the epoch.
     """
     count = len(samples)
-    rule = optimizer(recipe, count)
+    rule = optimizer(schedule, count)
     rule.build(model.trainable_variables)
-    train_on = _compiled_batches(model, rule, recipe.batch_size)
-    batches = _compute_ahead(_draw_samples(model, samples, recipe, seed))
-    for _ in range(recipe.epochs):
+    train_on = _compiled_batches(model, rule, schedule.batch_size)
+    batches = _compute_ahead(_draw_samples(model, samples, schedule, seed))
+    for _ in range(schedule.epochs):
         sums = tf.zeros(2)
         shown = 0
         while shown < count:
@@ -520,7 +524,7 @@ def _compiled_batches(model, rule, batch_size):
     return train_on
 
 
-def _draw_samples(model, samples, recipe, seed):
+def _draw_samples(model, samples, schedule, seed):
     """The training samples of all epochs: images, labels, noise and masks for dropout.
 
     Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
@@ -531,11 +535,11 @@ def _draw_samples(model, samples, recipe, seed):
     images = samples.images
     labels = np.asarray(samples.labels, np.int32)
     numbers = sum(int(np.prod(layer.input_shape[1:])) for layer in (*noisy, *dropped))
-    some = _samples_ahead(recipe.batch_size, numbers, int(np.prod(images.shape[1:])))
+    some = _samples_ahead(schedule.batch_size, numbers, int(np.prod(images.shape[1:])))
     # Separate random streams, so that no number depends on how many are drawn at once.
     noises = [np.random.default_rng([seed, 0, 1 + index]) for index in range(len(noisy))]
     masks = [np.random.default_rng([seed, 1, 1 + index]) for index in range(len(dropped))]
-    for epoch in range(recipe.epochs):
+    for epoch in range(schedule.epochs):
         order = np.random.default_rng([seed, epoch]).permutation(len(labels))
         alterations = np.random.default_rng([seed, epoch, 2])
         for start in range(0, len(order), some):
@@ -580,13 +584,13 @@ def _evaluate(logits, labels):
     return {"val_loss": float(np.mean(losses)), "val_accuracy": float(right)}
 
 
-def optimizer(recipe: Recipe, n_samples: int) -> tf.keras.optimizers.Optimizer:
-    """The recipe's optimiser for a number of training samples."""
-    if not recipe.annealed:
-        return tf.keras.optimizers.RMSprop(recipe.learning_rate)
-    steps = recipe.batches(n_samples) * recipe.epochs
+def optimizer(schedule: TrainingSchedule, n_samples: int) -> tf.keras.optimizers.Optimizer:
+    """The schedule's optimiser for a number of training samples."""
+    if not schedule.annealed:
+        return tf.keras.optimizers.RMSprop(schedule.learning_rate)
+    steps = schedule.batches(n_samples) * schedule.epochs
     return tf.keras.optimizers.Adam(
-        tf.keras.optimizers.schedules.CosineDecay(recipe.learning_rate, steps)
+        tf.keras.optimizers.schedules.CosineDecay(schedule.learning_rate, steps)
     )
 
 

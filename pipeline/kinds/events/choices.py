@@ -1,8 +1,8 @@
 """Settings of a network on events that follow from the recordings.
 
-For handwriting on the simulated skin the defaults of the settings are the recipe.  For all other
-recordings the rules are in :mod:`pipeline.training.recipe`, and this module applies them to the
-settings that the user has left open.
+For handwriting on the simulated skin the defaults of the settings are used.  For all other
+recordings the rules are in :mod:`pipeline.training.event_rules`, and this module applies them to
+the settings that the user has left open.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import choose_augmentation
 from pipeline.recordings.events import Recordings, is_handwriting
 from pipeline.run.settings import Choice, Settings, apply_choices
-from pipeline.training.recipe import (
+from pipeline.training.event_rules import (
     TAIL_STEPS,
     USUAL_EVENTS,
     NetworkSize,

@@ -82,7 +82,7 @@ def _respond(inputs, bundle, advance):
     frames = bundle.checks.inputs.astype(np.uint8)
     outcome = network.run_on_frames(frames, advance)
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
-    delayed = delay_as_on_chip(outcome.outputs, network.recipe).astype(float)
+    delayed = delay_as_on_chip(outcome.outputs, network.design).astype(float)
     output = np.diff(delayed, axis=1, prepend=0)
     return read_output(bundle.spec, output, {"input": arrived, **outcome.spikes})
 
@@ -141,17 +141,17 @@ class EventsKind(NetworkKind):
         settings = inputs.settings
         samples = event_samples(inputs.dataset, settings.seed)
         n_train = len(samples.train)
-        recipe = events.EventRecipe.of(settings).for_samples(n_train)
-        updates = recipe.epochs * -(-n_train // recipe.batch_size)
-        epochs = plural(recipe.epochs, "epoch")
+        design = events.EventDesign.of(settings).for_samples(n_train)
+        updates = design.epochs * -(-n_train // design.batch_size)
+        epochs = plural(design.epochs, "epoch")
         inputs.say(f"events: {epochs}, {plural(updates, 'update')}, on {n_train:,} samples")
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
         curve = samples.held_out[:: -(-len(samples.held_out) // MAX_CURVE_SAMPLES) or 1]
         trained, seconds = time_training(
             "events",
-            recipe.epochs,
+            design.epochs,
             events.train_events,
-            recipe,
+            design,
             samples.table,
             samples.labels,
             samples.train,
@@ -187,12 +187,12 @@ class EventsKind(NetworkKind):
         return metrics
 
     def spec(self, inputs, provenance):
-        from pipeline.training.events import EventRecipe
+        from pipeline.training.events import EventDesign
 
         presentation = inputs.settings.make_presentation(
             confidence_of(inputs.artifact("threshold"))
         )
-        recipe = EventRecipe.of(inputs.settings)
+        design = EventDesign.of(inputs.settings)
         weights = inputs.weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
         presentation, line = fit_gap(
@@ -200,7 +200,7 @@ class EventsKind(NetworkKind):
         )
         if line:
             inputs.say(line)
-        return spec_of_events(recipe, weights, presentation, provenance)
+        return spec_of_events(design, weights, presentation, provenance)
 
     def choices(self, recordings, train):
         return EventChoices(self.settings, recordings, train).choices
@@ -210,7 +210,7 @@ class EventsKind(NetworkKind):
 
 
 def spec_of_events(
-    recipe, weights: dict, presentation: Presentation, provenance: dict
+    design, weights: dict, presentation: Presentation, provenance: dict
 ) -> NetworkSpec:
     """Describe the spiking network trained on events.
 
@@ -218,11 +218,11 @@ def spec_of_events(
     were found on others: after few samples it takes every answer for right.
 
     NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
-    recipe, independently of the recording time that it represents.
+    design, independently of the recording time that it represents.
 
     Parameters
     ----------
-    recipe : pipeline.training.events.recipe.EventRecipe
+    design : pipeline.training.events.design.EventDesign
     weights : dict
         Weights of a :class:`pipeline.training.events.network.TrainedOnEvents`.
     presentation : Presentation
@@ -231,12 +231,12 @@ def spec_of_events(
     """
     from pipeline.training.events import build_network  # imports TensorFlow
 
-    architecture = parse(recipe.architecture)
-    integers = build_network(recipe, weights).integers()
-    links = from_integers(architecture, weights, integers, recipe.starts)
+    architecture = parse(design.architecture)
+    integers = build_network(design, weights).integers()
+    links = from_integers(architecture, weights, integers, design.starts)
     is_early = presentation.threshold < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
-    stimulus = recipe.stimulus
+    stimulus = design.stimulus
     return chain.build_network_spec(links, stimulus, presentation, provenance, estimator)
 
 

@@ -16,8 +16,8 @@ from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_di
 from pipeline.run.settings import Choice, Settings, names_in
 
 # Passes over the training samples of a network on one image of recordings that are not simulated.
-# On ST-MNIST the recipe's 60 have two points less, with faulty taxels three.  Fewer recordings
-# than the minimum have as many passes by the recipe.
+# On ST-MNIST the default of 60 has two points less, with faulty taxels three.  Fewer recordings
+# than the minimum have as many passes by their schedule.
 EPOCHS_ON_REAL_IMAGES = 200
 MIN_RECORDINGS_FOR_EPOCHS = 2000
 
@@ -26,7 +26,7 @@ SLICES_MAP = 5
 
 
 @dataclass(frozen=True)
-class SlicedRecipe:
+class SliceDefaults:
     """What a network on several slices of time has on a kind of sensor.
 
     Attributes
@@ -49,11 +49,11 @@ class SlicedRecipe:
 
 # For a grid of taxels, with a convolution before the hidden layer. Its stride of 2 makes it three
 # times as cheap as convolutions like those of the CNN, and more accurate.
-GRID = SlicedRecipe(slices=8, hidden=128, dropout=0.1, input_rate=60.0)
+GRID = SliceDefaults(slices=8, hidden=128, dropout=0.1, input_rate=60.0)
 
 # For a sensor that is too small for convolutions: as accurate with 60 input spikes per second as
 # with 500, for an eighth of the operations.
-STRIP = SlicedRecipe(slices=8, hidden=256, dropout=0.5, input_rate=60.0)
+STRIP = SliceDefaults(slices=8, hidden=256, dropout=0.5, input_rate=60.0)
 
 
 def choose_image_augmentation(recordings: Recordings) -> str:
@@ -86,14 +86,14 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     sensor = recordings.sensor
     cnn = settings.cnn
     is_strip = not sensor.is_grid
-    recipe = STRIP if is_strip else GRID
+    defaults = STRIP if is_strip else GRID
     is_own = bool(cnn.model) or not settings.is_open("cnn.architecture")
     own_channels = parse(cnn.architecture).input_shape[2] if is_own else None
     is_sliced = settings.input.kind == "slices" or (
         # One image of a strip has hardly any shapes, so that time is needed to tell classes apart.
         is_strip
         and all(map(settings.is_open, names_in("image")))
-        and own_channels in (None, 2 * recipe.slices)
+        and own_channels in (None, 2 * defaults.slices)
     )
     choices = _choose_normalisation(settings)
     channels = settings.image.channels
@@ -101,17 +101,17 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     if gap is not None:
         choices.append(Choice("presentation.gap", gap, reason))
     if is_sliced:
-        slices = _choose_slices(settings, recipe, own_channels)
+        slices = _choose_slices(settings, defaults, own_channels)
         of_image, channels = _choose_image(settings, slices, recordings.table)
-        choices += of_image + _choose_training(settings, recipe)
+        choices += of_image + _choose_training(settings, defaults)
     else:
         choices += _choose_epochs(settings, recordings)
     if is_own or (not is_sliced and is_for(cnn.architecture, sensor, channels)):
         return choices
     if is_sliced:
-        architecture = _architecture_of_slices(sensor, recipe, channels)
+        architecture = _architecture_of_slices(sensor, defaults, channels)
     else:
-        architecture = architecture_for(sensor, False, recipe.hidden, channels)
+        architecture = architecture_for(sensor, False, defaults.hidden, channels)
     _require_rates_fit(settings, architecture)
     chosen = describe_choice("cnn", architecture, sensor)
     return [Choice("cnn.architecture", architecture, chosen), *choices]
@@ -129,7 +129,7 @@ def _choose_normalisation(settings):
 
 
 def _choose_epochs(settings, recordings):
-    """More passes than the recipe has, for real recordings that are presented as one image."""
+    """More passes than the default, for real recordings that are presented as one image."""
     is_trained_here = settings.snn.recipe == "loihi" and not settings.cnn.model
     is_real = not recordings.source.simulated
     is_large = len(recordings) >= MIN_RECORDINGS_FOR_EPOCHS
@@ -139,13 +139,13 @@ def _choose_epochs(settings, recordings):
     return [Choice("snn.epochs", EPOCHS_ON_REAL_IMAGES, reason)]
 
 
-def _choose_slices(settings, recipe, own_channels):
-    """The number of slices: the user's, that of the user's network, or the recipe's."""
+def _choose_slices(settings, defaults, own_channels):
+    """The number of slices: the user's, that of the user's network, or the default."""
     if not settings.is_open("image.slices"):
         return settings.image.slices
     if own_channels is not None and own_channels % 2 == 0:
         return own_channels // 2
-    return recipe.slices
+    return defaults.slices
 
 
 def _choose_image(settings, slices, table):
@@ -166,22 +166,22 @@ def _choose_image(settings, slices, table):
     return [replace(first, reason=reason), *others], image.channels
 
 
-def _choose_training(settings, recipe):
+def _choose_training(settings, defaults):
     """The dropout of a network that is trained here, and the rate of its input."""
     choices = []
     if not settings.cnn.model and settings.is_open("snn.dropout"):
-        reason = f"dropout {recipe.dropout:g} (another: --set snn.dropout=...)"
-        choices.append(Choice("snn.dropout", recipe.dropout, reason))
+        reason = f"dropout {defaults.dropout:g} (another: --set snn.dropout=...)"
+        choices.append(Choice("snn.dropout", defaults.dropout, reason))
     if settings.is_open("deployment.input_rate"):
         reason = (
-            f"at most {recipe.input_rate:g} input spikes per second of a pixel (another: --set "
+            f"at most {defaults.input_rate:g} input spikes per second of a pixel (another: --set "
             "deployment.input_rate=...)"
         )
-        choices.append(Choice("deployment.input_rate", recipe.input_rate, reason))
+        choices.append(Choice("deployment.input_rate", defaults.input_rate, reason))
     return choices
 
 
-def _architecture_of_slices(sensor: Sensor, recipe: SlicedRecipe, channels: int) -> str:
+def _architecture_of_slices(sensor: Sensor, defaults: SliceDefaults, channels: int) -> str:
     """A convolution with a stride, then a dense layer; on a strip only the latter."""
     rows = sensor.rows
     columns = sensor.columns
@@ -189,7 +189,7 @@ def _architecture_of_slices(sensor: Sensor, recipe: SlicedRecipe, channels: int)
     layers = [f"{rows}x{columns}x{channels}"]
     if min(rows, columns) >= max(MIN_GRID_SIDE, stride + 2):
         layers.append(f"32c{stride + 2}s{stride}")
-    return "-".join([*layers, f"{recipe.hidden}", f"{len(sensor.classes)}o"])
+    return "-".join([*layers, f"{defaults.hidden}", f"{len(sensor.classes)}o"])
 
 
 def _require_rates_fit(settings, architecture):

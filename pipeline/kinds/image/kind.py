@@ -283,11 +283,11 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
 
 def _train_cnn(settings, dataset, weights=None):
     """Train the CNN from given weights or from new ones; return it and the seconds."""
-    from pipeline.training.networks import cnn_recipe, train_cnn  # imports TensorFlow
+    from pipeline.training.networks import make_cnn_schedule, train_cnn  # imports TensorFlow
 
     augmentation = settings.cnn.augment
     samples = _collect_samples(dataset, "none" if augmentation == "auto" else augmentation)
-    epochs = cnn_recipe(settings.cnn, len(samples)).epochs
+    epochs = make_cnn_schedule(settings.cnn, len(samples)).epochs
     seed = settings.seed
     return time_training("cnn", epochs, train_cnn, settings, samples, seed, weights=weights)
 
@@ -326,7 +326,7 @@ def _adopt(model, settings, dataset, say):
 
 def _train_further(name, function, inputs, artifact):
     """Train a network that starts from the CNN; write it, and return it and its metrics."""
-    from pipeline.training.networks import snn_recipe
+    from pipeline.training.networks import make_snn_schedule
 
     settings = inputs.settings
     dataset = inputs.dataset
@@ -336,7 +336,7 @@ def _train_further(name, function, inputs, artifact):
         if augmentation == "auto":
             augmentation = choose_image_augmentation(dataset.recordings)
     samples = _collect_samples(dataset, augmentation)
-    epochs = snn_recipe(settings.snn, len(samples)).epochs
+    epochs = make_snn_schedule(settings.snn, len(samples)).epochs
     trained, seconds = time_training(
         name, epochs, function, settings, samples, settings.seed, inputs.weights("cnn")
     )

@@ -146,7 +146,7 @@ def _settings(inputs):
     files = {name: path for name in PATHS if (path := inputs.settings.value(name))}
     values = files | settings_read(inputs.bundle.spec)
     unset = [name for name, value in values.items() if name.endswith(".epochs") and value == 0]
-    return values | dict.fromkeys(unset, "0, the recipe's number")
+    return values | dict.fromkeys(unset, "0, the default number")
 
 
 def title_of(stage: str) -> str:

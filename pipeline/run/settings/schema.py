@@ -25,7 +25,7 @@ from pipeline.run.settings.choices import Provenance
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
 AUGMENTATIONS = ("auto", "time", "slight", "space", "none")
-RECIPES = ("loihi", "paper", "as-is")
+SNN_RECIPES = ("loihi", "paper", "as-is")
 # The name of the built-in recordings.
 SIMULATED = "simulated"
 NORMALISATIONS = ("max", "sum", "sqrt-max", "sqrt-clip", "none")
@@ -255,7 +255,7 @@ class SNN(Section):
     #: fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-LIF,
     #: from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled
     #: to the neurons' range and response curve without further training.
-    recipe: Annotated[str, one_of(*RECIPES)] = "loihi"
+    recipe: Annotated[str, one_of(*SNN_RECIPES)] = "loihi"
     #: Passes over the training samples; 0 for the default of the recipe, or more on few samples.
     epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
     #: Samples per training step; 0 for the default of the recipe.
@@ -322,12 +322,12 @@ class EventTraining(Section):
     #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
     architecture: str = "10x10x2-24c4s3-64-10o"
     #: Consecutive sections of a recording, which have readout weights of their own; 0: as the
-    #: recipe has it, one for handwriting.
+    #: recordings need, one for handwriting.
     parts: Annotated[int, between(0, MAX_SECTIONS)] = 0
     #: Length of each section in milliseconds, the last one is open; 0: the presentation, divided
     #: among the sections; for handwriting two seconds.
     part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
-    #: Passes over the training samples; 0: as the recipe's updates need.
+    #: Passes over the training samples; 0: as many as a suitable number of updates needs.
     epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
     #: Samples per training step.
     batch_size: Annotated[int, BATCH] = 32

@@ -12,6 +12,7 @@ before exceed it.
 """
 
 from pipeline.training.events.checkpoint import Checkpoint, train_epochs
+from pipeline.training.events.design import EventDesign
 from pipeline.training.events.network import (
     NetworkOutputs,
     TrainedOnEvents,
@@ -19,12 +20,11 @@ from pipeline.training.events.network import (
     delay_as_on_chip,
     run_on_frames,
 )
-from pipeline.training.events.recipe import EventRecipe
 from pipeline.training.events.trainer import train_events
 
 __all__ = [
     "Checkpoint",
-    "EventRecipe",
+    "EventDesign",
     "NetworkOutputs",
     "TrainedOnEvents",
     "build_network",

@@ -13,7 +13,7 @@ from models.architecture import parse
 from models.keras.keras2 import tf
 from models.spiking import SpikingNetwork, operations
 from pipeline.run.settings import Settings
-from pipeline.training.events.recipe import EventRecipe
+from pipeline.training.events.design import EventDesign
 
 # Number of augmented copies of each held-out sample that are used, with the sample itself, to
 # choose the confidence for an early decision. Half a percentage point of a few hundred samples is
@@ -27,7 +27,7 @@ class TrainedOnEvents:
 
     Attributes
     ----------
-    recipe : EventRecipe
+    design : EventDesign
     weights : dict of str to ndarray
         See :meth:`models.spiking.SpikingNetwork.get_weights`; also the arrays of the confidence
         estimator (:class:`deploy.network.decision.Estimator`).
@@ -37,23 +37,23 @@ class TrainedOnEvents:
         and ``val_accuracy`` and ``val_operations`` if there are validation samples.
     """
 
-    recipe: EventRecipe
+    design: EventDesign
     weights: dict
     history: list = field(default_factory=list)
 
     @classmethod
     def of(cls, settings: Settings, weights: dict) -> TrainedOnEvents:
         """The network with given weights that was trained with some settings."""
-        return cls(EventRecipe.of(settings), weights)
+        return cls(EventDesign.of(settings), weights)
 
     def run_on_frames(self, frames, advance=None) -> NetworkOutputs:
         """Outputs, operations and spikes on event frames; see :func:`run_on_frames`."""
-        return run_on_frames(self.recipe, self.weights, frames, advance)
+        return run_on_frames(self.design, self.weights, frames, advance)
 
     @property
     def estimator(self) -> Estimator:
         """The confidence estimator."""
-        return Estimator.from_arrays(self.weights, parse(self.recipe.architecture).outputs)
+        return Estimator.from_arrays(self.weights, parse(self.design.architecture).outputs)
 
     def choose_threshold(
         self, table, labels, held_out, steps: int, seed: int, loss: float
@@ -78,12 +78,12 @@ class TrainedOnEvents:
         """
         often = np.tile(held_out, COPIES)
         rng = np.random.default_rng([seed, 0x7E57])
-        events = self.recipe.alter_samples(rng, table, often)
-        altered = self.recipe.make_frames(events, len(often), steps, table.size)
-        as_they_are = self.recipe.make_frames_of_samples(table, held_out, steps)
+        events = self.design.alter_samples(rng, table, often)
+        altered = self.design.make_frames(events, len(often), steps, table.size)
+        as_they_are = self.design.make_frames_of_samples(table, held_out, steps)
         shown = self.run_on_frames(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
         return choose_threshold(
-            delay_as_on_chip(shown.outputs, self.recipe),
+            delay_as_on_chip(shown.outputs, self.design),
             np.asarray(labels)[np.concatenate([held_out, often])],
             shown.last_step,
             loss,
@@ -93,7 +93,7 @@ class TrainedOnEvents:
 
     def logits(self, frames) -> np.ndarray:
         """Outputs at the last step, delayed as on the chip, shape (n_samples, classes)."""
-        return delay_as_on_chip(self.run_on_frames(frames).outputs, self.recipe)[:, -1]
+        return delay_as_on_chip(self.run_on_frames(frames).outputs, self.design)[:, -1]
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,12 @@ class NetworkOutputs:
     last_step: np.ndarray
 
 
-def run_on_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> NetworkOutputs:
+def run_on_frames(design: EventDesign, weights: dict, frames, advance=None) -> NetworkOutputs:
     """Run a trained network on event frames in the chip's integers, each sample from rest.
 
     Parameters
     ----------
-    recipe : EventRecipe
+    design : EventDesign
     weights : dict
         Weights of a :class:`TrainedOnEvents`.
     frames : ndarray of uint8, shape (n_samples, steps, rows, columns, channels)
@@ -134,8 +134,8 @@ def run_on_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> N
     -------
     NetworkOutputs
     """
-    network = build_network(recipe, weights)
-    run = _compile(recipe)
+    network = build_network(design, weights)
+    run = _compile(design)
     values = _now(network.variables_by_name)
     by_batch = []
     for start in range(0, len(frames), 100):
@@ -151,32 +151,32 @@ def run_on_frames(recipe: EventRecipe, weights: dict, frames, advance=None) -> N
     return NetworkOutputs(outputs.astype(np.float32), costs, named, last_steps(frames))
 
 
-def build_network(recipe: EventRecipe, weights: dict) -> SpikingNetwork:
-    """The network of a recipe with trained weights."""
-    network = recipe.network()
+def build_network(design: EventDesign, weights: dict) -> SpikingNetwork:
+    """The network of a design with trained weights."""
+    network = design.network()
     network.set_weights(weights)
     return network
 
 
-def delay_as_on_chip(outputs, recipe: EventRecipe) -> np.ndarray:
+def delay_as_on_chip(outputs, design: EventDesign) -> np.ndarray:
     """Delay outputs as on the chip, where the relay and every layer take one step each.
 
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, outputs)
         Outputs of the trained network, which has no delays.
-    recipe : EventRecipe
+    design : EventDesign
 
     Returns
     -------
     ndarray of the same shape
     """
-    return delay_outputs(outputs, len(parse(recipe.architecture).spiking) + 1)
+    return delay_outputs(outputs, len(parse(design.architecture).spiking) + 1)
 
 
-def _compile(recipe):
+def _compile(design):
     """``run(frames, values)``: outputs, operations per sample, spikes per neuron, in float64."""
-    return _compile_network(recipe.architecture, recipe.neuron, recipe.starts)
+    return _compile_network(design.architecture, design.neuron, design.starts)
 
 
 @functools.lru_cache(maxsize=8)

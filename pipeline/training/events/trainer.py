@@ -13,13 +13,13 @@ from models.architecture import parse
 from models.spiking_gradient import Batch, SpikingGradient
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
+from pipeline.training.event_rules import TAIL_STEPS
 from pipeline.training.events.checkpoint import Checkpoint, train_epochs
+from pipeline.training.events.design import EventDesign
 from pipeline.training.events.estimator import train_estimator
 from pipeline.training.events.network import TrainedOnEvents, delay_as_on_chip
 from pipeline.training.events.optimizer import Adam
-from pipeline.training.events.recipe import EventRecipe
 from pipeline.training.networks import make_deterministic
-from pipeline.training.recipe import TAIL_STEPS
 
 # Training samples that the estimator of the confidence is trained on: its inputs are some 40
 # numbers for each step of each sample, which would be gigabytes for all of 30,000 samples.
@@ -41,7 +41,7 @@ EVALUATED_TOGETHER = 100
 
 
 def train_events(  # noqa: PLR0913 - the last three have defaults; callers name them
-    recipe: EventRecipe,
+    design: EventDesign,
     table: EventTable,
     labels,
     train,
@@ -54,7 +54,7 @@ def train_events(  # noqa: PLR0913 - the last three have defaults; callers name 
 
     Parameters
     ----------
-    recipe : EventRecipe
+    design : EventDesign
     table : EventTable
     labels : ndarray of int, shape (n_samples,)
     train : ndarray of int
@@ -81,19 +81,19 @@ def train_events(  # noqa: PLR0913 - the last three have defaults; callers name 
     """
     make_deterministic(seed)  # of the estimator
     train = np.asarray(train)
-    recipe = recipe.for_samples(len(train))
+    design = design.for_samples(len(train))
     train = train[np.diff(table.offsets)[train] > 0]
     if not len(train):
         raise UserError("no training sample has an event; give other recordings")
     with threadpool_limits(1, "blas"):  # samples are in several threads already
-        trainer = Trainer(recipe, table, np.asarray(labels), train, seed)
+        trainer = Trainer(design, table, np.asarray(labels), train, seed)
         watch = functools.partial(trainer.evaluate, validation) if len(validation) else None
         history = train_epochs(
-            trainer.train_epoch, recipe.epochs, trainer.state, checkpoint, watch, advance
+            trainer.train_epoch, design.epochs, trainer.state, checkpoint, watch, advance
         )
         outputs, right = trainer.outputs_in_time(_choose_some(train, seed))
     estimator = train_estimator(outputs, right, seed)
-    return TrainedOnEvents(recipe, {**trainer.weights, **estimator.arrays()}, history)
+    return TrainedOnEvents(design, {**trainer.weights, **estimator.arrays()}, history)
 
 
 def _choose_some(train, seed):
@@ -109,24 +109,24 @@ class Trainer:
 
     Parameters
     ----------
-    recipe, table, labels, train, seed
+    design, table, labels, train, seed
         As for :func:`train_events`; each training sample has an event.
     """
 
-    def __init__(self, recipe: EventRecipe, table: EventTable, labels, train, seed: int):
-        self.recipe = recipe
+    def __init__(self, design: EventDesign, table: EventTable, labels, train, seed: int):
+        self.design = design
         self.table = table
         self.labels = labels
         self.train = train
         self.seed = seed
-        self.batches = -(-len(train) // recipe.batch_size)
-        self._network = recipe.network(seed)
-        self._gradient = SpikingGradient(parse(recipe.architecture), recipe.neuron, recipe.starts)
+        self.batches = -(-len(train) // design.batch_size)
+        self._network = design.network(seed)
+        self._gradient = SpikingGradient(parse(design.architecture), design.neuron, design.starts)
         variables = self._network.variables_by_name.items()
         values = {name: variable.numpy() for name, variable in variables}
         self._calibrate(values)
-        updates = recipe.epochs * self.batches
-        self._optimizer = Adam(values, recipe.learning_rate, updates, recipe.average)
+        updates = design.epochs * self.batches
+        self._optimizer = Adam(values, design.learning_rate, updates, design.average)
         self._cost = np.zeros(())  # operations of the last batch, in multiples of the CNN's
 
     @property
@@ -176,7 +176,7 @@ class Trainer:
         for frames_of in (self._frames, lambda some: self._alter(some, rng)[0]):
             for some, frames, outputs, _ in self._outputs(indices, frames_of):
                 lengths = last_steps(frames) + 1 + TAIL_STEPS
-                delayed = delay_as_on_chip(outputs, self.recipe)
+                delayed = delay_as_on_chip(outputs, self.design)
                 for sample, index, length in zip(delayed, some, lengths, strict=True):
                     every.append(sample[:length])
                     right.append(every[-1].argmax(-1) == self.labels[index])
@@ -186,7 +186,7 @@ class Trainer:
         """Scale the initial weights of each layer for a mean firing rate."""
         count = min(len(self.train), MAX_CALIBRATION_SAMPLES)
         some = self.train[np.linspace(0, len(self.train) - 1, count).astype(int)]
-        duration_ms = max(float(self.table.duration_ms[some].mean()), self.recipe.step_ms)
+        duration_ms = max(float(self.table.duration_ms[some].mean()), self.design.step_ms)
         frames = self._frames(some)
         self._scale_to_rate(values, frames, FIRST_RATE_HZ * duration_ms / 1000)
 
@@ -204,17 +204,17 @@ class Trainer:
 
     def _train_on(self, batch, rng, number):
         """One update; returns the loss, the share of right predictions, and the operations."""
-        recipe = self.recipe
+        design = self.design
         n = len(batch)
         frames, last_step = self._alter(batch, rng)
         gains = [self._draw_gains(rng, n, neurons) for neurons in self._gradient.neurons]
         # The operations are those of the batch before: a sum over the whole batch would keep the
         # states of all its samples.
-        price = recipe.price / CNN_MACS if self._cost > recipe.budget else 0.0
+        price = design.price / CNN_MACS if self._cost > design.budget else 0.0
         result = self._gradient.gradients(
             self._optimizer.values,
             Batch(frames, self.labels[batch], last_step, gains),
-            recipe.early,
+            design.early,
             price,
         )
         gradients = {name: value / n for name, value in result.gradients.items()}
@@ -224,7 +224,7 @@ class Trainer:
 
     def _draw_gains(self, rng, samples, neurons):
         """Factors of dropout, shape (samples, neurons)."""
-        dropout = self.recipe.dropout
+        dropout = self.design.dropout
         if not dropout:
             return np.ones((samples, neurons), np.float32)
         kept = rng.random((samples, neurons), np.float32) >= dropout
@@ -232,7 +232,7 @@ class Trainer:
 
     def _batches(self, rng):
         """Training samples in random order, in batches of samples of similar length."""
-        size = self.recipe.batch_size
+        size = self.design.batch_size
         order = rng.permutation(self.train)
         order = np.concatenate([order, np.resize(order, -len(order) % size)])
         batches = []
@@ -246,17 +246,17 @@ class Trainer:
     def _alter(self, indices, rng):
         """Frames and last steps of augmented samples."""
         n = len(indices)
-        events = self.recipe.alter_samples(rng, self.table, indices)
-        last_step = (events.durations_ms(n) / self.recipe.step_ms).astype(np.int64)
+        events = self.design.alter_samples(rng, self.table, indices)
+        last_step = (events.durations_ms(n) / self.design.step_ms).astype(np.int64)
         steps = int(last_step.max()) + 1 + TAIL_STEPS
-        frames = self.recipe.make_frames(events, n, steps, self.table.size)
+        frames = self.design.make_frames(events, n, steps, self.table.size)
         return np.moveaxis(frames, 0, 1), last_step
 
     def _frames(self, indices):
         """Frames of samples without augmentation."""
-        step_ms = self.recipe.step_ms
+        step_ms = self.design.step_ms
         steps = int(self.table.duration_ms[indices].max() / step_ms) + 1 + TAIL_STEPS
-        return np.moveaxis(self.recipe.make_frames_of_samples(self.table, indices, steps), 0, 1)
+        return np.moveaxis(self.design.make_frames_of_samples(self.table, indices, steps), 0, 1)
 
     def _outputs(self, indices, frames_of):
         """For some samples at a time: indices, frames, outputs and operations."""

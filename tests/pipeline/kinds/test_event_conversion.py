@@ -11,7 +11,7 @@ from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.kinds.events.kind import spec_of_events
 from pipeline.run.settings import Settings
-from pipeline.training.events import EventRecipe, build_network, run_on_frames
+from pipeline.training.events import EventDesign, build_network, run_on_frames
 from tests.pipeline.handmade import event_table
 
 STEPS, GAP = 40, 60
@@ -49,19 +49,19 @@ def table_of(samples=6, events=150, seed=0):
     ],
 )
 def test_every_spike_is_that_of_the_trained_network(architecture, starts, target):
-    recipe, weights, table = (
-        EventRecipe(architecture=architecture, starts=starts),
+    design, weights, table = (
+        EventDesign(architecture=architecture, starts=starts),
         trained_like(architecture, starts=starts),
         table_of(),
     )
     # Each sample of a stream ends in silence long enough that nothing is left of it.
     presentation = Presentation(steps=STEPS + GAP, gap=GAP, readout_start=0, stream_length=3)
-    spec = spec_of_events(recipe, weights, presentation, {})
+    spec = spec_of_events(design, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
     assert make_plan(spec).problems == []
     indices = np.arange(len(table))
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, STEPS + GAP, recipe.limits), 0, 1)
-    expected = run_on_frames(recipe, weights, frames)
+    frames = np.moveaxis(table.frames(indices, design.step_ms, STEPS + GAP, design.limits), 0, 1)
+    expected = run_on_frames(design, weights, frames)
     found = run_target(spec, frames, target)
     for name, spikes in expected.spikes.items():
         assert spikes.sum() > 100
@@ -88,10 +88,10 @@ def test_the_lower_voltage_bound_that_was_trained_is_deployed():
     architecture = "10x10x2-4c4s3-8-10o"
     presentation = Presentation(steps=STEPS, gap=0, readout_start=0, stream_length=1)
     for floor in (-1.0, -2.0):
-        recipe = EventRecipe(architecture=architecture, floor=floor)
+        design = EventDesign(architecture=architecture, floor=floor)
         weights = trained_like(architecture)
-        spec = spec_of_events(recipe, weights, presentation, {})
-        integers = build_network(recipe, weights).integers()
+        spec = spec_of_events(design, weights, presentation, {})
+        integers = build_network(design, weights).integers()
         for layer in spec.layers[:-1]:
             trained = integers[layer.name]
             expected = trained.floor / trained.threshold
@@ -100,12 +100,12 @@ def test_the_lower_voltage_bound_that_was_trained_is_deployed():
 
 
 def test_the_estimator_decides_on_the_chip_as_in_training():
-    recipe = EventRecipe(architecture="10x10x2-12c4s2-32-10o")
-    rng, weights, table = np.random.default_rng(0), trained_like(recipe.architecture), table_of()
+    design = EventDesign(architecture="10x10x2-12c4s2-32-10o")
+    rng, weights, table = np.random.default_rng(0), trained_like(design.architecture), table_of()
     weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Estimator.shapes(10).items()}
     indices, steps = np.arange(len(table)), STEPS + GAP
-    frames = np.moveaxis(table.frames(indices, recipe.step_ms, steps, recipe.limits), 0, 1)
-    shown = run_on_frames(recipe, weights, frames)
+    frames = np.moveaxis(table.frames(indices, design.step_ms, steps, design.limits), 0, 1)
+    shown = run_on_frames(design, weights, frames)
     late = len(shown.spikes) + 1
     # What arrives is what was said `late` steps before.
     arrived = np.pad(shown.outputs, ((0, 0), (late, 0), (0, 0)))[:, :steps]
@@ -117,18 +117,18 @@ def test_the_estimator_decides_on_the_chip_as_in_training():
     presentation = Presentation(
         steps=steps, gap=GAP, readout_start=0, stream_length=3, confidence=limit
     )
-    spec = spec_of_events(recipe, weights, presentation, {})
+    spec = spec_of_events(design, weights, presentation, {})
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
     np.testing.assert_array_equal(run_target(spec, frames, "fast").stopped_at, expected + 1)
 
 
 def test_a_long_silence_is_silent():
-    recipe = EventRecipe(architecture="10x10x2-12c4s2-32-10o")
-    weights = trained_like(recipe.architecture)
+    design = EventDesign(architecture="10x10x2-12c4s2-32-10o")
+    weights = trained_like(design.architecture)
     for name in ("conv1.bias", "dense1.bias"):
         weights[name] = np.full_like(weights[name], 5.0)
     presentation = Presentation(steps=1000, gap=0, readout_start=0, stream_length=1)
-    spec = spec_of_events(recipe, weights, presentation, {})
+    spec = spec_of_events(design, weights, presentation, {})
     found = run_target(spec, np.zeros((1, 1000, 10, 10, 2), np.uint8), "emulator")
     assert {name: int(n.sum()) for name, n in found.spikes.items()} == {
         "input": 0, "conv1": 0, "dense1": 0,

@@ -15,7 +15,7 @@ from pipeline.recordings.writing import write_recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
 from pipeline.sources import load_recordings
-from pipeline.training.recipe import SIZES as NETWORK_SIZES
+from pipeline.training.event_rules import SIZES as NETWORK_SIZES
 from tests.command import missing
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -68,7 +68,7 @@ def test_images_of_a_sensor_of_one_s_own(own):
 
 
 def test_many_real_images_have_more_epochs_unless_the_user_says(own, monkeypatch):
-    assert choose_settings(settings_of(own)).snn.epochs == 0  # as many as the recipe says
+    assert choose_settings(settings_of(own)).snn.epochs == 0  # as many as the schedule says
     monkeypatch.setattr(choices, "MIN_RECORDINGS_FOR_EPOCHS", 60)
     assert choose_settings(settings_of(own)).snn.epochs == choices.EPOCHS_ON_REAL_IMAGES
     assert choose_settings(settings_of(own, snn={"epochs": 5})).snn.epochs == 5

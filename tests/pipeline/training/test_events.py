@@ -9,20 +9,20 @@ from models.architecture import parse
 from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.altering import AUGMENTATIONS, Alteration
+from pipeline.training.event_rules import TAIL_STEPS
 from pipeline.training.events import (
     Checkpoint,
-    EventRecipe,
+    EventDesign,
     delay_as_on_chip,
     network,
     run_on_frames,
     train_events,
     trainer,
 )
-from pipeline.training.recipe import TAIL_STEPS
 from tests.models import spiking_in_numpy
 from tests.pipeline.handmade import event_table
 
-RECIPE = EventRecipe(
+DESIGN = EventDesign(
     architecture="10x10x2-6c4s3-16-3o", epochs=6, batch_size=8, learning_rate=0.02, average=0.9,
     dropout=0.0, budget=0.5,
     alteration=Alteration(turn=0.02, shift=0.1, scale=0.02, shear=0.02),
@@ -64,19 +64,19 @@ def trained(data, told):
     learn = trainer.train_estimator
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trainer, "train_estimator", train_estimator)
-        return train_events(RECIPE, *data, seed=3, validation=VALIDATION)
+        return train_events(DESIGN, *data, seed=3, validation=VALIDATION)
 
 
 def test_of_whatever_length_samples_are_a_network_is_traced_once(trained):
     for steps, samples in ((32, 100), (48, 100), (32, 7)):
         trained.run_on_frames(np.zeros((samples, steps, 10, 10, 2), np.uint8))
-    assert network._compile(RECIPE).experimental_get_tracing_count() == 1
+    assert network._compile(DESIGN).experimental_get_tracing_count() == 1
 
 
 def answers_to(weights, table, indices, steps):
     """What the trained network answers to samples, each from rest."""
-    frames = table.frames(indices, RECIPE.step_ms, steps, RECIPE.limits)
-    return run_on_frames(RECIPE, weights, np.moveaxis(frames, 0, 1))
+    frames = table.frames(indices, DESIGN.step_ms, steps, DESIGN.limits)
+    return run_on_frames(DESIGN, weights, np.moveaxis(frames, 0, 1))
 
 
 def test_it_learns(trained):
@@ -89,9 +89,9 @@ def test_the_estimator_learns_from_samples_as_they_are_and_altered(trained, told
     table, labels, train = data
     order = train[np.argsort(table.duration_ms[train], kind="stable")]
     assert len(told["outputs"]) == len(told["right"]) == 2 * len(train)
-    steps = int(table.duration_ms.max() / RECIPE.step_ms) + 1 + TAIL_STEPS
+    steps = int(table.duration_ms.max() / DESIGN.step_ms) + 1 + TAIL_STEPS
     answers = answers_to(trained.weights, table, order, steps)
-    arrived, differ = delay_as_on_chip(answers.outputs, RECIPE), 0
+    arrived, differ = delay_as_on_chip(answers.outputs, DESIGN), 0
     for sample, seen, changed, right, label in zip(
         arrived, told["outputs"], told["outputs"][len(train) :], told["right"], labels[order],
         strict=False,
@@ -103,7 +103,7 @@ def test_the_estimator_learns_from_samples_as_they_are_and_altered(trained, told
 
 
 def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
-    architecture = parse(RECIPE.architecture)
+    architecture = parse(DESIGN.architecture)
     arrays = {k: np.shape(v) for k, v in trained.weights.items() if np.ndim(v)}
     expected = dict(architecture.weight_shapes)
     del expected["output.bias"]  # the readout is a sum of spikes' weights and nothing else
@@ -115,9 +115,9 @@ def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
 def test_answers_are_the_chips_integers(trained, data):
     table, labels, _ = data
     answers = answers_to(trained.weights, table, VALIDATION, steps=64)
-    network = SpikingNetwork(parse(RECIPE.architecture))
+    network = SpikingNetwork(parse(DESIGN.architecture))
     network.set_weights(trained.weights)
-    frames = table.frames(VALIDATION, RECIPE.step_ms, 64, RECIPE.limits)
+    frames = table.frames(VALIDATION, DESIGN.step_ms, 64, DESIGN.limits)
     for index in (0, 7):
         conv, dense = spiking_in_numpy.network(
             network.architecture, network.integers(), frames[:, index]
@@ -131,29 +131,29 @@ def test_answers_are_the_chips_integers(trained, data):
     assert right.mean() == trained.history[-1]["val_accuracy"]
     cost = answers.operations.sum(1).mean() / CNN_MACS
     assert cost == pytest.approx(trained.history[-1]["val_operations"], rel=0.02)
-    last = np.floor(table.duration_ms[VALIDATION] / RECIPE.step_ms)
+    last = np.floor(table.duration_ms[VALIDATION] / DESIGN.step_ms)
     np.testing.assert_array_equal(answers.last_step, last)
 
 
 def test_outputs_arrive_a_step_later_for_the_relay_and_each_layer():
     # conv1 and dense1 on the chip: the relay's step, and one for each of the two.
     outputs = np.arange(2 * 5 * 3.0).reshape(2, 5, 3) + 1
-    found = delay_as_on_chip(outputs, RECIPE)
+    found = delay_as_on_chip(outputs, DESIGN)
     assert found[:, :3].tolist() == np.zeros((2, 3, 3)).tolist()
     np.testing.assert_array_equal(found[:, 3:], outputs[:, :2])
-    np.testing.assert_array_equal(delay_as_on_chip(outputs[0, :2], RECIPE), np.zeros((2, 3)))
+    np.testing.assert_array_equal(delay_as_on_chip(outputs[0, :2], DESIGN), np.zeros((2, 3)))
 
 
 def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altered(trained, data):
     table, labels, _ = data
-    none = replace(trained, recipe=replace(RECIPE, alteration=AUGMENTATIONS["none"]))
+    none = replace(trained, design=replace(DESIGN, alteration=AUGMENTATIONS["none"]))
     # Not altered but for where in its first step a sample begins.
-    step_ns = int(1e6 * RECIPE.step_ms)
+    step_ns = int(1e6 * DESIGN.step_ms)
     whole_ns = table.events.time_ns // step_ns * step_ns
     whole = replace(table, events=replace(table.events, time_ns=whole_ns))
     plain = answers_to(trained.weights, whole, VALIDATION, 40)
     expected = choose_threshold(
-        delay_as_on_chip(plain.outputs, RECIPE),
+        delay_as_on_chip(plain.outputs, DESIGN),
         labels[VALIDATION],
         plain.last_step,
         estimator=trained.estimator,
@@ -166,8 +166,8 @@ def test_the_threshold_is_that_of_what_arrives_of_samples_as_they_are_and_altere
 
 
 def test_a_budget_is_kept(trained, data):
-    assert trained.history[-1]["operations"] < RECIPE.budget  # it costs nothing there
-    tight = train_events(replace(RECIPE, budget=0.0, price=50.0), *data, seed=3)
+    assert trained.history[-1]["operations"] < DESIGN.budget  # it costs nothing there
+    tight = train_events(replace(DESIGN, budget=0.0, price=50.0), *data, seed=3)
     assert tight.history[-1]["operations"] < 0.8 * trained.history[-1]["operations"]
 
 
@@ -179,9 +179,9 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
 
     seen, path = [], Checkpoint(tmp_path / "state.npz", "this one")
     with pytest.raises(KeyboardInterrupt):
-        train_events(RECIPE, *data, 3, VALIDATION, path, interrupt)
+        train_events(DESIGN, *data, 3, VALIDATION, path, interrupt)
     seen = [0, 0, 0]
-    resumed = train_events(RECIPE, *data, 3, VALIDATION, path, interrupt)
+    resumed = train_events(DESIGN, *data, 3, VALIDATION, path, interrupt)
     assert seen[3:] == [3, 1, 1, 1]
     for name, value in resumed.weights.items():
         np.testing.assert_allclose(value, trained.weights[name], rtol=1e-4, atol=1e-6)
@@ -193,4 +193,4 @@ def test_samples_without_events_are_left_out(data):
     table, labels, _ = data
     empty = replace(table, offsets=np.zeros_like(table.offsets))
     with pytest.raises(UserError, match="event"):
-        train_events(RECIPE, empty, labels, np.arange(10), 0)
+        train_events(DESIGN, empty, labels, np.arange(10), 0)

@@ -108,9 +108,9 @@ np.savez("rates.npz", **train_rate_network(chosen, stripes, 0, cnn.weights).weig
 def test_noise_is_normal_with_the_settings_deviation():
     chosen = settings(recipe="loihi", epochs=2, batch_size=64, noise=0.3)
     model = training.build_rate_network(chosen)
-    recipe = training.snn_recipe(chosen.snn, 200)
+    schedule = training.make_snn_schedule(chosen.snn, 200)
     samples = training.TrainingSamples(np.arange(200.0).reshape(-1, 1, 1, 1), np.arange(200))
-    drawn = list(training._draw_samples(model, samples, recipe, 4))
+    drawn = list(training._draw_samples(model, samples, schedule, 4))
     assert [len(labels) for _, labels, _, _ in drawn] == [200, 200]
     assert sorted(drawn[0][1].numpy()) == list(range(200))
     assert not np.array_equal(drawn[0][1], drawn[1][1])
@@ -124,7 +124,8 @@ def test_noise_is_normal_with_the_settings_deviation():
     first, second = drawn[0][2][0].numpy(), drawn[1][2][0].numpy()
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02
     again, other = (
-        next(training._draw_samples(model, samples, recipe, seed))[2][0].numpy() for seed in (4, 5)
+        next(training._draw_samples(model, samples, schedule, seed))[2][0].numpy()
+        for seed in (4, 5)
     )
     np.testing.assert_array_equal(again, first)
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.02
@@ -199,7 +200,7 @@ def test_dropout_keeps_the_mean():
     model = training.build_rate_network(chosen)
     samples = training.TrainingSamples(np.zeros((200, 1, 1, 1)), np.zeros(200, int))
     *_, masks = next(
-        training._draw_samples(model, samples, training.snn_recipe(chosen.snn, 200), 4)
+        training._draw_samples(model, samples, training.make_snn_schedule(chosen.snn, 200), 4)
     )
     assert [layer.shape for layer in masks] == [(200, 7, 7, 6), (200, 5, 5, 24)]
     for mask in masks:
@@ -208,13 +209,13 @@ def test_dropout_keeps_the_mean():
 
 
 def test_small_data_sets_get_more_epochs():
-    """A recipe shows a number of samples at least; a number of epochs that is set is kept."""
+    """A schedule shows a number of samples at least; a number of epochs that is set is kept."""
     default = Settings()
-    assert training.cnn_recipe(default.cnn, 5562).epochs == 20  # the paper's
-    assert training.cnn_recipe(default.cnn, 518).epochs == 155  # 80,000 samples
-    assert training.snn_recipe(default.snn, 5562).epochs == 60
-    assert training.snn_recipe(default.snn, 518).epochs == 309
-    assert training.cnn_recipe(settings().cnn, 518).epochs == 6
+    assert training.make_cnn_schedule(default.cnn, 5562).epochs == 20  # the paper's
+    assert training.make_cnn_schedule(default.cnn, 518).epochs == 155  # 80,000 samples
+    assert training.make_snn_schedule(default.snn, 5562).epochs == 60
+    assert training.make_snn_schedule(default.snn, 518).epochs == 309
+    assert training.make_cnn_schedule(settings().cnn, 518).epochs == 6
 
 
 def test_the_matched_cnn_is_trained_like_the_rate_network(cnn, stripes):

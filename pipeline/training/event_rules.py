@@ -1,6 +1,6 @@
-"""How a network on events is trained, and what it reads, by rules on the recordings.
+"""Rules that choose how a network on events is trained, and what it reads, for the recordings.
 
-For handwriting on the skin the defaults of the settings are the recipe.  They were chosen on
+For handwriting on the skin the defaults of the settings are used.  They were chosen on
 thousands of recordings of ten classes with few events.  For all other recordings the functions
 below choose what suits their number, their classes and their events.  The rules were
 cross-validated within the training sets of two sets of real recordings of touch, objects in a

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.training import recipe
+from pipeline.training import event_rules
 from tests.pipeline.handmade import event_table
 
 
@@ -27,20 +27,20 @@ def test_what_only_time_tells_is_read_in_parts():
 
     table, labels = table_of(events)
     train = np.arange(len(labels))
-    reading = recipe.reading_for(table, labels, train, 10.0, 100)
+    reading = event_rules.reading_for(table, labels, train, 10.0, 100)
     assert reading.sections > 1
     assert reading.accuracy > 0.7
-    again = recipe.reading_for(table, labels, train, 10.0, 100)
+    again = event_rules.reading_for(table, labels, train, 10.0, 100)
     assert again == reading
-    assert recipe.reading_for(table, labels, train[:1], 10.0, 100).sections == 1
+    assert event_rules.reading_for(table, labels, train[:1], 10.0, 100).sections == 1
 
 
 def test_what_place_tells_needs_no_parts_and_the_longest_period():
     def events(rng, label):
         return rng.uniform(0, 990, 15), np.full(15, int(label))
 
-    reading = recipe.reading_for(*table_of(events), np.arange(120), 10.0, 100)
-    assert (reading.sections, reading.refractory) == (1, max(recipe.REFRACTORY_STEPS))
+    reading = event_rules.reading_for(*table_of(events), np.arange(120), 10.0, 100)
+    assert (reading.sections, reading.refractory) == (1, max(event_rules.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
     assert "sections" not in reading.text(10.0, reading.sections)
 
@@ -50,9 +50,9 @@ def test_a_period_that_loses_most_events_is_not_chosen():
         return rng.uniform(0, 990, 60), np.full(60, int(label))
 
     table, labels = table_of(events)
-    reading = recipe.reading_for(table, labels, np.arange(120), 10.0, 100)
-    assert table.lost(10.0, max(recipe.REFRACTORY_STEPS)) > recipe.MAX_LOST_EVENT_SHARE
-    assert reading.lost <= recipe.MAX_LOST_EVENT_SHARE
+    reading = event_rules.reading_for(table, labels, np.arange(120), 10.0, 100)
+    assert table.lost(10.0, max(event_rules.REFRACTORY_STEPS)) > event_rules.MAX_LOST_EVENT_SHARE
+    assert reading.lost <= event_rules.MAX_LOST_EVENT_SHARE
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_the_bin_of_counted_events_is_found(times, expected):
     n = len(times)
     nothing = np.zeros(n, np.uint8)
     table = event_table((times, nothing, nothing, nothing), np.array([0, n]))
-    assert recipe.find_bin_ms(table) == expected
+    assert event_rules.find_bin_ms(table) == expected
 
 
 def test_left_out_accuracy_is_that_of_fits_without_the_sample():
@@ -81,7 +81,7 @@ def test_left_out_accuracy_is_that_of_fits_without_the_sample():
     kernel = kernel / (np.trace(kernel) / 24) + 1
     classes = np.eye(3)[labels]
     best = 0.0
-    for ridge in recipe.RIDGES:
+    for ridge in event_rules.RIDGES:
         right = 0
         for out in range(24):
             rest = np.delete(np.arange(24), out)
@@ -89,15 +89,15 @@ def test_left_out_accuracy_is_that_of_fits_without_the_sample():
             scores = kernel[out, rest] @ np.linalg.solve(inner, classes[rest])
             right += scores.argmax() == labels[out]
         best = max(best, right / 24)
-    assert recipe.left_out_accuracy(inputs, labels) == pytest.approx(best)
+    assert event_rules.left_out_accuracy(inputs, labels) == pytest.approx(best)
 
 
 @pytest.mark.parametrize(
-    ("samples", "expected"), [(576, 80), (1079, 58), (5271, recipe.MIN_EPOCHS)]
+    ("samples", "expected"), [(576, 80), (1079, 58), (5271, event_rules.MIN_EPOCHS)]
 )
 def test_the_number_of_updates_is_fixed(samples, expected):
-    assert recipe.epochs_for(samples, 32) == expected
+    assert event_rules.epochs_for(samples, 32) == expected
 
 
 def test_few_samples_have_as_many_updates():
-    assert recipe.epochs_for(200, 32) * 7 == pytest.approx(recipe.UPDATES, rel=0.01)
+    assert event_rules.epochs_for(200, 32) * 7 == pytest.approx(event_rules.UPDATES, rel=0.01)

@@ -13,7 +13,7 @@ from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.steps import EventTable, SpikeLimits, spike_frames
 from pipeline.run.settings import EventTraining, Input, Settings
-from pipeline.training.recipe import epochs_for
+from pipeline.training.event_rules import epochs_for
 
 # Shares of the training samples with hot and with dead taxels. On ST-MNIST a quarter of each cost
 # 1.4 points without faults; with none, one hot taxel cost 6. With a twentieth it costs 3.5.
@@ -22,7 +22,7 @@ DEAD_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class EventRecipe:
+class EventDesign:
     """Hyperparameters of a network on events and of its training.
 
     Attributes
@@ -40,7 +40,7 @@ class EventRecipe:
     starts : tuple of int
         First step of each section of a sample.
     epochs, batch_size : int
-        0 epochs: as many as :func:`pipeline.training.recipe.epochs_for` says.
+        0 epochs: as many as :func:`pipeline.training.event_rules.epochs_for` says.
     learning_rate : float
         Learning rate of Adam after a short warm-up; it then falls to 0 along a half cosine.
     average : float
@@ -87,8 +87,8 @@ class EventRecipe:
         return table.frames(indices, self.step_ms, steps, self.limits)
 
     @classmethod
-    def of(cls, settings: Settings) -> EventRecipe:
-        """Make the recipe from the settings."""
+    def of(cls, settings: Settings) -> EventDesign:
+        """Make the design from the settings."""
         inputs = settings.input
         values = asdict(settings.events)
         how = values.pop("augment")
@@ -103,8 +103,8 @@ class EventRecipe:
         del values["parts"], values["part"], values["size"]
         return cls(**values, alteration=how)
 
-    def for_samples(self, samples: int) -> EventRecipe:
-        """The recipe with its number of epochs, for some number of training samples."""
+    def for_samples(self, samples: int) -> EventDesign:
+        """The design with its number of epochs, for some number of training samples."""
         if self.epochs:
             return self
         return replace(self, epochs=epochs_for(samples, self.batch_size))
