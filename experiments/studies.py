@@ -27,7 +27,7 @@ from pipeline.kinds import choose_settings
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.faults import add_faults
 from pipeline.results import study
-from pipeline.results.faulty import FaultCounts
+from pipeline.results.check_with_faults import FaultCounts
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Provenance, Settings

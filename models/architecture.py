@@ -95,14 +95,14 @@ class Architecture:
 
     @property
     def spiking(self) -> dict:
-        """The layers with neurons by name, in order: convolutions and hidden dense layers."""
+        """The layers with neurons by name, in order: all but pooling and the output."""
         layers = zip(self.names, self.layers, strict=True)
         return {name: layer for name, layer in layers if layer.has_neurons and not layer.output}
 
     @property
     def outputs(self) -> int:
         """Number of units of the output layer."""
-        return self.layers[-1].units
+        return math.prod(self.shapes[-1])
 
     @property
     def weight_shapes(self) -> dict:
@@ -223,20 +223,26 @@ def _parse_layer(token: str, shape: tuple, is_last: bool):
     """
     layer = _read_token(token)
     if layer is None:
-        raise ValueError(
-            "must be a layer: a convolution such as 6c4, 6c4s2 or 6c4p, "
-            "a pooling such as 2a, or a hidden dense layer such as 64"
-        )
+        raise ValueError(f"must be a layer: {_list_operations()}")
     _check_place(layer, shape, is_last)
     weights = [math.prod(s) for s in layer.array_shapes(shape).values()]
     shape = layer.shape(shape)
-    if is_last and layer.units < 2:
+    if is_last and math.prod(shape) < 2:
         raise ValueError("must have at least 2 output neurons")
     if math.prod(shape) > MAX_VALUES:
         raise ValueError(f"has more than {MAX_VALUES} values")
     if max(weights, default=0) > MAX_WEIGHTS:
         raise ValueError(f"has more than {MAX_WEIGHTS} weights")
     return layer
+
+
+def _list_operations() -> str:
+    """The operations and examples of their notation, for a message."""
+    texts = []
+    for operation in OPERATIONS.values():
+        examples = " or ".join(operation.examples)
+        texts.append(f"{operation.noun} such as {examples}" if examples else operation.noun)
+    return "; ".join(texts)
 
 
 _SIZE = re.compile(f"{NUMBER}x{NUMBER}(?:x{NUMBER})?")
@@ -264,6 +270,6 @@ def _read_token(token):
 def _check_place(layer, input_shape, last):
     """Raise ValueError for a layer at a position where its kind is not allowed."""
     if layer.is_spatial and len(input_shape) == 1:
-        raise ValueError(f"is {layer.noun} after a dense layer, which has no rows and columns")
+        raise ValueError(f"is {layer.noun} after a layer without rows and columns")
     if layer.output and not last:
         raise ValueError("is an output layer, which must be the last layer")

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deploy.network.geometry import pooled_shape, unpool
+from deploy.network.geometry import pooled_shape
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import Stimulus
 from models.architecture import Architecture
@@ -114,8 +114,7 @@ class Link:
     @property
     def fan_out(self) -> np.ndarray:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        reached = self.operation.fan_out(self.read_shape)
-        return reached if self.pool == 1 else unpool(reached, self.input_shape, self.pool)
+        return self.operation.input_fan_out(self.input_shape, self.pool)
 
     @property
     def read_shape(self) -> tuple:

@@ -134,14 +134,16 @@ class SpikingNetwork(tf.Module):
         self.names = architecture.names[:-1]
         rng = np.random.default_rng(seed)
         self.variables_by_name: dict[str, tf.Variable] = {}
-        for index, name in enumerate(architecture.names):
-            shape = architecture.weight_shapes[f"{name}.kernel"]
-            kernel = rng.normal(0, 1 / np.sqrt(np.prod(shape[:-1])), shape)
+        layers = zip(architecture.names, architecture.layers, architecture.shapes, strict=False)
+        for index, (name, layer, input_shape) in enumerate(layers):
+            shapes = layer.array_shapes(input_shape)
+            scale = 1 / np.sqrt(layer.fan_in(input_shape))
+            kernel = rng.normal(0, scale, shapes["kernel"])
             if name == "output":
                 self._add("output.kernel", np.tile(kernel, (len(self.starts), 1)))
                 continue
             self._add(f"{name}.kernel", kernel)
-            self._add(f"{name}.bias", np.zeros(architecture.weight_shapes[f"{name}.bias"]))
+            self._add(f"{name}.bias", np.zeros(shapes["bias"]))
             for tau in ("tau_u", "tau_v"):
                 values = getattr(self.neuron, tau)
                 self._add(f"{name}.{tau}", _logit(values[min(index, len(values) - 1)]))

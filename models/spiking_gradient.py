@@ -305,7 +305,7 @@ class SpikingGradient:
         filters = layer.kernel.shape[1]
         by_row = error.reshape(-1, filters) @ layer.kernel.T
         inputs = self.neurons[index - 1]
-        if not self.architecture.layers[index].is_spatial:
+        if self.synapses[index].is_matrix:
             return by_row.reshape(samples, steps, inputs)
         to_inputs = np.empty((samples * steps, inputs), np.float32)
         by_row = by_row.reshape(samples * steps, -1, layer.kernel.shape[0])

@@ -13,7 +13,7 @@ from deploy.files import read_json
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.writing import write_zip
-from pipeline.results.elsewhere import recordings_for
+from pipeline.results.other_recordings import recordings_for
 from pipeline.run.settings import Settings, write_settings
 from pipeline.simulation import handwriting, parameters
 from pipeline.simulation.handwriting import Trace
@@ -209,9 +209,9 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     recordings = strange_hand(2)
     several = replace(recordings, writers=np.arange(20) % 2 + 3)
     from pipeline.commands import adapt
-    from pipeline.results import elsewhere
+    from pipeline.results import other_recordings
 
-    monkeypatch.setattr(elsewhere, "load_recordings", lambda *a, **k: several)
+    monkeypatch.setattr(other_recordings, "load_recordings", lambda *a, **k: several)
     assert call("adapt", run, "--data", "any", "--out", tmp_path / "new") == 2
     assert "3, 4" in capsys.readouterr().err
     chosen, name = adapt._of_one(several, 4)
@@ -223,7 +223,7 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     provenance = {**bundle.spec.provenance, "training_recordings": hashes}
     bundle = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
     for writer, number in ((3, 10), (4, 0)):
-        said = " ".join(elsewhere.warnings_on(bundle, adapt._of_one(several, writer)[0]))
+        said = " ".join(other_recordings.warnings_on(bundle, adapt._of_one(several, writer)[0]))
         assert (f"{number} of 10 recordings were used" in said) == (number > 0)
 
 

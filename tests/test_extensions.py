@@ -16,7 +16,7 @@ from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
 from deploy.network.responses import Responses
 from deploy.preflight.plan import make_plan
 from deploy.targets.options import Options, option
-from deploy.targets.registry import TARGETS, Target, options_for, run_target
+from deploy.targets.registry import TARGETS, Target, list_options, options_for, run_target
 from models import ops
 from models.chain import Decays, Link
 from models.integers import choose_integers, simulate_spikes
@@ -79,6 +79,9 @@ def test_a_target(tmp_path, monkeypatch):
     assert {sample["prediction"] for sample in result["samples"]} == {2}
     with pytest.raises(UserError, match="--label is for --target first"):
         options_for("fast", label=2)
+    monkeypatch.setitem(TARGETS, "twin", replace(target, name="twin"))
+    with pytest.raises(ValueError, match="first and twin: both have --label"):
+        list_options()
 
 
 # What a network on images reads.

@@ -13,7 +13,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
 from pipeline.recordings.writing import write_recordings
-from pipeline.results import elsewhere
+from pipeline.results import other_recordings
 from tests.command import call, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -89,12 +89,12 @@ def test_recordings_without_labels_are_classified(folder, kind, tmp_path):
     for name in CLASSES[:2]:
         (tmp_path / "known" / name).mkdir(parents=True)
         shutil.copy(folder / "own" / name / "003.npz", tmp_path / "known" / name)
-    known = elsewhere.predict(bundle, tmp_path / "known")
+    known = other_recordings.predict(bundle, tmp_path / "known")
     assert set(known) == {f"{name}/003" for name in CLASSES[:2]}
     (tmp_path / "new" / "today").mkdir(parents=True)
     for name in CLASSES[:2]:
         shutil.copy(folder / "own" / name / "003.npz", tmp_path / "new" / "today" / f"{name}.npz")
-    unknown = elsewhere.predict(bundle, tmp_path / "new")
+    unknown = other_recordings.predict(bundle, tmp_path / "new")
     assert unknown == {f"today/{name}": known[f"{name}/003"] for name in CLASSES[:2]}
 
 
@@ -140,16 +140,16 @@ def test_cut_ends_new_polarities_and_a_smaller_sensor_are_said(folder, tmp_path)
     source = write_recordings(tmp_path / "slow.zip", slow, CLASSES, "s")
     bundle = read_bundle(folder / "events" / "bundle")
     of_one = replace(bundle.spec, provenance={**bundle.spec.provenance, "polarities": 1})
-    settings, changed = elsewhere.settings_around(bundle), replace(bundle, spec=of_one)
-    read = elsewhere.recordings_for(changed, str(source), settings)
-    said = elsewhere.warnings_on(changed, read)
+    settings, changed = other_recordings.settings_around(bundle), replace(bundle, spec=of_one)
+    read = other_recordings.recordings_for(changed, str(source), settings)
+    said = other_recordings.warnings_on(changed, read)
     cut = sum(end >= bundle.spec.presentation.steps * 0.01 for end in ends)
     assert 0 < cut < len(ends)
     assert missing(" ".join(said), f"{cut} of {len(ends)} recordings are longer", "OFF") == []
     small = [((x // 3, y // 3, t, p), label) for (x, y, t, p), label in gestures(3)]
     source = write_recordings(tmp_path / "small.zip", small, CLASSES, "s")
-    read = elsewhere.recordings_for(bundle, str(source), settings)
-    said = " ".join(elsewhere.warnings_on(bundle, read))
+    read = other_recordings.recordings_for(bundle, str(source), settings)
+    said = " ".join(other_recordings.warnings_on(bundle, read))
     assert missing(said, "3 of 9 rows and 4 of 12 columns") == []
 
 

@@ -21,7 +21,7 @@ from ..errors import UserError
 from ..loading import Limit, WrongValue, between, check, limited_field, load, one_of
 from .chip import LOIHI
 from .decision import Estimator
-from .geometry import pooled_shape, unpool
+from .geometry import pooled_shape
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 from .stimulus import KINDS, Stimulus
 
@@ -175,7 +175,7 @@ class Layer:
         )
         self._require(
             self.recurrent is None or (operation.can_recur and has_neurons),
-            "only a dense layer of neurons can be recurrent",
+            f"{self.kind!r} cannot be recurrent, or has no neurons",
         )
 
     def _check_shapes(self):
@@ -263,9 +263,7 @@ class Layer:
         Neurons near the edge of a convolution reach fewer positions; those outside of complete
         pooling windows reach none.  Zeros that pad a kernel are not counted.
         """
-        if self.pool == 1:
-            return self.read_fan_out.ravel()
-        return unpool(self.read_fan_out, self.input_shape, self.pool).ravel()
+        return self.operation.input_fan_out(self.input_shape, self.pool).ravel()
 
     @property
     def multiply_accumulates(self) -> int:
@@ -436,10 +434,13 @@ class NetworkSpec:
             where = f"layer {layer.name!r}"
             _require(layer.input_shape == shape, where, f"input_shape should be {shape}")
             last = position == len(self.layers) - 1
-            _require(not last or layer.operation.can_read_out, where, "the last layer is dense")
-            _require(last or layer.placement == "chip", where,
-                     "only the last layer can be on the host")  # fmt: skip
-            _require(last or layer.sections == 1, where, "only the last layer has sections")
+            if last:
+                can_read_out = layer.operation.can_read_out
+                _require(can_read_out, where, f"{layer.kind!r} cannot be the last layer")
+            else:
+                on_chip = layer.placement == "chip"
+                _require(on_chip, where, "only the last layer can be on the host")
+                _require(layer.sections == 1, where, "only the last layer has sections")
             shape = layer.shape
 
     @property

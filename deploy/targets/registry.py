@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Callable, Dict, Optional, Type
+from typing import TYPE_CHECKING, Callable, Dict, Optional, Tuple, Type
 
 from ..errors import UserError
 from ..terminal import WARNING, remark
@@ -53,6 +53,8 @@ class Target:
         chip's integers cannot hold: see :func:`refuse_unfit`.
     hardware : bool
         True if the target needs a board.
+    is_exact : bool
+        True if every spike is that of NengoLoihi's emulator.
     in_ladder : bool
         True if every ladder has a row of it, that of a board if there is one.  The last of them is
         the deployed network of the ladder and the report.
@@ -70,6 +72,7 @@ class Target:
     slow: bool = False
     floating: bool = False
     hardware: bool = False
+    is_exact: bool = False
     in_ladder: bool = False
     options: Optional[Type[Options]] = None
     describe: Optional[Callable] = None
@@ -110,6 +113,7 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("simulators", "run_emulator"),
             title="Emulated Loihi",
             slow=True,
+            is_exact=True,
             in_ladder=True,
         ),
         Target(
@@ -117,6 +121,7 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("fast", "run_fast"),
             title="Emulated Loihi (fast)",
             note="bit-identical to NengoLoihi's emulator",
+            is_exact=True,
         ),
         Target(
             name="loihi",
@@ -146,14 +151,39 @@ def target_named(name: str) -> Target:
         raise UserError(f"no target {name!r}; the targets are {known}") from None
 
 
+def list_exact_targets() -> Tuple[str, ...]:
+    """Names of the targets whose spikes are those of NengoLoihi's emulator, the fastest last."""
+    return tuple(target.name for target in TARGETS.values() if target.is_exact)
+
+
+def rank_targets_by_spikes() -> Tuple[str, ...]:
+    """Names of the targets; the first with a result gives the numbers of spikes.
+
+    Exact targets come first.  The others follow from the last one of the ladder, which is the
+    nearest to the chip.  Boards come last, since they do not report the spikes of all layers.
+    """
+    exact = list_exact_targets()
+    others = [target for target in reversed(list(TARGETS.values())) if target.name not in exact]
+    others.sort(key=lambda target: target.hardware)  # keeps the order of equal ones
+    return (*exact, *(target.name for target in others))
+
+
 def list_options() -> Dict[str, tuple]:
-    """The options of all targets: ``(name of the target, dataclass field)`` by their names."""
-    return {
-        option.name: (target.name, option)
-        for target in TARGETS.values()
-        if target.options is not None
-        for option in fields(target.options)
-    }
+    """The options of all targets: ``(name of the target, dataclass field)`` by their names.
+
+    Raises
+    ------
+    ValueError
+        Two targets have an option of the same name.
+    """
+    options: Dict[str, tuple] = {}
+    for target in TARGETS.values():
+        for option in () if target.options is None else fields(target.options):
+            if option.name in options:
+                owner = options[option.name][0]
+                raise ValueError(f"targets {owner} and {target.name}: both have --{option.name}")
+            options[option.name] = (target.name, option)
+    return options
 
 
 def options_for(name: str, **values):

@@ -1,5 +1,6 @@
 """The base class of the operations of an architecture."""
 
+import math
 import re
 from typing import ClassVar, NamedTuple
 
@@ -28,6 +29,17 @@ class Synapses(NamedTuple):
     place: np.ndarray
     row: np.ndarray
 
+    @property
+    def is_matrix(self) -> bool:
+        """True if the kernel is the matrix of the layer: input i adds row i to all neurons."""
+        inputs = len(self.first) - 1
+        every = np.arange(inputs)
+        return (
+            np.array_equal(self.first[1:], every + 1)
+            and np.array_equal(self.row, every)
+            and not self.place.any()
+        )
+
 
 class Operation(DeployedOperation):
     """A layer of an architecture, with its notation and its training.
@@ -38,6 +50,7 @@ class Operation(DeployedOperation):
     =============================  =================================================================
     `from_token`                   if the notation has more than numbers
     `kernel_shape`, `to_deployed`  if the trained kernel has other axes than the deployed weights
+    `fan_in`                       if the kernel's last axis is not that of the outputs
     `keras_layer`                  for networks on images
     `sums`, `synapses`             for networks trained on events
     `currents`, `windows`          for networks that are rounded to integers, such as NIR graphs
@@ -53,6 +66,8 @@ class Operation(DeployedOperation):
         The notation; numbers are its groups of digits.
     noun : str
         For messages, such as ``"a convolution"``.
+    examples : tuple of str
+        Notations, for messages, such as ``("6c4", "6c4s2")``.
     has_neurons : bool
         True if neurons follow, unless the layer is the output.
     output : bool
@@ -61,6 +76,7 @@ class Operation(DeployedOperation):
 
     token: ClassVar[re.Pattern]
     noun: ClassVar[str] = "a layer"
+    examples: ClassVar[tuple] = ()
     has_neurons: ClassVar[bool] = True
     output: bool = False
 
@@ -92,6 +108,14 @@ class Operation(DeployedOperation):
         sections : int
         """
         return kernel
+
+    def fan_in(self, input_shape) -> int:
+        """Number of inputs of each neuron; initial weights have a variance of one over it.
+
+        Here it is the product of all axes of the kernel but the last.  `fan_out` is the number of
+        synapses in the other direction.
+        """
+        return math.prod(self.array_shapes(input_shape)["kernel"][:-1])
 
     # --- networks on images -----------------------------------------------------------------------
 

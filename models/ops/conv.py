@@ -17,6 +17,7 @@ class Convolution(Operation, DeployedConvolution):
 
     token = re.compile(f"{NUMBER}c{NUMBER}(?:s{NUMBER})?(p?)")
     noun = "a convolution"
+    examples = ("6c4", "6c4s2", "6c4p")
 
     def __post_init__(self):
         if min(self.filters, self.kernel, self.stride) < 1:

@@ -25,7 +25,8 @@ class Dense(Operation, DeployedDense):
 
     output: bool = False
     token = re.compile(f"{NUMBER}(o?)")
-    noun = "a dense layer"
+    noun = "a hidden dense layer"
+    examples = ("64",)
 
     def __post_init__(self):
         if self.units < 1:

@@ -22,6 +22,7 @@ class Pooling(Operation):
     size: int
     kind = "pool"
     noun = "a pooling"
+    examples = ("2a",)
     token = re.compile(f"{NUMBER}a")
     is_spatial = True
     has_neurons = False

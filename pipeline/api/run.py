@@ -30,9 +30,9 @@ from pipeline.progress import hide_progress
 from pipeline.recordings.arrays import errors_naming
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
-from pipeline.results import compare, elsewhere
+from pipeline.results import compare, other_recordings
+from pipeline.results.check_on_others import OtherRecordings, TargetCheck, check_on_others
 from pipeline.results.ladder import measure_ladder
-from pipeline.results.others import OtherRecordings, TargetCheck, check_on_others
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
 from pipeline.run.folder import RunFolder, refuse_other_folders, working_in
@@ -219,7 +219,7 @@ class Run:
         target : str
         """
         with self._noting(), self._on_disk(recordings) as path:
-            values = elsewhere.predict(self.bundle, path, target, warn=self._say)
+            values = other_recordings.predict(self.bundle, path, target, warn=self._say)
         if isinstance(recordings, Recordings):  # whose files have their numbers as names
             numbered = {int(PurePath(name).name): label for name, label in values.items()}
             values = {recordings.ids[number]: numbered[number] for number in sorted(numbered)}

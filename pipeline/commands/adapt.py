@@ -37,15 +37,15 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     improve, or the network's training samples lose too much.  The original bundle is not changed.
     """
     from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
-    from pipeline.results import elsewhere
+    from pipeline.results import other_recordings
     from pipeline.training import adaptation  # Nengo takes a second to import
 
     bundle = read_bundle(options.bundle_in(run))
     options.warn_if_outdated(bundle.path)
-    settings = elsewhere.settings_around(bundle, skip_bad, time_unit)
-    everyone = elsewhere.recordings_for(bundle, data, settings, jobs, options.say)
+    settings = other_recordings.settings_around(bundle, skip_bad, time_unit)
+    everyone = other_recordings.recordings_for(bundle, data, settings, jobs, options.say)
     recordings, who = _of_one(everyone, writer)
-    for line in elsewhere.warnings_on(bundle, recordings):
+    for line in other_recordings.warnings_on(bundle, recordings):
         options.say(line)
     adaptation.require_fit(bundle.spec, recordings)
     place = out or _default_place(run, bundle, who)
@@ -59,7 +59,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
         place = None
     else:
         write_bundle(place, adapted.spec, bundle.checks)
-    trained_on = int(elsewhere.find_trained_on(bundle, recordings).sum())
+    trained_on = int(other_recordings.find_trained_on(bundle, recordings).sum())
     summary = _summarise(adapted, place, len(recordings), trained_on)
     options.tell(summary, lambda _: adaptation.text_of(adapted, place), as_json)
 

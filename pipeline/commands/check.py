@@ -12,7 +12,7 @@ from deploy.errors import UserError
 from deploy.targets.registry import TARGETS, list_options, options_for
 from deploy.terminal import WARNING
 from pipeline.commands import options
-from pipeline.results.others import OtherRecordings, TargetCheck, check_on_others
+from pipeline.results.check_on_others import OtherRecordings, TargetCheck, check_on_others
 from pipeline.run.folder import checks_of
 
 
@@ -102,7 +102,7 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from deploy.check.bundle import read_bundle
     from deploy.check.text import others_text, summary
     from deploy.files import require_ending
-    from pipeline.results.faulty import FaultCounts, fault_path
+    from pipeline.results.check_with_faults import FaultCounts, fault_path
 
     target_options = options_for(target, **vars(of_targets))
     if out is not None:
@@ -176,11 +176,11 @@ def _loss_text(bundle, result):
 
 def _check_with_faults(bundle, counts, jobs, path, check):
     """Run the check with faulty taxels in its samples; return the result."""
-    from pipeline.results import faulty
+    from pipeline.results import check_with_faults
 
-    recordings, image = faulty.recordings_of_check(bundle, jobs, options.say)
-    presented = faulty.with_faults(bundle, recordings, counts, image)
-    return faulty.add_note(check.run(presented, path), path, counts)
+    recordings, image = check_with_faults.recordings_of_check(bundle, jobs, options.say)
+    presented = check_with_faults.with_faults(bundle, recordings, counts, image)
+    return check_with_faults.add_note(check.run(presented, path), path, counts)
 
 
 def compare_checks(

@@ -75,13 +75,18 @@ def energy(
     """Estimate the energy of an inference from the spikes that a check counted."""
     from deploy.check.energy import estimate_energy, estimate_text
     from deploy.check.results import read_result
+    from deploy.targets.registry import list_exact_targets
 
     opened = _read_bundle(bundle)
-    # Both targets count the same spikes.
-    usual = [checks_of(opened.path) / f"{target}.json" for target in ("emulator", "fast")]
-    paths = [result] if result else [path for path in usual if path.exists()] or usual[-1:]
-    remedy = f"run {command_text('check', 'run', bundle, '--target', 'fast')}"
-    results = [read_result(path, "give a check's result" if result else remedy) for path in paths]
+    exact = list_exact_targets()
+    remedy = f"run {command_text('check', 'run', bundle, '--target', exact[-1])}"
+    if result is not None:
+        paths = [result]
+        results = [read_result(result, "give a check's result")]
+    else:
+        files = [checks_of(opened.path) / f"{target}.json" for target in exact]
+        paths = [path for path in files if path.exists()] or files[-1:]
+        results = [read_result(path, remedy) for path in paths]
     counted = next((each for each in results if each["bundle"] == opened.id), None)
     if counted is None:
         raise UserError(f"{paths[-1]}: belongs to another bundle than {bundle}; {remedy}")

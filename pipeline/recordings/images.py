@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.recordings.altering import AUGMENTATIONS, move_places
+from pipeline.recordings.augmentation import AUGMENTATIONS, move_places
 from pipeline.recordings.cache import empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import draw_faults
@@ -208,7 +208,7 @@ class StoredCounts:
 class AlteredImages:
     """Images of training samples whose events are altered anew for each epoch.
 
-    The alterations are those of :mod:`pipeline.recordings.altering`: the events of a taxel all
+    The alterations are those of :mod:`pipeline.recordings.augmentation`: the events of a taxel all
     move to the same place, so that their counts are moved, and of the counts a random share is
     dropped.  Times are not stretched.  The counts of a taxel that is dead from some time on are
     reduced to the share of the slice before it, and the spikes of hot taxels are counted.
@@ -218,7 +218,7 @@ class AlteredImages:
     recordings : Recordings
     image : pipeline.run.settings.schema.Image
     how : str
-        A key of :data:`pipeline.recordings.altering.AUGMENTATIONS`.
+        A key of :data:`pipeline.recordings.augmentation.AUGMENTATIONS`.
     samples : ndarray of int, optional
         Indices of the training samples; default: all.
     """

@@ -15,7 +15,7 @@ from deploy.network.provenance import read_classes
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, plural, star
-from deploy.targets.registry import TARGETS
+from deploy.targets.registry import TARGETS, rank_targets_by_spikes
 from deploy.terminal import command_text, printable
 from pipeline.kinds import REFERENCES, kind_of_network
 from pipeline.kinds.kind import IMPORT_SETTINGS
@@ -31,10 +31,6 @@ SCHEMA = "stmnist-runs/1"
 
 # Order of the stages in a comparison.
 ORDER = (*REFERENCES, *TARGETS)
-
-# Stages whose spikes give the operations and decision times; the first available one is used. The
-# first two have identical spikes; a board does not report the spikes of all layers.
-COUNTED = ("emulator", "fast", "simreal", "nengo", "loihi")
 
 # Short names of runs in the text, by their order.
 LETTERS = string.ascii_uppercase
@@ -189,7 +185,12 @@ def inference(run: Run) -> dict:
     writing until the decision, and its accuracy.
     """
     spec = run.spec
-    stage = next((s for s in COUNTED if run.results.get(s, {}).get("synaptic_operations")), None)
+    stages_with_counts = (
+        stage
+        for stage in rank_targets_by_spikes()
+        if run.results.get(stage, {}).get("synaptic_operations")
+    )
+    stage = next(stages_with_counts, None)
     result = run.results.get(stage, {})
     counted = result.get("synaptic_operations", {})
     operations = sum(counted.values()) / result["n_samples"] if stage else None

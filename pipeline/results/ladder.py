@@ -131,6 +131,17 @@ def ladder_rows(results) -> list:
     return rows
 
 
+def select_deployed_result(results) -> dict:
+    """The result of the deployed network on the target that is nearest to the chip.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        As in :func:`ladder_rows`.
+    """
+    return results[-1]
+
+
 def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
     """Count samples by label (row) and prediction (column).
 
@@ -170,6 +181,7 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
     by_stage = {result["target"]: result for result in results}
     trained = next((result for result in results if result["target"] in TRAINED_STAGES), None)
     reference = by_stage[find_compared_stage(by_stage)]
+    deployed = select_deployed_result(results)
     return {
         "schema": "stmnist-ladder/1",
         "bundle": first["bundle"],
@@ -180,21 +192,21 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
             name for label, name in enumerate(classes) if label not in presented
         ],
         "rows": ladder_rows(results),
-        "last_against_trained_p": trained and compare_results(trained, results[-1]).p_value,
-        "against_reference": _against(reference, results[-1]),
-        "against_counts": _against(by_stage.get("counts"), results[-1]),
-        "while_written": results[-1].get("while_written"),
+        "last_against_trained_p": trained and compare_results(trained, deployed).p_value,
+        "against_reference": _against(reference, deployed),
+        "against_counts": _against(by_stage.get("counts"), deployed),
+        "while_written": deployed.get("while_written"),
         "remedy": remedy,
         "layers": layers,
         "least_faithful_layer": layers and least_faithful(layers),
     }
 
 
-def _against(other, last):
-    """Comparison of the last stage with another; None without that."""
-    if other is None or other is last:
+def _against(other, deployed):
+    """Comparison of the deployed network with another; None without that."""
+    if other is None or other is deployed:
         return None
-    compared = compare_results(other, last)
+    compared = compare_results(other, deployed)
     return {"difference": 0.0 - compared.accuracy_drop, "mcnemar_p": compared.p_value}
 
 

@@ -32,7 +32,7 @@ from deploy.network.spec import NetworkSpec, Rehearsal
 from deploy.network.stimulus import EventFrames, last_steps
 from deploy.tables import list_names
 from deploy.targets.fast import Emulation
-from pipeline.recordings.altering import AUGMENTATIONS, alter_recordings, choose_augmentation
+from pipeline.recordings.augmentation import AUGMENTATIONS, alter_recordings, choose_augmentation
 from pipeline.recordings.dataset import inputs_for, require_sensor_fits
 from pipeline.recordings.events import Recordings
 from pipeline.run.settings import Image

@@ -1,15 +1,42 @@
 """The compiled gradients against those of TensorFlow."""
 
+import math
+import re
+
 import numpy as np
 import pytest
 
+from models import ops
 from models.architecture import parse
 from models.keras.keras2 import tf
 from models.spiking import SpikingNetwork, operations
 from models.spiking_gradient import Batch, SpikingGradient
 from tests.models.test_spiking import ARCHITECTURES, frames_for, network_of
+from tests.test_extensions import DeployedOneToOne
 
 EARLY, PRICE = 0.7, 1e-4
+
+
+class OneToOne(ops.Operation, DeployedOneToOne):
+    """An operation of another package, with what training on events needs."""
+
+    token = re.compile("own")
+
+    def kernel_shape(self, input_shape):
+        return (math.prod(input_shape), 1)
+
+    def fan_in(self, input_shape):
+        return 1
+
+    def sums(self, kernel, frames):
+        return frames * kernel[:, 0]
+
+    def synapses(self, input_shape):
+        numbers = np.arange(math.prod(input_shape))
+        return ops.Synapses(np.arange(len(numbers) + 1), numbers, numbers)
+
+    def __str__(self):
+        return "own"
 
 
 def values_of(network):
@@ -45,8 +72,9 @@ def in_tensorflow(network, batch):
     return float(loss), float(cost), {name: np.asarray(gradient) for name, gradient in named}
 
 
-@pytest.mark.parametrize("text", ARCHITECTURES)
-def test_gradients_are_those_of_tensorflow(text):
+@pytest.mark.parametrize("text", [*ARCHITECTURES, "6x6x1-20-own-3o"])
+def test_gradients_are_those_of_tensorflow(text, monkeypatch):
+    monkeypatch.setitem(ops.OPERATIONS, "own", OneToOne)
     network = network_of(text)
     batch = batch_for(network)
     compiled = SpikingGradient(network.architecture, network.neuron)

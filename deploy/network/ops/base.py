@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import UserError
 from ..chip import Chip
+from ..geometry import pooled_shape, unpool
 
 # Maximum number of synapses of one list.
 SYNAPSES_OF_LIST = 64
@@ -89,6 +90,15 @@ class DeployedOperation:
     def fan_out(self, read_shape) -> np.ndarray:
         """Number of synapses of each value of the input, int64, of shape ``read_shape``."""
         raise NotImplementedError
+
+    def input_fan_out(self, input_shape, pool: int = 1) -> np.ndarray:
+        """Number of synapses of each value before averaging, of shape ``input_shape``.
+
+        Values outside of complete windows have none.
+        """
+        if pool == 1:
+            return self.fan_out(input_shape)
+        return unpool(self.fan_out(pooled_shape(input_shape, pool)), input_shape, pool)
 
     def transform(self, layer, chip: Chip) -> tuple:
         """The transform in Nengo with averaging folded in, and the inputs that it reads.

@@ -20,7 +20,7 @@ from pipeline.kinds.architectures import (
 )
 from pipeline.kinds.presentation import choose_presentation, choose_step_ms, choose_time_constants
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.altering import choose_augmentation
+from pipeline.recordings.augmentation import choose_augmentation
 from pipeline.recordings.events import Recordings, is_handwriting
 from pipeline.run.settings import Choice, Settings, apply_choices
 from pipeline.training.event_rules import (

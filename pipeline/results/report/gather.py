@@ -11,8 +11,8 @@ from deploy.terminal import command_text
 from pipeline.kinds import kind_of_network
 from pipeline.kinds.kind import read_history
 from pipeline.progress import progress
-from pipeline.results.elsewhere import FOLDER as OTHERS
-from pipeline.results.ladder import ladder_stages
+from pipeline.results.ladder import ladder_stages, select_deployed_result
+from pipeline.results.other_recordings import FOLDER as OTHERS
 from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
 from pipeline.results.status import find_outdated, status_of
@@ -52,7 +52,7 @@ def gather(folder: RunFolder) -> Inputs:
             f"{folder.path / 'checks'}: no check result of the present bundle; "
             f"run {command_text('ladder', folder.path)} first"
         )
-    chosen = choose_samples(results[-1])
+    chosen = choose_samples(select_deployed_result(results))
     with progress("replay samples", len(chosen)) as advance:
         replays = replay(bundle, chosen, settings.seed, advance)
     titles: dict = {}
@@ -87,7 +87,7 @@ def _test_accuracy(path):
 
 
 def _others(folder, bundle):
-    """Results of the bundle on other recordings; see :mod:`pipeline.results.elsewhere`."""
+    """Results of the bundle on other recordings; see :mod:`pipeline.results.other_recordings`."""
     files = sorted(Path(folder.path / "checks" / OTHERS).glob("*.json"))
     results = [read_result(path, REMEDY) for path in files]
     return [r for r in results if r["bundle"] == bundle.id and "per_class" in r and "data" in r]

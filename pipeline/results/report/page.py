@@ -19,7 +19,7 @@ from deploy.tables import SIGNIFICANCE, list_names, p_text, plural
 from deploy.targets.registry import TARGETS
 from pipeline import look
 from pipeline.kinds import COMPARED_WITH, REFERENCES
-from pipeline.results.ladder import confusion_matrix, ladder_rows
+from pipeline.results.ladder import confusion_matrix, ladder_rows, select_deployed_result
 from pipeline.results.report import charts, prose
 from pipeline.run.settings import PATHS, Settings
 from pipeline.stages import settings_read
@@ -69,6 +69,11 @@ class Inputs:
     others: list = field(default_factory=list)
 
     @property
+    def deployed_result(self) -> dict:
+        """The check result of the deployed network, which the report is about."""
+        return select_deployed_result(self.results)
+
+    @property
     def classes(self) -> list:
         """Names of the classes."""
         return self.bundle.spec.provenance["classes"]
@@ -100,7 +105,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
     environment.filters["interval"] = prose.interval
     package = resources.files("pipeline.results.report")
     spec = inputs.bundle.spec
-    result = inputs.results[-1]
+    result = inputs.deployed_result
     provenance = spec.provenance
     estimate = estimate_energy(spec, result) if result["spikes"] else None
     layers = layer_table(inputs.bundle, inputs.plan, result, estimate)
@@ -171,7 +176,7 @@ def verdict(results: list, bundle: Bundle) -> dict:
         per sample and their ``ratio`` to the multiply-accumulates of the same network without
         spikes, or None without counts.
     """
-    deployed = results[-1]
+    deployed = select_deployed_result(results)
     by_stage = {result["target"]: result for result in results[:-1]}
     wanted = [name for name in COMPARED_WITH if name in by_stage][:1]
     wanted += [name for name in ("counts",) if name in by_stage]
@@ -279,7 +284,7 @@ def _ladder(results):
 
 def _over_time(inputs):
     """Accuracy over the recording (events), or over the steps of the presentation (images)."""
-    result = inputs.results[-1]
+    result = inputs.deployed_result
     n_samples = result["n_samples"]
     times, accuracies, label = _accuracy_by_time(result, inputs.bundle.spec)
     if len(accuracies) < 2:
@@ -330,7 +335,7 @@ def _early_decision(result):
 
 def _list_predictions(inputs) -> tuple:
     """The label and the prediction of each sample."""
-    samples = inputs.results[-1]["samples"]
+    samples = inputs.deployed_result["samples"]
     labels = [sample["label"] for sample in samples]
     return labels, [sample["prediction"] for sample in samples]
 
@@ -426,7 +431,7 @@ def _stories(inputs, groups):
         pictures.update({sample["index"]: sample["picture"] for sample in group["samples"]})
     stories = []
     for index, replay in inputs.replays.items():
-        sample = inputs.results[-1]["samples"][index]
+        sample = inputs.deployed_result["samples"][index]
         story = _story(inputs.bundle.spec, inputs.classes, sample, replay)
         stories.append({"index": index, "picture": pictures[index], **story})
     return stories

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
-from pipeline.recordings.altering import AUGMENTATIONS, Alteration, alter
+from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.steps import EventTable, SpikeLimits, spike_frames
 from pipeline.run.settings import EventTraining, Input, Settings

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.recordings.altering import (
+from pipeline.recordings.augmentation import (
     Alteration,
     alter,
     alter_recordings,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pipeline.recordings import faults
-from pipeline.recordings.altering import AUGMENTATIONS
+from pipeline.recordings.augmentation import AUGMENTATIONS
 from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.images import AlteredImages, normalise, tactile_images
 from pipeline.run.settings import Image

@@ -15,7 +15,7 @@ from models.architecture import NotationError, parse
 from models.cnn import set_weights
 from pipeline.kinds.image.kind import describe_network, to_spec
 from pipeline.recordings.dataset import inputs_for
-from pipeline.results.elsewhere import find_trained_on
+from pipeline.results.other_recordings import find_trained_on
 from pipeline.results.report.figures.animation import animate
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset

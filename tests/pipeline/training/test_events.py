@@ -8,7 +8,7 @@ from deploy.network.decision import Estimator, choose_threshold
 from models.architecture import parse
 from models.spiking import SpikingNetwork
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.altering import AUGMENTATIONS, Alteration
+from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration
 from pipeline.training.event_rules import TAIL_STEPS
 from pipeline.training.events import (
     Checkpoint,

@@ -94,7 +94,7 @@ def test_it_is_complete_and_needs_nothing_else(html, tiny_run):
 
 def test_the_verdict_compares_the_same_samples(inputs):
     """Ten samples: eight right, and nine in the reference; one sample differs."""
-    result = inputs.results[-1]
+    result = inputs.deployed_result
     samples = [
         {**sample, "label": 0, "prediction": int(index >= 8)}
         for index, sample in enumerate(result["samples"][:10])
@@ -122,7 +122,7 @@ def test_what_is_wrong_with_the_recordings_is_said(inputs):
 def test_recall_and_precision_are_those_of_the_answers(inputs):
     pairs = [(0, 0), (0, 1), (1, 1), (1, 1), (2, 1)]
     samples = [{"label": label, "prediction": answer} for label, answer in pairs]
-    results = [{**inputs.results[-1], "samples": samples}]
+    results = [{**inputs.deployed_result, "samples": samples}]
     rows = report.class_table(replace(inputs, results=results))
     assert [(r["recall"], r["precision"]) for r in rows[:4]] == [
         (0.5, 1.0), (1.0, 0.5), (0.0, None), (None, None)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deploy.check.bundle import Bundle
-    from pipeline.results.faulty import FaultCounts
+    from pipeline.results.check_with_faults import FaultCounts
 
 
 @dataclass(frozen=True)
@@ -97,25 +97,25 @@ def check_on_others(
         The recordings cannot be read, are of another sensor or other classes, or are too few.
     """
     from deploy.files import write_json
-    from pipeline.results import elsewhere, faulty
+    from pipeline.results import check_with_faults, other_recordings
 
     assert others.data is not None, "the bundle's own samples are no other recordings"
-    settings = elsewhere.settings_around(bundle, others.skip_bad, others.time_unit)
-    recordings = elsewhere.recordings_for(bundle, others.data, settings, others.jobs, say)
-    for line in elsewhere.warnings_on(bundle, recordings):
+    settings = other_recordings.settings_around(bundle, others.skip_bad, others.time_unit)
+    recordings = other_recordings.recordings_for(bundle, others.data, settings, others.jobs, say)
+    for line in other_recordings.warnings_on(bundle, recordings):
         say(line)
-    presented, indices = elsewhere.with_recordings(
+    presented, indices = other_recordings.with_recordings(
         bundle, recordings, others.samples, check.seed, settings.image
     )
-    path = elsewhere.result_path(bundle, recordings, len(indices), check.target)
+    path = other_recordings.result_path(bundle, recordings, len(indices), check.target)
     if faults is not None:
-        path = faulty.fault_path(path, faults)
+        path = check_with_faults.fault_path(path, faults)
         drawn = recordings.subset(indices)
-        presented = faulty.with_faults(presented, drawn, faults, settings.image)
+        presented = check_with_faults.with_faults(presented, drawn, faults, settings.image)
     path = out or path
     result = check.run(presented, path)
-    result = elsewhere.with_accuracies(result, bundle, recordings, indices)
+    result = other_recordings.with_accuracies(result, bundle, recordings, indices)
     if faults is not None:
-        return faulty.add_note(result, path, faults), path
+        return check_with_faults.add_note(result, path, faults), path
     write_json(path, result)
     return result, path
