@@ -30,7 +30,7 @@ from pipeline.results.study import Case, study
 from pipeline.run.settings import SIMULATED
 from pipeline.simulation import parameters
 from pipeline.sources import load_simulated
-from pipeline.stages import opened_in
+from pipeline.stages import open_experiment
 from pipeline.training.adaptation import Person, Responder, refit, require_fit, with_rehearsal
 
 FOLDS = 3
@@ -87,7 +87,7 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     split = split_of(training, case.seed, *shares)
     dataset = Dataset(training, split, dataset_origin(settings, training.source.sha256), settings)
     with hide_progress():
-        opened = opened_in(networks, settings, dataset, lambda line: None)
+        opened = open_experiment(networks, settings, dataset, lambda line: None)
         opened.make_all()
     spec = opened.spec()
     spec = with_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)

@@ -122,7 +122,7 @@ class RandomKind(NetworkKind):
 def test_a_kind(tmp_path, monkeypatch):
     monkeypatch.setattr(kinds, "KINDS", [RandomKind, *kinds.KINDS])
     settings = Settings().with_values({"data": {"samples_per_digit": 10}, "check": {"samples": 0}})
-    with stages.opened_run(tmp_path / "run", settings, say=lambda line: None) as opened:
+    with stages.open_locked_run(tmp_path / "run", settings, say=lambda line: None) as opened:
         assert opened.make("random")["seed"] == 0
         assert opened.artifact("random").state().is_current
         bundle = stages.convert(opened)

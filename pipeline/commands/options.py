@@ -274,7 +274,7 @@ def open_locked_run(
 
     Yields
     ------
-    pipeline.stages.Opened
+    pipeline.stages.OpenedRun
 
     Raises
     ------

@@ -15,7 +15,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deploy.files import read_arrays, write_arrays
-from pipeline.kinds.kind import Reference, accuracies, accuracy_text
+from pipeline.kinds.records import accuracies, accuracy_text
+from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.run.folder import DELETE_ITS_FOLDER
 

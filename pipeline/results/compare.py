@@ -18,14 +18,14 @@ from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, plural, star
 from deploy.targets.registry import TARGETS, rank_targets_by_spikes
 from deploy.terminal import command_text, printable
 from pipeline.kinds import REFERENCES, kind_of_network
-from pipeline.kinds.kind import IMPORT_SETTINGS
+from pipeline.kinds.imported import IMPORT_SETTINGS
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.events import is_written
 from pipeline.results.status import find_outdated, remedy_text, status_of
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import RunFolder, require_run
 from pipeline.run.settings import SIMULATED, Settings, read_settings
-from pipeline.stages import settings_read
+from pipeline.stages import settings_of_network
 
 SCHEMA = "stmnist-runs/1"
 
@@ -158,7 +158,7 @@ def compare_runs(runs) -> dict:
 
 def _different_settings(runs):
     """Settings that at least two runs read and that differ; None for runs that do not read them."""
-    read = [settings_read(run.spec) for run in runs]
+    read = [settings_of_network(run.spec) for run in runs]
     names = dict.fromkeys(name for settings in read for name in settings)
     different = []
     contents = {run.spec.provenance.get("source_sha256") for run in runs}

@@ -16,7 +16,7 @@ from pipeline.kinds.diagnosis import layers_text, least_faithful
 from pipeline.progress import progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.run.folder import RunFolder
-from pipeline.stages import Opened, check_stages, convert
+from pipeline.stages import OpenedRun, check_stages, convert
 
 # Targets whose existing results are included, but which the ladder does not run.
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
@@ -40,12 +40,12 @@ def ladder_stages(kind: NetworkKind) -> list:
     return [*kind.reference_stages, *targets]
 
 
-def measure_ladder(opened: Opened, jobs: int = 1, asked=None) -> dict:
+def measure_ladder(opened: OpenedRun, jobs: int = 1, asked=None) -> dict:
     """Make the missing artifacts of a run up to the emulator, and compare the stages.
 
     Parameters
     ----------
-    opened : pipeline.stages.Opened
+    opened : pipeline.stages.OpenedRun
         Of a run, which is locked.
     jobs : int
         Number of processes for targets.

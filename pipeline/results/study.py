@@ -27,14 +27,14 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
 from deploy.targets.registry import run_target as answer_on_target
 from pipeline.jobs import Failure, attempt, run_jobs
-from pipeline.kinds.kind import responses_of
+from pipeline.kinds.reference import responses_of
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hide_progress, progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.run.artifacts import DELETE_IT, Library
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
-from pipeline.stages import Opened, opened_in
+from pipeline.stages import OpenedRun, open_experiment
 
 SCHEMA = "stmnist-row/1"
 
@@ -224,22 +224,22 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     return evaluate(case, train(case, networks, dataset or dataset_of(case)))
 
 
-def train(case: Case, networks: Library, dataset: Dataset) -> Opened:
+def train(case: Case, networks: Library, dataset: Dataset) -> OpenedRun:
     """Train what a case needs, unless a library has it."""
     with hide_progress():
-        opened = opened_in(networks, case.resolved, dataset, _say_nothing)
+        opened = open_experiment(networks, case.resolved, dataset, _say_nothing)
         reference = opened.kind.references.get(case.stage)
         opened.make_all(None if reference is None else reference.step)
     return opened
 
 
-def evaluate(case: Case, opened: Opened, dataset: Dataset | None = None) -> dict:
+def evaluate(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> dict:
     """The row of a case whose networks are trained.
 
     Parameters
     ----------
     case : Case
-    opened : Opened
+    opened : OpenedRun
         From :func:`train`.
     dataset : Dataset, optional
         Other samples of the same split, such as those with faulty taxels; for targets only.

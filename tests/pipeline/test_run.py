@@ -5,7 +5,7 @@ import pytest
 from deploy.errors import UserError
 from pipeline.run.folder import RunFolder, checks_of
 from pipeline.run.settings import Choice, Provenance, Settings, apply_choices, read_settings
-from pipeline.stages import opened_run
+from pipeline.stages import open_locked_run
 from tests.command import call
 
 
@@ -96,21 +96,24 @@ def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
 def test_from_python_too_a_run_begins_only_in_a_folder_of_its_own(tmp_path):
     """A run that cannot be opened leaves no file, and the lock is held until the block ends."""
     missing = Settings().with_values({"data": {"source": str(tmp_path / "none.zip")}})
-    with pytest.raises(UserError, match=r"none\.zip"), opened_run(tmp_path / "new/run", missing):
+    with (
+        pytest.raises(UserError, match=r"none\.zip"),
+        open_locked_run(tmp_path / "new/run", missing),
+    ):
         pass
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(UserError, match=r"thesis\.tex"), opened_run(tmp_path, Settings()):
+    with pytest.raises(UserError, match=r"thesis\.tex"), open_locked_run(tmp_path, Settings()):
         pass
     small = Settings().with_values({"data": {"samples_per_digit": 5}, "check": {"samples": 5}})
-    with opened_run(tmp_path / "run", small, say=[].append):
+    with open_locked_run(tmp_path / "run", small, say=[].append):
         pass
-    with opened_run(tmp_path / "run", {"seed": 3}, say=[].append) as opened:
+    with open_locked_run(tmp_path / "run", {"seed": 3}, say=[].append) as opened:
         assert (opened.settings.seed, opened.settings.data.samples_per_digit) == (3, 5)
         assert opened.settings.is_open("events.dropout")
         assert opened.settings == read_settings(tmp_path / "run/experiment.toml")
         with (
             pytest.raises(UserError, match="another process"),
-            opened_run(opened.place.path, small),
+            open_locked_run(opened.place.path, small),
         ):
             pass

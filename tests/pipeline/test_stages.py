@@ -12,7 +12,7 @@ from pipeline.kinds import kind_of_network
 from pipeline.run.artifacts import Origin
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
-from pipeline.stages import check_stages, opened_in
+from pipeline.stages import check_stages, open_experiment
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at
 
@@ -27,7 +27,7 @@ def bundle(tmp_path_factory):
 
 def answered(folder, bundle, targets=TARGETS):
     no_data = SimpleNamespace(origin=Origin())
-    opened = opened_in(RunFolder(folder), Settings(), no_data, lambda line: None)
+    opened = open_experiment(RunFolder(folder), Settings(), no_data, lambda line: None)
     return check_stages(opened, bundle, targets, jobs=2)
 
 

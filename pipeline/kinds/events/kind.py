@@ -14,16 +14,16 @@ from models.architecture import parse
 from models.integers import from_integers
 from pipeline.kinds import counts
 from pipeline.kinds.events.choices import EventChoices
-from pipeline.kinds.kind import (
-    NetworkKind,
-    Reference,
+from pipeline.kinds.kind import NetworkKind
+from pipeline.kinds.presentation import fit_gap
+from pipeline.kinds.records import (
     accuracy_text,
     metrics_of,
     time_training,
     training_versions,
     write_network,
 )
-from pipeline.kinds.presentation import fit_gap
+from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, event_warnings
 from pipeline.recordings.steps import EventTable

@@ -16,19 +16,18 @@ from models.keras.reader import original_network, read_keras
 from pipeline.kinds import counts
 from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
 from pipeline.kinds.image.choices import choose_image_augmentation, choose_image_settings
-from pipeline.kinds.kind import (
-    Imported,
-    NetworkKind,
-    Reference,
+from pipeline.kinds.imported import Imported, find_imported_file
+from pipeline.kinds.kind import NetworkKind
+from pipeline.kinds.records import (
     accuracies,
     accuracy_text,
-    find_imported_file,
     metrics_of,
     select_curve_samples,
     time_training,
     training_versions,
     write_network,
 )
+from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
 from pipeline.recordings.images import make_images_of

@@ -13,7 +13,7 @@ from models.integers import round_to_integers
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork, read_nir
 from pipeline.kinds.architectures import suggest_sensor_size
-from pipeline.kinds.kind import find_imported_file, is_file
+from pipeline.kinds.imported import find_imported_file, is_file
 from pipeline.recordings.dataset import Dataset
 from pipeline.run.folder import DELETE_ITS_FOLDER
 from pipeline.run.settings import Settings

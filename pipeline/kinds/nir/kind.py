@@ -13,7 +13,8 @@ from deploy.errors import UserError
 from models.nir.graph import read_nir
 from pipeline.kinds import counts
 from pipeline.kinds.events.kind import DECISION_SETTINGS, confidence_of
-from pipeline.kinds.kind import Imported, NetworkKind, Reference, is_file
+from pipeline.kinds.imported import Imported, is_file
+from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.conversion import record_convention, spec_of_nir
 from pipeline.kinds.nir.importing import (
     GIVE_AGAIN,
@@ -26,6 +27,7 @@ from pipeline.kinds.nir.importing import (
 from pipeline.kinds.nir.measures import import_graph
 from pipeline.kinds.nir.simulation import NUMPY, graph_responses, simulate_samples
 from pipeline.kinds.presentation import choose_presentation, current_taus, fit_gap
+from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import event_warnings, require_images_fit
 from pipeline.run.settings import Choice, apply_choices

@@ -9,7 +9,7 @@ from deploy.files import read_json, reporting_damage
 from deploy.preflight.plan import make_plan
 from deploy.terminal import command_text
 from pipeline.kinds import kind_of_network
-from pipeline.kinds.kind import read_history
+from pipeline.kinds.records import read_history
 from pipeline.progress import progress
 from pipeline.results.ladder import ladder_stages, select_deployed_result
 from pipeline.results.other_recordings import FOLDER as OTHERS

@@ -22,7 +22,7 @@ from pipeline.kinds import COMPARED_WITH, REFERENCES
 from pipeline.results.ladder import confusion_matrix, ladder_rows, select_deployed_result
 from pipeline.results.report import charts, prose
 from pipeline.run.settings import PATHS, Settings
-from pipeline.stages import settings_read
+from pipeline.stages import settings_of_network
 
 # Intervals of time of a small picture of a strip.
 BINS = 40
@@ -149,7 +149,7 @@ def _warnings(provenance, result):
 def _settings(inputs):
     """The settings that the bundle was made with, and the files that it was made from."""
     files = {name: path for name in PATHS if (path := inputs.settings.value(name))}
-    values = files | settings_read(inputs.bundle.spec)
+    values = files | settings_of_network(inputs.bundle.spec)
     unset = [name for name, value in values.items() if name.endswith(".epochs") and value == 0]
     return values | dict.fromkeys(unset, "0, the default number")
 

@@ -11,7 +11,7 @@ from models.architecture import parse
 from pipeline.commands.stages import _images_of
 from pipeline.kinds import find_compared_stage, kind_of_network
 from pipeline.kinds.image.choices import choose_image_augmentation
-from pipeline.kinds.kind import Imported
+from pipeline.kinds.imported import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
 from pipeline.run.folder import RunFolder

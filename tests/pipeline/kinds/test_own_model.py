@@ -11,7 +11,7 @@ from deploy.check.results import read_result
 from deploy.files import read_json
 from models.architecture import parse
 from pipeline import stages
-from pipeline.kinds.kind import read_weights
+from pipeline.kinds.records import read_weights
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings, read_settings
 from pipeline.sources import load_dataset
@@ -250,4 +250,4 @@ def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     from deploy.errors import UserError
 
     with pytest.raises(UserError, match=r"model\.keras: .*--model"):
-        stages.opened_in(RunFolder(folder), settings, load_dataset(settings)).make("cnn")
+        stages.open_experiment(RunFolder(folder), settings, load_dataset(settings)).make("cnn")

@@ -6,7 +6,7 @@ import pytest
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.spec import Presentation
-from pipeline.kinds.kind import responses_of
+from pipeline.kinds.reference import responses_of
 from pipeline.results.ladder import (
     ladder_json,
     ladder_rows,

@@ -1,4 +1,4 @@
-from pipeline.kinds.kind import read_history, write_history
+from pipeline.kinds.records import read_history, write_history
 
 
 def test_a_history_is_read_back(tmp_path):

@@ -1,0 +1,83 @@
+"""A network that the user has trained elsewhere: its file, and what becomes of it in a run."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from deploy.errors import UserError
+from deploy.files import sha256_of
+from deploy.terminal import WARNING
+from pipeline.run.artifacts import MISSING, State
+
+# Settings that change if another file is imported.
+IMPORT_SETTINGS = ("nir.sha256", "cnn.model_sha256")
+
+# Beginnings of the changes after which other samples are in the test set.
+SPLIT_SETTINGS = ("seed", "split", "recordings", "data.", "skin.")
+
+
+class Imported(NamedTuple):
+    """A file of the user from which a step of a run is made.
+
+    Attributes
+    ----------
+    file : str
+    sha256 : str
+        Of its content when it was imported.
+    step : str
+        Name of the step that reads it.
+    remedy : str
+        How a changed file is imported again.
+    """
+
+    file: str
+    sha256: str
+    step: str
+    remedy: str
+
+    def list_changes(self) -> Iterator[str]:
+        """A warning if the file is another one now, such as a later version."""
+        if Path(self.file).is_file() and not is_file(self.file, self.sha256):
+            yield (
+                f"{WARNING}{self.file}: has changed since it was imported; the run keeps the "
+                f"earlier version; for this one {self.remedy}"
+            )
+
+    def split_notes(self, state: State, seed: int) -> Iterator[str]:
+        """A line on the split that the network must have been trained on; a warning if it is new.
+
+        Parameters
+        ----------
+        state : State
+            Of the step that reads the file.
+        seed : int
+            Of the split.
+        """
+        changed = [change.what for change in state.because]
+        if state.state == MISSING:
+            yield (
+                f"{self.step}: must have been trained on the training samples of this split only "
+                f"(seed {seed}), otherwise the accuracies are too high"
+            )
+        again = [what for what in changed if what.startswith(SPLIT_SETTINGS)]
+        if again and not set(changed) & set(IMPORT_SETTINGS):
+            yield (
+                f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
+                "among those of its training; train it on this split, and give it again"
+            )
+
+
+def is_file(path, sha256: str) -> bool:
+    """True if a file can be read and has this SHA-256."""
+    try:
+        return sha256_of(Path(path)) == sha256
+    except (OSError, UserError):
+        return False
+
+
+def find_imported_file(file, sha256: str, copy: Path) -> Path:
+    """The file of a network that was imported: the user's, or the run's copy if that has changed.
+
+    The user's file is also returned if the copy is damaged or missing; then neither has the hash.
+    """
+    return next((path for path in (Path(file), copy) if is_file(path, sha256)), Path(file))

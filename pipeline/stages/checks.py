@@ -1,0 +1,197 @@
+"""Run networks and targets on the samples of a bundle."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from functools import partial
+
+from deploy.check.bundle import Bundle
+from deploy.check.results import read_result, result_of
+from deploy.check.run import open_check, records_of, run_check, run_streams
+from deploy.errors import UserError
+from deploy.files import write_json
+from deploy.targets.registry import TARGETS
+from pipeline.jobs import Failure, run_jobs
+from pipeline.kinds import NetworkKind
+from pipeline.progress import hide_progress, progress
+from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
+from pipeline.run.folder import RunFolder
+from pipeline.stages.opening import OpenedRun
+
+# The samples of a check on those of the bundle.
+OWN_SAMPLES = "the bundle's"
+
+
+def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
+    """The check result of a reference stage or target, made unless it is current.
+
+    Parameters
+    ----------
+    opened : OpenedRun
+        Of a run.
+    bundle : Bundle
+        The run's own bundle, or that with other recordings of it.
+    stage : str
+        One of the kind's reference stages, or a target.
+    """
+    artifact = _check_artifact_of(opened, bundle, stage)
+    path = artifact.record
+    state = artifact.state()
+    if state.is_current:
+        opened.say(f"{stage}: up to date ({path})")
+        return read_result(path, DELETE_IT)
+    state.announce("answering", opened.say)
+    if stage in TARGETS:
+        with progress(f"check {stage}", len(bundle.checks)) as advance:
+            return run_check(bundle, stage, path, opened.settings.seed, advance)
+    result = _check_reference(opened, bundle, stage)
+    write_json(path, result)
+    return result
+
+
+def _check_reference(opened, bundle, stage) -> dict:
+    """The check result of a reference stage, whose network is trained if it is missing."""
+    reference = opened.kind.references[stage]
+    extra = {"versions": reference.versions()}
+    is_deployed = opened.kind.is_deployed(reference.step)
+    if not is_deployed:
+        opened.make(reference.step)
+    origin = opened.artifact(reference.step).origin
+    if not is_deployed:
+        extra["network"] = origin.key
+    made_from = bundle.spec.provenance["made_from"]
+    inputs = opened.step_inputs(made_from["settings"].keys() | origin.settings.keys())
+    begun = time.perf_counter()
+    with progress(f"check {stage}", len(bundle.checks)) as advance:
+        responses = reference.respond_to(stage, inputs, bundle, advance)
+    seconds = time.perf_counter() - begun
+    samples = records_of(bundle.checks, responses)
+    return result_of(bundle, stage, opened.settings.seed, samples, seconds, extra)
+
+
+def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> list:
+    """Run :func:`check_stage` for several stages: targets in processes, networks in this process.
+
+    Processes share single streams, not targets, so that no core is idle during the last target.
+
+    Parameters
+    ----------
+    opened, bundle
+        As in :func:`check_stage`.
+    stages : sequence of str
+    jobs : int
+        Number of processes.
+
+    Returns
+    -------
+    list of dict
+        The results in the order of ``stages``.
+
+    Raises
+    ------
+    UserError
+        A target failed; the results of the others are saved.
+    """
+    artifacts = {stage: _check_artifact_of(opened, bundle, stage) for stage in stages}
+    states = {stage: artifact.state() for stage, artifact in artifacts.items()}
+    targets = [stage for stage in stages if stage in TARGETS and not states[stage].is_current]
+    results = {}
+    if jobs > 1 and any(TARGETS[name].slow for name in targets):
+        for name in targets:
+            states[name].announce("answering", opened.say)
+        paths = {name: artifacts[name].record for name in targets}
+        others = [stage for stage in stages if stage not in targets]
+        results = _check_side_by_side(opened, bundle, paths, others, jobs)
+    for stage in stages:
+        if stage not in results:
+            results[stage] = check_stage(opened, bundle, stage)
+    return [results[stage] for stage in stages]
+
+
+def _check_side_by_side(opened, bundle, paths, others, jobs) -> dict:
+    """Results by name of targets in processes, and of the other stages in this process.
+
+    Parameters
+    ----------
+    paths : dict of str to Path
+        File of each target's result.
+    others : list of str
+    """
+    results = {}
+    n_stages = len(paths) + len(others)
+    with progress("check", n_stages * len(bundle.checks)) as advance:
+
+        def check_others():
+            for stage in others:
+                with hide_progress():
+                    results[stage] = check_stage(opened, bundle, stage)
+                advance(len(bundle.checks), stage)
+
+        seed = opened.settings.seed
+        of_targets = _run_targets(bundle, paths, seed, jobs, advance, check_others)
+    return {**results, **of_targets}
+
+
+def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):
+    """Results of targets by name; each remaining stream is a job if any of the targets is slow."""
+    checks = {}
+    failures = {}
+    with contextlib.ExitStack() as stack:
+        for name, path in paths.items():
+            report = partial(advance, note=name)
+            checks[name] = stack.enter_context(open_check(bundle, name, path, seed, report))
+        work = []
+        for check in checks.values():
+            jobs_of_check = (
+                [[stream] for stream in check.left] if check.target.slow else [check.left]
+            )
+            work += [check.work(streams) for streams in jobs_of_check if streams]
+        for job, records in run_jobs(_run_all_streams, work, jobs, meanwhile=meanwhile):
+            if isinstance(records, Failure):
+                failures.setdefault(job.target, records)
+            else:
+                for record in records:
+                    checks[job.target].take(record)
+        results = {name: checks[name].finish() for name in checks if name not in failures}
+    for name, failure in failures.items():
+        failure.raise_again(f"target {name}")
+    return results
+
+
+def _run_all_streams(work):
+    return list(run_streams(work))
+
+
+def _check_artifact_of(opened, bundle, stage):
+    """The artifact of a check's result; one that is damaged is refused and not replaced."""
+    stages = (*opened.kind.references, *TARGETS)
+    if stage not in stages:
+        raise UserError(f"no stage or target {stage!r}; they are {', '.join(stages)}")
+    origin = opened.dataset.origin
+    artifact = check_artifact(opened.place, stage, opened.kind, origin, bundle.id)
+    if artifact.record.exists():
+        read_result(artifact.record, DELETE_IT)
+    return artifact
+
+
+def check_artifact(
+    run: RunFolder, stage: str, kind: NetworkKind, dataset: Origin, bundle_id: str
+) -> Artifact:
+    """The result of a stage on a bundle's samples.
+
+    It depends on the bundle, which may have been copied to another machine; the result of a network
+    from which the bundle is not made depends on that network too.
+    """
+    contents = {"bundle": bundle_id, "target": stage, "samples": OWN_SAMPLES}
+    if stage in kind.references and stage not in kind.deployed_stages:
+        contents["network"] = kind.origin(kind.references[stage].step, dataset).key
+    origin = Origin({"seed": kind.settings.seed}, contents)
+    return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_read_check_record)
+
+
+def _read_check_record(result):
+    names = ("bundle", "network", "target")
+    contents = {name: result[name] for name in names if name in result}
+    contents["samples"] = "others" if result.get("data") else OWN_SAMPLES
+    return Origin({"seed": result.get("seed")}, contents).to_json()

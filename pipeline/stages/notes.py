@@ -1,0 +1,83 @@
+"""Notes for the user when a run is opened: what was chosen, and what is wrong with recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from deploy.tables import list_names, plural
+from deploy.terminal import WARNING
+from pipeline.kinds import kind_of_network, new_run_text, split_text
+from pipeline.recordings.splits import PUBLISHED, copies, find_classes_without_test
+from pipeline.run.settings import SIMULATED, read_settings
+
+# Test recordings below which a user is warned.
+MIN_TEST_RECORDINGS = 10
+
+# What is wrong with recordings that are in the source twice; see :func:`copies`.
+COPY_TEXTS = (
+    "test recordings that are also in training (their accuracy says little about others)",
+    "recordings that are also in another class",
+)
+
+
+def list_notes(opened, choices) -> Iterator[str]:
+    """What the user should know of the recordings and of what was chosen for them.
+
+    Parameters
+    ----------
+    opened : pipeline.stages.OpenedRun
+    choices : list of str
+        Lines on the choices.
+    """
+    run = opened.run
+    kind = opened.kind
+    if run.experiment.exists():
+        was = kind_of_network(read_settings(run.experiment))
+        if was.name != kind.name:
+            yield (
+                f"{WARNING}{run.path}: was a run of the kind {was.name!r}; its network and bundle "
+                "are replaced (name another folder to keep both)"
+            )
+    elif opened.settings.data.source == SIMULATED:
+        yield f"{run.path}: a new run, on simulated recordings (others: --data)"
+    else:
+        yield new_run_text(run.path, opened.dataset)
+    if run.experiment.exists() and (text := split_text(opened.dataset)):
+        yield f"{run.path}: {text}"
+    yield from choices
+    if kind.imported is not None:
+        yield from kind.imported.list_changes()
+    yield from list_notes_on_recordings(opened)
+
+
+def list_notes_on_recordings(opened) -> Iterator[str]:
+    """Lines on what is not presented, on sets that are not independent, and on what is missing."""
+    recordings = opened.dataset.recordings
+    split = opened.dataset.split
+    yield from opened.kind.notes(recordings)
+    if split.kind == PUBLISHED or not recordings.source.simulated:
+        for pairs, what in zip(copies(recordings, split), COPY_TEXTS, strict=True):
+            if pairs:
+                what = f"{what}: {len(pairs)}, such as {pairs[0][1]} ({pairs[0][0]})"
+                yield f"{WARNING}{recordings.source.name}: {what}"
+    n_test = len(split.test)
+    samples = opened.settings.check.samples
+    if split.kind == PUBLISHED and n_test < samples:
+        yield (
+            f"{recordings.source.name}: the test set has {n_test} recordings, fewer than the "
+            f"{samples} of a check; the check uses all of them"
+        )
+    if n_test < MIN_TEST_RECORDINGS:
+        few = plural(n_test, "recording")
+        yield f"{WARNING}{recordings.source.name}: only {few} for the test; record more"
+    if absent := find_classes_without_test(recordings, split):
+        yield (
+            f"{WARNING}{recordings.source.name}: the test set has no recordings of "
+            f"{list_names(absent)}; no accuracy says anything about them"
+        )
+    classes = recordings.sensor.classes
+    missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))
+    if missing:
+        names = ", ".join(classes[label] for label in missing)
+        problem = f"no recordings of {names}; their outputs learn nothing"
+        yield f"{WARNING}{recordings.source.name}: {problem}"

@@ -1,0 +1,212 @@
+"""Open a run or an experiment: load its recordings, and choose what its settings leave open."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from deploy.check.bundle import require_replaceable, require_room
+from deploy.network.spec import NetworkSpec
+from pipeline.kinds import NetworkKind, kind_of_network, prepare_dataset
+from pipeline.kinds.records import read_weights
+from pipeline.kinds.steps import StepInputs
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.events import facts_of
+from pipeline.run.artifacts import Artifact, Library, Origin
+from pipeline.run.folder import RunFolder, working_in
+from pipeline.run.settings import Settings
+from pipeline.sources import recordings_of
+from pipeline.stages.notes import list_notes
+
+
+@dataclass(frozen=True)
+class OpenedRun:
+    """Settings, recordings and folder of a run or experiment, opened once and passed on.
+
+    Attributes
+    ----------
+    place : RunFolder or Library
+        Has the artifacts.
+    settings : Settings
+        With all that was chosen for the recordings.
+    dataset : Dataset
+    kind : NetworkKind
+        What depends on the kind of network.
+    say : callable
+        Called with a line about each stage.
+    """
+
+    place: RunFolder | Library
+    settings: Settings
+    dataset: Dataset
+    kind: NetworkKind
+    say: Callable = print
+
+    @property
+    def run(self) -> RunFolder:
+        """The folder of a run; an experiment, whose place is a library, has none."""
+        assert isinstance(self.place, RunFolder), "an experiment is not a run"
+        return self.place
+
+    def artifact(self, name: str) -> Artifact:
+        """The artifact of one of the :attr:`pipeline.kinds.kind.NetworkKind.steps`."""
+        return self.kind.artifact(name, self.place, self.dataset.origin)
+
+    def step_inputs(self, names) -> StepInputs:
+        """What is made from the named settings only; reading others is an error."""
+        view = self.settings.only(names)
+        dataset = self.dataset.restrict_to(view)
+        return StepInputs(view, dataset, self.artifact, self.weights, self.say)
+
+    def make(self, name: str) -> dict:
+        """Make a step, unless it is current; return its record.
+
+        A trained network's record has its ``accuracy`` on each set of the split, the number of
+        ``epochs`` and the ``seconds`` of the training.
+        """
+        step = self.kind.step(name)
+        artifact = self.artifact(name)
+        imported = self.kind.imported
+        state = artifact.state()
+        if state.is_current:
+            self.say(f"{name}: up to date ({artifact.folder})")
+            return state.record
+        state.announce(step.action, self.say)
+        if imported is not None and imported.step == name:
+            for line in imported.split_notes(state, self.settings.seed):
+                self.say(line)
+        inputs = self.step_inputs(artifact.origin.settings)
+        record = artifact.write(step.make(inputs, artifact))
+        for file in step.temporary:
+            (artifact.folder / file).unlink(missing_ok=True)
+        return record
+
+    def make_all(self, name: str | None = None) -> dict:
+        """Make a step and all that it is made from; return its record.
+
+        Parameters
+        ----------
+        name : str, optional
+            Default: the step from which the bundle is made.
+        """
+        for step in self.kind.steps_of(name or self.kind.deployed):
+            record = self.make(step.name)
+        return record
+
+    def weights(self, name: str) -> dict:
+        """The trained arrays of a step; see :func:`pipeline.kinds.records.read_weights`."""
+        return read_weights(self.artifact(name).folder, self.kind.shapes(name))
+
+    def spec(self, provenance: dict | None = None) -> NetworkSpec:
+        """The deployed network, made from the trained one."""
+        origin = self.kind.bundle_origin(self.dataset.origin)
+        return self.kind.spec(self.step_inputs(origin.settings), provenance or {})
+
+
+def open_experiment(place, settings: Settings, dataset: Dataset, say=print) -> OpenedRun:
+    """What an experiment opens: the settings are complete, the dataset is loaded.
+
+    Parameters
+    ----------
+    place : RunFolder or Library
+    settings : Settings
+        All, or only those that an origin declares.
+    dataset : Dataset
+    say : callable
+    """
+    return OpenedRun(place, settings, dataset, kind_of_network(settings), say)
+
+
+def open_run(
+    run: RunFolder, settings: Settings, jobs: int = 2, say=print, check: bool = True
+) -> OpenedRun:
+    """Load the recordings of a run, choose what the settings leave open, and save both.
+
+    Nothing is saved if the recordings, settings or a user's network are insufficient.
+
+    Parameters
+    ----------
+    run : RunFolder
+        Locked.
+    settings : Settings
+        What the user has set; values with their defaults are chosen for the recordings.
+    jobs : int
+        Number of processes for recordings that are not in the cache.
+    say : callable
+        Called with each note and warning.
+    check : bool
+        True if the samples of a check will be drawn; a training needs none.
+
+    Raises
+    ------
+    UserError
+        The source cannot be read, is too small for the split or the check, or cannot be presented;
+        the check's samples are too large for a bundle; the bundle's folder has other files; or the
+        user's network cannot be used.  All problems with the settings are reported together.
+    """
+    lines: list[str] = []
+    recordings = recordings_of(settings, jobs, say)
+    dataset = prepare_dataset(settings, recordings, check, lines.append)
+    chosen = dataset.settings
+    opened = open_experiment(run, chosen, dataset, say)
+    if check:
+        _require_check_fits(opened)
+    opened.kind.require_usable(opened.step_inputs(chosen.flat()))
+    for line in list_notes(opened, lines):
+        say(line)
+    run.save_settings(chosen)
+    artifact = dataset_artifact(run, dataset.origin)
+    if not artifact.state().is_current:
+        parts = ("train", "validation", "test")
+        sizes = {part: len(getattr(dataset.split, part)) for part in parts}
+        artifact.write({**facts_of(recordings), **sizes, "split": dataset.split.kind})
+    return opened
+
+
+def _require_check_fits(opened):
+    """Refuse a run whose bundle or check could not be written later."""
+    settings = opened.settings
+    sensor = opened.dataset.recordings.sensor
+    require_replaceable(opened.run.bundle)
+    shape = (sensor.rows, sensor.columns, opened.kind.channels)
+    stimulus = settings.stimulus
+    samples = settings.check.count_samples(len(opened.dataset.split.test))
+    require_room(samples, stimulus.sample_shape(shape, settings.steps), stimulus)
+    opened.kind.require_presentable(opened.dataset)
+
+
+@contextlib.contextmanager
+def open_locked_run(path, settings: Settings | dict | None = None, **more):
+    """Lock a run's folder, new or not, for a block of statements, and open it.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder of the run.
+    settings : Settings or dict, optional
+        A dict, nested as in :meth:`pipeline.run.settings.schema.Settings.with_values`, changes
+        what was set for the run; settings replace it.
+    **more
+        As in :func:`open_run`.
+
+    Yields
+    ------
+    OpenedRun
+
+    Raises
+    ------
+    UserError
+        As :func:`open_run`; the folder has other files, or another process works in it.
+    """
+    with working_in(path) as run:
+        if isinstance(settings, Settings):
+            resolved = settings
+        else:
+            resolved = run.resolve_settings(None, {}).with_values(settings or {})
+        yield open_run(run, resolved, **more)
+
+
+def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
+    """The description of a run's recordings."""
+    return Artifact("dataset", run.dataset, origin)
