@@ -339,7 +339,7 @@ def measure(case: Case, networks: Library) -> dict:
 def _measure_on(dataset, case, networks):
     if case.alter in VARIANTS:
         dataset = vary_dataset(dataset, case.alter, case.seed)
-    index = getattr(dataset.split, case.part)
+    index = dataset.split.indices(case.part)
     if case.stage == readings.STAGE:
         predictions = readings.predict_test_samples(dataset, index, case.alter, case.resolved)
         return study.row_of(case, dataset, index, predictions)

@@ -15,6 +15,7 @@ from deploy.errors import UserError
 from deploy.files import open_regular, read_arrays, replacing, reporting_os_errors, write_arrays
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.splits import PARTS
 from pipeline.run.folder import DELETE_ITS_FOLDER
 
 # Maximum number of test samples for the learning curve.
@@ -175,23 +176,26 @@ def accuracies(right, dataset: Dataset) -> dict:
         Whether the prediction of each sample of the dataset is right.
     dataset : Dataset
     """
-    indices = {name: getattr(dataset.split, name) for name in ("train", "validation", "test")}
-    accuracy = {name: float(right[index].mean()) for name, index in indices.items() if len(index)}
-    subset = list(accuracy)[-1]  # the validation samples if there is no test set, as in a sweep
-    n_samples = len(indices[subset])
-    n_right = int(right[indices[subset]].sum())
+    accuracy = {}
+    for part in PARTS:
+        right_in_part = right[dataset.split.indices(part)]
+        if len(right_in_part):
+            accuracy[part] = float(right_in_part.mean())
+            last_part = part  # the validation samples if there is no test set, as in a sweep
+            n_samples = len(right_in_part)
+            n_right = int(right_in_part.sum())
     return {
         "simulated": dataset.recordings.source.simulated,
         "accuracy": accuracy,
-        f"{subset}_accuracy_ci95": list(wilson_interval(n_right, n_samples)),
-        f"n_{subset}": n_samples,
+        f"{last_part}_accuracy_ci95": list(wilson_interval(n_right, n_samples)),
+        f"n_{last_part}": n_samples,
     }
 
 
 def accuracy_text(name: str, metrics: dict) -> str:
     """A line about the accuracy of a network."""
-    subset = list(metrics["accuracy"])[-1]
+    part = list(metrics["accuracy"])[-1]
     return (
-        f"{name}: {subset} accuracy {metrics['accuracy'][subset]:.3f} on {metrics[f'n_{subset}']} "
+        f"{name}: {part} accuracy {metrics['accuracy'][part]:.3f} on {metrics[f'n_{part}']} "
         f"samples, {metrics['seconds']:.0f} s"
     )

@@ -132,9 +132,20 @@ class Dataset:
         """The class of each sample, shape (n_samples,)."""
         return self.recordings.labels
 
-    def subset(self, name: str):
-        """(inputs, labels) of ``"train"``, ``"validation"`` (None if empty) or ``"test"``."""
-        index = getattr(self.split, name)
+    def subset(self, part: str):
+        """The samples of a part of the split.
+
+        Parameters
+        ----------
+        part : str
+            ``"train"``, ``"validation"`` or ``"test"``.
+
+        Returns
+        -------
+        (inputs, labels), or None
+            None if the part has no samples.
+        """
+        index = self.split.indices(part)
         if not len(index):
             return None
         inputs = empty_array((len(index), *self.inputs.shape[1:]), self.inputs.dtype)
@@ -142,10 +153,6 @@ class Dataset:
             some = slice(start, start + RECORDINGS_AT_ONCE)
             inputs[some] = self.inputs[index[some]]
         return inputs, self.labels[index]
-
-    def part(self, name: str):
-        """As :meth:`subset`."""
-        return self.subset(name)
 
     def make_altered_images(self, how: str) -> AlteredImages | None:
         """The images of ``subset("train")``, altered anew for each epoch; None for ``"none"``.

@@ -300,10 +300,6 @@ class Recordings:
             parts=tuple(self.parts[index] for index in indices),
         )
 
-    def part(self, indices) -> Recordings:
-        """As :meth:`subset`."""
-        return self.subset(indices)
-
     @property
     def is_split(self) -> bool:
         """True if the source has a published split."""

@@ -138,7 +138,7 @@ def class_order(name: str):
 
 
 def interpret(
-    path, recordings, subsets, lookup=None, positions=None, options=AS_FOUND
+    path, recordings, parts, lookup=None, positions=None, options=AS_FOUND
 ) -> Interpretation:
     """Determine the sensor of recordings that were read one by one.
 
@@ -147,7 +147,7 @@ def interpret(
     path : path-like
         Path of the source, for messages.
     recordings : list of EventRecording
-    subsets : list of str
+    parts : list of str
         ``"train"`` or ``"test"`` in a published split, or empty.
     lookup : TaxelMap, optional
         Places of the taxels in the image, from ``LUT.mat``.
@@ -167,7 +167,7 @@ def interpret(
     found = interpret_layout(
         path,
         [recordings[index] for index in same],
-        [subsets[index] for index in same],
+        [parts[index] for index in same],
         lookup,
         positions is not None,
         options,
@@ -189,9 +189,9 @@ def interpret(
 # Files in which the taxels are numbered: spiketrain matrices and arrays of counts.
 
 
-def _interpret_numbers(path, recordings, subsets, lookup, is_strip, options):
+def _interpret_numbers(path, recordings, parts, lookup, is_strip, options):
     has_bins = recordings[0].bins is not None
-    n, refused = _find_number_of_taxels(path, recordings, subsets, lookup)
+    n, refused = _find_number_of_taxels(path, recordings, parts, lookup)
     if has_bins:
         refused |= _find_other_shapes(recordings)
     kept = [index for index in range(len(recordings)) if index not in refused]
@@ -208,14 +208,14 @@ def _interpret_numbers(path, recordings, subsets, lookup, is_strip, options):
     return replace(found, events=[recording.to_events(1, recording.time) for recording in fitting])
 
 
-def _find_number_of_taxels(path, recordings, subsets, lookup):
+def _find_number_of_taxels(path, recordings, parts, lookup):
     """The number of taxels, and the recordings that have another one, each with the reason."""
     counts = {}
-    for recording, subset in zip(recordings, subsets, strict=True):
-        counts.setdefault(subset, Counter())[recording.n_taxels] += 1
-    usual = {subset: count.most_common(1)[0][0] for subset, count in counts.items()}
+    for recording, part in zip(recordings, parts, strict=True):
+        counts.setdefault(part, Counter())[recording.n_taxels] += 1
+    usual = {part: count.most_common(1)[0][0] for part, count in counts.items()}
     if len(set(usual.values())) > 1:
-        _refuse_subsets(path, {subset: f"{n} taxels" for subset, n in usual.items()})
+        _refuse_parts(path, {part: f"{n} taxels" for part, n in usual.items()})
     if lookup is None:
         n = next(iter(usual.values()))
         which = "most have"
@@ -330,12 +330,12 @@ def make_events(recording, rise: int, bin_ms: float):
 # Files of events, with the column and row of each event.
 
 
-def _interpret_places(path, recordings, subsets, lookup, is_strip, options):
+def _interpret_places(path, recordings, parts, lookup, is_strip, options):
     side = options.downsample
     if side > 1:
         recordings = [replace(r, x=r.x // side, y=r.y // side) for r in recordings]
-    unit = times.choose_unit(path, recordings, subsets, options)
-    refused, remarks = _find_other_sensors(path, recordings, subsets, lookup, options)
+    unit = times.choose_unit(path, recordings, parts, options)
+    refused, remarks = _find_other_sensors(path, recordings, parts, lookup, options)
     for index in times.find_other_units([recording.time for recording in recordings]):
         refused.setdefault(
             index,
@@ -373,14 +373,14 @@ def _interpret_places(path, recordings, subsets, lookup, is_strip, options):
     )
 
 
-def _find_other_sensors(path, recordings, subsets, lookup, options):
+def _find_other_sensors(path, recordings, parts, lookup, options):
     """Recordings whose events cannot be from the same sensor as the others, and remarks."""
     extents = np.array([(int(r.y.max()) + 1, int(r.x.max()) + 1) for r in recordings])
     if lookup is not None:
         return _find_other_numbers(path, extents, lookup), ()
     refused = _find_outside(path, recordings, extents, options)
     sizes = Counter(r.size for r in recordings if r.size)
-    remarks = _compare_subsets(path, recordings, extents, subsets, options)
+    remarks = _compare_parts(path, recordings, extents, parts, options)
     if len(sizes) > 1:
         usual = sizes.most_common(1)[0][0]
         for index, recording in enumerate(recordings):
@@ -425,7 +425,7 @@ def _find_outside(path, recordings, extents, options):
     }
 
 
-def _compare_subsets(path, recordings, extents, subsets, options):
+def _compare_parts(path, recordings, extents, parts, options):
     """Compare the sensors of train and test; remarks if the events of one reach less far.
 
     The size of the sensor is that of all recordings together, or the one that the user states: a
@@ -434,31 +434,31 @@ def _compare_subsets(path, recordings, extents, subsets, options):
     """
     sizes = {}
     reached = {}
-    for subset in sorted(set(subsets)):
-        chosen = np.array([each == subset for each in subsets])
+    for part in sorted(set(parts)):
+        chosen = np.array([each == part for each in parts])
         stated = Counter(r.size for r, is_in in zip(recordings, chosen, strict=True) if is_in)
         stated.pop(None, None)
-        reached[subset] = extents[chosen].max(axis=0)
-        sizes[subset] = stated.most_common(1)[0][0] if stated else None
-    texts = {subset: f"{size[0]} x {size[1]} taxels" for subset, size in reached.items()}
+        reached[part] = extents[chosen].max(axis=0)
+        sizes[part] = stated.most_common(1)[0][0] if stated else None
+    texts = {part: f"{size[0]} x {size[1]} taxels" for part, size in reached.items()}
     if None not in sizes.values() and len(set(sizes.values())) > 1:
-        texts = {subset: f"{size[0]} x {size[1]} taxels" for subset, size in sizes.items()}
-        _refuse_subsets(path, texts)
+        texts = {part: f"{size[0]} x {size[1]} taxels" for part, size in sizes.items()}
+        _refuse_parts(path, texts)
     smallest, largest = (how(list(reached.values()), axis=0) for how in (np.min, np.max))
     counted = largest > 1  # a sensor in one row has one extent
     is_multiple = (largest > MAX_SIZE_FACTOR * smallest)[counted].all() and counted.any()
     is_large = (smallest >= MIN_SENSOR_SIDE)[counted].all()
     if is_multiple and is_large and not (options.rows or options.columns):
-        _refuse_subsets(path, texts, f", or give the size if it is one sensor: {GIVE_SIZE}")
+        _refuse_parts(path, texts, f", or give the size if it is one sensor: {GIVE_SIZE}")
     if (largest > 1.25 * smallest).any():
-        listed = ", ".join(f"those of {subset} in {text}" for subset, text in texts.items())
+        listed = ", ".join(f"those of {part} in {text}" for part, text in texts.items())
         size = f"{options.rows or largest[0]} x {options.columns or largest[1]} taxels"
         return (f"the events lie in different places: {listed}; the sensor is read as {size}",)
     return ()
 
 
-def _refuse_subsets(path, values, remedy=""):
-    listed = ", ".join(f"{subset} has {value}" for subset, value in sorted(values.items())[::-1])
+def _refuse_parts(path, values, remedy=""):
+    listed = ", ".join(f"{part} has {value}" for part, value in sorted(values.items())[::-1])
     raise UserError(
         f"{path}: train and test are of different sensors: {listed}; give recordings of one "
         f"sensor{remedy}"

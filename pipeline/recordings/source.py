@@ -3,7 +3,7 @@
 ::
 
     LUT.mat, taxels.csv           places or positions of the taxels, optional
-    train/, test/                 the subsets of a published split, optional
+    train/, test/                 the parts of a published split, optional
         <class>/<recording>       all with one suffix
 
 or the class is in the name of each file, ``<name>_label_<class>.npy``, without folders of classes.
@@ -49,7 +49,7 @@ IGNORED = ("readme*", "license*", "*.md")
 # Recordings if there are no others, and ignored otherwise.
 TEXT_SUFFIX = ".txt"
 # Subset of a published split, by the name of a folder in lower case.
-SUBSETS = {"train": "train", "training": "train", "test": "test", "testing": "test"}
+PART_OF_FOLDER = {"train": "train", "training": "train", "test": "test", "testing": "test"}
 
 # What stands before the class in the name of a file.
 LABEL_MARK = "_label_"
@@ -96,7 +96,7 @@ class Entry:
 
     @property
     def id(self) -> str:
-        """The recording's id: subset, class and name without suffix and label."""
+        """The recording's id: part, class and name without suffix and label."""
         stem = PurePosixPath(self.member).stem
         name = stem.rpartition(LABEL_MARK)[0] or stem
         return str(PurePosixPath(self.part, self.of_class, name))
@@ -152,11 +152,11 @@ def list_source(path) -> Listing:
     layout = _find_layout(path, recordings)
     entries = []
     for member in recordings:
-        subset, of_class, problem = _place(member, layout)
+        part, of_class, problem = _place(member, layout)
         if problem:
             refused.append((str(member), problem))
         else:
-            entries.append(Entry(str(member), subset, of_class))
+            entries.append(Entry(str(member), part, of_class))
     if not entries:
         raise UserError(f"{path}: {_shorten(refused[-1][0])} {refused[-1][1]}")
     refused += _find_empty_classes(entries, folders)
@@ -241,7 +241,7 @@ def _find_layout(path, recordings):
     around = _find_folders_around(recordings)
     inside = [m.relative_to(around) for m in recordings if m.is_relative_to(around)]
     tops = {m.parts[0] for m in inside if len(m.parts) > 1}
-    is_published = _are_subsets(inside)
+    is_published = _are_part_folders(inside)
     if is_published and (extra := [top for top in tops if top.lower() in VALIDATION]):
         raise UserError(
             f"{path}: has a folder {extra[0]!r} beside train and test; move its recordings to "
@@ -258,10 +258,10 @@ def _label_in_name(member):
     return label if mark else None
 
 
-def _are_subsets(members):
+def _are_part_folders(members):
     """True if train and test are the top folders, and the classes are below or in the names."""
     tops = {
-        SUBSETS.get(member.parts[0].lower())
+        PART_OF_FOLDER.get(member.parts[0].lower())
         for member in members
         if len(member.parts) > (2 if _label_in_name(member) is None else 1)
     }
@@ -270,15 +270,15 @@ def _are_subsets(members):
 
 def _require_one_data_set(path, recordings):
     """Refuse a folder with several data sets, each with train and test."""
-    subsets = {}
+    parts = {}
     for member in recordings:
         folders = member.parts[:-1]
-        depth = next((i for i, name in enumerate(folders) if name.lower() in SUBSETS), None)
+        depth = next((i for i, name in enumerate(folders) if name.lower() in PART_OF_FOLDER), None)
         if depth is not None:
-            found = subsets.setdefault(PurePosixPath(*folders[:depth]), set())
-            found.add(SUBSETS[folders[depth].lower()])
-    roots = sorted(map(str, subsets))
-    if len(roots) > 1 and any(len(found) == 2 for found in subsets.values()):
+            found = parts.setdefault(PurePosixPath(*folders[:depth]), set())
+            found.add(PART_OF_FOLDER[folders[depth].lower()])
+    roots = sorted(map(str, parts))
+    if len(roots) > 1 and any(len(found) == 2 for found in parts.values()):
         is_folder = path.is_dir()
         remedy = f"give one of them: --data {path / roots[0]}" if is_folder else "give one of them"
         raise UserError(
@@ -362,7 +362,7 @@ def _find_folders_around(recordings) -> PurePosixPath:
     while True:
         inside = [m.relative_to(around) for m in recordings if m.is_relative_to(around)]
         tops = Counter(member.parts[0] for member in inside if len(member.parts) > 2)
-        if _are_subsets(inside) or not tops:
+        if _are_part_folders(inside) or not tops:
             return around
         top, number = tops.most_common(1)[0]
         if 2 * number <= len(recordings):
@@ -375,10 +375,10 @@ def _place(member, layout):
     if not member.is_relative_to(layout.around):
         return "", "", f"is not in {layout.around}, as the others are; move it"
     folders = member.relative_to(layout.around).parts[:-1]
-    subset = ""
+    part = ""
     if layout.is_published:
-        subset = SUBSETS.get(folders[0].lower() if folders else "")
-        if subset is None:
+        part = PART_OF_FOLDER.get(folders[0].lower() if folders else "")
+        if part is None:
             return "", "", "is neither in train nor in test, as the others are; move it away"
         folders = folders[1:]
     if len(folders) > 1:
@@ -392,7 +392,7 @@ def _place(member, layout):
             "",
             ("is not in a folder of a class; give the folder above, or make a folder for it"),
         )
-    return subset, (folders[0] if folders else label), ""
+    return part, (folders[0] if folders else label), ""
 
 
 def _examine_label(label, folders, layout):
@@ -412,7 +412,9 @@ def _examine_label(label, folders, layout):
 def _find_empty_classes(entries, folders):
     """Folders beside those of the classes that have no recording."""
     parents = {PurePosixPath(entry.member).parent for entry in entries}
-    classes = {folder for folder in parents if folder.name.lower() not in SUBSETS and folder.name}
+    classes = {
+        folder for folder in parents if folder.name.lower() not in PART_OF_FOLDER and folder.name
+    }
     beside = {folder.parent for folder in classes}
     return [
         (str(folder), "is a class without a recording; remove the folder")

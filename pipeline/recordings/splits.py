@@ -13,6 +13,9 @@ RANDOM = "random"
 PUBLISHED = "published"
 WRITERS = "writers"
 
+# Names of the parts of a split.
+PARTS = ("train", "validation", "test")
+
 # Share of the training samples that is held out if there are no validation samples.
 HELD_OUT = 0.1
 
@@ -37,6 +40,12 @@ class Split:
     validation: np.ndarray
     test: np.ndarray
     kind: str = RANDOM
+
+    def indices(self, part: str) -> np.ndarray:
+        """The indices of the samples of one of the `PARTS`."""
+        if part not in PARTS:
+            raise ValueError(f"no part {part!r}; the parts are {', '.join(PARTS)}")
+        return getattr(self, part)
 
     def held_out(self, seed: int) -> tuple:
         """Samples to train on, and held-out samples: for validation or else of the training.
@@ -108,9 +117,7 @@ def _add_missing_classes(split, labels):
     training set, from validation before test; then into the test set, in exchange for a recording
     of the class with most test recordings, as long as that has more than one.
     """
-    train, validation, test = (
-        part.tolist() for part in (split.train, split.validation, split.test)
-    )
+    train, validation, test = (split.indices(part).tolist() for part in PARTS)
 
     def take(pool, label):
         return next((i for i in pool if labels[i] == label), None)
@@ -136,7 +143,7 @@ def _add_missing_classes(split, labels):
         test.append(moved)
     if len(missing):  # recordings of a class must not follow each other
         test = np.random.default_rng([len(labels), 0xC1A5]).permutation(test)
-    arrays = (np.array(part, np.int64) for part in (sorted(train), validation, test))
+    arrays = (np.array(indices, np.int64) for indices in (sorted(train), validation, test))
     return Split(*arrays, split.kind)
 
 
@@ -189,13 +196,25 @@ def copies(recordings: Recordings, split: Split) -> tuple:
     """
     ids = recordings.ids
     labels = recordings.labels
-    sizes = np.diff(recordings.offsets)
-    content = [h if n else i for i, (h, n) in enumerate(zip(recordings.hashes, sizes, strict=True))]
-    train = {content[i]: i for i in (*split.validation[::-1], *split.train[::-1])}
-    first = {c: i for i, c in reversed([*enumerate(content)])}
-    in_training = [(ids[train[content[i]]], ids[i]) for i in split.test if content[i] in train]
-    others = ((first[c], i) for i, c in enumerate(content) if labels[first[c]] != labels[i])
-    return in_training, [(ids[one], ids[other]) for one, other in others]
+    contents: list = list(recordings.hashes)
+    is_empty = np.diff(recordings.offsets) == 0
+    for index in np.flatnonzero(is_empty).tolist():
+        contents[index] = index  # no copy of another recording without events
+    first_in_training: dict = {}
+    for index in (*split.train, *split.validation):
+        first_in_training.setdefault(contents[index], index)
+    in_training = []
+    for index in split.test:
+        trained = first_in_training.get(contents[index])
+        if trained is not None:
+            in_training.append((ids[trained], ids[index]))
+    first: dict = {}
+    in_classes = []
+    for index, content in enumerate(contents):
+        original = first.setdefault(content, index)
+        if labels[original] != labels[index]:
+            in_classes.append((ids[original], ids[index]))
+    return in_training, in_classes
 
 
 def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split:

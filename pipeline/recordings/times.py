@@ -55,7 +55,7 @@ def infer_unit(times) -> str:
     return "s" if not whole and typical <= MAX_DURATION_S else ""
 
 
-def choose_unit(path, recordings, subsets, options) -> str:
+def choose_unit(path, recordings, parts, options) -> str:
     """The unit of time: the user's, the files', that of similar recordings, or inferred.
 
     That of similar recordings holds unless these recordings would last longer than any can.
@@ -65,14 +65,14 @@ def choose_unit(path, recordings, subsets, options) -> str:
     path : path-like
         Path of the source, for messages.
     recordings : list of EventRecording
-    subsets : list of str
+    parts : list of str
         Subset of the published split of each, or empty.
     options : pipeline.recordings.sensor.ReadingOptions
 
     Raises
     ------
     UserError
-        The unit differs between files or subsets, or none fits.
+        The unit differs between files or parts, or none fits.
     """
     if options.time_unit:
         return options.time_unit
@@ -83,8 +83,8 @@ def choose_unit(path, recordings, subsets, options) -> str:
     if stated:
         return stated.pop()
     spans: dict = {}
-    for recording, subset in zip(recordings, subsets, strict=True):
-        spans.setdefault(subset, []).append(find_span(recording.time))
+    for recording, part in zip(recordings, parts, strict=True):
+        spans.setdefault(part, []).append(find_span(recording.time))
     _require_equal_units(path, spans)
     if options.usual_unit:
         usual_s = np.median(np.concatenate(list(spans.values()))) * UNITS[options.usual_unit]
@@ -100,12 +100,12 @@ def choose_unit(path, recordings, subsets, options) -> str:
 
 
 def _require_equal_units(path, spans):
-    """Refuse a published split one of whose subsets lasts a hundred times as long as the other."""
-    typical = {subset: float(np.median(spans[subset])) for subset in sorted(spans)}
+    """Refuse a published split one of whose parts lasts a hundred times as long as the other."""
+    typical = {part: float(np.median(spans[part])) for part in sorted(spans)}
     if max(typical.values()) > MIN_UNIT_FACTOR * min(typical.values()) > 0:
         listed = ", ".join(
-            f"{subset} has times of typically {span:.4g}"
-            for subset, span in sorted(typical.items(), reverse=True)
+            f"{part} has times of typically {span:.4g}"
+            for part, span in sorted(typical.items(), reverse=True)
         )
         raise UserError(
             f"{path}: train and test have different units of time: {listed}; use one unit, or "

@@ -250,10 +250,10 @@ def evaluate(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> d
         See :func:`row_of`; of a target also its ``costs``, see :func:`costs_of`.
     """
     if case.stage not in TARGETS:
-        index = getattr(opened.dataset.split, case.part)
+        index = opened.dataset.split.indices(case.part)
         return row_of(case, opened.dataset, index, _predict_before_chip(case, opened, index))
     dataset = dataset or opened.dataset
-    index = getattr(dataset.split, case.part)
+    index = dataset.split.indices(case.part)
     inputs, labels = dataset.subset(case.part)
     with hide_progress():
         spec = opened.spec()

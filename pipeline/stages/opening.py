@@ -13,6 +13,7 @@ from pipeline.kinds.records import read_weights
 from pipeline.kinds.steps import StepInputs
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import facts_of
+from pipeline.recordings.splits import PARTS
 from pipeline.run.artifacts import Artifact, Library, Origin
 from pipeline.run.folder import RunFolder, working_in
 from pipeline.run.settings import Settings
@@ -158,8 +159,7 @@ def open_run(
     run.save_settings(chosen)
     artifact = dataset_artifact(run, dataset.origin)
     if not artifact.state().is_current:
-        parts = ("train", "validation", "test")
-        sizes = {part: len(getattr(dataset.split, part)) for part in parts}
+        sizes = {part: len(dataset.split.indices(part)) for part in PARTS}
         artifact.write({**facts_of(recordings), **sizes, "split": dataset.split.kind})
     return opened
 

@@ -314,10 +314,10 @@ def _adopt(model, settings, dataset, say):
     trained, seconds = _train_cnn(settings, dataset, model.weights)
     logits.append(trained.logits(dataset.inputs))
     rows = [accuracies(one.argmax(1) == dataset.labels, dataset)["accuracy"] for one in logits]
-    subset = list(rows[0])[-1]
-    before, replaced, after = (f"{row[subset]:.3f}" for row in rows)
+    part = list(rows[0])[-1]
+    before, replaced, after = (f"{row[part]:.3f}" for row in rows)
     say(
-        f"cnn: {subset} accuracy {before} as in the file, {replaced} with what was replaced, "
+        f"cnn: {part} accuracy {before} as in the file, {replaced} with what was replaced, "
         f"{after} after further training"
     )
     return trained, seconds

@@ -78,7 +78,7 @@ def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) 
         cost = reset_cost(network, stepped, settings, dataset)
         say(RESET_TEXT.format(**cost))
     part = "test" if len(dataset.split.test) else "validation"
-    index = getattr(dataset.split, part)
+    index = dataset.split.indices(part)
     with progress("simulate nir", len(index)) as advance:
         inputs = dataset.inputs[index]
         outputs, spikes = simulate_samples(network, stepped, inputs, settings, advance)
