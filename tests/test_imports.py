@@ -78,7 +78,7 @@ FLOORS = {
     ],
     "deploy": [
         {"terminal"},
-        {"errors", "limits", "loading", "progress", "tables", "requirements"},
+        {"arithmetic", "errors", "limits", "loading", "progress", "tables", "requirements"},
         {"files"},
         {"network"},
         {"preflight"},

@@ -18,6 +18,7 @@ from typing import Dict, List, Tuple
 
 import numpy as np
 
+from ..arithmetic import ceil_div
 from .chip import LOIHI, Chip
 from .ops.base import input_words, n_blocks, ranges_of
 
@@ -111,7 +112,7 @@ def _default_block(layer, is_recurrent, after, after_block, chip):
 
 def _lengths(n):
     """Lengths of equal blocks along one dimension, from the whole down; the last may be shorter."""
-    return sorted({-(-n // blocks) for blocks in range(1, n + 1)}, reverse=True)
+    return sorted({ceil_div(n, blocks) for blocks in range(1, n + 1)}, reverse=True)
 
 
 class BlockNeeds:

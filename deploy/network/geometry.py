@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..arithmetic import ceil_div
+
 
 def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     """Windows of a convolution along one dimension.
@@ -25,7 +27,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     """
     zeros = 0
     if padding == "same":
-        zeros = max((-(-n // stride) - 1) * stride + kernel - n, 0)
+        zeros = max((ceil_div(n, stride) - 1) * stride + kernel - n, 0)
     elif padding != "valid":
         zeros = 2 * int(padding)
     return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2

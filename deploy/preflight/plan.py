@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Dict, List, Tuple
 
+from ..arithmetic import ceil_div
 from ..errors import UserError
 from ..network.build import build
 from ..network.chip import LOIHI, Chip
@@ -127,7 +128,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     placed = [
         (layer, i, block) for layer, of_layer in blocks.items() for i, block in enumerate(of_layer)
     ]
-    needed = -(-len(placed) // chip.cores)
+    needed = ceil_div(len(placed), chip.cores)
     places = _placement(model, needed, chip)
     axons = _Axons(_shortest_intervals(spec, model), _targets(model))
     cores = [

@@ -17,6 +17,7 @@ from typing import Iterator
 
 import numpy as np
 
+from ..arithmetic import ceil_div
 from ..errors import UserError, one_line
 from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
@@ -217,7 +218,7 @@ def _probe_energy(board, steps):
         from nxsdk.api.enums.api_enums import ProbeParameter
         from nxsdk.graph.monitor.probes import PerformanceProbeCondition
 
-        bins = max(1, -(-steps // POWER_BINS))
+        bins = max(1, ceil_div(steps, POWER_BINS))
         condition = PerformanceProbeCondition(
             tStart=1, tEnd=steps, bufferSize=POWER_BINS, binSize=1 << (bins - 1).bit_length()
         )

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy import limits
+from deploy.arithmetic import thin
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import open_regular, read_arrays, replacing, reporting_os_errors, write_arrays
@@ -40,8 +41,7 @@ def select_curve_samples(dataset: Dataset):
     """
     if (validation := dataset.subset("validation")) is not None:
         return validation
-    index = dataset.split.test
-    index = index[:: max(1, -(-len(index) // MAX_CURVE_SAMPLES))]
+    index = thin(dataset.split.test, MAX_CURVE_SAMPLES)
     return (dataset.inputs[index], dataset.labels[index]) if len(index) else None
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deploy.arithmetic import ceil_div
 from deploy.errors import UserError
 from pipeline.recordings import times
 from pipeline.recordings.events import DIGITS, GRID, N_TAXELS, UNIT_NAMES, Sensor, TaxelMap
@@ -121,7 +122,7 @@ class Interpretation:
             self.rows,
             self.columns,
             polarities=1 if all((events.polarity > 0).all() for events in self.events) else 2,
-            duration_s=max(-(-latest_ns // 100_000_000), 1) / 10,  # up to the next tenth
+            duration_s=max(ceil_div(latest_ns, 100_000_000), 1) / 10,  # up to the next tenth
             classes=tuple(sorted(classes, key=class_order)),
         )
 
@@ -474,10 +475,10 @@ def _find_size(path, recordings, side, options):
             places = (recording.y, recording.x)[axis]
             found = max(found, int(places.max()) + 1)
             if recording.size:
-                found = max(found, -(-recording.size[axis] // side))
+                found = max(found, ceil_div(recording.size[axis], side))
         size.append(stated or found)
     if max(size) > MAX_SIDE:
-        needed = -(-max(size) // MAX_SIDE) * side
+        needed = ceil_div(max(size), MAX_SIDE) * side
         raise UserError(
             f"{path}: the sensor has {size[0]} rows and {size[1]} columns, more than {MAX_SIDE}; "
             f"combine squares of pixels: --set data.downsample={needed}"

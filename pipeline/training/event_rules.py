@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from deploy.arithmetic import ceil_div, thin
 from pipeline.recordings.events import Recordings, Sensor, is_handwriting
 from pipeline.recordings.steps import EventTable, SpikeLimits
 from pipeline.run.settings import Input
@@ -165,7 +166,7 @@ def epochs_for(samples: int, batch_size: int) -> int:
     batch_size : int
         Samples per update.
     """
-    batches = -(-max(samples, 1) // batch_size)
+    batches = ceil_div(max(samples, 1), batch_size)
     updates = max(UPDATES, UPDATES_BY_ROOT * math.sqrt(samples))
     fewest = min(MIN_EPOCHS, MAX_UPDATES_OF_MIN_EPOCHS // batches)
     return max(round(updates / batches), fewest, 1)
@@ -218,7 +219,7 @@ def dropout_for(samples: int, default: float) -> float:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) -> Reading:
+def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int) -> Reading:
     """Choose the refractory period and the number of sections on the training samples.
 
     The refractory period is the longest of those with nearly the highest accuracy of the linear
@@ -241,29 +242,46 @@ def reading_for(table: EventTable, labels, train, step_ms: float, steps: int) ->
     if len(some) < 2:
         return Reading(0, 1, 0.0, 0.0, 0.0)
     target = np.asarray(labels)[some]
+    lost = {}
     accuracy = {}
-    allowed = [refractory for refractory in REFRACTORY_STEPS if refractory * step_ms <= LONGEST_MS]
-    for refractory in list(allowed):
-        if refractory and table.lost(step_ms, refractory) > MAX_LOST_EVENT_SHARE:
-            allowed.remove(refractory)
+    for refractory in REFRACTORY_STEPS:
+        lost[refractory] = table.lost(step_ms, refractory)
+        is_long = refractory * step_ms > LONGEST_MS
+        if refractory and (is_long or lost[refractory] > MAX_LOST_EVENT_SHARE):
             continue
         spikes = _spikes(table, some, step_ms, steps, refractory)
-        for sections in SECTION_COUNTS:
-            merged = spikes.reshape(len(some), sections, SECTION_COUNTS[-1] // sections, -1).sum(2)
-            accuracy[refractory, sections] = left_out_accuracy(
-                merged.reshape(len(some), -1), target
-            )
-    mean = {
-        r: float(np.mean([accuracy[r, sections] for sections in SECTION_COUNTS])) for r in allowed
-    }
-    refractory = max(r for r in allowed if mean[r] >= max(mean.values()) - NEARLY)
-    chosen = SECTION_COUNTS[0]
-    for sections in SECTION_COUNTS[1:]:
-        share = accuracy[refractory, chosen]
-        if accuracy[refractory, sections] > share + math.sqrt(share * (1 - share) / len(some)):
+        accuracy[refractory] = {
+            sections: left_out_accuracy(_merge_sections(spikes, sections), target)
+            for sections in SECTION_COUNTS
+        }
+    mean = {refractory: np.mean(list(each.values())) for refractory, each in accuracy.items()}
+    refractory = max(each for each in mean if mean[each] >= max(mean.values()) - NEARLY)
+    sections = _choose_sections(accuracy[refractory], len(some))
+    return Reading(
+        refractory=refractory,
+        sections=sections,
+        lost=lost[refractory],
+        accuracy=accuracy[refractory][sections],
+        complete=accuracy[0][sections],
+    )
+
+
+def _merge_sections(spikes, sections):
+    """Spikes of each sample in fewer sections, shape (n_samples, sections * values)."""
+    samples, finest = spikes.shape[:2]
+    merged = spikes.reshape(samples, sections, finest // sections, -1).sum(2)
+    return merged.reshape(samples, -1)
+
+
+def _choose_sections(accuracy: dict, samples: int) -> int:
+    """The number of sections; a larger one must gain more than a standard error."""
+    chosen, *others = SECTION_COUNTS
+    for sections in others:
+        share = accuracy[chosen]
+        standard_error = math.sqrt(share * (1 - share) / samples)
+        if accuracy[sections] > share + standard_error:
             chosen = sections
-    lost = table.lost(step_ms, refractory)
-    return Reading(refractory, chosen, lost, accuracy[refractory, chosen], accuracy[0, chosen])
+    return chosen
 
 
 def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int:
@@ -287,7 +305,7 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
     int
         0, for no limit, if a taxel that fires all the time has less than twice as many spikes.
     """
-    some = train[:: -(-len(train) // MAX_COUNTED_SAMPLES) or 1]
+    some = thin(train, MAX_COUNTED_SAMPLES)
     by_batch = [np.zeros(0, int)]
     for start in range(0, len(some), 64):
         indices = some[start : start + 64]

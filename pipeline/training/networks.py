@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from deploy.arithmetic import ceil_div, thin
 from deploy.errors import UserError
 from deploy.network.spec import DT
 from models.architecture import parse
@@ -76,7 +77,7 @@ class TrainingSchedule:
 
     def batches(self, n_samples: int) -> int:
         """Number of updates in an epoch."""
-        return -(-n_samples // self.batch_size)
+        return ceil_div(n_samples, self.batch_size)
 
     def apply_settings(self, section, n_samples: int) -> TrainingSchedule:
         """This schedule with the values of a section of the settings that are not 0.
@@ -91,7 +92,7 @@ class TrainingSchedule:
         """
         return replace(
             self,
-            epochs=section.epochs or max(self.epochs, -(-self.min_shown_samples // n_samples)),
+            epochs=section.epochs or max(self.epochs, ceil_div(self.min_shown_samples, n_samples)),
             batch_size=section.batch_size or self.batch_size,
             learning_rate=section.learning_rate or self.learning_rate,
         )
@@ -347,7 +348,7 @@ def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) ->
 
 def select_measured(images) -> np.ndarray:
     """Images on which activations are measured: all, or some at equal distances of many."""
-    return images[:: -(-len(images) // MAX_MEASURED_SAMPLES) or 1]
+    return thin(images, MAX_MEASURED_SAMPLES)
 
 
 def scale_to_unit(settings: Settings, weights: dict, images) -> dict:

@@ -7,6 +7,7 @@ from typing import Tuple
 
 import numpy as np
 
+from ...arithmetic import ceil_div
 from ...errors import UserError
 from ..chip import Chip
 from ..geometry import pooled_shape, unpool
@@ -186,7 +187,7 @@ class DiscreteResources(Resources):
 
 def n_blocks(shape, block) -> int:
     """Number of blocks of a layer."""
-    return math.prod(-(-n // length) for n, length in zip(shape, block))
+    return math.prod(ceil_div(n, length) for n, length in zip(shape, block))
 
 
 def n_neurons(ranges) -> int:
@@ -221,4 +222,4 @@ def list_words(synapses: int, bits: int, chip: Chip) -> int:
         Bits of each synapse.
     chip : Chip
     """
-    return -(-(synapses * bits + chip.synapse_header_bits) // chip.synapse_word_bits)
+    return ceil_div(synapses * bits + chip.synapse_header_bits, chip.synapse_word_bits)

@@ -7,6 +7,7 @@ from typing import List, NamedTuple
 
 import numpy as np
 
+from ...arithmetic import ceil_div
 from ..geometry import (
     convolution_fan_out,
     convolution_shape,
@@ -202,7 +203,7 @@ class _Line(NamedTuple):
     def reach(self, first, last) -> _Reach:
         """For each input position the windows among ``first`` to ``last - 1`` that contain it."""
         at = np.arange(self.n) + self.before
-        lowest = np.maximum(-(-(at - self.kernel + 1) // self.stride), first)
+        lowest = np.maximum(ceil_div(at - self.kernel + 1, self.stride), first)
         highest = np.minimum(at // self.stride, last - 1)
         number = np.maximum(highest - lowest + 1, 0)
         return _Reach(lowest, number, at - lowest * self.stride)
@@ -288,4 +289,4 @@ class _ConvolutionResources(Resources):
 
     def _channel_blocks(self, block):
         """Number of blocks along the channels."""
-        return -(-self.layer.shape[2] // block[2])
+        return ceil_div(self.layer.shape[2], block[2])

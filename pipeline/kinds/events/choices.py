@@ -28,10 +28,10 @@ from pipeline.training.event_rules import (
     USUAL_EVENTS,
     NetworkSize,
     choose_max_spikes,
+    choose_reading,
     choose_size,
     dropout_for,
     find_bin_ms,
-    reading_for,
 )
 
 # Synaptic operations that a network on events may take, in multiples of what its first layer takes
@@ -198,7 +198,7 @@ class EventChoices:
     def _estimate_reading(self, presented):
         step_ms = presented.input.step
         labels = self.recordings.labels
-        reading = reading_for(self.table, labels, self.train, step_ms, presented.steps)
+        reading = choose_reading(self.table, labels, self.train, step_ms, presented.steps)
         if self.settings.is_open("input.refractory"):
             return reading
         chosen = presented.input.refractory_steps

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deploy.arithmetic import ceil_div, thin
 from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
@@ -142,11 +143,11 @@ class EventsKind(NetworkKind):
         samples = event_samples(inputs.dataset, settings.seed)
         n_train = len(samples.train)
         design = events.EventDesign.of(settings).for_samples(n_train)
-        updates = design.epochs * -(-n_train // design.batch_size)
+        updates = design.epochs * ceil_div(n_train, design.batch_size)
         epochs = plural(design.epochs, "epoch")
         inputs.say(f"events: {epochs}, {plural(updates, 'update')}, on {n_train:,} samples")
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
-        curve = samples.held_out[:: -(-len(samples.held_out) // MAX_CURVE_SAMPLES) or 1]
+        curve = thin(samples.held_out, MAX_CURVE_SAMPLES)
         trained, seconds = time_training(
             "events",
             design.epochs,

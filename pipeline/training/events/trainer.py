@@ -7,6 +7,7 @@ import functools
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from deploy.arithmetic import ceil_div
 from deploy.errors import UserError
 from deploy.network.stimulus import last_steps
 from models.architecture import parse
@@ -119,7 +120,7 @@ class Trainer:
         self.labels = labels
         self.train = train
         self.seed = seed
-        self.batches = -(-len(train) // design.batch_size)
+        self.batches = ceil_div(len(train), design.batch_size)
         self._network = design.network(seed)
         self._gradient = SpikingGradient(parse(design.architecture), design.neuron, design.starts)
         variables = self._network.variables_by_name.items()

@@ -1,0 +1,19 @@
+"""Small computations that NumPy and the standard library do not name."""
+
+from __future__ import annotations
+
+
+def ceil_div(number, divisor):
+    """The quotient, rounded up; of integers, or of an array of integers."""
+    return -(-number // divisor)
+
+
+def thin(values, at_most: int):
+    """Every n-th of some values, with the smallest n that leaves at most a number of them.
+
+    Parameters
+    ----------
+    values : sequence or ndarray
+    at_most : int
+    """
+    return values[:: max(ceil_div(len(values), at_most), 1)]
