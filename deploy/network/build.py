@@ -145,15 +145,7 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
         source = neurons.neurons
         spikes["input"] = nengo.Probe(source)
         for layer in spec.layers:
-            if layer.neurons is None:
-                target = nengo.Node(size_in=layer.sections * layer.size, label=layer.name)
-            else:
-                ensemble = _ensemble(layer, layer.neurons)
-                network.config[ensemble].on_chip = True
-                network.config[ensemble].block_shape = nengo_loihi.BlockShape(
-                    blocks[layer.name], layer.shape
-                )
-                target = ensemble.neurons
+            target = _add_units(network, layer, blocks)
             transform, inputs = layer.operation.transform(layer, chip)
             nengo.Connection(
                 source if inputs is None else source[inputs],
@@ -162,16 +154,34 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
                 synapse=layer.synapse,
             )
             if layer.recurrent is not None:
-                # Without a filter Nengo needs one of no duration, which takes the step that a
-                # spike takes on the chip.
-                synapse = nengo.Lowpass(0) if layer.synapse is None else layer.synapse
-                back = nengo.Dense(layer.recurrent.shape, init=layer.recurrent)
-                nengo.Connection(target, target, transform=back, synapse=synapse)
+                _connect_to_itself(target, layer.recurrent, layer.synapse)
             output = nengo.Probe(target)
             if layer.neurons is not None:
                 spikes[layer.name] = output
             source = target
     return Built(network, feed, output, spikes)
+
+
+def _add_units(network, layer: Layer, blocks: dict):
+    """The neurons of a layer on the chip, or the node of a readout on the host."""
+    if layer.neurons is None:
+        return nengo.Node(size_in=layer.sections * layer.size, label=layer.name)
+    ensemble = _ensemble(layer, layer.neurons)
+    config = network.config[ensemble]
+    config.on_chip = True
+    config.block_shape = nengo_loihi.BlockShape(blocks[layer.name], layer.shape)
+    return ensemble.neurons
+
+
+def _connect_to_itself(target, weights: np.ndarray, synapse: float | None):
+    """Connect the neurons of a recurrent layer with each other.
+
+    Without a filter Nengo needs one of no duration, which takes the step that a spike takes on the
+    chip.
+    """
+    lowpass = nengo.Lowpass(0) if synapse is None else synapse
+    transform = nengo.Dense(weights.shape, init=weights)
+    nengo.Connection(target, target, transform=transform, synapse=lowpass)
 
 
 def _input_neurons(spec):

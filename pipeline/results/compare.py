@@ -326,34 +326,50 @@ def _accuracy_lines(compared, letters):
     if not compared["stages"]:
         return ["no stage has results in two of the runs; 'stmnist ladder RUN' makes them"]
     rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p"]]
-    unpaired = False
+    differences = []
     for stage in compared["stages"]:
-        name = stage["stage"]
-        cells_of = zip(letters, stage["accuracies"], stage["differences"], strict=True)
-        for letter, row, against in cells_of:
-            if row is None:
-                continue
-            low, high = row["accuracy_ci95"]
-            cells = [name, letter, f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
-            rows.append([*cells, *_difference_cells(against)])
-            unpaired |= against is not None and not against["paired"]
-            name = ""
-    simulated = [a for a, run in zip(letters, compared["runs"], strict=True) if run["simulated"]]
-    what = "simulated samples" if len(simulated) == len(letters) else "samples"
-    if 0 < len(simulated) < len(letters):
-        what += f"; those of {', '.join(simulated)} are simulated"
-    rows_of_all = (row for s in compared["stages"] for row in s["accuracies"] if row)
-    counts = dict.fromkeys(row["n_samples"] for row in rows_of_all)  # in the order of the runs
+        rows += _stage_rows(stage, letters)
+        differences += [value for value in stage["differences"] if value is not None]
     lines = [
-        f"accuracy on {' and '.join(map(str, counts))} {what}",
+        f"accuracy on {_samples_text(compared, letters)}",
         *align_rows(rows, left=2),
         "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
     ]
     if any(cells[-1].endswith("*") for cells in rows):
         lines.append(f"*: p below {SIGNIFICANCE:g}, uncorrected for several tests")
-    if unpaired:
+    if not all(value["paired"] for value in differences):
         lines.append("unpaired: the samples or their sources differ; p is Fisher's exact test")
     return lines
+
+
+def _stage_rows(stage, letters):
+    """A row for each run with a result of the stage, the first with the stage's name."""
+    name = stage["stage"]
+    rows = []
+    for letter, accuracy, value in zip(
+        letters, stage["accuracies"], stage["differences"], strict=True
+    ):
+        if accuracy is None:
+            continue
+        low, high = accuracy["accuracy_ci95"]
+        cells = [name, letter, f"{accuracy['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
+        rows.append([*cells, *_difference_cells(value)])
+        name = ""
+    return rows
+
+
+def _samples_text(compared, letters):
+    """How many samples there are, in the order of the runs, and which are simulated."""
+    counts: dict = {}
+    for stage in compared["stages"]:
+        counts |= {accuracy["n_samples"]: None for accuracy in stage["accuracies"] if accuracy}
+    numbers = " and ".join(map(str, counts))
+    simulated = [a for a, run in zip(letters, compared["runs"], strict=True) if run["simulated"]]
+    if not simulated:
+        return f"{numbers} samples"
+    if len(simulated) == len(letters):
+        return f"{numbers} simulated samples"
+    return f"{numbers} samples; those of {', '.join(simulated)} are simulated"
 
 
 def _difference_cells(value):

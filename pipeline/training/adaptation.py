@@ -16,6 +16,7 @@ on the person's own samples.
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -37,8 +38,8 @@ from pipeline.recordings.dataset import inputs_for, require_sensor_fits
 from pipeline.recordings.events import Recordings
 from pipeline.run.settings import Image
 
-PULLS = (3e-4, 3e-3)
 # Strengths of regularisation and of rehearsal among which cross-validation chooses.
+PULLS = (3e-4, 3e-3)
 REHEARSALS = (0.3, 1.0, 3.0)
 
 FOLDS = 5
@@ -48,7 +49,7 @@ FOLDS = 5
 MAX_DIRECTIONS = 96
 
 # The largest weight in integers: 8 bits with the sign.
-LEVELS = 127
+MAX_WEIGHT_LEVEL = 127
 
 # Maximum loss of accuracy on the kept samples in cross-validation, similar to the loss of other
 # people.
@@ -140,47 +141,81 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     weights = np.asarray(weights, float)
     bias = np.asarray(bias, float)
     problem = _Problem(weights, bias, person, kept, scale)
-    folds = _folds(person.labels, seed)
-    kept_folds = np.random.default_rng([seed, 1]).permutation(len(kept)) % (folds.max() + 1)
+    folds = _Folds.draw(person, kept, seed)
     before = problem.log_odds(problem.weights, person.responses)
     kept_before = _right(problem.log_odds(problem.weights, kept.responses), kept.labels)
-    best = None
-    best_worth = (False, -np.inf)
-    for pull, rehearsal in itertools.product(PULLS, REHEARSALS):
-        log_p = np.empty_like(before)
-        kept_after = np.empty(len(kept), bool)
-        for fold in range(folds.max() + 1):
-            inside = kept_folds != fold
-            out = kept_folds == fold
-            samples, labels = person.select_with_copies(folds != fold)
-            refitted = in_8_bits(problem.solve(samples, labels, inside, pull, rehearsal))
-            log_p[folds == fold] = problem.log_odds(refitted, person.responses[folds == fold])
-            log_kept = problem.log_odds(refitted, kept.responses[out])
-            kept_after[out] = _right(log_kept, kept.labels[out])
-        # The best fit keeps the accuracy for others, if possible, and then is the most likely one.
-        after = _right(log_p, person.labels)
-        sure = log_p[np.arange(len(person)), person.labels].mean()
-        worth = (kept_before.mean() - kept_after.mean() <= MAX_KEPT_LOSS, sure)
-        if best is None or worth > best_worth:
-            best = (pull, rehearsal, after, kept_after)
-            best_worth = worth
-    pull, rehearsal, after, kept_after = best
+
+    def rate(trial):
+        """Keeping the accuracy for others comes first, then the likelihood for the person."""
+        kept_loss = kept_before.mean() - trial.kept_after.mean()
+        return kept_loss <= MAX_KEPT_LOSS, trial.likelihood
+
+    trials = [
+        _cross_validate(problem, person, kept, folds, pull, rehearsal)
+        for pull, rehearsal in itertools.product(PULLS, REHEARSALS)
+    ]
+    best = max(trials, key=rate)
     everything = np.ones(len(kept), bool)
     samples, labels = person.select_with_copies(np.arange(len(person)))
+    refitted = problem.solve(samples, labels, everything, best.pull, best.rehearsal)
     return Refit(
-        weights=in_8_bits(problem.solve(samples, labels, everything, pull, rehearsal)),
-        pull=pull,
-        rehearsal=rehearsal,
+        weights=in_8_bits(refitted),
+        pull=best.pull,
+        rehearsal=best.rehearsal,
         before=_right(before, person.labels),
-        after=after,
+        after=best.after,
         kept_before=kept_before,
-        kept_after=kept_after,
+        kept_after=best.kept_after,
     )
+
+
+class _Folds(NamedTuple):
+    """The fold of each sample of the person, and of each kept sample."""
+
+    own: np.ndarray
+    kept: np.ndarray
+
+    @classmethod
+    def draw(cls, person, kept, seed):
+        """Draw the folds; the samples of a class are in as many folds as possible."""
+        own = _folds(person.labels, seed)
+        order = np.random.default_rng([seed, 1]).permutation(len(kept))
+        return cls(own, order % (own.max() + 1))
+
+
+class _Trial(NamedTuple):
+    """What cross-validation says of a pair of ``pull`` and ``rehearsal``; see `Refit`.
+
+    ``likelihood`` is the mean logarithm of the probability of the right class.
+    """
+
+    pull: float
+    rehearsal: float
+    after: np.ndarray
+    kept_after: np.ndarray
+    likelihood: float
+
+
+def _cross_validate(problem, person, kept, folds, pull, rehearsal) -> _Trial:
+    """Predict each sample with a readout that was refitted to the other folds."""
+    log_p = np.empty((len(person), len(problem.weights)))
+    kept_after = np.empty(len(kept), bool)
+    for fold in range(folds.own.max() + 1):
+        is_out = folds.own == fold
+        is_kept_out = folds.kept == fold
+        samples, labels = person.select_with_copies(~is_out)
+        solution = problem.solve(samples, labels, ~is_kept_out, pull, rehearsal)
+        refitted = in_8_bits(solution)
+        log_p[is_out] = problem.log_odds(refitted, person.responses[is_out])
+        log_kept = problem.log_odds(refitted, kept.responses[is_kept_out])
+        kept_after[is_kept_out] = _right(log_kept, kept.labels[is_kept_out])
+    likelihood = log_p[np.arange(len(person)), person.labels].mean()
+    return _Trial(pull, rehearsal, _right(log_p, person.labels), kept_after, likelihood)
 
 
 def in_8_bits(weights) -> np.ndarray:
     """Weights rounded to 255 levels; the largest magnitude has the last level."""
-    unit = np.abs(weights).max() / LEVELS
+    unit = np.abs(weights).max() / MAX_WEIGHT_LEVEL
     return np.rint(weights / unit) * unit if unit > 0 else np.array(weights)
 
 
@@ -254,7 +289,7 @@ MAX_KEPT_SAMPLES = 500
 COPIES = 10
 
 # Number of samples that are run in parallel, which limits the memory.
-AT_ONCE = 32
+SAMPLES_AT_ONCE = 32
 
 
 class Responder:
@@ -316,8 +351,8 @@ class Responder:
         """
         gap = self.spec.presentation.gap
         fed = self.spec.flatten_samples(samples)
-        for start in range(0, len(fed), AT_ONCE):
-            yield self._emulation.run(fed[start : start + AT_ONCE, None]).output[:, 0, gap:]
+        for start in range(0, len(fed), SAMPLES_AT_ONCE):
+            yield self._emulation.run(fed[start : start + SAMPLES_AT_ONCE, None]).output[:, 0, gap:]
 
     def responses(self, samples) -> np.ndarray:
         """Mean input of the readout while it is read.
@@ -337,19 +372,19 @@ class Responder:
             batches.append(np.concatenate(sums, axis=1) / output.shape[1])
         return np.concatenate(batches)
 
-    def inputs_in_parts(self, recordings: Recordings):
+    def inputs_in_batches(self, recordings: Recordings):
         """:meth:`inputs` of some recordings at a time.
 
         The inputs on events of 500 recordings of a large sensor need gigabytes.
         """
-        for start in range(0, len(recordings), AT_ONCE):
+        for start in range(0, len(recordings), SAMPLES_AT_ONCE):
             yield self.inputs(
-                recordings.subset(np.arange(len(recordings))[start : start + AT_ONCE])
+                recordings.subset(np.arange(len(recordings))[start : start + SAMPLES_AT_ONCE])
             )
 
     def responses_to(self, recordings: Recordings) -> np.ndarray:
         """:meth:`responses` to recordings."""
-        return np.concatenate([self.responses(some) for some in self.inputs_in_parts(recordings)])
+        return np.concatenate([self.responses(some) for some in self.inputs_in_batches(recordings)])
 
     def copies(self, recordings: Recordings, seed) -> np.ndarray:
         """Responses to augmented copies of recordings, shape (n_samples, COPIES, inputs)."""
@@ -479,7 +514,7 @@ def _in_check(bundle, responder, recordings):
     samples = bundle.checks.inputs
     known = {
         np.asarray(row, samples.dtype).tobytes()
-        for some in responder.inputs_in_parts(recordings)
+        for some in responder.inputs_in_batches(recordings)
         for row in some
     }
     return np.array([row.tobytes() in known for row in samples], bool)
@@ -518,7 +553,7 @@ def _with_threshold(spec, responder, recordings):
     weights = spec.layers[-1].weights
     outputs = []
     last = []
-    for samples in responder.inputs_in_parts(recordings):
+    for samples in responder.inputs_in_batches(recordings):
         outputs += [
             select_readout(spec, output @ weights.T) for output in responder.outputs(samples)
         ]

@@ -35,39 +35,70 @@ def read_csv(content: bytes, name: str = "") -> EventRecording:
 
 
 def _read_columns(content):
+    """The columns by their names, or a table without names, shape (events, columns)."""
+    lines = _read_lines(content)
+    body = [line for line in lines if line[0] not in REMARKS]
+    if not body:
+        raise BadRecording("is empty: no events")
+    separator = _find_separator(body[-1])
+    names = _split_names(body[0], separator)
+    if names:
+        del body[0]
+    else:
+        above = lines[: lines.index(body[0])]
+        names = _find_names_in_remark(above[-1]) if above else []
+    if not body:
+        raise BadRecording("is empty: no events")
+    if not names:
+        return _load_table(body, separator)
+    wanted = list(find_columns(names).values())
+    _require_columns(body, separator, len(names))
+    table = _load_table(body, separator, [names.index(name) for name in wanted])
+    return dict(zip(wanted, table.T, strict=True))
+
+
+def _read_lines(content):
+    """The lines that have more than the mark of a remark, with truth values as numbers."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
     text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
-    lines = [line.strip() for line in text.splitlines() if line.strip().strip(REMARKS).strip()]
-    body = [line for line in lines if line[0] not in REMARKS]
-    if not body:
-        raise BadRecording("is empty: no events")
-    last = body[-1].partition("#")[0]  # a remark may have commas
-    separator = next((mark for mark in ",;\t" if mark in last), None)
-    words = [word.strip().strip('"').lower() for word in body[0].split(separator)]
-    above = lines[: lines.index(body[0])][-1:]
-    has_names = any(map(column_of, words))
-    if has_names:
-        del body[0]
-    elif above:  # NumPy writes the names as a comment
-        words = re.findall(r"[^,;#%\s]+", above[0].lower())
-        has_names = set(map(column_of, words)) >= set(ARRAYS)
-    if not body:
-        raise BadRecording("is empty: no events")
-    wanted = read = None
-    if has_names:
-        wanted = list(find_columns(words).values())
-        read = [words.index(name) for name in wanted]  # other columns may have text
-        sizes = {len(line.partition("#")[0].split(separator)) for line in body}
-        if odd := sizes - {len(words)}:
-            raise BadRecording(f"has {min(odd)} columns below {len(words)} names")
-    most = MAX_EVENTS + 1
+    return [line.strip() for line in text.splitlines() if line.strip().strip(REMARKS).strip()]
+
+
+def _find_separator(line):
+    """The mark between the values of a line; None for spaces."""
+    values = line.partition("#")[0]  # a remark may have commas
+    return next((mark for mark in ",;\t" if mark in values), None)
+
+
+def _split_names(line, separator):
+    """The names of columns in a line; empty if it has none."""
+    words = [word.strip().strip('"').lower() for word in line.split(separator)]
+    return words if any(map(column_of, words)) else []
+
+
+def _find_names_in_remark(line):
+    """The names of all columns in a remark, as NumPy writes them; empty if they are not there."""
+    words = re.findall(r"[^,;#%\s]+", line.lower())
+    return words if set(map(column_of, words)) >= set(ARRAYS) else []
+
+
+def _require_columns(body, separator, number):
+    """Refuse lines with another number of values than there are names."""
+    sizes = {len(line.partition("#")[0].split(separator)) for line in body}
+    if odd := sizes - {number}:
+        raise BadRecording(f"has {min(odd)} columns below {number} names")
+
+
+def _load_table(body, separator, columns=None):
+    """The numbers of some columns, or of all; other columns may have text."""
     try:
-        table = np.loadtxt(body, delimiter=separator, ndmin=2, max_rows=most, usecols=read)
+        return np.loadtxt(
+            body, delimiter=separator, ndmin=2, max_rows=MAX_EVENTS + 1, usecols=columns
+        )
     except ValueError as error:
         raise BadRecording(
             "has a line that is not numbers, or has more or fewer than the others"
         ) from error
-    return dict(zip(wanted, table.T, strict=True)) if has_names else table
