@@ -70,8 +70,8 @@ def measure_activity(recordings: Recordings) -> TaxelActivity:
     return TaxelActivity(in_recordings / max(n, 1), extent, throughout / max(n, 1))
 
 
-def find_hot_taxels(recordings: Recordings) -> list:
-    """Taxels that, once they fire, fire throughout a recording far more often than the others.
+def find_hot_taxels(activity: TaxelActivity) -> list:
+    """Find taxels that, once they fire, fire throughout a recording far more often than the others.
 
     Where all taxels do so, as in a grasp or a press of the whole recording, none is hot.
 
@@ -80,10 +80,6 @@ def find_hot_taxels(recordings: Recordings) -> list:
     list of int
         Indices of the taxels, those that fire throughout most recordings first.
     """
-    return _choose_hot(measure_activity(recordings))
-
-
-def _choose_hot(activity):
     fires = activity.recordings > 0
     if not fires.any():
         return []
@@ -109,7 +105,7 @@ def activity_json(recordings: Recordings) -> dict:
         }
         for index in range(len(taxels))
     ]
-    return {"hot": _choose_hot(activity), "each": each}
+    return {"hot": find_hot_taxels(activity), "each": each}
 
 
 def activity_text(recordings: Recordings) -> str:
@@ -125,7 +121,7 @@ def activity_text(recordings: Recordings) -> str:
         f"{shares.max():.0f} % of the recordings (median {np.median(shares):.0f} %) and through "
         f"{100 * np.median(activity.extent[fires]):.0f} % of each (median)"
     ]
-    hot = _choose_hot(activity)
+    hot = find_hot_taxels(activity)
     lines.append(
         f"hot taxels, which fire through 80 % of a recording or more: {len(hot) or 'none'}"
     )

@@ -206,7 +206,7 @@ def _interpret_numbers(path, recordings, parts, lookup, is_strip, options):
     fitting = [recordings[index] for index in kept]
     if has_bins:
         return _add_bins(path, found, fitting, options)
-    return replace(found, events=[recording.to_events(1, recording.time) for recording in fitting])
+    return replace(found, events=[recording.to_numbered_events() for recording in fitting])
 
 
 def _find_number_of_taxels(path, recordings, parts, lookup):

@@ -97,7 +97,7 @@ def facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
     elif recording.layout == "bins":
         events, facts = _read_bins(path, recording, options)
     else:
-        events = recording.to_events(1, recording.time)
+        events = recording.to_numbered_events()
         facts = {}
     if recording.written:
         facts |= {"source": "written", "writer": recording.writer}

@@ -142,6 +142,11 @@ class EventRecording:
         columns = np.ones(len(self)) if self.columns is None else self.columns
         return Events(time_ns, self.y + rows * self.x, self.polarity, columns)
 
+    def to_numbered_events(self) -> Events:
+        """The events of a file that numbers its taxels and has times in nanoseconds."""
+        assert self.unit == "ns", "times in another unit need a conversion"
+        return self.to_events(1, self.time)
+
 
 def make_recording(events) -> EventRecording:
     """Check events and bring them into order of time.

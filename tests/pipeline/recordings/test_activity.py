@@ -33,18 +33,19 @@ def test_a_hot_taxel_is_found():
     rng = np.random.default_rng(0)
     samples = [touch(rng, hot=[77] * (i % 4 == 0) + [3] * (i % 10 == 0)) for i in range(40)]
     made = recordings(*samples)
-    assert find_hot_taxels(made) == [77, 3]
+    assert find_hot_taxels(measure_activity(made)) == [77, 3]
     activity = measure_activity(made)
     assert activity.throughout[77] == pytest.approx(0.25)
     assert activity.throughout[50] == 0
     assert activity.recordings.max() <= 1
-    assert find_hot_taxels(made.subset([i for i in range(40) if i % 4 and i % 10])) == []
+    without = made.subset([i for i in range(40) if i % 4 and i % 10])
+    assert find_hot_taxels(measure_activity(without)) == []
 
 
 def test_where_every_taxel_fires_throughout_none_is_hot():
     grasp = [(t * 10_000_000, taxel, 1, 1) for t in range(60) for taxel in (4, 5, 6)]
-    assert find_hot_taxels(recordings(sorted(grasp), sorted(grasp))) == []
-    assert find_hot_taxels(recordings([], [])) == []
+    assert find_hot_taxels(measure_activity(recordings(sorted(grasp), sorted(grasp)))) == []
+    assert find_hot_taxels(measure_activity(recordings([], []))) == []
 
 
 def test_the_polarity_that_comes_first():
@@ -62,7 +63,7 @@ def test_the_real_recordings():
     if not (SHARED / "stmnist-train.zip").exists():
         pytest.skip("needs stmnist-train.zip, real recordings that are not part of the project")
     read = load_recordings(str(SHARED / "stmnist-train.zip"))
-    hot = find_hot_taxels(read)
+    hot = find_hot_taxels(measure_activity(read))
     assert hot[0] == 41
     assert {27, 87} <= set(hot)
     order = measure_polarity_order(read)
