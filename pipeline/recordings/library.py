@@ -32,7 +32,7 @@ from pipeline.run.settings import Settings
 FORMAT = 8
 
 # Maximum number of bytes of a set of recordings, a hundred times that of the published one.
-LARGEST_CACHE = 1 << 34
+MAX_CACHE_BYTES = 1 << 34
 
 DELETE = "delete it and run the command again to make it again"
 
@@ -164,7 +164,7 @@ def load(path) -> Recordings | None:
     """
     if not path.exists():
         return None
-    arrays = read_arrays(path, DELETE, LARGEST_CACHE)
+    arrays = read_arrays(path, DELETE, MAX_CACHE_BYTES)
     of_events = [
         map_column(_column_path(path, name), dtype, DELETE) for name, dtype in EVENT_DTYPES.items()
     ]

@@ -254,7 +254,7 @@ JSON_NAMES = {
 }
 
 # Characters of a class's name above its column.
-LONGEST_HEAD = 20
+MAX_HEAD_CHARACTERS = 20
 
 
 def statistics_json(recordings) -> dict:
@@ -288,7 +288,7 @@ def table1_text(recordings) -> str:
         name += " (simulated)"
     sensor = recordings.sensor
     written = is_written(sensor.rows, sensor.columns, sensor.classes)
-    rows = [["", *shorten_apart([sensor.classes[digit] for digit in ours], LONGEST_HEAD)]]
+    rows = [["", *shorten_apart([sensor.classes[digit] for digit in ours], MAX_HEAD_CHARACTERS)]]
     has_bursts = bool((recordings.events.columns > 1).any())
     for measure, label in (LABELS if written and has_bursts else OWN_LABELS).items():
         form = ("{:.2f} ({:.2f})" if measure[0] in "xy" else "{:.0f} ({:.0f})").format

@@ -30,7 +30,7 @@ from pipeline.sources import load_recordings
 FOLDER = "other"
 
 # Share of a sensor's rows and columns that its recordings have events in, at least.
-REACHED = 0.8
+MIN_REACHED_SHARE = 0.8
 
 
 def settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str = "") -> Settings:
@@ -208,7 +208,7 @@ def _limits(spec, recordings):
         )
     rows, columns = spec.input_shape[:2]
     reached = [int(axis[events.taxel].max(initial=0)) + 1 for axis in (taxels.row, taxels.column)]
-    if reached[0] < REACHED * rows or reached[1] < REACHED * columns:
+    if reached[0] < MIN_REACHED_SHARE * rows or reached[1] < MIN_REACHED_SHARE * columns:
         yield (
             f"the events are in {reached[0]} of {rows} rows and {reached[1]} of {columns} columns; "
             "if these are recordings of a smaller sensor, the network is not for them"

@@ -30,13 +30,13 @@ from pipeline.run.settings import Input
 TAIL_STEPS = 3
 
 # Minimum number of updates of the weights in a training on events.
-UPDATES = 1440
+MIN_UPDATES = 1440
 
 # Updates by the square root of the number of training samples.
-UPDATES_BY_ROOT = 60
+UPDATES_BY_ROOT_OF_SAMPLES = 60
 
 # Number of training samples below which spikes are left out of training with this probability.
-FEW = 2000
+FEW_SAMPLES = 2000
 FEW_DROPOUT = 0.5
 
 # Minimum number of passes over the training samples, unless these take more updates than that.
@@ -68,18 +68,18 @@ MAX_LIMITED_SPIKE_SHARE = 0.15
 MAX_COUNTED_SAMPLES = 1000
 
 # Maximum refractory period in milliseconds, and maximum share of the events that it may lose.
-LONGEST_MS = 1000
+MAX_REFRACTORY_MS = 1000
 MAX_LOST_EVENT_SHARE = 0.72
 
 # Difference of accuracies that does not matter.  It is as large as the chance in the choice of the
 # samples that are compared.
-NEARLY = 0.01
+MAX_EQUAL_ACCURACY_GAP = 0.01
 
 # Strengths of the regularisation of the linear classifier, among which the best is taken.
 RIDGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 
 # Maximum number of training samples that the linear classifier is fitted to.
-MOST_COMPARED = 800
+MAX_COMPARED_SAMPLES = 800
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class NetworkSize:
 
     def is_for(self, sensor: Sensor, samples: int) -> bool:
         """True if a sensor and a number of training samples suit its convolution."""
-        return sensor.is_grid and samples >= FEW
+        return sensor.is_grid and samples >= FEW_SAMPLES
 
 
 SIZES = {
@@ -167,7 +167,7 @@ def epochs_for(samples: int, batch_size: int) -> int:
         Samples per update.
     """
     batches = ceil_div(max(samples, 1), batch_size)
-    updates = max(UPDATES, UPDATES_BY_ROOT * math.sqrt(samples))
+    updates = max(MIN_UPDATES, UPDATES_BY_ROOT_OF_SAMPLES * math.sqrt(samples))
     fewest = min(MIN_EPOCHS, MAX_UPDATES_OF_MIN_EPOCHS // batches)
     return max(round(updates / batches), fewest, 1)
 
@@ -191,7 +191,7 @@ def choose_size(name: str, recordings: Recordings) -> NetworkSize:
 def choose_hidden_units(size: NetworkSize, samples: int, classes: int) -> int:
     """Neurons of the hidden layer of a network that has few samples or no convolution."""
     hidden = HIDDEN_MANY_CLASSES if classes > MANY_CLASSES else HIDDEN
-    if samples < FEW:
+    if samples < FEW_SAMPLES:
         hidden = HIDDEN_FEW_SAMPLES
     return round(hidden * size.width)
 
@@ -215,7 +215,7 @@ def find_bin_ms(table: EventTable) -> float | None:
 
 def dropout_for(samples: int, default: float) -> float:
     """Dropout for touch that is not handwriting."""
-    return FEW_DROPOUT if samples < FEW else default
+    return FEW_DROPOUT if samples < FEW_SAMPLES else default
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -238,7 +238,7 @@ def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int)
         Steps of a presentation.
     """
     some = np.asarray(train)[np.diff(table.offsets)[train] > 0]
-    some = np.random.default_rng(0x9EAD).permutation(some)[:MOST_COMPARED]
+    some = np.random.default_rng(0x9EAD).permutation(some)[:MAX_COMPARED_SAMPLES]
     if len(some) < 2:
         return Reading(0, 1, 0.0, 0.0, 0.0)
     target = np.asarray(labels)[some]
@@ -246,7 +246,7 @@ def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int)
     accuracy = {}
     for refractory in REFRACTORY_STEPS:
         lost[refractory] = table.lost(step_ms, refractory)
-        is_long = refractory * step_ms > LONGEST_MS
+        is_long = refractory * step_ms > MAX_REFRACTORY_MS
         if refractory and (is_long or lost[refractory] > MAX_LOST_EVENT_SHARE):
             continue
         spikes = _spikes(table, some, step_ms, steps, refractory)
@@ -255,7 +255,9 @@ def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int)
             for sections in SECTION_COUNTS
         }
     mean = {refractory: np.mean(list(each.values())) for refractory, each in accuracy.items()}
-    refractory = max(each for each in mean if mean[each] >= max(mean.values()) - NEARLY)
+    refractory = max(
+        each for each in mean if mean[each] >= max(mean.values()) - MAX_EQUAL_ACCURACY_GAP
+    )
     sections = _choose_sections(accuracy[refractory], len(some))
     return Reading(
         refractory=refractory,

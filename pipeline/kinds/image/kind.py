@@ -358,14 +358,14 @@ def _measure_activity(settings, trained, inputs):
 
 # Minimum accuracy of a user's model, as a share of the range from chance to 1. The best of 30
 # networks of three layers with Keras's initial weights had 0.06 by chance, on ten classes.
-LEAST_KNOWN = 0.15
+MIN_KNOWN_SHARE = 0.15
 
 
 # Normalisations on which a user's model may have been trained, and how they are compared: the
 # maximum number of training samples, and the difference in accuracy that counts.
 COMPARED_NORMALISATIONS = ("max", "sqrt-clip")
 MAX_COMPARED_SAMPLES = 500
-LEAST_GAIN = 0.05
+MIN_ACCURACY_GAIN = 0.05
 
 # The remedy for a model that has changed since it was imported.
 GIVE_MODEL_AGAIN = "give it again with 'stmnist convert RUN --model FILE' (and --retrain if used)"
@@ -444,7 +444,7 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
     logits = predict(original_network(model), images)
     right = int((logits.argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)
-    if wilson_interval(right, len(labels))[0] <= likeliest + LEAST_KNOWN * (1 - likeliest):
+    if wilson_interval(right, len(labels))[0] <= likeliest + MIN_KNOWN_SHARE * (1 - likeliest):
         raise UserError(
             f"{path}: hardly better than chance on this run's training samples (accuracy "
             f"{right / len(labels):.3f}, {likeliest:.3f} by always predicting the same class); "
@@ -487,7 +487,7 @@ def _require_images_of_model(folder, settings, dataset):
     best = max(right, key=lambda name: right[name].sum())
     gain = int(right[best].sum() - right[used].sum())
     differing = int((right[best] != right[used]).sum())
-    if gain > max(LEAST_GAIN * len(some), 2 * np.sqrt(differing)):
+    if gain > max(MIN_ACCURACY_GAIN * len(some), 2 * np.sqrt(differing)):
         raise UserError(
             f"{path}: an accuracy of {right[used].mean():.3f} on this run's training images, and "
             f"of {right[best].mean():.3f} on images with another normalisation; give --set "

@@ -100,4 +100,4 @@ def test_the_number_of_updates_is_fixed(samples, expected):
 
 
 def test_few_samples_have_as_many_updates():
-    assert event_rules.epochs_for(200, 32) * 7 == pytest.approx(event_rules.UPDATES, rel=0.01)
+    assert event_rules.epochs_for(200, 32) * 7 == pytest.approx(event_rules.MIN_UPDATES, rel=0.01)
