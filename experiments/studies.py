@@ -25,9 +25,8 @@ from pipeline import paper
 from pipeline.commands import options
 from pipeline.kinds import choose_settings
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.faults import add_faults
+from pipeline.recordings.faults import FaultCounts, add_faults
 from pipeline.results import study
-from pipeline.results.check_with_faults import FaultCounts
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Provenance, Settings
@@ -365,7 +364,7 @@ def _measure_with_faults(dataset, case, networks):
     on_chip = replace(case, stage="fast")
     opened = study.train(on_chip, networks, dataset)
     faults = FAULTY_STAGES[case.stage]
-    faulty = add_faults(dataset.recordings, faults.hot, faults.dead, [case.seed, 0xFA])
+    faulty = add_faults(dataset.recordings, faults, [case.seed, 0xFA])
     tested = Dataset(faulty, dataset.split, dataset.origin, dataset.settings)
     row = study.evaluate(on_chip, opened, tested)
     return {**row, "stage": case.stage}

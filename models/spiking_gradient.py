@@ -215,9 +215,9 @@ class SpikingGradient:
             return self._gradients_of(layers, kernel, batch, chosen, early, price)
 
         results = _in_groups(run, np.arange(len(batch.labels)))
-        sums: dict[str, Any] = {  # arrays, and zeros where sum() begins
-            name: sum(result.gradients[name] for result in results) for name in results[0].gradients
-        }
+        sums: dict[str, Any] = {}  # arrays, and zeros where sum() begins
+        for name in results[0].gradients:
+            sums[name] = sum(result.gradients[name] for result in results)
         for name, layer in zip(self.names, layers, strict=True):
             kernel_shape = np.shape(values[f"{name}.kernel"])
             sums[f"{name}.kernel"] = (sums[f"{name}.kernel"] * layer.gain).reshape(kernel_shape)

@@ -305,22 +305,24 @@ def open_check(
 
 def records_of(checks: CheckSet, responses: Responses) -> list:
     """The saved fields of each sample."""
-    hashes = responses.spike_hashes
-    stops = responses.stopped_at
-    return [
-        {
-            "id": checks.ids[i],
-            "label": int(checks.labels[i]),
-            "prediction": int(responses.predictions[i]),
-            "scores": [float(score) for score in responses.scores[i]],
-            "decisions": [int(decision) for decision in responses.decisions[i]],
-            "spikes": {name: int(counts[i]) for name, counts in responses.spikes.items()},
-            "operations": {name: int(counts[i]) for name, counts in responses.operations.items()},
-            **({} if stops is None else {"stopped_at": int(stops[i])}),
-            **({} if hashes is None else {"spike_hash": str(hashes[i])}),
-        }
-        for i in range(len(checks))
-    ]
+    return [_record_of(checks, responses, index) for index in range(len(checks))]
+
+
+def _record_of(checks, responses, index):
+    record = {
+        "id": checks.ids[index],
+        "label": int(checks.labels[index]),
+        "prediction": int(responses.predictions[index]),
+        "scores": [float(score) for score in responses.scores[index]],
+        "decisions": [int(decision) for decision in responses.decisions[index]],
+        "spikes": {name: int(counts[index]) for name, counts in responses.spikes.items()},
+        "operations": {name: int(counts[index]) for name, counts in responses.operations.items()},
+    }
+    if responses.stopped_at is not None:
+        record["stopped_at"] = int(responses.stopped_at[index])
+    if responses.spike_hashes is not None:
+        record["spike_hash"] = str(responses.spike_hashes[index])
+    return record
 
 
 def _resume(file, check, streams):

@@ -261,6 +261,9 @@ def describe(notes: list) -> dict:
         values = all_of(name)
         return values[0] if len(values) == 1 else values
 
+    def seconds_of(phase):
+        return sum(note[f"{phase}_seconds"] for note in notes)
+
     samples = sum(note["samples"] for note in notes)
     result = {
         "hardware": {
@@ -269,19 +272,17 @@ def describe(notes: list) -> dict:
             "attempts": sum(note["attempts"] for note in notes),
         },
         "timing": {
-            f"{phase}_seconds_per_sample": sum(n[f"{phase}_seconds"] for n in notes) / samples
+            f"{phase}_seconds_per_sample": seconds_of(phase) / samples
             for phase in ("build", "connect", "run")
         },
         "versions": {"nxsdk": ", ".join(all_of("nxsdk"))},
     }
     measured = [note for note in notes if "power" in note]
     if measured:
+        power = {"measured_samples": sum(note["samples"] for note in measured)}
         weights = [note["steps"] for note in measured]
-        result["power"] = {
-            "measured_samples": sum(note["samples"] for note in measured),
-            **{
-                name: float(np.average([note["power"][name] for note in measured], weights=weights))
-                for name in measured[0]["power"]
-            },
-        }
+        for name in measured[0]["power"]:
+            values = [note["power"][name] for note in measured]
+            power[name] = float(np.average(values, weights=weights))
+        result["power"] = power
     return result

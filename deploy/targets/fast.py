@@ -226,11 +226,14 @@ class Emulation:
             if watch is not None:
                 watch({name: np.concatenate(arrays, axis=1) for name, arrays in packed.items()})
         output = np.concatenate(outputs, axis=1)
-        rows = dict(zip(self.chip.blocks, overflows))
+        overflows_of_block = dict(zip(self.chip.blocks, overflows))
+        overflows_of_layer = {}
+        for name, blocks in self._blocks.items():
+            overflows_of_layer[name] = sum(overflows_of_block[block] for block in blocks)
         return StreamOutputs(
             output=output.reshape(n_streams, n_samples, period, -1),
             counts={name: np.stack(arrays, axis=1) for name, arrays in counts.items()},
-            overflows={n: sum(rows[b] for b in blocks) for n, blocks in self._blocks.items()},
+            overflows=overflows_of_layer,
         )
 
     def bytes_per_step(self, n_streams):

@@ -102,13 +102,13 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from deploy.check.bundle import read_bundle
     from deploy.check.text import others_text, summary
     from deploy.files import require_ending
-    from pipeline.results.check_with_faults import FaultCounts, fault_path
+    from pipeline.results.check_with_faults import fault_path, parse_faults
 
     target_options = options_for(target, **vars(of_targets))
     if out is not None:
         require_ending(out, ".json")
     _require_data(others)
-    faults = FaultCounts.parse(fault) if fault else None
+    faults = parse_faults(fault) if fault else None
     bundle = options.bundle_in(bundle)
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)

@@ -165,18 +165,34 @@ def _draw_dead(share, rng, durations_ms, size):
     return np.where(is_dead, begin, np.inf)
 
 
+@dataclass(frozen=True)
+class FaultCounts:
+    """Numbers of faulty taxels in each sample.
+
+    Attributes
+    ----------
+    hot : int
+        Taxels that send a spike of each polarity every `CHECK_PERIOD_MS`, from the beginning of the
+        sample to its end.
+    dead : int
+        Taxels that send nothing.
+    """
+
+    hot: int = 0
+    dead: int = 0
+
+    def __str__(self):
+        return f"hot{self.hot}-dead{self.dead}"
+
+
 def place_faults(
-    hot: int, dead: int, rng, durations_ms, places, size: tuple, polarities: int = 2
+    counts: FaultCounts, rng, durations_ms, places, size: tuple, polarities: int = 2
 ) -> TaxelFaults:
     """Place a number of faulty taxels in each sample, as a check measures their effect.
 
     Parameters
     ----------
-    hot : int
-        Number of hot taxels.  Each sends a spike of each polarity every `CHECK_PERIOD_MS`, from the
-        beginning of the sample to its end.
-    dead : int
-        Number of taxels that send nothing.
+    counts : FaultCounts
     rng : numpy.random.Generator
     durations_ms : ndarray of float, shape (samples,)
         Time of each sample's last event.
@@ -197,12 +213,14 @@ def place_faults(
     ValueError
         The sensor has fewer taxels.
     """
-    if hot + dead > len(places):
-        raise ValueError(f"{hot + dead} faulty taxels, the sensor has {len(places)}")
+    hot = counts.hot
+    faulty = hot + counts.dead
+    if faulty > len(places):
+        raise ValueError(f"{faulty} faulty taxels, the sensor has {len(places)}")
     durations_ms = np.asarray(durations_ms, float)
     samples = len(durations_ms)
     order = rng.permuted(np.tile(np.arange(len(places)), (samples, 1)), axis=1)
-    row, column = np.asarray(places)[order[:, : hot + dead]].transpose(2, 0, 1)
+    row, column = np.asarray(places)[order[:, :faulty]].transpose(2, 0, 1)
     silent_from_ms = np.full((samples, *size), np.inf)
     silent_from_ms[np.arange(samples)[:, None], row[:, hot:], column[:, hot:]] = 0.0
     sample = np.repeat(np.arange(samples), hot * polarities)
@@ -219,14 +237,13 @@ def place_faults(
     return TaxelFaults(sources, silent_from_ms)
 
 
-def add_faults(recordings: Recordings, hot: int, dead: int, seed) -> Recordings:
+def add_faults(recordings: Recordings, faults: FaultCounts, seed) -> Recordings:
     """Recordings with faulty taxels, placed anew in each; see :func:`place_faults`.
 
     Parameters
     ----------
     recordings : Recordings
-    hot, dead : int
-        Numbers of hot and dead taxels.
+    faults : FaultCounts
     seed : int or sequence of int
 
     Returns
@@ -256,9 +273,9 @@ def add_faults(recordings: Recordings, hot: int, dead: int, seed) -> Recordings:
     places = np.stack([taxels.row, taxels.column], 1)
     durations_ms = events.durations_ms(len(recordings))
     rng = np.random.default_rng(seed)
-    faults = place_faults(hot, dead, rng, durations_ms, places, size, sensor.polarities)
-    kept = faults.is_sent(events)
-    faulty = faults.apply(events)
+    placed = place_faults(faults, rng, durations_ms, places, size, sensor.polarities)
+    kept = placed.is_sent(events)
+    faulty = placed.apply(events)
     columns = np.ones(len(faulty.sample), np.int64)
     columns[: kept.sum()] = old.columns[kept]
     taxel_at = np.zeros(size, np.int64)

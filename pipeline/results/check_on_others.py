@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deploy.check.bundle import Bundle
-    from pipeline.results.check_with_faults import FaultCounts
+    from pipeline.recordings.faults import FaultCounts
 
 
 @dataclass(frozen=True)

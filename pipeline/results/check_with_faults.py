@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from deploy.check.bundle import Bundle
@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.recordings.dataset import inputs_for
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.faults import CHECK_PERIOD_MS, add_faults
+from pipeline.recordings.faults import CHECK_PERIOD_MS, FaultCounts, add_faults
 from pipeline.run.folder import run_around
 from pipeline.run.settings import Image, read_settings
 from pipeline.sources import recordings_of
@@ -20,43 +20,24 @@ from pipeline.sources import recordings_of
 MAX_FAULTS = 1000
 
 
-@dataclass(frozen=True)
-class FaultCounts:
-    """Numbers of faulty taxels in each sample.
+def parse_faults(texts) -> FaultCounts:
+    """Numbers in texts such as ``"hot=1"`` and ``"hot=1,dead=5"``.
 
-    Attributes
-    ----------
-    hot : int
-        Taxels that send a spike of each polarity every `CHECK_PERIOD_MS`.
-    dead : int
-        Taxels that send nothing.
+    Raises
+    ------
+    UserError
+        A text is of another form, or a kind of fault is named twice.
     """
-
-    hot: int = 0
-    dead: int = 0
-
-    @classmethod
-    def parse(cls, texts) -> FaultCounts:
-        """Numbers in texts such as ``"hot=1"`` and ``"hot=1,dead=5"``.
-
-        Raises
-        ------
-        UserError
-            A text is of another form, or a kind of fault is named twice.
-        """
-        counts: dict = {}
-        for entry in ",".join(texts).split(","):
-            match = re.fullmatch(r"\s*(hot|dead)\s*=\s*(\d{1,4})\s*", entry)
-            if match is None or match[1] in counts or int(match[2]) > MAX_FAULTS:
-                raise UserError(
-                    f"--fault {entry!r}: give each of hot and dead once, with a number of taxels "
-                    f"of at most {MAX_FAULTS}, such as --fault hot=1,dead=5"
-                )
-            counts[match[1]] = int(match[2])
-        return cls(**counts)
-
-    def __str__(self):
-        return f"hot{self.hot}-dead{self.dead}"
+    counts: dict = {}
+    for entry in ",".join(texts).split(","):
+        match = re.fullmatch(r"\s*(hot|dead)\s*=\s*(\d{1,4})\s*", entry)
+        if match is None or match[1] in counts or int(match[2]) > MAX_FAULTS:
+            raise UserError(
+                f"--fault {entry!r}: give each of hot and dead once, with a number of taxels "
+                f"of at most {MAX_FAULTS}, such as --fault hot=1,dead=5"
+            )
+        counts[match[1]] = int(match[2])
+    return FaultCounts(**counts)
 
 
 def recordings_of_check(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
@@ -113,7 +94,7 @@ def with_faults(
         The sensor has fewer taxels, or the result cannot be presented to the network.
     """
     try:
-        faulty = add_faults(recordings, counts.hot, counts.dead, bundle.checks.seed)
+        faulty = add_faults(recordings, counts, bundle.checks.seed)
     except ValueError as error:
         raise UserError(f"--fault: {error}") from error
     spec = bundle.spec

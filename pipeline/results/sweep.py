@@ -197,12 +197,11 @@ def _join_notes(points):
         if len(changes) == len(points):
             yield note
             continue
-        shared = [
-            f"{name}={value}"
-            for name, value in changes[0].items()
-            if all(others[name] == value for others in changes)
-        ]
-        yield f"{note} ({', '.join(shared) or 'some points'})"
+        shared = dict(changes[0])
+        for others in changes[1:]:
+            shared = {name: value for name, value in shared.items() if others[name] == value}
+        text = ", ".join(f"{name}={value}" for name, value in shared.items())
+        yield f"{note} ({text or 'some points'})"
 
 
 def pareto_front(costs) -> np.ndarray:

@@ -518,8 +518,9 @@ def _compiled_batches(model, rule, batch_size):
         sums = tf.zeros(2)
         for start in tf.range(0, len(labels), batch_size):
             batch = slice(start, start + batch_size)
-            draws = ([layer[batch] for layer in layers] for layers in (noise, masks))
-            sums += step(images[batch], labels[batch], *draws)
+            noise_of_batch = [layer[batch] for layer in noise]
+            masks_of_batch = [layer[batch] for layer in masks]
+            sums += step(images[batch], labels[batch], noise_of_batch, masks_of_batch)
         return sums
 
     return train_on

@@ -397,16 +397,18 @@ def _groups(inputs):
             "picture": charts.thumbnail(images[index], sample, positions),
         }
 
-    return [
-        {
-            "key": f"{label}-{prediction}",
-            "right": label == prediction,
-            "shown": inputs.classes[label],
-            "answered": inputs.classes[prediction],
-            "samples": [describe(index) for index in groups[label, prediction]],
-        }
-        for label, prediction in sorted(groups, key=rank)
-    ]
+    described = []
+    for label, prediction in sorted(groups, key=rank):
+        described.append(
+            {
+                "key": f"{label}-{prediction}",
+                "right": label == prediction,
+                "shown": inputs.classes[label],
+                "answered": inputs.classes[prediction],
+                "samples": [describe(index) for index in groups[label, prediction]],
+            }
+        )
+    return described
 
 
 def _frequent_mistake(groups, inputs):

@@ -673,37 +673,54 @@ def entries_of(settings, prefix=""):
 def _check_relations(s: Settings):
     """Check the limits of a setting that depend on other settings, and the notations."""
 
-    def need(condition, name, expected):
+    def require(condition, name, expected):
         if not condition:
             raise WrongValue(name, f"must be {expected}")
 
     inside = 0 <= s.presentation.readout_start < s.steps
-    need(s.on_events or inside, "presentation.readout_start",
-         f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
-         "with so few steps give it too, such as "
-         f"--set presentation.readout_start={s.steps // 5}")  # fmt: skip
+    require(
+        s.on_events or inside,
+        "presentation.readout_start",
+        f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
+        "with so few steps give it too, such as "
+        f"--set presentation.readout_start={s.steps // 5}",
+    )
     layers = _parse_architecture(s.events.architecture, "events.architecture").layers
-    need(len(layers) > 1 and all(layer.has_neurons for layer in layers),
-         "events.architecture", "a network with a hidden layer and without pooling")  # fmt: skip
+    require(
+        len(layers) > 1 and all(layer.has_neurons for layer in layers),
+        "events.architecture",
+        "a network with a hidden layer and without pooling",
+    )
     n_spiking = len(_parse_architecture(s.cnn.architecture, "cnn.architecture").spiking)
-    need(n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output")
-    need(
+    require(
+        n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output"
+    )
+    require(
         s.input.kind != "slices" or not s.nir.file,
         "input.kind",
         "'image' for a NIR graph, with image.slices and image.aggregation as it was trained",
     )
     for file, content in IMPORTED.items():
         given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
-        need(s.value(content) or not s.value(file), file, given)
-    need(1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3, "snn.max_rates",
-         f"1 to {n_spiking} rates above 0, one per layer of neurons")  # fmt: skip
+        require(s.value(content) or not s.value(file), file, given)
+    require(
+        1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3,
+        "snn.max_rates",
+        f"1 to {n_spiking} rates above 0, one per layer of neurons",
+    )
     for name in ("events.tau_u_ms", "events.tau_v_ms"):
         taus = s.value(name)
-        need(1 <= len(taus) <= len(layers) - 1 and min(taus) > 0 and max(taus) <= MAX_TAU_MS, name,
-             f"1 to {len(layers) - 1} times above 0 and at most {MAX_TAU_MS:g}, one per layer of "
-             "neurons")  # fmt: skip
-    need(max(s.snn.max_rates) * s.snn.tau_ref < 1, "snn.max_rates",
-         f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second")  # fmt: skip
+        require(
+            1 <= len(taus) <= len(layers) - 1 and min(taus) > 0 and max(taus) <= MAX_TAU_MS,
+            name,
+            f"1 to {len(layers) - 1} times above 0 and at most {MAX_TAU_MS:g}, one per layer of "
+            "neurons",
+        )
+    require(
+        max(s.snn.max_rates) * s.snn.tau_ref < 1,
+        "snn.max_rates",
+        f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second",
+    )
 
 
 def _parse_architecture(architecture, name):

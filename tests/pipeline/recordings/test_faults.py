@@ -10,6 +10,7 @@ from pipeline.recordings.faults import (
     HOT_PERIOD_MS,
     MAX_DEAD_SHARE,
     MAX_HOT_TAXELS,
+    FaultCounts,
     add_faults,
     draw_faults,
     place_faults,
@@ -32,7 +33,7 @@ def taxels_of(events):
 
 def test_a_check_has_the_number_of_faults_that_was_asked_for():
     durations_ms = np.array([800.0, 1600.0, 0.0])
-    faults = place_faults(2, 3, np.random.default_rng(0), durations_ms, PLACES, SIZE)
+    faults = place_faults(FaultCounts(2, 3), np.random.default_rng(0), durations_ms, PLACES, SIZE)
     dead = ~faults.live
     assert dead.reshape(3, -1).sum(1).tolist() == [3, 3, 3]
     hot = faults.hot_events()
@@ -53,13 +54,15 @@ def test_a_check_has_the_number_of_faults_that_was_asked_for():
 
 
 def test_a_sensor_with_one_polarity_has_no_hot_off_events():
-    hot = place_faults(1, 0, np.random.default_rng(0), [800.0], PLACES, SIZE, polarities=1)
+    hot = place_faults(
+        FaultCounts(1, 0), np.random.default_rng(0), [800.0], PLACES, SIZE, polarities=1
+    )
     assert set(hot.hot_events().polarity) == {0}
 
 
 def test_more_faults_than_taxels_are_refused():
     with pytest.raises(ValueError, match="21 faulty taxels"):
-        place_faults(1, 20, np.random.default_rng(0), [800.0], PLACES, SIZE)
+        place_faults(FaultCounts(1, 20), np.random.default_rng(0), [800.0], PLACES, SIZE)
 
 
 def test_faults_of_training_samples():
@@ -99,13 +102,13 @@ def test_recordings_with_faults():
     recordings = collect(
         [one, Events([], [], [], [])], [3, 5], ["3/0", "5/0"], [4, 4], Source("made up", "", True)
     )
-    same = add_faults(recordings, 0, 0, 0)
+    same = add_faults(recordings, FaultCounts(0, 0), 0)
     assert same[0].time_ns.tolist() == one.time_ns.tolist()
     assert same[0].columns.tolist() == [4, 2]
-    hot = add_faults(recordings, 1, 0, 0)
+    hot = add_faults(recordings, FaultCounts(1, 0), 0)
     assert hot.offsets[1] > 10
     assert (np.diff(hot[0].time_ns) >= 0).all()
     assert hot[0].time_ns[0] == one.time_ns[0]
     assert set(hot[0].polarity.tolist()) == {-1, 1}
     assert len(set(hot[0].taxel.tolist())) == 3
-    assert len(add_faults(recordings, 0, 100, 0).events.time_ns) == 0
+    assert len(add_faults(recordings, FaultCounts(0, 100), 0).events.time_ns) == 0
