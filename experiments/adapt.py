@@ -25,13 +25,13 @@ from experiments.tables import interval_text
 from pipeline.commands import options
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hide_progress
-from pipeline.recordings.dataset import Dataset, dataset_origin, split_of
+from pipeline.recordings.dataset import Dataset, make_dataset_origin, split_of
 from pipeline.results.study import Case, study
 from pipeline.run.settings import SIMULATED
 from pipeline.simulation import parameters
 from pipeline.sources import load_simulated
 from pipeline.stages import open_experiment
-from pipeline.training.adaptation import Person, Responder, refit, require_fit, with_rehearsal
+from pipeline.training.adaptation import Person, Responder, add_rehearsal, refit, require_fit
 
 FOLDS = 3
 # Numbers of recordings of each class to which a network is fitted.
@@ -85,12 +85,14 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     training = load_simulated(seed, counts, 1, parameters=people.parameters)
     shares = settings.split.test_fraction, settings.split.validation_fraction
     split = split_of(training, case.seed, *shares)
-    dataset = Dataset(training, split, dataset_origin(settings, training.source.sha256), settings)
+    dataset = Dataset(
+        training, split, make_dataset_origin(settings, training.source.sha256), settings
+    )
     with hide_progress():
         opened = open_experiment(networks, settings, dataset, lambda line: None)
         opened.make_all()
     spec = opened.spec()
-    spec = with_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
+    spec = add_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
     counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
     own = load_simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
     cases = list(fitted_to_people(spec, dataset.subset("test"), own, draws, case.seed))

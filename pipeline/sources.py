@@ -103,7 +103,7 @@ def load_recordings(
 def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     """Recordings named in the settings; see :func:`load_recordings`."""
     data = settings.data
-    # An artifact may read only the settings that apply to its recordings (dataset_origin).
+    # An artifact may read only the settings that apply to its recordings (make_dataset_origin).
     if data.source == SIMULATED:
         size = ReadingOptions(settings.skin.rows, settings.skin.columns)
         simulated = SimulatedSource.of(settings)

@@ -13,7 +13,7 @@ from deploy.files import read_json
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.writing import write_zip
-from pipeline.results.other_recordings import recordings_for
+from pipeline.results.other_recordings import read_recordings_for
 from pipeline.run.settings import Settings, write_settings
 from pipeline.simulation import handwriting, parameters
 from pipeline.simulation.handwriting import Trace
@@ -223,7 +223,7 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     provenance = {**bundle.spec.provenance, "training_recordings": hashes}
     bundle = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
     for writer, number in ((3, 10), (4, 0)):
-        said = " ".join(other_recordings.warnings_on(bundle, adapt._of_one(several, writer)[0]))
+        said = " ".join(other_recordings.list_warnings(bundle, adapt._of_one(several, writer)[0]))
         assert (f"{number} of 10 recordings were used" in said) == (number > 0)
 
 
@@ -249,6 +249,6 @@ def test_recordings_are_read_with_the_settings_of_the_run(tmp_path, capsys):
     copied = read_bundle(tmp_path / "run" / "bundle")
     spec = replace(copied.spec, provenance={**copied.spec.provenance, "downsample": 2})
     arguments = str(tmp_path / "data"), Settings()
-    assert len(recordings_for(replace(copied, spec=spec), *arguments)) == 40
+    assert len(read_recordings_for(replace(copied, spec=spec), *arguments)) == 40
     with pytest.raises(UserError):
-        recordings_for(copied, *arguments)
+        read_recordings_for(copied, *arguments)

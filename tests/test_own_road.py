@@ -140,16 +140,16 @@ def test_cut_ends_new_polarities_and_a_smaller_sensor_are_said(folder, tmp_path)
     source = write_recordings(tmp_path / "slow.zip", slow, CLASSES, "s")
     bundle = read_bundle(folder / "events" / "bundle")
     of_one = replace(bundle.spec, provenance={**bundle.spec.provenance, "polarities": 1})
-    settings, changed = other_recordings.settings_around(bundle), replace(bundle, spec=of_one)
-    read = other_recordings.recordings_for(changed, str(source), settings)
-    said = other_recordings.warnings_on(changed, read)
+    settings, changed = other_recordings.find_settings_around(bundle), replace(bundle, spec=of_one)
+    read = other_recordings.read_recordings_for(changed, str(source), settings)
+    said = other_recordings.list_warnings(changed, read)
     cut = sum(end >= bundle.spec.presentation.steps * 0.01 for end in ends)
     assert 0 < cut < len(ends)
     assert missing(" ".join(said), f"{cut} of {len(ends)} recordings are longer", "OFF") == []
     small = [((x // 3, y // 3, t, p), label) for (x, y, t, p), label in gestures(3)]
     source = write_recordings(tmp_path / "small.zip", small, CLASSES, "s")
-    read = other_recordings.recordings_for(bundle, str(source), settings)
-    said = " ".join(other_recordings.warnings_on(bundle, read))
+    read = other_recordings.read_recordings_for(bundle, str(source), settings)
+    said = " ".join(other_recordings.list_warnings(bundle, read))
     assert missing(said, "3 of 9 rows and 4 of 12 columns") == []
 
 

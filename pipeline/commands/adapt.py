@@ -42,10 +42,10 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
 
     bundle = read_bundle(options.bundle_in(run))
     options.warn_if_outdated(bundle.path)
-    settings = other_recordings.settings_around(bundle, skip_bad, time_unit)
-    everyone = other_recordings.recordings_for(bundle, data, settings, jobs, options.say)
+    settings = other_recordings.find_settings_around(bundle, skip_bad, time_unit)
+    everyone = other_recordings.read_recordings_for(bundle, data, settings, jobs, options.say)
     recordings, who = _of_one(everyone, writer)
-    for line in other_recordings.warnings_on(bundle, recordings):
+    for line in other_recordings.list_warnings(bundle, recordings):
         options.say(line)
     adaptation.require_fit(bundle.spec, recordings)
     place = out or _default_place(run, bundle, who)

@@ -178,8 +178,8 @@ def _check_with_faults(bundle, counts, jobs, path, check):
     """Run the check with faulty taxels in its samples; return the result."""
     from pipeline.results import check_with_faults
 
-    recordings, image = check_with_faults.recordings_of_check(bundle, jobs, options.say)
-    presented = check_with_faults.with_faults(bundle, recordings, counts, image)
+    recordings, image = check_with_faults.read_check_recordings(bundle, jobs, options.say)
+    presented = check_with_faults.add_faults_to_check(bundle, recordings, counts, image)
     return check_with_faults.add_note(check.run(presented, path), path, counts)
 
 

@@ -16,7 +16,7 @@ from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.kind import NirKind
 from pipeline.recordings.dataset import TOO_SMALL, Dataset, split_recordings
 from pipeline.recordings.events import Recordings, reading_text
-from pipeline.recordings.splits import PUBLISHED, WRITERS, split_problem
+from pipeline.recordings.splits import PUBLISHED, WRITERS, find_split_problem
 from pipeline.run.settings import Choice, Settings, apply_choices, list_reasons
 from pipeline.sources import recordings_of
 
@@ -85,7 +85,7 @@ def prepare_dataset(
     if recordings is None:
         recordings = recordings_of(settings)
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
-        raise SeveralErrors([f"{settings.data.source}: {split_problem(recordings)}"])
+        raise SeveralErrors([f"{settings.data.source}: {find_split_problem(recordings)}"])
     split, problems_of_split = _try_to_split(recordings, settings)
     train = np.empty(0, int) if split is None else split.train
     problems: list[str] = []
@@ -102,7 +102,7 @@ def prepare_dataset(
     problems += problems_of_split
     if check and split is not None:
         problems += _find_too_small_test_set(settings, len(split.test))
-    if problem := split_problem(recordings, settings.split.kind):
+    if problem := find_split_problem(recordings, settings.split.kind):
         problems.append(problem)
     if problems or split is None:
         raise SeveralErrors(_name_the_file(line, settings) for line in problems)

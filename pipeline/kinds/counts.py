@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deploy.files import read_arrays, write_arrays
-from pipeline.kinds.records import accuracies, accuracy_text
+from pipeline.kinds.records import describe_accuracy, measure_accuracies
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.run.folder import DELETE_ITS_FOLDER
@@ -207,14 +207,14 @@ def _fit(inputs, artifact):
     ids = np.array([recordings.ids[index] for index in split.test], dtype=str)
     write_arrays(artifact.folder / SCORES, ids=ids, scores=baseline.scores[split.test])
     metrics = {
-        **accuracies(baseline.scores.argmax(1) == dataset.labels, dataset),
+        **measure_accuracies(baseline.scores.argmax(1) == dataset.labels, dataset),
         "slices": baseline.slices,
         "strength": baseline.strength,
         "cross_validated_accuracy": baseline.cross_validated,
         "seconds": seconds,
         "versions": _versions(),
     }
-    inputs.say(f"{accuracy_text('counts', metrics)}, slices of time: {baseline.slices}")
+    inputs.say(f"{describe_accuracy('counts', metrics)}, slices of time: {baseline.slices}")
     return metrics
 
 

@@ -135,13 +135,13 @@ def read_weights(folder: Path, shapes: dict) -> dict:
     return weights
 
 
-def training_versions() -> dict:
+def list_training_versions() -> dict:
     """Versions of the packages that trained networks need."""
     names = ("tensorflow", "nengo-dl")
     return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
 
 
-def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
+def measure_trained(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
     """The record of a network: its accuracy on each set of the split.
 
     Parameters
@@ -160,14 +160,14 @@ def metrics_of(trained, dataset: Dataset, seconds: float, versions: dict) -> dic
         predicted.append(np.argmax(logits, axis=1))
     right = np.concatenate(predicted) == dataset.labels
     return {
-        **accuracies(right, dataset),
+        **measure_accuracies(right, dataset),
         "epochs": len(trained.history),
         "seconds": seconds,
         "versions": versions,
     }
 
 
-def accuracies(right, dataset: Dataset) -> dict:
+def measure_accuracies(right, dataset: Dataset) -> dict:
     """Accuracy on each set of the split, and the interval of the last one.
 
     Parameters
@@ -192,7 +192,7 @@ def accuracies(right, dataset: Dataset) -> dict:
     }
 
 
-def accuracy_text(name: str, metrics: dict) -> str:
+def describe_accuracy(name: str, metrics: dict) -> str:
     """A line about the accuracy of a network."""
     part = list(metrics["accuracy"])[-1]
     return (

@@ -45,10 +45,10 @@ class Reference(NamedTuple):
         if self.respond is not None:
             return self.respond(inputs, bundle, advance)
         logits = self.logits(stage, inputs, bundle.checks, advance)
-        return responses_of(logits, bundle.spec.presentation)
+        return compute_responses(logits, bundle.spec.presentation)
 
 
-def responses_of(logits: np.ndarray, presentation) -> Responses:
+def compute_responses(logits: np.ndarray, presentation) -> Responses:
     """Compute scores and decisions from logits.
 
     Parameters

@@ -28,7 +28,7 @@ from deploy.network.stimulus import EventFrames
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.targets.fast import Emulation
-from pipeline.recordings.dataset import inputs_for
+from pipeline.recordings.dataset import make_inputs_for
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 
 # Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
@@ -187,7 +187,7 @@ class ImageDecider(Decider):
             return None
         source = Source("live", "", True)
         recording = collect([events], [0], [""], [-1], source, self._taxels, self._sensor)
-        presented = self._present(inputs_for(self._spec, recording))
+        presented = self._present(make_inputs_for(self._spec, recording))
         if presented is None:
             return None
         scores, spikes, sums = presented

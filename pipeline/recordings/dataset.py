@@ -15,7 +15,7 @@ from deploy.terminal import WARNING
 from pipeline.recordings.cache import empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.images import AlteredImages, tactile_images
-from pipeline.recordings.splits import PUBLISHED, Split, split_of, split_problem
+from pipeline.recordings.splits import PUBLISHED, Split, find_split_problem, split_of
 from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
 from pipeline.run.artifacts import Origin
 from pipeline.run.settings import SIMULATED, Image, Settings
@@ -84,9 +84,9 @@ class Dataset:
         """
         if split is None:
             split = split_recordings(recordings, settings)
-            if problem := split_problem(recordings, split.kind):
+            if problem := find_split_problem(recordings, split.kind):
                 raise UserError(f"{settings.data.source}: {problem}")
-        origin = dataset_origin(settings, recordings.source.sha256, split.kind)
+        origin = make_dataset_origin(settings, recordings.source.sha256, split.kind)
         return cls(recordings, split, origin, settings)
 
     def __len__(self):
@@ -94,11 +94,11 @@ class Dataset:
 
     @property
     def inputs(self) -> np.ndarray:
-        """The inputs made from each recording; see :func:`inputs_of`."""
+        """The inputs made from each recording; see :func:`make_inputs`."""
         key = _read_presentation_settings(self.settings)
         if key not in self._made:
             self._made.clear()  # frames of events take a quarter of a gigabyte
-            self._made[key] = inputs_of(self.recordings, self.settings)
+            self._made[key] = make_inputs(self.recordings, self.settings)
         return self._made[key]
 
     @property
@@ -167,7 +167,7 @@ class Dataset:
         return AlteredImages(self.recordings, self.settings.image, how, self.split.train)
 
 
-def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
+def make_dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
     """The origin of recordings and their split.
 
     Parameters
@@ -193,7 +193,7 @@ def dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "rand
 
 
 def _read_presentation_settings(settings):
-    """The settings on which :func:`inputs_of` depends."""
+    """The settings on which :func:`make_inputs` depends."""
     if settings.on_events:
         return settings.input, settings.steps
     return settings.image
@@ -278,7 +278,7 @@ class FramesOnDemand:
         return frames if np.ndim(samples) else frames[0]
 
 
-def inputs_of(recordings: Recordings, settings: Settings):
+def make_inputs(recordings: Recordings, settings: Settings):
     """The inputs of networks, made from each recording.
 
     Returns
@@ -312,7 +312,7 @@ def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):
         )
 
 
-def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = None):
+def make_inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = None):
     """The inputs of a deployed network for other recordings than its own.
 
     Parameters
@@ -325,7 +325,7 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
     Returns
     -------
     ndarray
-        As from :func:`inputs_of`.
+        As from :func:`make_inputs`.
     """
     stimulus = spec.stimulus
     if isinstance(stimulus, EventFrames):
@@ -339,7 +339,7 @@ def inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | None = 
     return tactile_images(recordings, image)
 
 
-def event_warnings(settings: Settings, recordings: Recordings) -> list:
+def list_event_warnings(settings: Settings, recordings: Recordings) -> list:
     """Warnings about events that are not presented, a line each; see setting ``input.step``.
 
     Raises
@@ -369,12 +369,12 @@ def event_warnings(settings: Settings, recordings: Recordings) -> list:
         )
     if empty:
         lines.append(f"{WARNING}{empty} of {len(recordings)} recordings have no events")
-    if line := cut_text(table, step, steps):
+    if line := describe_cut_recordings(table, step, steps):
         lines.append(f"{WARNING}{line}; choose more presentation.steps")
     return lines
 
 
-def cut_text(table: EventTable, step_ms: float, steps: int) -> str:
+def describe_cut_recordings(table: EventTable, step_ms: float, steps: int) -> str:
     """A note on recordings that are longer than their presentation; empty if there are none."""
     number = int(np.sum(table.duration_ms >= step_ms * steps))
     if not number:

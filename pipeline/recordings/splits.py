@@ -67,7 +67,7 @@ class Split:
         return draw_check_samples(self.test, n_samples, 0 if self.kind == PUBLISHED else seed)
 
 
-def kind_of(kind: str, recordings: Recordings) -> str:
+def resolve_kind(kind: str, recordings: Recordings) -> str:
     """The kind of the split: that of the settings, or for ``"auto"`` the published one if any."""
     if kind != "auto":
         return kind
@@ -88,7 +88,7 @@ def split_of(
     recordings : Recordings
     seed : int
     test_fraction, validation_fraction : float
-        See :func:`random_split`; in splits by writers also validation samples are of own writers.
+        See :func:`split_at_random`; in splits by writers, validation samples have own writers too.
     kind : str
         ``"auto"`` or a kind of split, see :class:`Split`.
 
@@ -97,16 +97,16 @@ def split_of(
     ValueError
         There are too few samples, the writers are not known, or the source has no published split.
     """
-    kind = kind_of(kind, recordings)
+    kind = resolve_kind(kind, recordings)
     if kind == WRITERS:
-        split = writer_split(recordings.writers, seed, test_fraction)
+        split = split_by_writers(recordings.writers, seed, test_fraction)
         if not validation_fraction:
             return split
-        inner = writer_split(recordings.writers[split.train], seed, validation_fraction)
+        inner = split_by_writers(recordings.writers[split.train], seed, validation_fraction)
         return replace(split, train=split.train[inner.train], validation=split.train[inner.test])
     if kind == PUBLISHED:
-        return published_split(recordings.parts, seed, validation_fraction)
-    split = random_split(len(recordings), seed, test_fraction, validation_fraction)
+        return split_as_published(recordings.parts, seed, validation_fraction)
+    split = split_at_random(len(recordings), seed, test_fraction, validation_fraction)
     return _add_missing_classes(split, recordings.labels)
 
 
@@ -153,7 +153,7 @@ def find_classes_without_test(recordings: Recordings, split: Split) -> list:
     return [recordings.sensor.classes[label] for label in missing]
 
 
-def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
+def find_split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     """Find a class with too few recordings for a training.
 
     A class with one recording can be used for training or for testing, but not for both.  A
@@ -170,7 +170,7 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     counts = np.bincount(labels, minlength=len(classes))
     if np.count_nonzero(counts) < 2:
         return "recordings of one class only; at least two are needed"
-    if kind_of(kind, recordings) != PUBLISHED or not recordings.is_split:
+    if resolve_kind(kind, recordings) != PUBLISHED or not recordings.is_split:
         if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
             return f"only one recording of {list_names(single)}; record more, or remove the folder"
         return None
@@ -185,7 +185,7 @@ def split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
     return None
 
 
-def copies(recordings: Recordings, split: Split) -> tuple:
+def find_copies(recordings: Recordings, split: Split) -> tuple:
     """Recordings with the same events, where that says that an accuracy is not what it seems.
 
     Returns
@@ -217,7 +217,7 @@ def copies(recordings: Recordings, split: Split) -> tuple:
     return in_training, in_classes
 
 
-def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split:
+def split_as_published(parts, seed: int, validation_fraction: float = 0.0) -> Split:
     """The split of the source; validation samples are drawn from its training set.
 
     Parameters
@@ -244,7 +244,7 @@ def published_split(parts, seed: int, validation_fraction: float = 0.0) -> Split
     return Split(np.sort(order[n_validation:]), order[:n_validation], test, PUBLISHED)
 
 
-def random_split(
+def split_at_random(
     n_samples: int, seed: int, test_fraction: float = 0.2, validation_fraction: float = 0.0
 ) -> Split:
     """Split samples at random, as the paper does: 80-20, over samples and not over writers.
@@ -277,7 +277,7 @@ def random_split(
     return Split(np.sort(train), validation, test)
 
 
-def writer_split(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> Split:
+def split_by_writers(writers: np.ndarray, seed: int, test_fraction: float = 0.2) -> Split:
     """Split samples so that no writer has both training and test samples.
 
     In random splits the training samples include each test writer's handwriting; in an application

@@ -100,21 +100,23 @@ def check_on_others(
     from pipeline.results import check_with_faults, other_recordings
 
     assert others.data is not None, "the bundle's own samples are no other recordings"
-    settings = other_recordings.settings_around(bundle, others.skip_bad, others.time_unit)
-    recordings = other_recordings.recordings_for(bundle, others.data, settings, others.jobs, say)
-    for line in other_recordings.warnings_on(bundle, recordings):
+    settings = other_recordings.find_settings_around(bundle, others.skip_bad, others.time_unit)
+    recordings = other_recordings.read_recordings_for(
+        bundle, others.data, settings, others.jobs, say
+    )
+    for line in other_recordings.list_warnings(bundle, recordings):
         say(line)
-    presented, indices = other_recordings.with_recordings(
+    presented, indices = other_recordings.replace_check_samples(
         bundle, recordings, others.samples, check.seed, settings.image
     )
     path = other_recordings.result_path(bundle, recordings, len(indices), check.target)
     if faults is not None:
         path = check_with_faults.fault_path(path, faults)
         drawn = recordings.subset(indices)
-        presented = check_with_faults.with_faults(presented, drawn, faults, settings.image)
+        presented = check_with_faults.add_faults_to_check(presented, drawn, faults, settings.image)
     path = out or path
     result = check.run(presented, path)
-    result = other_recordings.with_accuracies(result, bundle, recordings, indices)
+    result = other_recordings.add_accuracies(result, bundle, recordings, indices)
     if faults is not None:
         return check_with_faults.add_note(result, path, faults), path
     write_json(path, result)

@@ -9,7 +9,7 @@ from pathlib import Path
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import write_json
-from pipeline.recordings.dataset import inputs_for
+from pipeline.recordings.dataset import make_inputs_for
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import CHECK_PERIOD_MS, FaultCounts, add_faults
 from pipeline.run.folder import run_around
@@ -40,7 +40,7 @@ def parse_faults(texts) -> FaultCounts:
     return FaultCounts(**counts)
 
 
-def recordings_of_check(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
+def read_check_recordings(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
     """The recordings of a bundle's check samples, from the source of its run.
 
     Returns
@@ -73,7 +73,7 @@ def recordings_of_check(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
     return recordings.subset([number[name] for name in bundle.checks.ids]), settings.image
 
 
-def with_faults(
+def add_faults_to_check(
     bundle: Bundle, recordings: Recordings, counts: FaultCounts, image: Image | None = None
 ) -> Bundle:
     """The bundle with faulty taxels in the samples of its check.
@@ -98,7 +98,7 @@ def with_faults(
     except ValueError as error:
         raise UserError(f"--fault: {error}") from error
     spec = bundle.spec
-    inputs = inputs_for(spec, faulty, image)
+    inputs = make_inputs_for(spec, faulty, image)
     if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
         raise UserError(f"--fault: {problem}")
     return replace(bundle, checks=replace(bundle.checks, inputs=inputs))

@@ -15,7 +15,11 @@ from deploy.tables import list_names
 from deploy.targets.registry import run_target
 from deploy.terminal import WARNING, remark
 from pipeline.paper import CHECK_SAMPLES
-from pipeline.recordings.dataset import cut_text, inputs_for, require_sensor_fits
+from pipeline.recordings.dataset import (
+    describe_cut_recordings,
+    make_inputs_for,
+    require_sensor_fits,
+)
 from pipeline.recordings.events import UNIT_NAMES, Recordings
 from pipeline.recordings.formats.recording import UNITS
 from pipeline.recordings.sensor import ReadingOptions
@@ -33,7 +37,7 @@ FOLDER = "other"
 MIN_REACHED_SHARE = 0.8
 
 
-def settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str = "") -> Settings:
+def find_settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str = "") -> Settings:
     """The settings of the run that a bundle is in, or the defaults if it is in none.
 
     Parameters
@@ -62,7 +66,7 @@ def settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str = "")
     return replace(settings, data=data)
 
 
-def recordings_for(
+def read_recordings_for(
     bundle: Bundle, source: str, settings: Settings, jobs: int = 1, warn=None, labelled: bool = True
 ) -> Recordings:
     """Recordings for a bundle's network, with labels in the order of its outputs.
@@ -73,7 +77,7 @@ def recordings_for(
     source : str
         Path of a zip or folder.
     settings : Settings
-        From :func:`settings_around`, for reading files.
+        From :func:`find_settings_around`, for reading files.
     jobs : int
         Processes.
     warn : callable, optional
@@ -156,13 +160,15 @@ def predict(
     UserError
         The recordings cannot be read, or are from another sensor.
     """
-    settings = settings_around(bundle, skip_bad, time_unit)
-    recordings = recordings_for(bundle, str(source), settings, warn=warn, labelled=False)
-    for line in warnings_on(bundle, recordings):
+    settings = find_settings_around(bundle, skip_bad, time_unit)
+    recordings = read_recordings_for(bundle, str(source), settings, warn=warn, labelled=False)
+    for line in list_warnings(bundle, recordings):
         warn(line)
     spec = bundle.spec.with_presentation(stream_length=1)
     names = recordings.sensor.classes
-    responses = run_target(spec, inputs_for(spec, recordings, settings.image), target, bundle.seed)
+    responses = run_target(
+        spec, make_inputs_for(spec, recordings, settings.image), target, bundle.seed
+    )
     pairs = zip(recordings.ids, responses.predictions, strict=True)
     return {name: names[prediction] for name, prediction in pairs}
 
@@ -179,7 +185,7 @@ def find_trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:
     return np.isin(recordings.hashes, list(read_training_hashes(bundle.spec)))
 
 
-def warnings_on(bundle: Bundle, recordings: Recordings):
+def list_warnings(bundle: Bundle, recordings: Recordings):
     """Yield lines on recordings that the network was made with, or that it does not see whole."""
     start = f"{WARNING}{recordings.source.name}: "
     if number := int(find_trained_on(bundle, recordings).sum()):
@@ -219,7 +225,7 @@ def _limits(spec, recordings):
     if isinstance(spec.stimulus, EventFrames):
         step_ms = 1000 * spec.stimulus.step_seconds
         steps = spec.presentation.steps
-        if line := cut_text(recordings.table, step_ms, steps):
+        if line := describe_cut_recordings(recordings.table, step_ms, steps):
             yield line
 
 
@@ -236,7 +242,7 @@ def _typical_duration_s(recordings):
     )
 
 
-def with_recordings(
+def replace_check_samples(
     bundle: Bundle, recordings: Recordings, samples: int | None, seed: int, image: Image
 ) -> tuple:
     """A bundle with other recordings as the samples of its check, and the indices of these.
@@ -245,7 +251,7 @@ def with_recordings(
     ----------
     bundle : Bundle
     recordings : Recordings
-        From :func:`recordings_for`.
+        From :func:`read_recordings_for`.
     samples : int or None
         Number of samples drawn at random; 0 for all, None for 200 at most.
     seed : int
@@ -269,13 +275,13 @@ def with_recordings(
         ) from error
     spec = bundle.spec
     drawn = recordings.subset(chosen)
-    inputs = inputs_for(spec, drawn, image)
+    inputs = make_inputs_for(spec, drawn, image)
     if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
         raise UserError(f"{recordings.source.name}: {problem}")
     return replace(bundle, checks=CheckSet(inputs, drawn.labels, drawn.ids, seed)), chosen
 
 
-def with_accuracies(
+def add_accuracies(
     result: dict, bundle: Bundle, recordings: Recordings, chosen: np.ndarray
 ) -> dict:
     """A check result with further entries for other recordings than the bundle's.

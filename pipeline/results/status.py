@@ -12,7 +12,7 @@ from deploy.tables import align_rows
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING, command_text
 from pipeline.kinds import kind_of_network
-from pipeline.recordings.dataset import dataset_origin
+from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.recordings.splits import RANDOM
 from pipeline.results.ladder import BOARDS, ladder_artifact, ladder_stages
 from pipeline.run.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
@@ -188,7 +188,7 @@ def _dataset_origin(run, settings):
             raise
         content = contents["recordings"]
         kind = contents.get("split", RANDOM)
-    return dataset_origin(settings, content, kind)
+    return make_dataset_origin(settings, content, kind)
 
 
 def unread_note(settings: Settings) -> str | None:

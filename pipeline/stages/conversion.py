@@ -13,7 +13,7 @@ from pipeline.run.artifacts import Artifact, Origin
 from pipeline.run.folder import RunFolder
 from pipeline.stages.notes import list_notes_on_recordings
 from pipeline.stages.opening import OpenedRun
-from pipeline.training.adaptation import with_rehearsal
+from pipeline.training.adaptation import add_rehearsal
 
 
 def convert(opened: OpenedRun) -> Bundle:
@@ -32,7 +32,7 @@ def convert(opened: OpenedRun) -> Bundle:
     seed = inputs.settings.seed
     dataset = inputs.dataset
     spec = opened.spec(_describe_source(opened, inputs, origin))
-    spec = with_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, seed)
+    spec = add_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, seed)
     bundle = write_bundle(run.bundle, spec, _choose_check_samples(inputs))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
     for name in find_rescaled_layers(spec.layers) if opened.kind.is_trained_in_integers else ():

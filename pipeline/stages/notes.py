@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from deploy.tables import list_names, plural
 from deploy.terminal import WARNING
 from pipeline.kinds import kind_of_network, new_run_text, split_text
-from pipeline.recordings.splits import PUBLISHED, copies, find_classes_without_test
+from pipeline.recordings.splits import PUBLISHED, find_classes_without_test, find_copies
 from pipeline.run.settings import SIMULATED, read_settings
 
 # Test recordings below which a user is warned.
 MIN_TEST_RECORDINGS = 10
 
-# What is wrong with recordings that are in the source twice; see :func:`copies`.
+# What is wrong with recordings that are in the source twice; see :func:`find_copies`.
 COPY_TEXTS = (
     "test recordings that are also in training (their accuracy says little about others)",
     "recordings that are also in another class",
@@ -56,7 +56,7 @@ def list_notes_on_recordings(opened) -> Iterator[str]:
     split = opened.dataset.split
     yield from opened.kind.notes(recordings)
     if split.kind == PUBLISHED or not recordings.source.simulated:
-        for pairs, what in zip(copies(recordings, split), COPY_TEXTS, strict=True):
+        for pairs, what in zip(find_copies(recordings, split), COPY_TEXTS, strict=True):
             if pairs:
                 what = f"{what}: {len(pairs)}, such as {pairs[0][1]} ({pairs[0][0]})"
                 yield f"{WARNING}{recordings.source.name}: {what}"

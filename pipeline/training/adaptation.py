@@ -34,7 +34,7 @@ from deploy.network.stimulus import EventFrames, last_steps
 from deploy.tables import list_names
 from deploy.targets.fast import Emulation
 from pipeline.recordings.augmentation import AUGMENTATIONS, alter_recordings, choose_augmentation
-from pipeline.recordings.dataset import inputs_for, require_sensor_fits
+from pipeline.recordings.dataset import make_inputs_for, require_sensor_fits
 from pipeline.recordings.events import Recordings
 from pipeline.run.settings import Image
 
@@ -159,7 +159,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     samples, labels = person.select_with_copies(np.arange(len(person)))
     refitted = problem.solve(samples, labels, everything, best.pull, best.rehearsal)
     return Refit(
-        weights=in_8_bits(refitted),
+        weights=round_to_8_bits(refitted),
         pull=best.pull,
         rehearsal=best.rehearsal,
         before=_right(before, person.labels),
@@ -205,7 +205,7 @@ def _cross_validate(problem, person, kept, folds, pull, rehearsal) -> _Trial:
         is_kept_out = folds.kept == fold
         samples, labels = person.select_with_copies(~is_out)
         solution = problem.solve(samples, labels, ~is_kept_out, pull, rehearsal)
-        refitted = in_8_bits(solution)
+        refitted = round_to_8_bits(solution)
         log_p[is_out] = problem.log_odds(refitted, person.responses[is_out])
         log_kept = problem.log_odds(refitted, kept.responses[is_kept_out])
         kept_after[is_kept_out] = _right(log_kept, kept.labels[is_kept_out])
@@ -213,7 +213,7 @@ def _cross_validate(problem, person, kept, folds, pull, rehearsal) -> _Trial:
     return _Trial(pull, rehearsal, _right(log_p, person.labels), kept_after, likelihood)
 
 
-def in_8_bits(weights) -> np.ndarray:
+def round_to_8_bits(weights) -> np.ndarray:
     """Weights rounded to 255 levels; the largest magnitude has the last level."""
     unit = np.abs(weights).max() / MAX_WEIGHT_LEVEL
     return np.rint(weights / unit) * unit if unit > 0 else np.array(weights)
@@ -335,7 +335,7 @@ class Responder:
 
     def inputs(self, recordings: Recordings) -> np.ndarray:
         """The inputs of the network for recordings."""
-        return inputs_for(self.spec, recordings, self._image)
+        return make_inputs_for(self.spec, recordings, self._image)
 
     def outputs(self, samples):
         """The input of the readout at each step.
@@ -401,7 +401,7 @@ class Responder:
         return Person(responses, recordings.labels, self.copies(recordings, seed))
 
 
-def with_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> NetworkSpec:
+def add_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> NetworkSpec:
     """A network with responses to some of its training samples, as :func:`adapt` needs them.
 
     Parameters

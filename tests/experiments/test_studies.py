@@ -14,7 +14,7 @@ from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Settings
 from pipeline.sources import recordings_of
-from pipeline.training.adaptation import with_rehearsal
+from pipeline.training.adaptation import add_rehearsal
 from tests.command import call, missing
 from tests.experiments.test_tables import row
 
@@ -168,7 +168,7 @@ def test_people_are_fitted_one_by_one(tiny_run, monkeypatch):
     inputs = bundle.checks.inputs, bundle.checks.labels
     spec = bundle.spec
     if spec.rehearsal is None:
-        spec = with_rehearsal(spec, *inputs, np.arange(len(inputs[1])), 0)
+        spec = add_rehearsal(spec, *inputs, np.arange(len(inputs[1])), 0)
     found = list(adapt.fitted_to_people(spec, inputs, some, draws=1, seed=0))
     assert {(row["who"], row["each"]) for row in found} == {(w, n) for w in (0, 1) for n in (1, 2)}
     for person in found:

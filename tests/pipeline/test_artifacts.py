@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from deploy.files import read_json, write_json
 from pipeline.kinds import kind_of_network
-from pipeline.recordings.dataset import dataset_origin
+from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.run.artifacts import Artifact, Library, Origin
 from pipeline.run.settings import PATHS, Settings, UndeclaredSetting
 
@@ -109,14 +109,18 @@ def test_no_path_is_part_of_an_origin():
     there = changed("data.source", "/there/x.zip").with_values(
         {"cnn": {"model": "/there/m.keras", "model_sha256": "a"}}
     )
-    one, two = (kind_of_network(s).bundle_origin(dataset_origin(s, "ab")) for s in (here, there))
+    one, two = (
+        kind_of_network(s).bundle_origin(make_dataset_origin(s, "ab")) for s in (here, there)
+    )
     assert one == two
 
 
 def test_a_published_split_does_not_depend_on_a_share():
     one, two = SETTINGS, changed("split.test_fraction", 0.4)
-    assert dataset_origin(one, "ab", "published") == dataset_origin(two, "ab", "published")
-    assert dataset_origin(one, "ab") != dataset_origin(two, "ab")
+    assert make_dataset_origin(one, "ab", "published") == make_dataset_origin(
+        two, "ab", "published"
+    )
+    assert make_dataset_origin(one, "ab") != make_dataset_origin(two, "ab")
 
 
 def test_variants_lie_side_by_side(tmp_path):
@@ -170,7 +174,7 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
         found = []
         for settings in (SETTINGS, changed(name, value)):
             settings = replace(settings, input=replace(settings.input, kind=kind))
-            dataset = dataset_origin(settings, "ab")
+            dataset = make_dataset_origin(settings, "ab")
             network = kind_of_network(settings)
             made = {"dataset": dataset, "bundle": network.bundle_origin(dataset)}
             made |= {step.name: network.origin(step.name, dataset) for step in network.steps}

@@ -18,15 +18,15 @@ from pipeline.kinds.events.choices import EventChoices
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.presentation import fit_gap
 from pipeline.kinds.records import (
-    accuracy_text,
-    metrics_of,
+    describe_accuracy,
+    list_training_versions,
+    measure_trained,
     time_training,
-    training_versions,
     write_network,
 )
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
-from pipeline.recordings.dataset import Dataset, event_warnings
+from pipeline.recordings.dataset import Dataset, list_event_warnings
 from pipeline.recordings.steps import EventTable
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import DELETE_ITS_FOLDER
@@ -99,7 +99,7 @@ class EventsKind(NetworkKind):
             "the spiking network as trained, with each sample from rest",
             "events",
             _compute_logits,
-            training_versions,
+            list_training_versions,
             _respond,
         ),
     }
@@ -162,7 +162,7 @@ class EventsKind(NetworkKind):
         )
         write_network(artifact.folder, trained, on_test=False)
         epochs = len(trained.history)
-        return {"epochs": epochs, "seconds": seconds, "versions": training_versions()}
+        return {"epochs": epochs, "seconds": seconds, "versions": list_training_versions()}
 
     @staticmethod
     def _choose(inputs, artifact):
@@ -180,10 +180,10 @@ class EventsKind(NetworkKind):
             record = training.state().record
             seconds = float(record["seconds"])
             epochs = int(record["epochs"])
-        metrics = metrics_of(trained, dataset, seconds, training_versions())
+        metrics = measure_trained(trained, dataset, seconds, list_training_versions())
         metrics["epochs"] = epochs
         metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
-        inputs.say(accuracy_text("events", metrics))
+        inputs.say(describe_accuracy("events", metrics))
         inputs.say(f"threshold: {_decision_text(chosen, len(held_out))}")
         return metrics
 
@@ -207,7 +207,7 @@ class EventsKind(NetworkKind):
         return EventChoices(self.settings, recordings, train).choices
 
     def notes(self, recordings):
-        return event_warnings(self.settings, recordings)
+        return list_event_warnings(self.settings, recordings)
 
 
 def spec_of_events(

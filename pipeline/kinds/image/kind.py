@@ -19,12 +19,12 @@ from pipeline.kinds.image.choices import choose_image_augmentation, choose_image
 from pipeline.kinds.imported import Imported, find_imported_file
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.records import (
-    accuracies,
-    accuracy_text,
-    metrics_of,
+    describe_accuracy,
+    list_training_versions,
+    measure_accuracies,
+    measure_trained,
     select_curve_samples,
     time_training,
-    training_versions,
     write_network,
 )
 from pipeline.kinds.reference import Reference
@@ -72,28 +72,28 @@ class ImageKind(NetworkKind):
             "the network without spikes, in the paper's training",
             "cnn",
             _compute_logits,
-            training_versions,
+            list_training_versions,
         ),
         "cnn-matched": Reference(
             "CNN, longer training",
             "the same CNN, trained further as the spiking network is, but with ReLU neurons",
             "cnn-matched",
             _compute_logits,
-            training_versions,
+            list_training_versions,
         ),
         "rate-lif": Reference(
             "Rate-LIF",
             "LIF neurons with firing rates instead of spikes",
             "rate-lif",
             _compute_logits,
-            training_versions,
+            list_training_versions,
         ),
         "spiking-lif": Reference(
             "Spiking LIF, NengoDL",
             "the same weights with spiking neurons",
             "rate-lif",
             _compute_logits,
-            training_versions,
+            list_training_versions,
         ),
     }
     deployed = "rate-lif"
@@ -182,8 +182,8 @@ class ImageKind(NetworkKind):
         else:
             trained, seconds = _train_cnn(settings, dataset)
         write_network(artifact.folder, trained, not len(dataset.split.validation))
-        metrics = metrics_of(trained, dataset, seconds, training_versions())
-        inputs.say(accuracy_text("cnn", metrics))
+        metrics = measure_trained(trained, dataset, seconds, list_training_versions())
+        inputs.say(describe_accuracy("cnn", metrics))
         return metrics
 
     @staticmethod
@@ -192,7 +192,7 @@ class ImageKind(NetworkKind):
         from pipeline.training.networks import train_matched
 
         _, metrics = _train_further("cnn-matched", train_matched, inputs, artifact)
-        inputs.say(accuracy_text("cnn-matched", metrics))
+        inputs.say(describe_accuracy("cnn-matched", metrics))
         return metrics
 
     @staticmethod
@@ -203,7 +203,7 @@ class ImageKind(NetworkKind):
         trained, metrics = _train_further("rate-lif", train_rate_network, inputs, artifact)
         images, _ = inputs.dataset.subset("train")
         metrics["neurons"] = _measure_activity(inputs.settings, trained, images)
-        inputs.say(accuracy_text("rate-lif", metrics))
+        inputs.say(describe_accuracy("rate-lif", metrics))
         for line in training_lines(metrics["neurons"]):
             inputs.say(f"rate-lif: {line}")
         return metrics
@@ -313,7 +313,9 @@ def _adopt(model, settings, dataset, say):
     logits = [predict(original_network(model), dataset.inputs), taken.logits(dataset.inputs)]
     trained, seconds = _train_cnn(settings, dataset, model.weights)
     logits.append(trained.logits(dataset.inputs))
-    rows = [accuracies(one.argmax(1) == dataset.labels, dataset)["accuracy"] for one in logits]
+    rows = [
+        measure_accuracies(one.argmax(1) == dataset.labels, dataset)["accuracy"] for one in logits
+    ]
     part = list(rows[0])[-1]
     before, replaced, after = (f"{row[part]:.3f}" for row in rows)
     say(
@@ -340,7 +342,7 @@ def _train_further(name, function, inputs, artifact):
         name, epochs, function, settings, samples, settings.seed, inputs.weights("cnn")
     )
     write_network(artifact.folder, trained, not len(dataset.split.validation))
-    metrics = metrics_of(trained, dataset, seconds, training_versions())
+    metrics = measure_trained(trained, dataset, seconds, list_training_versions())
     return trained, {**metrics, "augment": augmentation}
 
 

@@ -29,7 +29,7 @@ from pipeline.kinds.nir.simulation import NUMPY, graph_responses, simulate_sampl
 from pipeline.kinds.presentation import choose_presentation, current_taus, fit_gap
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
-from pipeline.recordings.dataset import event_warnings, require_images_fit
+from pipeline.recordings.dataset import list_event_warnings, require_images_fit
 from pipeline.run.settings import Choice, apply_choices
 
 # Maximum number of training samples on which the scales of a graph's weights are chosen.  More do
@@ -161,4 +161,4 @@ class NirKind(NetworkKind):
             graph_for(artifact.folder, self.settings, inputs.dataset)
 
     def notes(self, recordings):
-        return event_warnings(self.settings, recordings) if self.settings.on_events else []
+        return list_event_warnings(self.settings, recordings) if self.settings.on_events else []

@@ -11,7 +11,7 @@ from deploy.network.decision import confidence
 from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import run_target as answers_of
 from pipeline.live.deciding import Curve, EventDecider, decider_of
-from pipeline.recordings.dataset import inputs_for, inputs_of
+from pipeline.recordings.dataset import make_inputs, make_inputs_for
 from pipeline.recordings.events import Events, Sensor
 from pipeline.recordings.steps import EventTable, SpikeLimits
 from pipeline.run.settings import Settings
@@ -36,7 +36,7 @@ def recordings():
 
 def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, recordings):
     spec = bundle.spec.with_presentation(stream_length=1)
-    images = inputs_for(spec, recordings)
+    images = make_inputs_for(spec, recordings)
     expected = answers_of(spec, images, "fast")
     for index in range(len(recordings)):
         said = decider.begin().answer(recordings[index], 2.0)
@@ -115,7 +115,7 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
     assert decider.clocked
     spec = clocked.spec.with_presentation(stream_length=1)
     settings = Settings().with_values({"input": {"kind": "events"}}, "test")
-    frames = inputs_of(recordings, settings)
+    frames = make_inputs(recordings, settings)
     assert frames.shape[1] == 200
     expected = answers_of(spec, frames, "fast")
     assert len(set(expected.predictions)) > 1

@@ -6,7 +6,7 @@ import pytest
 from deploy import limits
 from deploy.check.bundle import HEADERS
 from deploy.errors import UserError
-from pipeline.recordings.dataset import dataset_origin, inputs_of
+from pipeline.recordings.dataset import make_dataset_origin, make_inputs
 from pipeline.recordings.images import tactile_images
 from pipeline.recordings.splits import split_of
 from pipeline.run.folder import RunFolder
@@ -30,7 +30,7 @@ def dataset():
 def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
     source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
     settings = SMALL.with_values({"data": {"source": source}}, "test")
-    seen = dataset_origin(settings, *identity_of(settings)).view(settings)
+    seen = make_dataset_origin(settings, *identity_of(settings)).view(settings)
     assert len(recordings_of(seen)) == (20 if own else 60)
 
 
@@ -114,9 +114,9 @@ def test_more_frames_than_fit_into_memory_are_made_when_they_are_taken(monkeypat
         {"data": {"samples_per_digit": 3}, "input": {"kind": "events"}}
     )
     recordings = recordings_of(settings)
-    at_once = inputs_of(recordings, settings)
+    at_once = make_inputs(recordings, settings)
     monkeypatch.setattr("pipeline.recordings.dataset.MAX_FRAME_BYTES", 0)
-    on_demand = inputs_of(recordings, settings)
+    on_demand = make_inputs(recordings, settings)
     assert not isinstance(on_demand, np.ndarray)
     assert (len(on_demand), on_demand.shape) == (len(at_once), at_once.shape)
     for index in (4, slice(3, 9), np.array([7, 2, 2]), np.arange(len(at_once)) % 3 == 0):

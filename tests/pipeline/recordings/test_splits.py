@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from pipeline.recordings.splits import (
     Split,
-    copies,
     draw_check_samples,
     find_classes_without_test,
+    find_copies,
+    find_split_problem,
     hold_out,
-    published_split,
-    random_split,
+    split_as_published,
+    split_at_random,
+    split_by_writers,
     split_of,
-    split_problem,
-    writer_split,
 )
 from tests.pipeline.handmade import recordings
 
@@ -31,11 +31,11 @@ def published(parts="rrrrtt", labels=(0, 0, 1, 1, 0, 1), **more):
 
 @given(st.integers(10, 300), st.integers(0, 2**31 - 1), st.floats(0, 0.5))
 def test_a_random_split_is_a_partition(n, seed, fraction):
-    split = random_split(n, seed, 0.2, fraction)
+    split = split_at_random(n, seed, 0.2, fraction)
     together = np.concatenate([split.train, split.validation, split.test])
     np.testing.assert_array_equal(np.sort(together), np.arange(n))
     assert len(split.test) == round(0.2 * n)
-    np.testing.assert_array_equal(split.test, random_split(n, seed).test)
+    np.testing.assert_array_equal(split.test, split_at_random(n, seed).test)
 
 
 @given(st.integers(0, 200), st.integers(2, 40), st.sampled_from([0.0, 0.2]))
@@ -47,7 +47,7 @@ def test_every_class_is_in_training_and_test(seed, classes, fraction):
     assert set(labels[split.train]) == set(range(classes))
     together = np.concatenate([split.train, split.validation, split.test])
     np.testing.assert_array_equal(np.sort(together), np.arange(len(labels)))
-    plain = random_split(len(labels), seed, 0.2, fraction)
+    plain = split_at_random(len(labels), seed, 0.2, fraction)
     if set(labels[plain.test]) == set(labels[plain.train]) == set(range(classes)):
         for part in ("train", "validation", "test"):  # nothing changes where nothing is missing
             np.testing.assert_array_equal(getattr(split, part), getattr(plain, part))
@@ -71,7 +71,7 @@ def test_every_class_is_in_the_training_part(seed, fraction):
 @given(st.lists(st.integers(1, 40), min_size=2, max_size=25), st.integers(0, 1000))
 def test_no_writer_is_in_both_parts(sizes, seed):
     writers = np.repeat(np.arange(len(sizes)), sizes)
-    split = writer_split(writers, seed, 0.2)
+    split = split_by_writers(writers, seed, 0.2)
     assert not set(writers[split.train]) & set(writers[split.test])
     assert len(split.train)
     assert len(split.test)
@@ -91,7 +91,7 @@ def test_validation_samples_are_of_own_writers():
 def test_a_split_by_writers_needs_their_names():
     for writers in ([-1, 0, 1], [3, 3]):
         with pytest.raises(ValueError, match="writer"):
-            writer_split(np.array(writers), 0)
+            split_by_writers(np.array(writers), 0)
 
 
 def test_a_published_split_is_used():
@@ -123,25 +123,25 @@ def test_a_published_split_is_used():
     ],
 )
 def test_too_few_recordings_of_a_class(parts, labels, fact):
-    problem = split_problem(published(parts, labels))
+    problem = find_split_problem(published(parts, labels))
     assert problem is None if fact is None else fact in problem
 
 
 def test_the_same_recording_in_both_parts():
     read = published()
-    assert copies(read, published_split(read.parts, 0)) == ([], [])
+    assert find_copies(read, split_as_published(read.parts, 0)) == ([], [])
     again = [(5_000, 0, 1, 3), (6_000, 1, 1, 1)]  # the first one, later and in other columns
     doubled = recordings(
         *([(0, 0, 1, 1), (1000, 1, 1, 1)], [(0, 0, -1, 1), (1000, 1, 1, 1)], again),
         parts=["train", "train", "test"],
     )
-    assert copies(doubled, published_split(doubled.parts, 0)) == ([("0/0", "0/2")], [])
+    assert find_copies(doubled, split_as_published(doubled.parts, 0)) == ([("0/0", "0/2")], [])
     elsewhere = replace(doubled, labels=np.array([0, 1, 1]), parts=())  # one in two classes
-    in_training, in_classes = copies(elsewhere, random_split(3, 0, 0.34))
+    in_training, in_classes = find_copies(elsewhere, split_at_random(3, 0, 0.34))
     assert in_classes == [("0/0", "0/2")]
-    assert len(in_training) == (1 in random_split(3, 0, 0.34).train)
+    assert len(in_training) == (1 in split_at_random(3, 0, 0.34).train)
     empty = recordings([], [], labels=[0, 1])
-    assert copies(empty, random_split(2, 0, 0.5)) == ([], [])
+    assert find_copies(empty, split_at_random(2, 0, 0.5)) == ([], [])
 
 
 @given(st.permutations(range(6)))

@@ -9,7 +9,7 @@ import pytest
 from deploy.check.intervals import fisher, wilson_interval
 from deploy.errors import UserError
 from pipeline.kinds import kind_of_network
-from pipeline.recordings.dataset import dataset_origin
+from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.results import compare
 from pipeline.results.compare import Run, compare_runs, difference, inference, read_runs, runs_text
 from pipeline.run.settings import Settings
@@ -40,7 +40,7 @@ def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more
     spec = spec or small_spec()
     spec.provenance["source_sha256"] = source
     settings = Settings().with_values(changes or {}, "here")
-    origin = kind_of_network(settings).bundle_origin(dataset_origin(settings, source))
+    origin = kind_of_network(settings).bundle_origin(make_dataset_origin(settings, source))
     spec.provenance["made_from"] = origin.to_json()
     return Run(name, settings, spec, cores, 1, {r["target"]: r for r in results}, **more)
 

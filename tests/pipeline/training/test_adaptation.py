@@ -14,10 +14,10 @@ def test_inputs_are_made_for_some_recordings_at_a_time(monkeypatch):
     at_once = responder.responses(responder.inputs(recordings))
     copies, made = responder.copies(recordings.subset([0]), 1), []
     monkeypatch.setattr(adaptation, "AT_ONCE", 4)
-    original = adaptation.inputs_for
+    original = adaptation.make_inputs_for
     monkeypatch.setattr(
         adaptation,
-        "inputs_for",
+        "make_inputs_for",
         lambda spec, some, image: made.append(len(some)) or original(spec, some, image),
     )
     np.testing.assert_array_equal(responder.responses_to(recordings), at_once)

@@ -14,7 +14,7 @@ from deploy.targets.registry import run_target
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
 from pipeline.kinds.image.kind import describe_network, to_spec
-from pipeline.recordings.dataset import inputs_for
+from pipeline.recordings.dataset import make_inputs_for
 from pipeline.results.other_recordings import find_trained_on
 from pipeline.results.report.figures.animation import animate
 from pipeline.run.settings import Settings
@@ -171,7 +171,7 @@ def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
     dataset, weights = load_dataset(chosen), random_weights("10x10-4c3s3-10o")
     for provenance in ({}, dataset.provenance):
         spec = describe_network(chosen, weights, provenance, dataset.subset("train"))
-        np.testing.assert_array_equal(inputs_for(spec, dataset.recordings), dataset.inputs)
+        np.testing.assert_array_equal(make_inputs_for(spec, dataset.recordings), dataset.inputs)
         checks = CheckSet(dataset.inputs[:2], dataset.labels[:2], ("a", "b"), 0)
         bundle = write_bundle(tmp_path / f"b{len(provenance)}", spec, checks)
         animate(tmp_path / "a.gif", bundle, 0)

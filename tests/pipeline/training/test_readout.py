@@ -6,7 +6,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from deploy.network.spec import Rehearsal
 from pipeline.training import adaptation
-from pipeline.training.adaptation import Person, in_8_bits, refit
+from pipeline.training.adaptation import Person, refit, round_to_8_bits
 
 CLASSES, INPUTS = 4, 12
 
@@ -43,7 +43,7 @@ def test_a_person_who_differs_is_told_better_and_others_nearly_as_well(world):
     own[1] = 0.75 * centres[2] + 0.25 * centres[1] + 0.7 * rng.standard_normal(INPUTS)
     fit = refit(weights, bias, person_of(rng, own, 6), kept)
     assert fit.helps
-    np.testing.assert_allclose(in_8_bits(fit.weights), fit.weights)
+    np.testing.assert_allclose(round_to_8_bits(fit.weights), fit.weights)
     assert fit.after.mean() > fit.before.mean()
     unseen = clouds(rng, own, 100)
     gain = right(fit.weights, bias, *unseen) - right(weights, bias, *unseen)
@@ -120,10 +120,10 @@ def test_many_neurons_change_in_the_directions_that_vary():
 
 def test_eight_bits():
     weights = np.array([[1.27, -0.0149], [0.52, -1.0]])
-    rounded = in_8_bits(weights)
+    rounded = round_to_8_bits(weights)
     np.testing.assert_allclose(rounded, [[1.27, -0.01], [0.52, -1.0]])
-    assert len(np.unique(in_8_bits(np.random.default_rng(0).standard_normal(5000)))) <= 255
-    np.testing.assert_array_equal(in_8_bits(np.zeros((2, 2))), np.zeros((2, 2)))
+    assert len(np.unique(round_to_8_bits(np.random.default_rng(0).standard_normal(5000)))) <= 255
+    np.testing.assert_array_equal(round_to_8_bits(np.zeros((2, 2))), np.zeros((2, 2)))
 
 
 @pytest.mark.parametrize("each", [1, 2, 7])
