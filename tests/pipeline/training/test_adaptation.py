@@ -13,7 +13,7 @@ def test_inputs_are_made_for_some_recordings_at_a_time(monkeypatch):
     responder = adaptation.Responder(read_bundle(SHIPPED).spec)
     at_once = responder.responses(responder.inputs(recordings))
     copies, made = responder.copies(recordings.subset([0]), 1), []
-    monkeypatch.setattr(adaptation, "AT_ONCE", 4)
+    monkeypatch.setattr(adaptation, "SAMPLES_AT_ONCE", 4)
     original = adaptation.make_inputs_for
     monkeypatch.setattr(
         adaptation,
