@@ -274,12 +274,12 @@ def open_locked_run(
 
     Yields
     ------
-    pipeline.stages.OpenedRun
+    pipeline.stages.opening.OpenedRun
 
     Raises
     ------
     UserError
-        As :func:`resolve_settings` and :func:`pipeline.stages.open_run`.
+        As :func:`resolve_settings` and :func:`pipeline.stages.opening.open_run`.
     """
     from pipeline.stages import open_run  # imports all that a run is made with
 

@@ -1,7 +1,7 @@
 """The steps of a run: artifacts, such as a trained network, and how each of them is made.
 
 A kind of network lists its steps (:meth:`pipeline.kinds.kind.NetworkKind.steps`), and one loop
-makes those that are missing or outdated (:meth:`pipeline.stages.OpenedRun.make`).
+makes those that are missing or outdated (:meth:`pipeline.stages.opening.OpenedRun.make`).
 """
 
 from __future__ import annotations

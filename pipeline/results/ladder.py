@@ -45,7 +45,7 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, asked=None) -> dict:
 
     Parameters
     ----------
-    opened : pipeline.stages.OpenedRun
+    opened : pipeline.stages.opening.OpenedRun
         Of a run, which is locked.
     jobs : int
         Number of processes for targets.
