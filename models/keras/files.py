@@ -146,13 +146,12 @@ def _require_known_layers(config, keras):
     """Refuse layers whose code is not Keras's."""
     for layer in _layer_configs(config):
         kind = layer.get("class_name")
-        if kind in ("Functional", "Model"):  # a functional model, and one inside of another
+        if kind in ("Functional", "Model", "Sequential"):  # a model, or one inside of another
             continue
-        name = layer.get("name") or layer.get("config", {}).get("name")
+        inside = layer.get("config", {})
+        name = layer.get("name") or inside.get("name")
         which = f"layer {name!r} ({kind})"
-        has_function = isinstance(layer.get("config"), dict) and isinstance(
-            layer["config"].get("activation"), dict
-        )
+        has_function = isinstance(inside.get("activation"), dict)
         if has_function:
             raise ModelFileError(
                 f"{which}: its activation is a function of Python, which is not run; use one of "
@@ -163,7 +162,7 @@ def _require_known_layers(config, keras):
                 f"{which}: is a function and no layer of Keras; use one of Keras's layers for it"
             )
         # Keras 2 has old layers such as BatchNormalizationV1 in its files.
-        known = hasattr(keras.layers, str(kind).removesuffix("V1")) or kind == "Sequential"
+        known = hasattr(keras.layers, str(kind).removesuffix("V1"))
         if not known or str(layer.get("registered_name") or "").startswith("Custom>"):
             raise ModelFileError(
                 f"{which}: is a custom layer, whose code is not in the file; "
