@@ -26,7 +26,6 @@ from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
     BadRecording,
     EventRecording,
-    column_of,
     find_columns,
     make_recording,
 )
@@ -35,6 +34,9 @@ SUFFIXES = (".h5", ".hdf5")
 
 # Rows and columns of STEMNIST's sensor.
 STEMNIST_SIDE = 16
+
+# Name of the column of numbered taxels.
+TAXEL = "taxel_id"
 
 STEMNIST_NAME = re.compile(r"(?P<person>[^_]+)_.+_\d+_spikes")
 
@@ -62,8 +64,8 @@ def read_hdf5(content: bytes, name: str) -> EventRecording:
 
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
-            tables, groups = _find_events(file)
-            found = tables or groups
+            named, rows = _find_events(file)
+            found = named or rows
             if len(found) != 1:
                 listed = f": {', '.join(sorted(found)[:4])}" if found else ""
                 raise BadRecording(
@@ -72,34 +74,35 @@ def read_hdf5(content: bytes, name: str) -> EventRecording:
                 )
             (entry,) = found.values()
             events: np.ndarray | dict
-            if tables:
-                events = _read_dataset(entry)
-            else:
+            if isinstance(entry, h5py.Group):
                 events = {column: _read_dataset(entry[column]) for column in _columns_of(entry)}
+            else:
+                events = _read_dataset(entry)
     except (BadRecording, MemoryError):
         raise
     except Exception as error:  # h5py fails in many ways on damaged files
         reason = " ".join(str(error).split())[:120]
         raise BadRecording(f"is damaged, or not an HDF5 file ({reason})") from error
-    if isinstance(events, np.ndarray) and "taxel_id" in (events.dtype.names or ()):
-        return _make_stemnist_recording(events, name)
+    columns = events if isinstance(events, dict) else events.dtype.names or ()
+    if TAXEL in columns:
+        return _make_stemnist_recording({column: events[column] for column in columns}, name)
     if isinstance(events, np.ndarray):
         return make_array_recording(events)
     return make_recording(events)
 
 
 def _find_events(file):
-    """Tables of events, and groups of columns, by their names."""
+    """Tables and groups whose columns have names, and tables of rows, by their paths."""
     import h5py
 
-    tables = {}
-    groups = {}
+    named = {}
+    rows = {}
     number = 0
     waiting = [("", file)]
     while waiting:
         path, group = waiting.pop()
         if _columns_of(group):
-            groups[path or "/"] = group
+            named[path or "/"] = group
         for name in group:
             number += 1
             if number > MAX_OBJECTS:
@@ -112,30 +115,35 @@ def _find_events(file):
             if isinstance(entry, h5py.Group):
                 waiting.append((where, entry))
             elif isinstance(entry, h5py.Dataset) and _is_table(entry):
-                tables[where] = entry
-    return tables, groups
+                (rows if entry.dtype.names is None else named)[where] = entry
+    return named, rows
 
 
 def _is_table(dataset) -> bool:
     """True for records with the fields of events, and for rows of four numbers."""
     if dataset.dtype.names is None:
         return dataset.ndim == 2 and dataset.shape[1] == 4 and dataset.dtype.kind in "fiu"
-    names = dataset.dtype.names
-    found = set(map(column_of, names))
-    has_place = "taxel_id" in names or found >= {"x", "y"}
-    return dataset.ndim == 1 and has_place and found >= {"t", "p"}
+    return dataset.ndim == 1 and bool(_find_named(dataset.dtype.names))
+
+
+def _find_named(names) -> list:
+    """The names of the columns x, y, t and p, or taxel_id, t and p; empty if one is missing."""
+    try:
+        if TAXEL in names:
+            found = find_columns([*names, "x", "y"])
+            return [found["t"], found["p"], TAXEL]
+        return list(find_columns(names).values())
+    except BadRecording:
+        return []
 
 
 def _columns_of(group) -> list:
-    """Names of a group's data sets x, y, t and p; an empty list if one is missing."""
+    """Names of a group's data sets of columns; an empty list if one is missing."""
     import h5py
 
     links = {name: group.get(name, getlink=True, default=None) for name in group}
     own = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
-    try:
-        columns = list(find_columns(own).values())
-    except BadRecording:
-        return []
+    columns = _find_named(own)
     is_column = [
         isinstance(group[name], h5py.Dataset) and group[name].ndim == 1 for name in columns
     ]
@@ -161,13 +169,13 @@ def _read_dataset(dataset) -> np.ndarray:
 
 def _make_stemnist_recording(events, name) -> EventRecording:
     """A recording of STEMNIST's sensor, of the person in the name of the file."""
-    taxel = events["taxel_id"].astype(np.int64) - 1
+    taxel = events[TAXEL].astype(np.int64) - 1
     outside = (taxel < 0) | (taxel >= STEMNIST_SIDE**2)
     if outside.any():
         raise BadRecording(
             f"taxel_id has {taxel[outside][0] + 1}, not 1 to {STEMNIST_SIDE**2} as in STEMNIST"
         )
-    columns = find_columns([*events.dtype.names, "x", "y"])
+    columns = find_columns([*events, "x", "y"])
     recording = make_recording(
         {
             "x": taxel % STEMNIST_SIDE,

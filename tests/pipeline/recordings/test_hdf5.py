@@ -39,11 +39,16 @@ def fill_records(file):
     file["CD/indexes"] = np.arange(4)
 
 
+def fill_columns_beside_rows(file):
+    fill_columns(file)
+    file["frames"] = np.zeros((7, 4))
+
+
 def fill_rows(file):
     file["all"] = np.stack([TIMES, *COLUMNS.values()], axis=1)
 
 
-@pytest.mark.parametrize("fill", [fill_columns, fill_records, fill_rows])
+@pytest.mark.parametrize("fill", [fill_columns, fill_records, fill_rows, fill_columns_beside_rows])
 def test_one_table_or_group(fill):
     recording = read_file(contents(fill), "a/1.h5")
     assert recording.x.tolist() == COLUMNS["x"]
@@ -69,6 +74,16 @@ def test_stemnist(tmp_path):
     recordings = read_source(tmp_path)
     assert (recordings.sensor.rows, recordings.sensor.columns) == (16, 16)
     assert recordings.writers.tolist() == [1, 2, 11] * 2
+
+
+def test_stemnist_as_a_group_of_columns():
+    def fill(file):
+        for name in SPIKES.names:
+            file[f"spikes/{name}"] = spikes()[name]
+
+    recording = read_file(contents(fill), "A/P07_A_3_spikes.h5")
+    assert list(zip(recording.y, recording.x, strict=True)) == [(0, 0), (1, 0), (15, 15)]
+    assert (recording.size, recording.writer) == ((16, 16), 7)
 
 
 def link_outside(file):
@@ -102,7 +117,7 @@ def store_text(file):
         (store_text, "numbers"),
         (lambda file: file.create_dataset("spikes", data=spikes((0, 1, 2))), "taxel_id has 0"),
         (lambda file: file.create_dataset("image", data=np.zeros((3, 3))), "0 tables"),
-        (lambda file: [fill_rows(file), fill_records(file)], "2 tables"),
+        (lambda file: [fill_columns(file), fill_records(file)], "2 tables"),
     ],
 )
 def test_what_is_no_recording(fill, fact):
