@@ -7,6 +7,7 @@ in order.  A framework is recognised if all neurons and filters of the graph fit
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import lambertw
@@ -24,6 +25,18 @@ NORSE_STEP = 1e-3
 # exporter multiplies them with its step, SpikingJelly's has multiples of 0.1 ms.
 SHORTEST_SPIKINGJELLY = 1e-4
 SHORTEST_IN_SECONDS = 5e-3
+
+
+SNNTORCH_RESET = (
+    "snnTorch does not export its reset, which by default subtracts the threshold, a step later: "
+    "if it was trained so, give --set nir.reset=subtract-late (with reset_delay=False: subtract); "
+    "without a reset it cannot be on the chip"
+)
+SYNAPTIC_RESET = (
+    "; Synaptic with reset_mechanism='zero' needs reset_delay=False, or it ignores the input of "
+    "the step after a spike there and not here"
+)
+NORSE_RESET = "Norse does not export v_reset: a reset to other values than the graph's is lost"
 
 
 @dataclass(frozen=True)
@@ -70,8 +83,11 @@ def recognise(nodes, metadata: dict) -> Convention:
         Of the graph.
     """
     states = [node for node in nodes if "r" in node.parameters]
+    found = recognise_metadata(states, metadata) or recognise_reset_free(nodes)
+    if found is not None:
+        return found
     for rule in RULES:
-        found = rule(states, metadata)
+        found = rule(states)
         if found is not None:
             return found
     leaky = [node for node in states if node.kind != "IF"]
@@ -96,7 +112,26 @@ def recognise_metadata(nodes, metadata):
     )
 
 
-def recognise_snntorch(nodes, _):
+def recognise_reset_free(nodes):
+    """Spyx's PSU_LIF: LI with r = 1, each before a Threshold, and time constants in steps.
+
+    Spyx's v <- beta v + S has no 1 - beta, unlike NIR's equation of LI.
+    """
+    states = [node for node in nodes if "r" in node.parameters]
+    followed = {node.name for node, after in pairwise(nodes) if after.kind == "Threshold"}
+    if not states or any(node.kind != "LI" or node.name not in followed for node in states):
+        return None
+    if not _gains_are_one(states) or any((node["tau"] < 1 - TOLERANCE).any() for node in states):
+        return None
+    return Convention(
+        "Spyx", "spyx", 1.0, "LI with r = 1 and tau of 1 or more before each Threshold (PSU_LIF)",
+        "v <- b v + S, b = 1 - 1 / tau",
+        doubt="if the graph was not written by Spyx but has NIR's own equations, give --set "
+        "nir.method=exact",
+    )  # fmt: skip
+
+
+def recognise_snntorch(nodes):
     """snnTorch, and SpikingJelly without a decaying input: r h = tau and w_in h = tau_syn.
 
     ``Leaky`` and ``Synaptic`` have no time; a share beta remains after a step.  The exporter writes
@@ -117,13 +152,12 @@ def recognise_snntorch(nodes, _):
                 "snnTorch", "euler" if has_gains else "spyx", h,
                 f"r = tau / {_time(h)}" + text * bool(currents),
                 "I <- alpha I + S, v <- beta v + I" if currents else "v <- beta v + S",
-                doubt="snnTorch subtracts the threshold by default, a step later: if it was "
-                "trained so, give --set nir.reset=subtract-late",
+                doubt=SNNTORCH_RESET + SYNAPTIC_RESET * bool(currents),
             )  # fmt: skip
     return None
 
 
-def recognise_rockpool(nodes, _):
+def recognise_rockpool(nodes):
     """Rockpool: r = tau exp(-h / tau) / h and no w_in, with one h for all neurons.
 
     h / tau is Lambert's W(1 / r).  A gain of any kind gives some h, so it must be a round number,
@@ -150,7 +184,7 @@ def recognise_rockpool(nodes, _):
     )  # fmt: skip
 
 
-def recognise_spyx(nodes, _):
+def recognise_spyx(nodes):
     """Spyx: r = 1 - h / tau, the share that remains, and no w_in; IF have r = 1.
 
     snnTorch's first exporter (2023) wrote the same.  Spyx's CuBaLIF subtracts the threshold before
@@ -175,7 +209,7 @@ def recognise_spyx(nodes, _):
     return None
 
 
-def recognise_norse_currents(nodes, _):
+def recognise_norse_currents(nodes):
     """Norse's LIFCell: CubaLIF with r = 1 and no w_in."""
     currents = [node for node in nodes if node.kind == "CubaLIF"]
     if not currents or not _gains_are_one(nodes):
@@ -185,11 +219,12 @@ def recognise_norse_currents(nodes, _):
         "Norse", "norse", h, "CubaLIF with r = 1 and no w_in",
         "I <- I + S, v <- b v + (1 - b) (v_leak + I), I <- a I",
         doubt=f"its step is not in the graph; {_time(h)} is that of Norse's defaults, others need "
-        "--set nir.step (in ms); if its current is NIR's own, give --set nir.method=exact",
+        "--set nir.step (in ms); if its current is NIR's own, give --set nir.method=exact; "
+        + NORSE_RESET,
     )  # fmt: skip
 
 
-def recognise_spikingjelly(nodes, _):
+def recognise_spikingjelly(nodes):
     """SpikingJelly: IF have r = 1 / h; LIF have r = 1, or r h = tau, and tau in multiples of h.
 
     The exporter's h is 0.1 ms.  Without IF only small time constants tell.
@@ -233,7 +268,7 @@ def recognise_spikingjelly(nodes, _):
     )  # fmt: skip
 
 
-def recognise_norse_boxes(nodes, _):
+def recognise_norse_boxes(nodes):
     """Norse's LIFBoxCell and LIBoxCell as its exporter writes them by default: times times 1 ms."""
     times = [node["tau"].max() for node in nodes if node.kind in ("LIF", "LI")]
     if not times or max(times) >= SHORTEST_SPIKINGJELLY or not _gains_are_one(nodes):
@@ -243,11 +278,11 @@ def recognise_norse_boxes(nodes, _):
         "Norse", "euler", h, "r = 1 and time constants of some microseconds",
         "v <- b v + (1 - b) (v_leak + S)",
         doubt="its step is not in the graph; this is that of Norse's defaults, others need --set "
-        "nir.step (in ms)",
+        "nir.step (in ms); " + NORSE_RESET,
     )  # fmt: skip
 
 
-def recognise_steps(nodes, _):
+def recognise_steps(nodes):
     """sinabs and graphs by hand: r = 1, time constants counted in steps, IF that add their input.
 
     sinabs' LIF has alpha = exp(-1 / tau) and v <- alpha v + (1 - alpha) S.
@@ -261,13 +296,13 @@ def recognise_steps(nodes, _):
         "time in steps (sinabs, Norse's IAFCell, graphs by hand)", "exact", 1.0,
         "r = 1" + " and time constants of 1 or more" * bool(leaky),
         "v <- alpha v + (1 - alpha) S, alpha = exp(-1 / tau)" if leaky else "v <- v + S",
-        doubt="sinabs subtracts the threshold by default: if it was trained so, give --set "
-        "nir.reset=subtract",
+        doubt="sinabs subtracts the threshold by default, and SpikingJelly's exporter with dt=1 "
+        "writes the same numbers: if it was trained so, give --set nir.reset=subtract, or --set "
+        "nir.method=euler",
     )  # fmt: skip
 
 
 RULES = (
-    recognise_metadata,
     recognise_snntorch,
     recognise_norse_currents,
     recognise_rockpool,

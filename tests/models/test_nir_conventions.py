@@ -63,6 +63,24 @@ WRITTEN = {
 }  # fmt: skip
 
 
+def test_spyx_neurons_without_a_reset():
+    """PSU_LIF is written as LI and Threshold: v <- beta v + S, a spike where v > threshold."""
+    rng = np.random.default_rng(0)
+    beta = 0.8
+    linear = affine(rng, 4, 3)
+    nodes = [linear, leak(1 / (1 - beta)), ("Threshold", {"threshold": 1.3})]
+    network = network_of((3,), *nodes)
+    assert network.convention.framework == "Spyx"
+    inputs = (rng.random((2, 50, 3)) < 0.4).astype(float)
+    found = simulate(network, inputs).outputs
+    voltage = np.zeros((2, 4))
+    for step in range(50):
+        sums = inputs[:, step] @ network.nodes[0]["weight"].T + network.nodes[0]["bias"]
+        voltage = beta * voltage + sums
+        np.testing.assert_array_equal(found[:, step], voltage > 1.3)
+    assert 0 < found.mean() < 1
+
+
 @pytest.mark.parametrize("name", WRITTEN)
 def test_frameworks_are_recognised(name):
     neurons, framework, method, step = WRITTEN[name]
