@@ -1,6 +1,6 @@
 """The kind of networks on tactile images: the paper's CNN, or a user's Keras model in its place."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +27,10 @@ from pipeline.kinds.records import (
     time_training,
     write_network,
 )
+from pipeline.kinds.normalisation import require_images_of_network
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
-from pipeline.recordings.images import make_images_of
 from pipeline.run.settings import Settings
 
 
@@ -363,11 +363,8 @@ def _measure_activity(settings, trained, inputs):
 MIN_KNOWN_SHARE = 0.15
 
 
-# Normalisations on which a user's model may have been trained, and how they are compared: the
-# maximum number of training samples, and the difference in accuracy that counts.
-COMPARED_NORMALISATIONS = ("max", "sqrt-clip")
+# Maximum number of training samples on which normalisations of images are compared.
 MAX_COMPARED_SAMPLES = 500
-MIN_ACCURACY_GAIN = 0.05
 
 # The remedy for a model that has changed since it was imported.
 GIVE_MODEL_AGAIN = "give it again with 'stmnist convert RUN --model FILE' (and --retrain if used)"
@@ -468,30 +465,13 @@ def _read_model(folder, settings):
 
 
 def _require_images_of_model(folder, settings, dataset):
-    """Refuse images that are normalised in another way than those that the model was trained on.
-
-    The model's accuracy tells: own images usually have the default, those of ``Run.dataset`` what
-    is chosen for networks that are trained here.
-    """
+    """Refuse images that are normalised in another way than those that the model was trained on."""
     path, model = _read_model(folder, settings)
     from models.cnn import predict
 
     network = original_network(model)
-    rng = np.random.default_rng([settings.seed, 0x1A6])
-    some = np.sort(rng.permutation(dataset.split.train)[:MAX_COMPARED_SAMPLES])
-    used = settings.image.normalisation
-    right = {}
-    for name in {used, *COMPARED_NORMALISATIONS}:
-        images = make_images_of(
-            dataset.recordings, replace(settings.image, normalisation=name), some
-        )
-        right[name] = predict(network, images).argmax(1) == dataset.labels[some]
-    best = max(right, key=lambda name: right[name].sum())
-    gain = int(right[best].sum() - right[used].sum())
-    differing = int((right[best] != right[used]).sum())
-    if gain > max(MIN_ACCURACY_GAIN * len(some), 2 * np.sqrt(differing)):
-        raise UserError(
-            f"{path}: an accuracy of {right[used].mean():.3f} on this run's training images, and "
-            f"of {right[best].mean():.3f} on images with another normalisation; give --set "
-            f"image.normalisation={best} (or ={used}, to keep this one)"
-        )
+
+    def classify(images):
+        return predict(network, images).argmax(1)
+
+    require_images_of_network(path, settings, dataset, classify, MAX_COMPARED_SAMPLES)

@@ -25,7 +25,13 @@ from pipeline.kinds.nir.importing import (
     require_fit,
 )
 from pipeline.kinds.nir.measures import import_graph
-from pipeline.kinds.nir.simulation import NUMPY, graph_responses, simulate_samples
+from pipeline.kinds.nir.simulation import (
+    NUMPY,
+    graph_responses,
+    predictions_of,
+    simulate_samples,
+)
+from pipeline.kinds.normalisation import require_images_of_network
 from pipeline.kinds.presentation import choose_presentation, current_taus, fit_gap
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
@@ -35,6 +41,9 @@ from pipeline.run.settings import Choice, apply_choices
 # Maximum number of training samples on which the scales of a graph's weights are chosen.  More do
 # not help, not even published recurrent graphs.
 CALIBRATION_SAMPLES = 48
+
+# Maximum number of training samples on which normalisations of images are compared.
+MAX_COMPARED_SAMPLES = 100
 
 # Default presentation of samples to an imported network: each from rest. Trainings in PyTorch start
 # every sample with the neurons' state at rest (``reset_hidden`` of snnTorch, a state of None in
@@ -57,6 +66,17 @@ def _compute_logits(stage, inputs, samples, advance):
 def _respond(inputs, bundle, advance):
     folder = inputs.artifact("nir").folder
     return graph_responses(folder, inputs.settings, bundle, advance)
+
+
+def _require_images_of_graph(source, network, settings, dataset):
+    """Refuse images that are normalised in another way than those that the graph was trained on."""
+    stepped = Stepped.of(settings, network)
+
+    def classify(images):
+        outputs, _ = simulate_samples(network, stepped, images, settings)
+        return predictions_of(outputs, settings)
+
+    require_images_of_network(source, settings, dataset, classify, MAX_COMPARED_SAMPLES)
 
 
 class NirKind(NetworkKind):
@@ -157,8 +177,11 @@ class NirKind(NetworkKind):
 
     def require_usable(self, inputs):
         artifact = inputs.artifact("nir")
-        if not artifact.state().is_current:
-            graph_for(artifact.folder, self.settings, inputs.dataset)
+        if artifact.state().is_current:
+            return
+        source, network = graph_for(artifact.folder, self.settings, inputs.dataset)
+        if not self.settings.on_events and self.settings.is_open("image.normalisation"):
+            _require_images_of_graph(source, network, self.settings, inputs.dataset)
 
     def notes(self, recordings):
         return list_event_warnings(self.settings, recordings) if self.settings.on_events else []
