@@ -21,6 +21,14 @@ from pipeline.run.settings import Choice, Settings, names_in
 EPOCHS_ON_REAL_IMAGES = 200
 MIN_RECORDINGS_FOR_EPOCHS = 2000
 
+# Inputs of a neuron up to which the recipe's learning rate trains a network from a CNN's weights.
+# The change of a neuron's sum in an update grows with its inputs: with 9,216 of them the recipe's
+# rate left Keras's example for MNIST at chance, and this one in proportion did not.
+MAX_INPUTS_AT_FULL_RATE = 500
+
+# Learning rate of the recipe "loihi" in :mod:`pipeline.training.networks`.
+RECIPE_RATE = 0.004
+
 # Rows and columns of the first convolution's output on slices of time, on average.
 SLICES_MAP = 5
 
@@ -106,6 +114,7 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
         choices += of_image + _choose_training(settings, defaults)
     else:
         choices += _choose_epochs(settings, recordings)
+    choices += _choose_learning_rate(settings)
     if is_own or (not is_sliced and is_for(cnn.architecture, sensor, channels)):
         return choices
     if is_sliced:
@@ -137,6 +146,24 @@ def _choose_epochs(settings, recordings):
         return []
     reason = f"{EPOCHS_ON_REAL_IMAGES} epochs of rate-lif (another: --set snn.epochs=...)"
     return [Choice("snn.epochs", EPOCHS_ON_REAL_IMAGES, reason)]
+
+
+def _choose_learning_rate(settings):
+    """A lower learning rate for a user's model some of whose neurons have many inputs."""
+    is_trained_further = bool(settings.cnn.model) and settings.snn.recipe == "loihi"
+    if not is_trained_further or not settings.is_open("snn.learning_rate"):
+        return []
+    shapes = parse(settings.cnn.architecture).weight_shapes
+    kernels = [shape for name, shape in shapes.items() if name.endswith(".kernel")]
+    inputs = max(math.prod(shape[:-1]) for shape in kernels)
+    if inputs <= MAX_INPUTS_AT_FULL_RATE:
+        return []
+    rate = float(f"{RECIPE_RATE * MAX_INPUTS_AT_FULL_RATE / inputs:.1g}")
+    reason = (
+        f"learning rate of rate-lif {rate:g}, since a neuron has up to {inputs} inputs (another: "
+        "--set snn.learning_rate=...)"
+    )
+    return [Choice("snn.learning_rate", rate, reason)]
 
 
 def _choose_slices(settings, defaults, own_channels):

@@ -18,6 +18,7 @@ from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, traini
 from pipeline.kinds.image.choices import choose_image_augmentation, choose_image_settings
 from pipeline.kinds.imported import Imported, find_imported_file
 from pipeline.kinds.kind import NetworkKind
+from pipeline.kinds.normalisation import require_images_of_network
 from pipeline.kinds.records import (
     describe_accuracy,
     list_training_versions,
@@ -27,7 +28,6 @@ from pipeline.kinds.records import (
     time_training,
     write_network,
 )
-from pipeline.kinds.normalisation import require_images_of_network
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit

@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.commands.stages import _images_of
 from pipeline.kinds import find_compared_stage, kind_of_network
-from pipeline.kinds.image.choices import choose_image_augmentation
+from pipeline.kinds.image.choices import RECIPE_RATE, choose_image_augmentation
 from pipeline.kinds.imported import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
@@ -51,6 +51,31 @@ def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
     assert len(lines) == 5
     chosen = kind_of_network(settings(**changes))
     assert chosen.channels == 16
+
+
+def test_neurons_with_many_inputs_are_trained_further_at_a_lower_rate():
+    own = {"model": "net.keras", "model_sha256": "0" * 64}
+    own["architecture"] = "28x28-32c3-64c3-2a-128-3o"
+    narrow = {**own, "architecture": "28x28-6c5p-2a-16c5-2a-120-3o"}
+    changes, lines = choose(settings(cnn=own), recordings(28, 28))
+    assert changes["snn"] == {"learning_rate": 0.0002}  # 9,216 inputs
+    assert any("9216 inputs" in line for line in lines)
+    others = [
+        {"cnn": narrow},
+        {"cnn": own, "snn": {"recipe": "as-is"}},
+        {"cnn": own, "snn": {"learning_rate": 0.01}},
+        {},
+    ]
+    for sections in others:
+        assert "learning_rate" not in choose(settings(**sections), recordings(28, 28))[0].get(
+            "snn", {}
+        )
+
+
+def test_the_rate_is_in_proportion_to_that_of_the_recipe():
+    from pipeline.training.networks import RECIPES
+
+    assert RECIPES["loihi"].learning_rate == RECIPE_RATE
 
 
 SLICES = {"input": {"kind": "slices"}}
