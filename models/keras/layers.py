@@ -31,9 +31,22 @@ from models.keras.files import ModelFileError
 from models.keras.model import KerasModel, Layer, MaxPool
 from models.keras.signal import Signal
 from models.ops import Convolution, Dense, Pooling
+from models.windows import Window, fit_to_chip, spread_kernel, sum_shifted
 
 # Maximum number of weights of a convolution that is written as a matrix.
 MAX_MATRIX_WEIGHTS = 20_000_000
+
+# The least deviation of Keras's Normalization.
+SMALLEST_DEVIATION = 1e-7
+
+# The scale below which a first Rescaling is for pixels (1/127.5 is the largest in use), and the sum
+# of mean and deviation above which a Normalization is.
+MAX_PIXEL_SCALE = 0.01
+MAX_STANDARDISED = 2.0
+
+# Largest value of a pixel, with which an image of this project is multiplied where the first layer
+# of a model takes pixels.
+MAX_PIXEL = 255.0
 
 RETRAIN = "with --retrain it becomes"
 
@@ -46,6 +59,17 @@ class _Sums:
     kernel: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
     curve: object = "relu"  # in the file; the architecture has ReLUs only
+    maxima: MaxPool | None = None  # in the file between the built signal and the kernel
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Averages over windows of the built image, with a scale and offset for each channel."""
+
+    size: tuple
+    strides: tuple
+    affine: tuple
+    map: object  # of the signal, which tells if anything else followed
 
 
 def convert_layers(input_shape, layers, retrain: bool = False, grid=None) -> KerasModel:
@@ -128,6 +152,9 @@ class Chain:
         self.layers = []
         self.sums = []
         self.max_pools = {}  # by the index of their layer
+        self.maxima = None  # over windows of the built image, which the next Dense takes in
+        self.means = None  # over windows of the built image, which the next Conv2D may take in
+        self.input_scale = 1.0
         self.paddings = {}  # by the index of their layer
         self.is_linear = False  # no activation since the last weighted sums
         self.end = None  # (layer, activation) of an output, if it is one
@@ -155,6 +182,12 @@ class Chain:
             layer.refuse("has NaN or infinite weights; train it again, with a lower learning rate")
         if len(self.layers) >= MAX_LAYERS:
             raise ModelFileError(f"has more than {MAX_LAYERS} layers; use fewer")
+        if self.maxima is not None and layer.kind in WITH_WINDOWS:
+            layer.refuse(
+                "follows a maximum whose windows are cut off at the edge, or overlap so that "
+                "averages without overlap have another shape; use MaxPooling2D(2) of an even "
+                "number of rows and columns, or a stride of 2 with padding='same'"
+            )
         if self.end is not None:  # no output, since a layer follows
             before, curve = self.end
             self.end = None
@@ -201,64 +234,101 @@ class Chain:
         weighted = [name for name, one in zip(names, layers, strict=True) if one.has_neurons]
         weights = {}
         for name, sums in zip(weighted, self.sums, strict=True):
+            kernel = sums.kernel
+            if sums.maxima is not None:
+                kernel = sums.maxima.means.T @ kernel
             with np.errstate(over="ignore"):  # infinite values are refused below
-                kernel, bias = (np.asarray(a, np.float32) for a in (sums.kernel, sums.bias))
+                kernel, bias = (np.asarray(a, np.float32) for a in (kernel, sums.bias))
             if not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
                 sums.layer.refuse("its weights are too large for single precision")
             weights |= {f"{name}.kernel": kernel, f"{name}.bias": bias}
         curves = {name: sums.curve for name, sums in zip(weighted, self.sums, strict=True)}
+        max_pools = {names[index]: pool for index, pool in self.max_pools.items()}
+        for name, sums in zip(weighted, self.sums, strict=True):
+            if sums.maxima is not None:
+                kernel = np.asarray(sums.kernel, np.float32)
+                max_pools[name] = replace(sums.maxima, kernel=kernel)
         return KerasModel(
             architecture=architecture,
             weights=weights,
             notes=tuple(self.notes),
             replaced=tuple(self.replaced),
             curves={n: c for n, c in curves.items() if c != "relu" and n != "output"},
-            max_pools={names[index]: pool for index, pool in self.max_pools.items()},
+            max_pools=max_pools,
             paddings={names[index]: values for index, values in self.paddings.items()},
             end=end,
             input_order=self.input_order,
+            input_scale=self.input_scale,
         )
 
     # --- layers with weights ----------------------------------------------------------------------
 
     def convolve(self, layer):
-        rows, columns = layer.pair("kernel_size")
-        strides = layer.pair("strides")
         if not self.signal.is_image:
             layer.refuse("its input has no rows and columns")
-        if rows != columns:
-            layer.refuse(f"its kernel of {rows}x{columns} is not square; use a square one")
-        if strides[0] != strides[1]:
-            layer.refuse("its strides along rows and columns differ; use the same")
-        if layer.pair("dilation_rate") != (1, 1):
-            layer.refuse("is dilated; use dilation_rate=1 and a larger kernel or a stride")
-        if layer.config.get("groups", 1) != 1:
-            layer.refuse("is a grouped convolution; use groups=1")
         self.require_curve(layer)
         kernel, bias = _kernel_and_bias(layer)
+        if kernel.shape[1] != self.signal.shape[2]:
+            layer.refuse(NO_CHAIN)
+        window, counts, (scale, offset) = self.find_window(layer, kernel)
+        if window.stride[0] != window.stride[1]:
+            layer.refuse("its strides along rows and columns differ; use the same")
+        own = layer.config["padding"]
+        paddings = (own, "same" if own == "valid" else "valid")
+        built = self.signal.built
+        fitting = fit_to_chip(window, built[:2], counts, paddings)
+        if fitting is None:
+            size = "x".join(map(str, window.kernel.shape[2:]))
+            layer.refuse(
+                f"its kernel of {size} with {window.before} zeros before the image has other "
+                "windows than a square kernel with padding='same' or 'valid'; use one of these"
+            )
+        kernel = fitting["weights"]
+        made = Convolution(kernel.shape[-1], len(kernel), fitting["stride"], fitting["padding"])
+        if offset.any() and _reads_padding(window, built, counts):
+            self.pad_without_offset(layer, scale, offset)
+        if len(kernel) != max(layer.pair("kernel_size")):
+            self.notes.append(
+                f"{layer}: its windows became a kernel of {made.kernel}x{made.kernel}"
+            )
+        bias = bias + np.einsum("ijcf,c->f", kernel, offset)
+        self.weigh(layer, made, kernel * scale[:, None], bias)
+        self.activate(layer)
+
+    def find_window(self, layer, kernel):
+        """The windows of a convolution on the built image, their counts, and its affine input.
+
+        Parameters
+        ----------
+        layer : Layer
+        kernel : ndarray, shape (filters, channels, rows, columns)
+        """
+        strides = layer.pair("strides")
+        sides = self.signal.shape[:2]
+        along = [
+            windows(*side, layer.config["padding"])
+            for side in zip(sides, kernel.shape[2:], strides, strict=True)
+        ]
+        counts = [count for count, _, _ in along]
+        before = tuple(
+            zeros + pads[0] for (_, zeros, _), pads in zip(along, self.signal.pads, strict=True)
+        )
+        if min(counts) < 1:
+            layer.refuse("its kernel is larger than its input; use a smaller one")
         affine = self.signal.channel_affine()
-        if affine is None:
+        if affine is not None:
+            return Window(kernel, strides, before), counts, affine
+        means = self.means
+        is_padded = any(zeros or after for _, zeros, after in along)
+        if means is None or means.map is not self.signal.map or is_padded:
             layer.refuse(
                 "its input is averaged over windows that overlap, or is in another order than "
                 "rows, columns and channels; use AveragePooling2D(2), or a Dense after it"
             )
-        scale, offset = affine
-        made = Convolution(kernel.shape[-1], rows, strides[0], layer.config["padding"])
-        if self.signal.is_padded:
-            same = replace(made, padding="same")
-            if made.padding != "valid" or same.pads(self.signal.built) != self.signal.pads:
-                layer.refuse(
-                    f"the zeros padded before it, {self.signal.pads}, are not those of "
-                    "padding='same'; use that instead"
-                )
-            made = same
-        if offset.any() and any(map(any, made.pads(self.signal.built))):
-            self.pad_without_offset(layer, scale, offset)
-        if kernel.shape != made.kernel_shape(self.signal.built):
-            layer.refuse(NO_CHAIN)
-        bias = bias + np.einsum("ijcf,c->f", kernel, offset)
-        self.weigh(layer, made, kernel * scale[:, None], bias)
-        self.activate(layer)
+        kernel = spread_kernel(kernel, 1, means.strides)
+        kernel = sum_shifted(kernel, means.size, (1, 1)) / math.prod(means.size)
+        strides = tuple(a * b for a, b in zip(strides, means.strides, strict=True))
+        return Window(kernel, strides, before), counts, means.affine
 
     def pad_without_offset(self, layer, scale, offset):
         """Pad zeros of the built signal instead of zeros of the normalised one."""
@@ -284,12 +354,13 @@ class Chain:
         """Append a dense layer; one that follows another without an activation is multiplied."""
         bias = self.signal.offset @ kernel + bias
         kernel = self.signal.map.T @ kernel
-        if self.layers and isinstance(self.layers[-1], Pooling):
+        if self.maxima is not None or (self.layers and isinstance(self.layers[-1], Pooling)):
             self.require_curve(layer)
         if self.is_linear:
             before = self.linear_dense()
             bias = before.bias @ kernel + bias
             kernel = before.kernel @ kernel
+            self.maxima = before.maxima
             self.notes.append(f"{before.layer}: folded into {layer}, since it has no activation")
             self.layers.pop()
             self.sums.pop()
@@ -318,7 +389,9 @@ class Chain:
             layer.refuse(f"has more than {MAX_VALUES} outputs or {MAX_WEIGHTS} weights")
         self.signal.begin(made.shape(self.signal.built))
         self.layers.append(made)
-        self.sums.append(_Sums(layer, kernel, np.broadcast_to(bias, kernel.shape[-1:])))
+        bias = np.broadcast_to(bias, kernel.shape[-1:])
+        self.sums.append(_Sums(layer, kernel, bias, maxima=self.maxima))
+        self.maxima = None
         self.is_linear = True
 
     def read_out(self):
@@ -466,7 +539,10 @@ class Chain:
                 self.layers.append(Pooling(size[0]))
                 self.signal.begin(self.layers[-1].shape(self.signal.built), *affine)
             return
+        is_inside = affine is not None and padding == "valid"
         self.signal.average(size, strides, padding)
+        if is_inside:
+            self.means = _Means(size, strides, affine, self.signal.map)
 
     def maximise(self, layer):
         self.pool_maximum(layer, layer.pair("pool_size"), _strides(layer), layer.config["padding"])
@@ -487,16 +563,24 @@ class Chain:
         is_like_average = strides[0] == strides[1] > 1 and counts == [
             n // strides[0] for n in sides
         ]
-        if affine is None or self.signal.is_padded or not is_like_average:
+        if affine is None or self.signal.is_padded:
             layer.refuse(
-                "its windows are not square, or overlap so that averages without overlap have "
-                "another shape; use MaxPooling2D(2)"
+                "its input is padded, or in another order than rows, columns and channels; use it "
+                "right after a convolution"
             )
         scale, offset = affine
-        self.max_pools[len(self.layers)] = MaxPool(size, strides, padding, np.sign(scale))
-        self.layers.append(Pooling(strides[0]))
-        self.signal.begin(self.layers[-1].shape(self.signal.built), scale, offset)
-        self.replaced.append(f"{layer}: replaced by AveragePooling2D({strides[0]})")
+        pool = MaxPool(size, strides, padding, np.sign(scale))
+        if is_like_average:
+            self.max_pools[len(self.layers)] = pool
+            self.layers.append(Pooling(strides[0]))
+            self.signal.begin(self.layers[-1].shape(self.signal.built), scale, offset)
+            self.replaced.append(f"{layer}: replaced by AveragePooling2D({strides[0]})")
+            return
+        means = Signal(self.signal.built)
+        means.average(size, strides, padding)
+        self.maxima = replace(pool, means=means.map, image=self.signal.built)
+        self.signal.begin(means.shape, scale, offset)
+        self.replaced.append(f"{layer}: replaced by an average over the same windows")
 
     # --- layers that scale ------------------------------------------------------------------------
 
@@ -518,8 +602,35 @@ class Chain:
         )
 
     def rescale(self, layer):
-        self.apply_affine(
-            layer, *(np.asarray(layer.config[key], float) for key in ("scale", "offset"))
+        scale, offset = (np.asarray(layer.config[key], float) for key in ("scale", "offset"))
+        self.take_pixels(layer, np.abs(scale).max() <= MAX_PIXEL_SCALE)
+        self.apply_affine(layer, scale, offset)
+
+    def standardise(self, layer):
+        if layer.config.get("invert", False):
+            layer.refuse("undoes a normalisation; use Rescaling")
+        if layer.config.get("mean") is not None:
+            mean, variance = (np.asarray(layer.config[key], float) for key in ("mean", "variance"))
+        else:
+            axis = layer.config["axis"]
+            axes = axis if isinstance(axis, (list, tuple)) else [axis]
+            shape = [1] * len(self.signal.shape)
+            for one in axes if axis is not None else ():
+                index = one if one < 0 else one - 1
+                shape[index] = self.signal.shape[index]
+            mean, variance = (np.reshape(a, shape).astype(float) for a in layer.arrays[:2])
+        deviation = np.maximum(np.sqrt(variance), SMALLEST_DEVIATION)
+        self.take_pixels(layer, (np.abs(mean) + deviation).max() > MAX_STANDARDISED)
+        self.apply_affine(layer, 1 / deviation, -mean / deviation)
+
+    def take_pixels(self, layer, has_pixels):
+        """Multiply images, whose values end at 1, for a first layer whose input ends at 255."""
+        if not has_pixels or self.layers or self.input_scale != 1:
+            return
+        self.input_scale = MAX_PIXEL
+        self.signal.scale(np.full(len(self.signal.offset), MAX_PIXEL), 0.0)
+        self.notes.append(
+            f"{layer}: is for pixels up to 255; images here end at 1 and are multiplied by 255"
         )
 
     def apply_affine(self, layer, scale, offset):
@@ -551,16 +662,26 @@ class Chain:
 
 
 def _kernel_and_bias(layer):
-    """Kernel and bias of a layer as those of a Conv2D or Dense."""
+    """Kernel and bias of a layer: (inputs, outputs) of a Dense, else (filters, channels, ...)."""
     kernel, *others = (array.astype(float) for array in layer.arrays)
+    groups = layer.config.get("groups", 1)
     if layer.kind in ("DepthwiseConv2D", "SeparableConv2D"):
-        # Each channel has kernels of its own: those between different channels are zeros.
-        channels = kernel.shape[2]
-        own = np.eye(channels)[:, :, None]
-        kernel = (kernel[:, :, :, None, :] * own).reshape(*kernel.shape[:2], channels, -1)
+        groups = kernel.shape[2]
+        kernel = kernel.reshape(*kernel.shape[:2], 1, -1)
+    if layer.kind != "Dense":
+        kernel = spread_kernel(kernel.transpose(3, 2, 0, 1), groups, layer.pair("dilation_rate"))
     if layer.kind == "SeparableConv2D":
-        kernel = kernel @ others.pop(0)[0, 0]
-    return kernel, others[0] if others else np.zeros(kernel.shape[-1])
+        kernel = np.einsum("fcij,fo->ocij", kernel, others.pop(0)[0, 0])
+    return kernel, others[0] if others else np.zeros(kernel.shape[0 if kernel.ndim > 2 else 1])
+
+
+def _reads_padding(window, image, counts) -> bool:
+    """True if windows read zeros beside the image."""
+    if any(window.before):
+        return True
+    reach = window.kernel.shape[2:]
+    sides = zip(image, reach, counts, strict=False)
+    return any((count - 1) * window.stride[0] + size > n for n, size, count in sides)
 
 
 def _strides(layer):
@@ -599,6 +720,7 @@ HANDLERS = {
     "Softmax": lambda chain, layer: chain.use_activation(layer, "softmax"),
     "BatchNormalization": Chain.normalise,
     "Rescaling": Chain.rescale,
+    "Normalization": Chain.standardise,
     "Flatten": Chain.flatten,
     "Reshape": Chain.reshape,
     "Permute": Chain.permute,
@@ -609,6 +731,11 @@ HANDLERS = {
     "MaxPooling2D": Chain.maximise,
     "GlobalMaxPooling2D": Chain.maximise_all,
 }
+# Layers that read windows of an image.
+WITH_WINDOWS = (
+    *("Conv2D", "DepthwiseConv2D", "SeparableConv2D", "AveragePooling2D", "MaxPooling2D"),
+    *("GlobalAveragePooling2D", "GlobalMaxPooling2D", "ZeroPadding2D"),
+)
 # Layers that only act in training.
 IDLE = (
     *("Dropout", "SpatialDropout2D", "AlphaDropout", "GaussianDropout", "GaussianNoise"),
@@ -627,7 +754,6 @@ USE_RELU = "use activation='relu' (in the output 'softmax' or None)"
 # Alternatives to layers that are not supported.
 REFUSED = {
     "LayerNormalization": "use BatchNormalization",
-    "Normalization": "use Rescaling, or BatchNormalization",
     "Conv1D": "use Conv2D on an input of rows, columns, channels",
     "PReLU": USE_RELU,
 }

@@ -1,7 +1,7 @@
 """A layer of a Keras model, and a model as an architecture and its weights."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,8 @@ class Layer(NamedTuple):
         return tuple(value) if isinstance(value, (list, tuple)) else (value, value)
 
 
-class MaxPool(NamedTuple):
+@dataclass(frozen=True)
+class MaxPool:
     """A maximum over windows in the file's model, where the architecture averages.
 
     Attributes
@@ -40,12 +41,21 @@ class MaxPool(NamedTuple):
     signs : ndarray, shape (channels,)
         -1 for channels of which a later normalisation changes the sign, so that the file's model
         has their minimum.
+    image : tuple of int
+        Shape of the image before it, if a dense layer has taken in the averages.
+    means : scipy.sparse.csr_array, shape (averages, values of the image)
+        The averages that a dense layer has taken in.
+    kernel : ndarray, shape (maxima, units)
+        The kernel of that layer in the file.
     """
 
     size: tuple
     strides: tuple
     padding: str
     signs: np.ndarray
+    image: tuple = ()
+    means: Any = None
+    kernel: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -66,7 +76,8 @@ class KerasModel:
     curves : dict
         The functions in the file that ReLUs replace, by the name of the layer of neurons.
     max_pools : dict of str to MaxPool
-        The layers in the file that averages replace, by the name of the pooling.
+        The layers in the file that averages replace, by the name of the pooling, or of the dense
+        layer that has taken in the averages.
     paddings : dict of str to ndarray
         Values of the channels with which the file's model pads a convolution's input, where the
         architecture pads zeros, by the name of the convolution.
@@ -75,6 +86,8 @@ class KerasModel:
     input_order : ndarray of int
         The values of an image, in the order (row, column, channel), that the model's input has, in
         its shape.
+    input_scale : float
+        What an image is multiplied with to be the model's input: 255 for a model of pixels.
     """
 
     architecture: Architecture
@@ -86,3 +99,4 @@ class KerasModel:
     paddings: dict
     end: str
     input_order: np.ndarray
+    input_scale: float = 1.0

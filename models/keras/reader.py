@@ -95,7 +95,8 @@ def original_network(model: KerasModel):
 
     def replace_layer(layer):
         if layer.name in model.max_pools:
-            return _maximum(layer.name, model.max_pools[layer.name])
+            pool = model.max_pools[layer.name]
+            return _maximum(layer.name, pool) if pool.kernel is None else _max_dense(layer, pool)
         if layer.name in model.paddings:
             return _padded_convolution(layer, model.paddings[layer.name])
         return layer
@@ -110,13 +111,26 @@ def _maximum(name, pool):
     """A layer with the maximum over the windows of a MaxPool."""
     from models.keras.keras2 import tf
 
+    return tf.keras.layers.Lambda(lambda values: _take_maximum(values, pool), name=name)
+
+
+def _take_maximum(values, pool):
+    from models.keras.keras2 import tf
+
     signs = pool.signs.astype(np.float32)
+    return signs * tf.nn.max_pool2d(signs * values, pool.size, pool.strides, pool.padding.upper())
 
-    def take_maximum(values):
-        maximum = tf.nn.max_pool2d(signs * values, pool.size, pool.strides, pool.padding.upper())
-        return signs * maximum
 
-    return tf.keras.layers.Lambda(take_maximum, name=name)
+def _max_dense(layer, pool):
+    """A dense layer of the maxima over windows of an image, with the kernel of the file."""
+    from models.keras.keras2 import tf
+
+    class MaxDense(tf.keras.layers.Dense):
+        def call(self, inputs):
+            maxima = _take_maximum(tf.reshape(inputs, (-1, *pool.image)), pool)
+            return tf.reshape(maxima, (-1, len(pool.kernel))) @ pool.kernel + self.bias
+
+    return MaxDense.from_config(layer.get_config())
 
 
 def _padded_convolution(layer, padding):
@@ -141,7 +155,7 @@ def _compare(model, read: KerasModel):
 
     shape = read.architecture.input_shape
     images = np.random.default_rng(0).uniform(0, 1, (N_COMPARED, *shape)).astype(np.float32)
-    inputs = images.reshape(N_COMPARED, -1)[:, read.input_order.ravel()]
+    inputs = read.input_scale * images.reshape(N_COMPARED, -1)[:, read.input_order.ravel()]
     inputs = inputs.reshape(N_COMPARED, *read.input_order.shape)
     # XLA computes convolutions with channels first on a CPU, which TensorFlow does not.
     is_channels_first = '"channels_first"' in model.to_json()

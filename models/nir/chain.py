@@ -48,8 +48,9 @@ from models.nir.equations import METHODS
 from models.nir.errors import NirError
 from models.nir.graph import FILTERS, SPIKING, NirNetwork
 from models.nir.simulator import apply, check_step
-from models.nir.windows import find_window, fit_to_chip
+from models.nir.windows import find_window
 from models.ops import Convolution, Dense
+from models.windows import fit_to_chip
 
 
 def from_nir(

@@ -217,6 +217,38 @@ def exact(keras):
             layers.Dense(3, activation="softmax", name="out"),
         ),
         "within": chain((6, 6, 1), inner, layers.Flatten(), layers.Dense(3)),
+        "other_windows": chain(
+            (9, 12, 2),
+            layers.Conv2D(4, (3, 2), padding="same", activation="relu"),
+            layers.Conv2D(4, 2, dilation_rate=2, groups=2, activation="relu"),
+            layers.ZeroPadding2D(1),
+            layers.Conv2D(3, 3, strides=2, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "means_before_convolution": chain(
+            (12, 12, 2),
+            layers.Conv2D(4, 3, activation="relu"),
+            layers.AveragePooling2D(3, strides=2),
+            layers.Dropout(0.1),
+            layers.Conv2D(3, 2, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "pixels": chain(
+            (6, 6, 1),
+            layers.Rescaling(1 / 255),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
+        "normalised_pixels": chain(
+            (6, 6, 2),
+            layers.Normalization(mean=[33.0, 41.0], variance=[900.0, 100.0]),
+            layers.Conv2D(3, 3, activation="relu"),
+            layers.Flatten(),
+            layers.Dense(3),
+        ),
     }
 
 
@@ -243,6 +275,16 @@ def inexact(keras):
         "overlapping_maxima": chain(
             layers.Conv2D(4, 4, activation="relu"),
             layers.MaxPooling2D(3, strides=2, name="cause"),
+        ),
+        "maxima_before_dense": chain(
+            layers.Conv2D(4, 4, activation="relu"),
+            layers.BatchNormalization(),
+            layers.MaxPooling2D(2, padding="same", name="cause"),
+            layers.Dropout(0.1),
+            layers.Flatten(),
+            layers.Dense(5),
+            layers.BatchNormalization(),
+            layers.ReLU(),
         ),
         "lenet": chain(
             layers.Conv2D(4, 3, activation="tanh", name="cause"),
@@ -293,8 +335,6 @@ def bad(keras):
 
     models["function"] = chain(conv(activation=lambda x: x * x))
     models["lambda"] = chain(conv(), layers.Lambda(lambda x: 2 * x, name="double"))
-    models["dilated"] = chain(conv(dilation_rate=2))
-    models["groups"] = chain(conv(groups=2), shape=(8, 8, 2))
     models["not_square"] = chain(conv(kernel_size=(3, 2)))
     models["uneven_strides"] = chain(conv(strides=(1, 2)))
     models["relu_after_pooling"] = chain(conv(activation=None), layers.AveragePooling2D(2),
@@ -309,7 +349,12 @@ def bad(keras):
     )
     models["no_dense_output"] = chain(conv(), end=[])
     models["overlapping_means"] = chain(
-        conv(), layers.AveragePooling2D(3, strides=2), conv(kernel_size=2, name="d")
+        conv(),
+        layers.AveragePooling2D(3, strides=2),
+        conv(kernel_size=2, padding="same", name="d"),
+    )
+    models["maxima_cut_off"] = chain(
+        conv(kernel_size=2), layers.MaxPooling2D(2, padding="same"), conv(kernel_size=2, name="d")
     )
     models["other_padding"] = chain(layers.ZeroPadding2D(3), conv())
     models["unknown_rows"] = chain(shape=(200,), end=[layers.Dense(3)])

@@ -55,12 +55,17 @@ EXACT = {
     "channels_first": "8x7x2-3c3-2a-4c2-3o",
     "within": "6x6-3c3-3o",
     "keras_1": "8x8-4c3s2-3o",
+    "other_windows": "9x12x2-4c3p-4c3-3c4s2p-3o",
+    "means_before_convolution": "12x12x2-4c3-3c5s2-3o",
+    "pixels": "6x6-3c3-3o",
+    "normalised_pixels": "6x6x2-3c3-3o",
 }
 # Of models of which something is replaced, since training goes on.
 REPLACED = {
     "maxima": "12x12-4c3-2a-5c2-2a-3o",
     "global_maximum": "12x12-4c3-10a-3o",
     "overlapping_maxima": "12x12-4c4-2a-3o",
+    "maxima_before_dense": "12x12-4c4-5-3o",
     "lenet": "12x12-4c3-2a-5c2-3o",
     "leaky": "12x12-4c3-6-5-3o",
     "leaky_maxima": "12x12-4c3-2a-5c2-2a-3o",
@@ -70,11 +75,9 @@ REPLACED = {
 BAD = {
     "overlapping_means": ("'d'", "AveragePooling2D(2)"),
     "other_padding": ("'c'", "padding='same'"),
+    "not_square": ("'c'", "3x2"),
     "function": ("activation", "activation='relu'"),
     "lambda": ("'double' (Lambda)", "Keras's layers"),
-    "dilated": ("'c'", "dilation_rate=1"),
-    "groups": ("'c'", "groups=1"),
-    "not_square": ("'c'", "3x2"),
     "uneven_strides": ("'c'", "strides"),
     "relu_after_pooling": ("(ReLU)", "average"),
     "relu_first": ("'early'", "Conv2D", "Dense"),
@@ -119,7 +122,7 @@ def original_outputs(path, own):
     with np.load(path.with_suffix(".npz")) as kept:
         inputs, outputs = kept["inputs"], kept["outputs"]
     images = np.zeros((len(inputs), np.prod(own.architecture.input_shape)))
-    images[:, own.input_order.ravel()] = inputs.reshape(len(inputs), -1)
+    images[:, own.input_order.ravel()] = inputs.reshape(len(inputs), -1) / own.input_scale
     logits = predict(original_network(own), images.reshape(-1, *own.architecture.input_shape))
     return outputs, logits
 
@@ -150,6 +153,25 @@ def test_what_needs_training_is_refused_without_it(files, which, name):
     with pytest.raises(ModelFileError) as refusal:
         read_keras(files[which] / f"{name}.{SUFFIXES[which]}")
     assert missing(str(refusal.value), "'cause'", "--retrain") == []
+
+
+def test_maxima_that_cannot_be_averages_are_refused(files):
+    with pytest.raises(ModelFileError, match=r"'d' \(Conv2D\): .*MaxPooling2D\(2\)"):
+        read_keras(files["keras2"] / "maxima_cut_off.h5", retrain=True)
+
+
+def test_a_sequence_as_a_list(tmp_path, files):
+    """Keras before 2.2.3 wrote the layers of a sequential model without a name around them."""
+    path = tmp_path / "old.h5"
+    shutil.copy(files["keras2"] / "paper.h5", path)
+    with h5py.File(path, "a") as file:
+        config = json.loads(file.attrs["model_config"])
+        before, *layers = config["config"]["layers"]
+        layers[0]["config"]["batch_input_shape"] = before["config"]["batch_input_shape"]
+        config["config"] = layers
+        file.attrs["model_config"] = np.bytes_(json.dumps(config))
+        file.attrs["keras_version"] = np.bytes_("2.1.6")
+    assert read_keras(path).architecture == parse(GOOD["paper"])
 
 
 def test_what_was_folded_or_left_out_is_said(files):
