@@ -756,4 +756,8 @@ REFUSED = {
     "LayerNormalization": "use BatchNormalization",
     "Conv1D": "use Conv2D on an input of rows, columns, channels",
     "PReLU": USE_RELU,
+    "Resizing": "train the model on images of the sensor's size",
+    **dict.fromkeys(
+        ("Add", "Concatenate", "Multiply", "Average"), "use one chain, without branches"
+    ),
 }
