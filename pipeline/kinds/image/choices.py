@@ -21,13 +21,13 @@ from pipeline.run.settings import Choice, Settings, names_in
 EPOCHS_ON_REAL_IMAGES = 200
 MIN_RECORDINGS_FOR_EPOCHS = 2000
 
-# Inputs of a neuron up to which the recipe's learning rate trains a network from a CNN's weights.
-# The change of a neuron's sum in an update grows with its inputs: with 9,216 of them the recipe's
+# Inputs of a neuron up to which the learning rate of the schedule trains a network from a CNN's weights.
+# The change of a neuron's sum in an update grows with its inputs: with 9,216 of them that
 # rate left Keras's example for MNIST at chance, and this one in proportion did not.
 MAX_INPUTS_AT_FULL_RATE = 500
 
-# Learning rate of the recipe "loihi" in :mod:`pipeline.training.networks`.
-RECIPE_RATE = 0.004
+# Learning rate of the schedule "loihi" in :mod:`pipeline.training.networks`.
+SCHEDULED_RATE = 0.004
 
 # Rows and columns of the first convolution's output on slices of time, on average.
 SLICES_MAP = 5
@@ -158,7 +158,7 @@ def _choose_learning_rate(settings):
     inputs = max(math.prod(shape[:-1]) for shape in kernels)
     if inputs <= MAX_INPUTS_AT_FULL_RATE:
         return []
-    rate = float(f"{RECIPE_RATE * MAX_INPUTS_AT_FULL_RATE / inputs:.1g}")
+    rate = float(f"{SCHEDULED_RATE * MAX_INPUTS_AT_FULL_RATE / inputs:.1g}")
     reason = (
         f"learning rate of rate-lif {rate:g}, since a neuron has up to {inputs} inputs (another: "
         "--set snn.learning_rate=...)"

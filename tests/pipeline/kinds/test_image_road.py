@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.commands.stages import _images_of
 from pipeline.kinds import find_compared_stage, kind_of_network
-from pipeline.kinds.image.choices import RECIPE_RATE, choose_image_augmentation
+from pipeline.kinds.image.choices import SCHEDULED_RATE, choose_image_augmentation
 from pipeline.kinds.imported import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
@@ -72,10 +72,10 @@ def test_neurons_with_many_inputs_are_trained_further_at_a_lower_rate():
         )
 
 
-def test_the_rate_is_in_proportion_to_that_of_the_recipe():
-    from pipeline.training.networks import RECIPES
+def test_the_rate_is_in_proportion_to_that_of_the_schedule():
+    from pipeline.training.networks import SCHEDULES
 
-    assert RECIPES["loihi"].learning_rate == RECIPE_RATE
+    assert SCHEDULES["loihi"].learning_rate == SCHEDULED_RATE
 
 
 SLICES = {"input": {"kind": "slices"}}
