@@ -21,9 +21,9 @@ from pipeline.run.settings import Choice, Settings, names_in
 EPOCHS_ON_REAL_IMAGES = 200
 MIN_RECORDINGS_FOR_EPOCHS = 2000
 
-# Inputs of a neuron up to which the learning rate of the schedule trains a network from a CNN's weights.
-# The change of a neuron's sum in an update grows with its inputs: with 9,216 of them that
-# rate left Keras's example for MNIST at chance, and this one in proportion did not.
+# Inputs of a neuron up to which a network is trained from a CNN's weights at the learning rate of
+# the schedule.  The change of a neuron's sum in an update grows with its inputs: with 9,216 of them
+# this rate left Keras's example for MNIST at chance, and a rate in proportion did not.
 MAX_INPUTS_AT_FULL_RATE = 500
 
 # Learning rate of the schedule "loihi" in :mod:`pipeline.training.networks`.
