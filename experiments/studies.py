@@ -225,6 +225,13 @@ EXPERIMENTS = (
                 {"events": {"size": "small"}},
                 input="events",
             ),
+            Line(
+                "events-large-loihi",
+                "large SNN on events, emulated Loihi, readout on host",
+                "fast",
+                {"events": {"size": "large"}},
+                input="events",
+            ),
             *_with_faults("own-loihi", "ANN-SNN, longer training, emulated Loihi", OWN),
             *_with_faults("slices", "SNN on slices of time, emulated Loihi", input="slices"),
             *_with_faults("events-loihi", "SNN on events, emulated Loihi", input="events"),

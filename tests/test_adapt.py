@@ -22,7 +22,7 @@ from pipeline.simulation.simulate import simulate
 from tests.command import call
 
 # From (down, right) to that of a digit that leans to the left.
-LEANING = np.array([[1.0, 0.4], [0.0, 1.0]])
+LEANING = np.array([[1.0, 0.7], [0.0, 1.0]])
 
 
 def strange_hand(each, seed=5):

@@ -99,6 +99,10 @@ class NetworkSize:
         Neurons of the hidden layer of other networks, in multiples of the standard size's.
     budget : float
         Synaptic operations of a recording of `USUAL_EVENTS`, in multiples of the CNN's.
+    passes : int
+        Passes over the training samples, in multiples of :func:`epochs_for`.
+    dropout : float
+        Share of a layer's neurons whose spikes are left out, unless there are few samples.
     """
 
     name: str
@@ -108,6 +112,8 @@ class NetworkSize:
     hidden: int
     width: float
     budget: float
+    passes: int
+    dropout: float
 
     def is_for(self, sensor: Sensor, samples: int) -> bool:
         """True if a sensor and a number of training samples suit its convolution."""
@@ -117,8 +123,9 @@ class NetworkSize:
 SIZES = {
     size.name: size
     for size in (
-        NetworkSize("small", 24, 3, 1, hidden=64, width=0.5, budget=0.8),
-        NetworkSize("standard", 32, 2, 2, hidden=128, width=1.0, budget=2.0),
+        NetworkSize("small", 24, 3, 1, hidden=64, width=0.5, budget=0.8, passes=1, dropout=0.1),
+        NetworkSize("standard", 32, 2, 2, hidden=128, width=1.0, budget=2.0, passes=1, dropout=0.1),
+        NetworkSize("large", 48, 2, 2, hidden=192, width=1.5, budget=3.5, passes=3, dropout=0.2),
     )
 }
 
@@ -213,9 +220,9 @@ def find_bin_ms(table: EventTable) -> float | None:
     return bin_ms if 1 <= bin_ms <= MAX_BIN_MS else None
 
 
-def dropout_for(samples: int, default: float) -> float:
-    """Dropout for touch that is not handwriting."""
-    return FEW_DROPOUT if samples < FEW_SAMPLES else default
+def dropout_for(size: NetworkSize, samples: int) -> float:
+    """Dropout for touch that is not simulated handwriting."""
+    return FEW_DROPOUT if samples < FEW_SAMPLES else size.dropout
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

@@ -24,6 +24,7 @@ from pipeline.recordings.augmentation import choose_augmentation
 from pipeline.recordings.events import Recordings, is_handwriting
 from pipeline.run.settings import Choice, Settings, apply_choices
 from pipeline.training.event_rules import (
+    FEW_SAMPLES,
     TAIL_STEPS,
     USUAL_EVENTS,
     NetworkSize,
@@ -31,6 +32,7 @@ from pipeline.training.event_rules import (
     choose_reading,
     choose_size,
     dropout_for,
+    epochs_for,
     find_bin_ms,
 )
 
@@ -71,6 +73,7 @@ class EventChoices:
         self._choose_step()
         self._choose_presentation()
         self._choose_architecture()
+        self._choose_epochs()
         self._choose_augmentation()
         if not self.is_usual:
             self._choose_dropout()
@@ -144,6 +147,19 @@ class EventChoices:
         if budget != self.settings.events.budget:
             self._choose("events.budget", budget)
 
+    def _choose_epochs(self):
+        """More passes over the training samples for a size that has them."""
+        settings = self.settings
+        size = choose_size(settings.events.size, self.recordings)
+        if size.passes == 1 or not settings.is_open("events.epochs"):
+            return
+        usual = epochs_for(len(self.train), settings.events.batch_size)
+        reason = (
+            f"{size.passes} times the usual {usual} passes over the training samples; "
+            f"size {size.name} (another: --set events.epochs=...)"
+        )
+        self._choose("events.epochs", size.passes * usual, reason)
+
     def _choose_augmentation(self):
         if self.settings.events.augment != "auto":
             return
@@ -153,13 +169,15 @@ class EventChoices:
         self._choose("events.augment", augmentation, reason)
 
     def _choose_dropout(self):
-        default = Settings().events.dropout
-        dropout = dropout_for(len(self.train), default)
-        if self.settings.is_open("events.dropout") and dropout != default:
-            reason = (
-                f"dropout of {dropout:g}, for few recordings (another: --set events.dropout=...)"
-            )
-            self._choose("events.dropout", dropout, reason)
+        size = choose_size(self.settings.events.size, self.recordings)
+        samples = len(self.train)
+        dropout = dropout_for(size, samples)
+        is_default = dropout == Settings().events.dropout
+        if is_default or not self.settings.is_open("events.dropout"):
+            return
+        why = "few recordings" if samples < FEW_SAMPLES else f"size {size.name}"
+        reason = f"dropout of {dropout:g}, for {why} (another: --set events.dropout=...)"
+        self._choose("events.dropout", dropout, reason)
 
     def _choose_reading(self):
         """The refractory period, and the sections of the readout."""

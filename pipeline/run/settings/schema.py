@@ -315,10 +315,11 @@ class NIR(Section):
 class EventTraining(Section):
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
-    #: Capacity of a network whose architecture and budget follow from the recordings: ``small``, or
-    #: ``standard`` with about three times as many operations; ``auto``, ``small`` for simulated
-    #: handwriting and ``standard`` for other recordings.
-    size: Annotated[str, one_of("auto", "small", "standard")] = "auto"
+    #: Capacity of a network whose architecture and budget follow from the recordings: ``small``,
+    #: ``standard`` with about three times as many operations, or ``large`` with five times as many,
+    #: which is trained three times as long; ``auto``, ``small`` for simulated handwriting and
+    #: ``standard`` for other recordings.
+    size: Annotated[str, one_of("auto", "small", "standard", "large")] = "auto"
     #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
     architecture: str = "10x10x2-24c4s3-64-10o"
     #: Consecutive sections of a recording, which have readout weights of their own; 0: as the

@@ -16,6 +16,7 @@ from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.training.event_rules import SIZES as NETWORK_SIZES
+from pipeline.training.event_rules import epochs_for
 from tests.command import missing
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -197,13 +198,14 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
     [
         ("small", "10x10x2-24c4s3-64-10o"),
         ("standard", "10x10x2-32c4s2-128-10o"),
+        ("large", "10x10x2-48c4s2-192-10o"),
     ],
 )
 def test_an_architecture_for_every_size(size, expected):
     assert event_architecture_for(Sensor(), NETWORK_SIZES[size], 5000) == expected
     strip = Sensor(1, 39, classes=CLASSES)
     few = parse(event_architecture_for(strip, NETWORK_SIZES[size], 500)).layers[0].units
-    assert few == {"small": 128, "standard": 256}[size]
+    assert few == {"small": 128, "standard": 256, "large": 384}[size]
 
 
 def test_a_size_of_the_user_s_for_simulated_handwriting():
@@ -218,3 +220,19 @@ def test_a_size_of_the_user_s_for_simulated_handwriting():
     chosen = choose_settings(settings)
     assert chosen.events.architecture == "10x10x2-24c4s3-256-10o"  # few recordings
     assert choose_settings(chosen) == chosen
+
+
+def test_the_large_size_is_trained_longer():
+    settings = Settings().with_values(
+        {
+            "data": {"samples_per_digit": 20},
+            "check": {"samples": 10},
+            "input": {"kind": "events"},
+            "events": {"size": "large"},
+        }
+    )
+    chosen = choose_settings(settings)
+    usual = epochs_for(160, chosen.events.batch_size)
+    assert chosen.events.epochs == NETWORK_SIZES["large"].passes * usual > usual
+    of_user = settings.with_values({"events": {"epochs": 7}})
+    assert choose_settings(of_user).events.epochs == 7
