@@ -141,7 +141,7 @@ def list_training_versions() -> dict:
     return {name.replace("-", "_"): importlib.metadata.version(name) for name in names}
 
 
-def measure_trained(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
+def make_training_record(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
     """The record of a network: its accuracy on each set of the split.
 
     Parameters
@@ -176,19 +176,16 @@ def measure_accuracies(right, dataset: Dataset) -> dict:
         Whether the prediction of each sample of the dataset is right.
     dataset : Dataset
     """
-    accuracy = {}
-    for part in PARTS:
-        right_in_part = right[dataset.split.indices(part)]
-        if len(right_in_part):
-            accuracy[part] = float(right_in_part.mean())
-            last_part = part  # the validation samples if there is no test set, as in a sweep
-            n_samples = len(right_in_part)
-            n_right = int(right_in_part.sum())
+    of_parts = {part: right[dataset.split.indices(part)] for part in PARTS}
+    of_parts = {part: values for part, values in of_parts.items() if len(values)}
+    last = list(of_parts)[-1]  # the validation samples if there is no test set, as in a sweep
+    n_samples = len(of_parts[last])
+    n_right = int(of_parts[last].sum())
     return {
         "simulated": dataset.recordings.source.simulated,
-        "accuracy": accuracy,
-        f"{last_part}_accuracy_ci95": list(wilson_interval(n_right, n_samples)),
-        f"n_{last_part}": n_samples,
+        "accuracy": {part: float(values.mean()) for part, values in of_parts.items()},
+        f"{last}_accuracy_ci95": list(wilson_interval(n_right, n_samples)),
+        f"n_{last}": n_samples,
     }
 
 

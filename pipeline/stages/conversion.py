@@ -35,11 +35,13 @@ def convert(opened: OpenedRun) -> Bundle:
     spec = add_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, seed)
     bundle = write_bundle(run.bundle, spec, _choose_check_samples(inputs))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
-    for name in find_rescaled_layers(spec.layers) if opened.kind.is_trained_in_integers else ():
-        say(
-            f"{WARNING}{name}: is divided among cores, whose weights NengoLoihi scales apart, so "
-            "that integers differ a bit from training: see 'stmnist ladder', or use fewer neurons"
-        )
+    if opened.kind.is_trained_in_integers:
+        for name in find_rescaled_layers(spec.layers):
+            say(
+                f"{WARNING}{name}: is divided among cores, whose weights NengoLoihi scales apart, "
+                "so that integers differ a bit from training: see 'stmnist ladder', or use fewer "
+                "neurons"
+            )
     return bundle
 
 

@@ -20,7 +20,7 @@ from pipeline.kinds.presentation import fit_gap
 from pipeline.kinds.records import (
     describe_accuracy,
     list_training_versions,
-    measure_trained,
+    make_training_record,
     time_training,
     write_network,
 )
@@ -180,7 +180,7 @@ class EventsKind(NetworkKind):
             record = training.state().record
             seconds = float(record["seconds"])
             epochs = int(record["epochs"])
-        metrics = measure_trained(trained, dataset, seconds, list_training_versions())
+        metrics = make_training_record(trained, dataset, seconds, list_training_versions())
         metrics["epochs"] = epochs
         metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
         inputs.say(describe_accuracy("events", metrics))

@@ -22,8 +22,8 @@ from pipeline.kinds.normalisation import require_images_of_network
 from pipeline.kinds.records import (
     describe_accuracy,
     list_training_versions,
+    make_training_record,
     measure_accuracies,
-    measure_trained,
     select_curve_samples,
     time_training,
     write_network,
@@ -182,7 +182,7 @@ class ImageKind(NetworkKind):
         else:
             trained, seconds = _train_cnn(settings, dataset)
         write_network(artifact.folder, trained, not len(dataset.split.validation))
-        metrics = measure_trained(trained, dataset, seconds, list_training_versions())
+        metrics = make_training_record(trained, dataset, seconds, list_training_versions())
         inputs.say(describe_accuracy("cnn", metrics))
         return metrics
 
@@ -342,7 +342,7 @@ def _train_further(name, function, inputs, artifact):
         name, epochs, function, settings, samples, settings.seed, inputs.weights("cnn")
     )
     write_network(artifact.folder, trained, not len(dataset.split.validation))
-    metrics = measure_trained(trained, dataset, seconds, list_training_versions())
+    metrics = make_training_record(trained, dataset, seconds, list_training_versions())
     return trained, {**metrics, "augment": augmentation}
 
 
