@@ -7,10 +7,13 @@ To add a target:
    :class:`~deploy.network.responses.Responses` to each stream, which
    :func:`~deploy.network.responses.read_output` makes of the readout at each step and the spikes.
    :mod:`.simulators` has the shortest examples.
-2. Write its options, if it has any, in :mod:`.options`: a dataclass with a field for each.
+2. Write its options, if it has any, in :mod:`.options`: a dataclass with a field for each.  No two
+   targets have an option of the same name.
 3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.
 4. Should every ladder have a row of it, set ``in_ladder``, and enter it before the emulator: the
-   last row is the deployed network, of which the ladder and the report tell.
+   last row is that of the deployed network, of which the ladder and the report tell.
+5. If every spike is that of NengoLoihi's emulator, set ``is_exact``: the energy and the comparison
+   of runs then take its counts.
 
 Ladder, report and both command lines read it from there.  The list is read without Nengo, since the
 help of the commands needs it; the file of a target is imported when the target runs.
