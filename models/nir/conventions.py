@@ -36,6 +36,18 @@ SYNAPTIC_RESET = (
     "; Synaptic with reset_mechanism='zero' needs reset_delay=False, or it ignores the input of "
     "the step after a spike there and not here"
 )
+SPIKINGJELLY_IN_STEPS = (
+    "; SpikingJelly's exporter with dt=1 writes the same numbers for Euler steps: --set "
+    "nir.method=euler"
+)
+SNNTORCH_OF_2023 = (
+    "snnTorch's exporter of 2023 wrote the same; for it give --set nir.reset=subtract-late, its "
+    "default, or =value for a reset to zero"
+)
+SPYX_ORDER = (
+    "; Spyx flattens images with their channels last, and writes the weights after a Flatten in "
+    "that order: bring them into NIR's, which has channels first"
+)
 NORSE_RESET = "Norse does not export v_reset: a reset to other values than the graph's is lost"
 
 
@@ -202,9 +214,8 @@ def recognise_spyx(nodes):
             return Convention(
                 "Spyx", "spyx", h, f"r = 1 - {_time(h)} / tau, no w_in",
                 "I <- a I + S, v <- b v + I", "subtract" if has_currents else "subtract-late",
-                doubt="Spyx flattens images with their channels last, and writes the weights after "
-                "a Flatten in that order: bring them into NIR's, which has channels first"
-                if any(len(node.shape) == 3 for node in nodes) else "",
+                doubt=SNNTORCH_OF_2023
+                + SPYX_ORDER * any(len(node.shape) == 3 for node in nodes),
             )  # fmt: skip
     return None
 
@@ -296,9 +307,8 @@ def recognise_steps(nodes):
         "time in steps (sinabs, Norse's IAFCell, graphs by hand)", "exact", 1.0,
         "r = 1" + " and time constants of 1 or more" * bool(leaky),
         "v <- alpha v + (1 - alpha) S, alpha = exp(-1 / tau)" if leaky else "v <- v + S",
-        doubt="sinabs subtracts the threshold by default, and SpikingJelly's exporter with dt=1 "
-        "writes the same numbers: if it was trained so, give --set nir.reset=subtract, or --set "
-        "nir.method=euler",
+        doubt="sinabs subtracts the threshold by default: if it was trained so, give --set "
+        "nir.reset=subtract" + SPIKINGJELLY_IN_STEPS * bool(leaky),
     )  # fmt: skip
 
 
