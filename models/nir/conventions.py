@@ -36,9 +36,9 @@ SYNAPTIC_RESET = (
     "; Synaptic with reset_mechanism='zero' needs reset_delay=False, or it ignores the input of "
     "the step after a spike there and not here"
 )
-SPIKINGJELLY_IN_STEPS = (
-    "; SpikingJelly's exporter with dt=1 writes the same numbers for Euler steps: --set "
-    "nir.method=euler"
+LEAKY_IN_STEPS = (
+    "; it does not export norm_input=False (--set nir.method=rockpool) nor tau_syn; SpikingJelly's "
+    "exporter with dt=1 writes the same numbers for Euler steps (--set nir.method=euler)"
 )
 SNNTORCH_OF_2023 = (
     "snnTorch's exporter of 2023 wrote the same; for it give --set nir.reset=subtract-late, its "
@@ -308,7 +308,7 @@ def recognise_steps(nodes):
         "r = 1" + " and time constants of 1 or more" * bool(leaky),
         "v <- alpha v + (1 - alpha) S, alpha = exp(-1 / tau)" if leaky else "v <- v + S",
         doubt="sinabs subtracts the threshold by default: if it was trained so, give --set "
-        "nir.reset=subtract" + SPIKINGJELLY_IN_STEPS * bool(leaky),
+        "nir.reset=subtract" + LEAKY_IN_STEPS * bool(leaky),
     )  # fmt: skip
 
 
