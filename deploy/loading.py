@@ -33,10 +33,11 @@ def between(low, high, unit="") -> Limit:
 
 
 def one_of(*values) -> Limit:
-    """The limit of a value that has only these values."""
-    return Limit(
-        lambda value: value in values, "one of " + ", ".join(str(v) or "''" for v in values)
-    )
+    """The limit of a value that has only these values; an empty text leaves the choice open."""
+    text = "one of " + ", ".join(str(value) for value in values if value != "")
+    if "" in values:
+        text += ", or '' to leave it open"
+    return Limit(lambda value: value in values, text)
 
 
 def limited_field(limit: Limit, default=MISSING):

@@ -8,6 +8,8 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.recordings.events import Recordings
+from pipeline.results.status import status_of
+from pipeline.run.folder import RunFolder
 from stmnist import Run, compare_runs
 
 CLASSES = ["left", "right"]
@@ -190,3 +192,17 @@ def test_mistakes_are_one_line_and_write_nothing(tmp_path):
     with pytest.raises(UserError, match="is a file"):
         Run(tmp_path / "notes.txt", data=Recordings.from_arrays(*arrays(4)))
     assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("jobs", [0, -1, 2.5, "two", None, True])
+def test_a_number_of_processes_that_is_none_is_refused(tmp_path, jobs):
+    with pytest.raises(UserError, match="jobs"):
+        Run(tmp_path / "run", jobs=jobs)
+
+
+def test_the_accuracy_of_a_network_on_events_is_in_its_own_row(run):
+    rows = {status.state.name: status for status in status_of(RunFolder(run.path))}
+    metrics = json.loads((run.path / "snn/metrics.json").read_text())
+    assert rows["events"].accuracy == metrics["accuracy"]["test"]
+    assert rows["events"].seconds == metrics["seconds"]
+    assert rows["threshold"].accuracy is None

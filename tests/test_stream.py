@@ -344,3 +344,6 @@ def test_a_folder_that_is_no_bundle_and_wrong_values_are_refused(tmp_path, bundl
         Stream(bundle, unit="h")
     with pytest.raises(UserError, match="silence"):
         Stream(bundle, silence=0)
+    for wrong in ({"longest": -1}, {"longest": math.nan}, {"stream_length": 0}):
+        with pytest.raises(UserError, match=next(iter(wrong))):
+            Stream(bundle, **wrong)

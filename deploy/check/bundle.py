@@ -44,11 +44,14 @@ from ..files import (
 )
 from ..network.spec import NetworkSpec
 from ..network.stimulus import Stimulus
+from ..terminal import command_text
 
 NETWORK_SCHEMA = "stmnist-bundle/3"
 MANIFEST_SCHEMA = "stmnist-manifest/1"
 FILES = ("network.json", "weights.npz", "checks.npz", "deploy.pyz")
 RESULTS = "checks"
+# The file of settings beside the bundle of a run.
+RUN_SETTINGS = "experiment.toml"
 # More bytes than the headers of the arrays of ``checks.npz``.
 HEADERS = 1 << 12
 _REMEDY = "delete the folder and make it again with 'stmnist convert', or copy it again"
@@ -268,6 +271,9 @@ def read_bundle(path) -> Bundle:
     """
     path = Path(path)
     if not (path / "MANIFEST.json").exists():
+        if (path.parent / RUN_SETTINGS).exists() and not path.exists():
+            remedy = command_text("convert", path.parent)
+            raise UserError(f"{path.parent}: has no bundle yet; make it with {remedy}")
         raise UserError(f"{path}: not a bundle; give the folder of one, as 'stmnist convert' makes")
     manifest = read_json(path / "MANIFEST.json", _REMEDY)
     _check_schema(path / "MANIFEST.json", manifest.get("schema"), MANIFEST_SCHEMA)

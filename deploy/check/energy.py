@@ -30,7 +30,7 @@ from typing import List, Union
 
 from ..errors import UserError
 from ..network.chip import LOIHI
-from ..network.spec import NetworkSpec
+from ..network.spec import NetworkSpec, spec_of
 from ..tables import align_rows
 
 # Joules (Davies et al. 2018).
@@ -155,7 +155,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
 
     Parameters
     ----------
-    spec : NetworkSpec
+    spec : NetworkSpec or Bundle
     result : dict
         A check result of the bundle, of any target.
 
@@ -163,7 +163,10 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     ------
     UserError
         The result has no counts of this network's layers.
+    TypeError
+        The network is neither a NetworkSpec nor a Bundle.
     """
+    spec = spec_of(spec)
     counted = result.get("synaptic_operations", {})
     presentation = spec.presentation
     if not {layer.name for layer in spec.layers} <= set(counted):

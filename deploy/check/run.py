@@ -87,7 +87,12 @@ def run_check(
     ------
     UserError
         The target is unknown, the result cannot be written, or another process is writing it.
+    TypeError
+        The bundle is not a Bundle, such as a path.
     """
+    if not isinstance(bundle, Bundle):
+        kind = type(bundle).__name__
+        raise TypeError(f"bundle is a Bundle, not {kind}; read_bundle reads one from its folder")
     with open_check(bundle, target, out, seed, advance, options) as check:
         for record in run_streams(check.work(check.left)):
             check.take(record)

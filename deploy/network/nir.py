@@ -31,7 +31,7 @@ from ..errors import UserError
 from ..files import replacing
 from .build import build
 from .responses import show
-from .spec import DT, Layer, NetworkSpec
+from .spec import DT, Layer, NetworkSpec, spec_of
 
 
 def nir_graph(spec: NetworkSpec):
@@ -80,7 +80,14 @@ def nir_graph(spec: NetworkSpec):
 
 
 def write_nir(path, spec: NetworkSpec):
-    """Write the network as a NIR file (HDF5), completely or not at all."""
+    """Write the network as a NIR file (HDF5), completely or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+    spec : NetworkSpec or Bundle
+    """
+    spec = spec_of(spec)
     nir = _nir()
     buffer = io.BytesIO()
     nir.write(buffer, nir_graph(spec))

@@ -592,3 +592,22 @@ def _is_name(name):
 def _require(condition, where, problem):
     if not condition:
         raise UserError(f"network description: {where}: {problem}")
+
+
+def spec_of(network) -> NetworkSpec:
+    """The description of a network that is given as such, or by its bundle.
+
+    Parameters
+    ----------
+    network : NetworkSpec or deploy.check.bundle.Bundle
+
+    Raises
+    ------
+    TypeError
+        It is neither of them, such as a path.
+    """
+    spec = getattr(network, "spec", network)
+    if not isinstance(spec, NetworkSpec):
+        kind = type(network).__name__
+        raise TypeError(f"network is a Bundle or its spec, not {kind}; read_bundle reads a bundle")
+    return spec

@@ -16,7 +16,7 @@ from ..errors import UserError
 from ..network.build import build
 from ..network.chip import LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
-from ..network.spec import DT, NetworkSpec
+from ..network.spec import DT, NetworkSpec, spec_of
 from ..tables import in_blocks, plural
 from .resources import axon_cfg_registers, count_used, find_axons_with_targets, worst_case
 
@@ -114,7 +114,7 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
 
     Parameters
     ----------
-    spec : NetworkSpec
+    spec : NetworkSpec or Bundle
     chips : int
         Maximum number of chips.
     chip : Chip
@@ -123,7 +123,10 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     ------
     UserError
         NengoLoihi cannot make blocks of the network.
+    TypeError
+        The network is neither a NetworkSpec nor a Bundle.
     """
+    spec = spec_of(spec)
     model, blocks = _blocks(spec, chip)
     placed = [
         (layer, i, block) for layer, of_layer in blocks.items() for i, block in enumerate(of_layer)

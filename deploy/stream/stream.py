@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import List, Optional
 
@@ -147,8 +149,9 @@ class Stream:
             bundle = read_bundle(_bundle_folder(bundle))
         _require_events(bundle)
         self.silence = _usual_silence(bundle) if silence is None else float(silence)
-        if not self.silence > 0:
-            raise UserError(f"silence {silence:g}: must be above 0 seconds")
+        _require_positive_seconds("silence", self.silence)
+        if longest is not None:
+            _require_positive_seconds("longest", longest)
         self._spec = spec = bundle.spec
         self._tick_ns = UNIT_NS[unit]
         self._set_steps(longest)
@@ -163,6 +166,8 @@ class Stream:
             network = SharedNetwork(Emulation(spec, bundle.seed))
         if stream_length is None:
             stream_length = spec.presentation.stream_length
+        elif not isinstance(stream_length, Integral) or stream_length < 1:
+            raise UserError(f"stream_length {stream_length!r}: must be a whole number from 1")
         self._network = PresentingNetwork(network, stream_length, self._longest_steps)
         self._frame = np.zeros(int(np.prod(spec.input_shape)), np.uint8)
         self._touch: Optional[Touch] = None
@@ -554,6 +559,12 @@ def _float(value):
         return float(value)
     except (TypeError, ValueError):
         return np.nan
+
+
+def _require_positive_seconds(name, seconds):
+    """Refuse a duration that no touch can have."""
+    if not 0 < seconds < math.inf:
+        raise UserError(f"{name} {seconds:g}: must be above 0 seconds, and finite")
 
 
 def _bundle_folder(place):

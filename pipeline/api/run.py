@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from functools import partial
+from numbers import Integral
 from os import PathLike
 from pathlib import Path, PurePath
 
@@ -62,7 +63,7 @@ class Run:
     input : str, optional
         ``"image"``, ``"slices"`` or ``"events"``; default: as the run, or images.
     jobs : int
-        Number of processes.
+        Number of processes, at least 1.
     quiet : bool
         True to print neither lines nor progress; :attr:`notes` has the lines in any case.
     **settings
@@ -77,7 +78,8 @@ class Run:
     Raises
     ------
     UserError
-        A setting or its value is not valid, or the folder is no run; nothing is written.
+        A setting, its value or the number of processes is not valid, or the folder is no run;
+        nothing is written.
 
     Examples
     --------
@@ -91,7 +93,7 @@ class Run:
     def __init__(self, path, data=None, input=None, jobs=2, quiet=False, **settings):
         self.path = Path(path)
         self.notes = []
-        self._jobs = jobs
+        self._jobs = _require_jobs(jobs)
         self._quiet = quiet
         self._input = input
         self._folder = RunFolder(self.path)
@@ -306,6 +308,13 @@ class Run:
             others = OtherRecordings(str(path), samples, jobs=self._jobs)
             result, _ = check_on_others(bundle, others, check, self._say)
         return CheckResult(result, read_classes(bundle.spec))
+
+
+def _require_jobs(jobs):
+    """A number of processes as it is; a user's mistake otherwise."""
+    if not isinstance(jobs, Integral) or isinstance(jobs, bool) or jobs < 1:
+        raise UserError(f"{ORIGIN}: jobs {jobs!r} is not a number of processes; give 1 or more")
+    return int(jobs)
 
 
 def _require_path(recordings):

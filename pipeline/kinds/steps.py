@@ -36,6 +36,9 @@ class Step:
         What the user is told: ``"training"``, ``"choosing"`` or ``"reading"``.
     temporary : tuple of str
         Files that are deleted when the step is complete.
+    measures : str
+        Name of a step that it uses, if the accuracy in its record is that of the network of
+        that step, which has none in its own record.
     """
 
     name: str
@@ -46,6 +49,7 @@ class Step:
     uses: tuple = ()
     action: str = "training"
     temporary: tuple = ()
+    measures: str = ""
 
 
 @dataclass(frozen=True)

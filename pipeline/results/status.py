@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.check.results import read_result
@@ -214,6 +214,10 @@ def _steps(run, kind, dataset):
             seconds = _number(state.record.get("seconds"))
         for used in step.uses:
             state = _follows(state, statuses[used].state)
+        if step.measures and accuracy is not None:
+            measured = statuses[step.measures]
+            statuses[step.measures] = replace(measured, accuracy=accuracy)
+            accuracy = seconds = None  # both are the network's
         statuses[step.name] = Status(state, accuracy, seconds)
     return list(statuses.values())
 

@@ -81,3 +81,7 @@ def test_any_value_in_any_place_fits_or_is_refused(name, junk):
         load(Outer, {**PLAIN, name: junk})
     except WrongValue as error:
         assert name in str(error)  # noqa: PT017 - anything else is a crash
+
+
+def test_an_empty_text_is_said_in_words():
+    assert one_of("", "s", "ms").expected == "one of s, ms, or '' to leave it open"

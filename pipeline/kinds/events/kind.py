@@ -122,7 +122,7 @@ class EventsKind(NetworkKind):
             Step("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
             # The confidence depends on the length of the presentation, unlike the training.
             Step("threshold", "snn", ("metrics.json",), DECISION_SETTINGS, self._choose,
-                 uses=("events",), action="choosing"),
+                 uses=("events",), action="choosing", measures="events"),
         )  # fmt: skip
 
     @property

@@ -125,6 +125,12 @@ def test_what_is_no_bundle(tmp_path):
             read_bundle(path)
 
 
+def test_a_run_without_a_bundle_is_told_how_to_make_it(tmp_path):
+    (tmp_path / "experiment.toml").write_text("")
+    with pytest.raises(UserError, match=f"{re.escape(str(tmp_path))}: .*convert"):
+        read_bundle(tmp_path / "bundle")
+
+
 def test_a_folder_with_other_files_is_not_replaced(bundle):
     file = bundle.path / "thesis.txt"
     file.write_text("years of work")

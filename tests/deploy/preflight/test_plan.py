@@ -5,16 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.check.energy import estimate_energy
+from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.chip import LOIHI
 from deploy.network.loihi_import import nengo_loihi
+from deploy.network.nir import write_nir
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
 from deploy.preflight.resources import synapse_words
 from tests.command import missing
-from tests.deploy.networks import conv, dense, paper_spec, readout, small_spec
+from tests.deploy.networks import bundle_at, conv, dense, paper_spec, readout, small_spec
 
 
 def spec_of(*filters_kernels, shape=(10, 10, 1), **options):
@@ -144,3 +147,13 @@ def test_weights_that_can_overflow_are_a_warning():
     assert missing(one_step, "layer conv1", "input") == []
     assert missing(current, "layer conv1", "current") == []
     assert plan.cores[0].worst_input == 900 * 254 * 64  # of 8 bits one is the sign
+
+
+def test_a_bundle_is_planned_and_a_path_is_refused_by_name(tmp_path):
+    bundle = bundle_at(tmp_path / "bundle")
+    assert make_plan(bundle) == make_plan(bundle.spec)
+    for function in (make_plan, lambda b: estimate_energy(b, {}), lambda b: write_nir("n.nir", b)):
+        with pytest.raises(TypeError, match="not str; read_bundle"):
+            function(str(bundle.path))
+    with pytest.raises(TypeError, match="not str; read_bundle"):
+        run_check(str(bundle.path), "fast", tmp_path / "fast.json")
