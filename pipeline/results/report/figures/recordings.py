@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from deploy.arithmetic import ceil_div
 from deploy.tables import shorten_apart, shorten_name
 from pipeline.look import colour
 from pipeline.recordings.events import DIGITS, Recordings
@@ -115,8 +114,8 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     """
     rng = np.random.default_rng(seed)
     digits = np.unique(recordings.labels)
-    blocks = ceil_div(len(digits), MAX_SHEET_ROWS)
-    rows = ceil_div(len(digits), blocks)
+    blocks = -(-len(digits) // MAX_SHEET_ROWS)
+    rows = -(-len(digits) // blocks)
     per_digit = max(SAMPLES // blocks, 2)
     images = tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
