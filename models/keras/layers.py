@@ -385,7 +385,10 @@ class Chain:
         return _Sums(last.layer, matrix.reshape(len(units), -1), bias)
 
     def weigh(self, layer, made, kernel, bias):
-        if math.prod(made.shape(self.signal.built)) > MAX_VALUES or kernel.size > MAX_WEIGHTS:
+        weights = kernel.size
+        if self.maxima is not None:
+            weights = math.prod(self.maxima.image) * kernel.shape[1]
+        if math.prod(made.shape(self.signal.built)) > MAX_VALUES or weights > MAX_WEIGHTS:
             layer.refuse(f"has more than {MAX_VALUES} outputs or {MAX_WEIGHTS} weights")
         self.signal.begin(made.shape(self.signal.built))
         self.layers.append(made)
@@ -672,7 +675,8 @@ def _kernel_and_bias(layer):
         kernel = spread_kernel(kernel.transpose(3, 2, 0, 1), groups, layer.pair("dilation_rate"))
     if layer.kind == "SeparableConv2D":
         kernel = np.einsum("fcij,fo->ocij", kernel, others.pop(0)[0, 0])
-    return kernel, others[0] if others else np.zeros(kernel.shape[0 if kernel.ndim > 2 else 1])
+    outputs = kernel.shape[1] if layer.kind == "Dense" else kernel.shape[0]
+    return kernel, others[0] if others else np.zeros(outputs)
 
 
 def _reads_padding(window, image, counts) -> bool:
