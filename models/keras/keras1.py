@@ -30,7 +30,8 @@ def convert_config(config: dict) -> dict:
     config : dict
         ``{"class_name": ..., "config": ...}`` from the attribute ``model_config`` of a file.
     """
-    kind, inside = config["class_name"], config["config"]
+    kind = config["class_name"]
+    inside = config["config"]
     if isinstance(inside, list):  # a sequential model
         inside = {"name": "sequential", "layers": [convert_config(layer) for layer in inside]}
     elif "layers" in inside:

@@ -113,7 +113,8 @@ class Signal:
         rows, columns = (_make_means(*side, padding) for side in sides)
         over_channels = sparse.eye_array(self.shape[2])
         matrix = sparse.kron(sparse.kron(rows, columns), over_channels).tocsr()
-        self.map, self.offset = (matrix @ self.map).tocsr(), matrix @ self.offset
+        self.map = (matrix @ self.map).tocsr()
+        self.offset = matrix @ self.offset
         self.shape = (rows.shape[0], columns.shape[0], self.shape[2])
         self.pads = ((0, 0), (0, 0))
 

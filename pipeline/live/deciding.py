@@ -292,7 +292,9 @@ class TouchDeciding:
     """
 
     def __init__(self, decider: EventDecider, stream: Stream, rows: int):
-        self._decider, self._stream, self._rows = decider, stream, rows
+        self._decider = decider
+        self._stream = stream
+        self._rows = rows
         self._n_taken = 0
 
     def answer(self, events: Events, time_s: float) -> Answer | None:

@@ -49,7 +49,8 @@ class Examples:
 
     def __init__(self, tests, seed):
         self._tests = tests
-        self._rng, self._decks = np.random.default_rng(seed), {}
+        self._rng = np.random.default_rng(seed)
+        self._decks = {}
 
     def counts(self, classes: int) -> list:
         """Number of examples of each class."""
@@ -93,7 +94,8 @@ class Replayed:
 
     def advance(self, until_s: float) -> Events:
         """Advance the time and return the events of this interval."""
-        begun_s, self.time_s = self.time_s, max(self.time_s, until_s)
+        begun_s = self.time_s
+        self.time_s = max(self.time_s, until_s)
         return self._between(begun_s, self.time_s)
 
     def _between(self, begun_s, until_s):
@@ -148,7 +150,8 @@ def recorded_examples(run: RunFolder, bundle: Bundle) -> list:
 
 def _column_by_column(recordings: Recordings, index):
     """Events of a recording with the taxels numbered as on the page."""
-    events, taxels = recordings[index], recordings.taxels
+    events = recordings[index]
+    taxels = recordings.taxels
     number = taxels.column * recordings.sensor.rows + taxels.row
     return replace(events, taxel=number[events.taxel])
 
@@ -158,7 +161,8 @@ def bundle_examples(bundle: Bundle) -> list:
 
     A bundle on images has no examples, because an image has no times of events.
     """
-    stimulus, checks = bundle.spec.stimulus, bundle.checks
+    stimulus = bundle.spec.stimulus
+    checks = bundle.checks
     if not isinstance(stimulus, EventFrames):
         return []
     step_ns = round(1e9 * stimulus.step_seconds)

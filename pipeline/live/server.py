@@ -117,7 +117,9 @@ class Live:
     def __init__(self, make_decider, keeper: Keeper, p, about: dict, make_tests=list):
         self._make_tests = make_tests
         self._make_decider = make_decider
-        self._keeper, self._p, self._about = keeper, p, about
+        self._keeper = keeper
+        self._p = p
+        self._about = about
         self._numbers = itertools.count(1)
         self._open = 0
         self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
@@ -353,7 +355,8 @@ class Server(uvicorn.Server):
     """
 
     def __init__(self, live: Live, listening, when_listening=None, host: str = HOST):
-        self._listening, self._when_listening = listening, when_listening
+        self._listening = listening
+        self._when_listening = when_listening
         port = listening.getsockname()[1]
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{port}/{live.token}/"

@@ -83,8 +83,11 @@ class OpenRecording:
     """
 
     def __init__(self, number, begun_ms, deciding, writing, writer=0, example=None):
-        self.number, self.deciding = number, deciding
-        self.writing, self.writer, self.example = writing, writer, example
+        self.number = number
+        self.deciding = deciding
+        self.writing = writing
+        self.writer = writer
+        self.example = example
         self.last = None  # of the pen's points
         self.down = False
         self.complete = example is not None
@@ -182,7 +185,9 @@ class Session:
     """
 
     def __init__(self, number, keeper: Keeper, p):
-        self._number, self._keeper, self._p = number, keeper, p
+        self._number = number
+        self._keeper = keeper
+        self._p = p
         self._decider: Decider | None = None
         self._examples: Examples | None = None
         self._sensor = keeper.sensor
@@ -431,7 +436,8 @@ def problem(text: str) -> dict:
 
 
 def _answer(recording, events, said: Answer):
-    recording.spikes, recording.curve = said.spikes, said.curve
+    recording.spikes = said.spikes
+    recording.curve = said.curve
     verdict = recording.verdict
     last = said.curve.last()
     return {
