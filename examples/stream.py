@@ -33,6 +33,9 @@ DATAGRAM = 65535
 
 TICKS_PER_SECOND = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
+# Largest time on a sensor's clock, in seconds: some 30 years.
+MAX_TIME_S = 1e9
+
 END = None
 
 
@@ -87,10 +90,48 @@ class PresentTime:
         return t + (time.monotonic() - arrived) * self._ticks_per_second
 
 
+class UnreadableLines:
+    """Lines that are no events in JSON: their number is told once a second at most."""
+
+    def __init__(self):
+        self._lines = 0
+        self._told = 0
+        self._due_s = 0.0
+
+    def count(self):
+        """Count a line."""
+        self._lines += 1
+
+    def tell(self, at_once=False):
+        """Print the number of lines on standard error if there are new ones."""
+        if self._lines == self._told or (not at_once and time.monotonic() < self._due_s):
+            return
+        print(f"stream: {self._lines} lines are not events in JSON", file=sys.stderr, flush=True)
+        self._told = self._lines
+        self._due_s = time.monotonic() + 1
+
+
+def is_time(t, ticks_per_second):
+    """True if t is a number that a sensor's clock may have."""
+    if isinstance(t, bool) or not isinstance(t, (int, float)):
+        return False
+    return abs(t) < MAX_TIME_S * ticks_per_second  # False for NaN
+
+
 def follow(stream, lines, ticks_per_second):
     """Push the events of lines as they come until their end, and print the decisions."""
-    present, unreadable = PresentTime(ticks_per_second), 0
+    unreadable = UnreadableLines()
+    try:
+        follow_lines(stream, lines, ticks_per_second, unreadable)
+    finally:
+        unreadable.tell(at_once=True)
+
+
+def follow_lines(stream, lines, ticks_per_second, unreadable):
+    """Push the events of lines until their end, and count the lines that are no events."""
+    present = PresentTime(ticks_per_second)
     while True:
+        unreadable.tell()
         try:
             line = lines.get(timeout=TICK_S)
         except queue.Empty:
@@ -102,14 +143,13 @@ def follow(stream, lines, ticks_per_second):
             break
         columns = columns_of(line)
         if columns is None or len(columns) != 4:
-            unreadable += bool(line.strip())
+            if line.strip():
+                unreadable.count()
             continue
         say(stream.push(*columns))
-        if isinstance(columns[0][-1], (int, float)):
+        if is_time(columns[0][-1], ticks_per_second):
             present.note(columns[0][-1])
     say(stream.finish())
-    if unreadable:
-        print(f"stream: {unreadable} lines are not events in JSON", file=sys.stderr)
 
 
 def schedule(recordings, pause_s):

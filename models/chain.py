@@ -135,25 +135,38 @@ def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
     -------
     tuple of Link
         One for each convolution and dense layer, with the averaging before it.
+
+    Raises
+    ------
+    ValueError
+        A layer's array other than its bias is missing.
     """
     links = []
     before = architecture.input_shape
     pool = 1
-    weights = weights or {}
     layers = zip(architecture.names, architecture.layers, architecture.shapes, strict=False)
     for name, layer, read_shape in layers:
         if isinstance(layer, Pooling):
             pool *= layer.size
             continue
-        arrays = {}
-        for array, shape in layer.array_shapes(read_shape).items():
-            value = weights.get(f"{name}.{array}")
-            arrays[array] = np.broadcast_to(0.0, shape) if value is None else value.astype(float)
+        arrays = {
+            array: _take_array(weights, f"{name}.{array}", shape)
+            for array, shape in layer.array_shapes(read_shape).items()
+        }
         link = Link(name, layer, before, arrays["kernel"], arrays["bias"], pool=pool)
         links.append(link)
         before = link.shape
         pool = 1
     return tuple(links)
+
+
+def _take_array(weights: dict | None, name: str, shape) -> np.ndarray:
+    """An array of the weights; zeros without weights, and for a bias that is missing."""
+    if weights is not None and name in weights:
+        return weights[name].astype(float)
+    if weights is not None and not name.endswith(".bias"):
+        raise ValueError(f"the weights have no array {name!r} of shape {tuple(shape)}")
+    return np.broadcast_to(0.0, shape)
 
 
 # An output neuron's full rate, as a share of the rate that its refractory period allows, and the

@@ -169,6 +169,12 @@ def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.kera
     tf.keras.Model
         Input (n, rows, columns, channels), output (n, outputs).  Layers are named ``conv1``,
         ``conv1_neurons``, ``pool1``, ``dense1``, ..., ``output``.
+
+    Raises
+    ------
+    ValueError
+        The Keras layer of an operation has variables of other names than the arrays that the
+        operation declares.
     """
     activation = activation or (lambda index: tf.keras.layers.ReLU())
     signal = inputs = tf.keras.Input(architecture.input_shape, name="image")
@@ -183,16 +189,36 @@ def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.kera
             neurons._name = f"{name}_neurons"
             signal = neurons(signal)
             index += 1
-    return tf.keras.Model(inputs, signal)
+    model = tf.keras.Model(inputs, signal)
+    _require_declared_arrays(model, architecture)
+    return model
+
+
+def _require_declared_arrays(model, architecture):
+    """Refuse a Keras layer that names its variables otherwise than its operation does."""
+    declared = set(architecture.weight_shapes)
+    present = set(_name_variables(model))
+    if present != declared:
+        raise ValueError(
+            f"{architecture}: the Keras layers have the variables "
+            f"{', '.join(sorted(present - declared)) or 'no others'}, where the operations declare "
+            f"{', '.join(sorted(declared - present)) or 'no others'} in 'array_shapes'; name the "
+            "variables in 'Operation.keras_layer' as the arrays"
+        )
+
+
+def _name_variables(model) -> dict:
+    """The trained variables of a model by ``<layer>.<variable>``, such as ``conv1.kernel``."""
+    return {
+        f"{layer.name}.{variable.name.split('/')[-1].split(':')[0]}": variable
+        for layer in model.layers
+        for variable in layer.trainable_weights
+    }
 
 
 def get_weights(model: tf.keras.Model) -> dict:
     """Trained arrays by name, ``<layer>.kernel`` and ``<layer>.bias``."""
-    return {
-        f"{layer.name}.{variable.name.split('/')[-1].split(':')[0]}": variable.numpy()
-        for layer in model.layers
-        for variable in layer.trainable_weights
-    }
+    return {name: variable.numpy() for name, variable in _name_variables(model).items()}
 
 
 def set_weights(model: tf.keras.Model, weights: dict):
@@ -203,12 +229,10 @@ def set_weights(model: tf.keras.Model, weights: dict):
     ValueError
         An array is missing or has the wrong shape.
     """
-    for layer in model.layers:
-        for variable in layer.trainable_weights:
-            name = f"{layer.name}.{variable.name.split('/')[-1].split(':')[0]}"
-            if name not in weights or np.shape(weights[name]) != tuple(variable.shape):
-                raise ValueError(f"no array {name!r} of shape {tuple(variable.shape)}")
-            variable.assign(weights[name])
+    for name, variable in _name_variables(model).items():
+        if name not in weights or np.shape(weights[name]) != tuple(variable.shape):
+            raise ValueError(f"no array {name!r} of shape {tuple(variable.shape)}")
+        variable.assign(weights[name])
 
 
 def relu(noise: float = 0.0, dropout: float = 0.0) -> tf.keras.layers.Layer:

@@ -159,10 +159,10 @@ def from_integers(
     -------
     tuple of Link
     """
-    *hidden, output = links_of(architecture, {"output.kernel": weights["output.kernel"]})
+    *hidden, output = links_of(architecture)
     # On the chip, the relay and each layer of neurons take a step.
     arrive = (0, *(first + len(hidden) + 1 for first in starts[1:]))
-    output = replace(output, starts=arrive)
+    output = replace(output, weights=weights["output.kernel"].astype(float), starts=arrive)
     return (*(on_loihi(link, integers[link.name]) for link in hidden), output)
 
 

@@ -344,6 +344,12 @@ def test_a_folder_that_is_no_bundle_and_wrong_values_are_refused(tmp_path, bundl
         Stream(bundle, unit="h")
     with pytest.raises(UserError, match="silence"):
         Stream(bundle, silence=0)
-    for wrong in ({"longest": -1}, {"longest": math.nan}, {"stream_length": 0}):
+    Stream(bundle, silence=math.inf)  # a touch ends by its length only
+    for wrong in (
+        {"longest": -1},
+        {"longest": math.nan},
+        {"longest": math.inf},
+        {"stream_length": 0},
+    ):
         with pytest.raises(UserError, match=next(iter(wrong))):
             Stream(bundle, **wrong)

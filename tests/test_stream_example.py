@@ -114,10 +114,14 @@ def test_events_from_a_port_are_decided_on_by_the_clock_of_this_machine(bundle):
         port = int(heard.split("127.0.0.1:")[1].split(";")[0])
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending:
             sending.sendto(b'[0, 1, 1, 1]\n{"t": 30, "x": 2, "y": 1, "p": 0}', ("127.0.0.1", port))
+            # Times that no clock has do not stop the clock of the silence.
+            sending.sendto(b"[NaN, 1, 1, 1]\n[1e300, 1, 1, 1]\nno event", ("127.0.0.1", port))
             decision = json.loads(process.stdout.readline())  # silence by the clock
         process.send_signal(signal.SIGINT)
-        process.communicate()
+        _, said = process.communicate()
     assert decision["events"] == 2
+    assert "1 lines are not events" in said
+    assert "Warning" not in said
     assert process.returncode == 0
 
 

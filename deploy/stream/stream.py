@@ -152,6 +152,8 @@ class Stream:
         _require_positive_seconds("silence", self.silence)
         if longest is not None:
             _require_positive_seconds("longest", longest)
+            if math.isinf(longest):
+                raise UserError("longest: must be finite; leave it out for that of the bundle")
         self._spec = spec = bundle.spec
         self._tick_ns = UNIT_NS[unit]
         self._set_steps(longest)
@@ -352,7 +354,8 @@ class Stream:
         if t.dtype.kind in "iu":
             known = np.abs(t.astype(float)) < MAX_TIME_NS / self._tick_ns
             return np.where(known, t, 0).astype(np.int64) * self._tick_ns, known
-        time_ns = self._tick_ns * _floats(t)
+        with np.errstate(over="ignore"):  # an infinite time is none of the known ones
+            time_ns = self._tick_ns * _floats(t)
         known = np.abs(time_ns) < MAX_TIME_NS  # False for NaN
         return np.rint(np.where(known, time_ns, 0)).astype(np.int64), known
 
@@ -562,9 +565,9 @@ def _float(value):
 
 
 def _require_positive_seconds(name, seconds):
-    """Refuse a duration that no touch can have."""
-    if not 0 < seconds < math.inf:
-        raise UserError(f"{name} {seconds:g}: must be above 0 seconds, and finite")
+    """Refuse a duration that no touch can have; it may be infinite."""
+    if not seconds > 0:
+        raise UserError(f"{name} {seconds:g}: must be above 0 seconds")
 
 
 def _bundle_folder(place):

@@ -122,6 +122,8 @@ class Operation(DeployedOperation):
     def keras_layer(self, name: str, gain: float | None = None):
         """The layer of Keras that computes its sums, or averages.
 
+        Its trained variables have the names of the arrays in :meth:`array_shapes`.
+
         Parameters
         ----------
         name : str

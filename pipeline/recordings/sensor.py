@@ -223,10 +223,8 @@ def _find_number_of_taxels(path, recordings, parts, lookup):
     else:
         n = len(lookup)
         which = "LUT.mat says"
-    # A spiketrain has a further row for the time.
-    unit, further = ("taxels", 0) if recordings[0].bins is not None else ("rows", 1)
     refused = {
-        index: f"has {recording.n_taxels + further} {unit}, not {n + further} as {which}"
+        index: f"has {recording.n_taxels} taxels, not {n} as {which}"
         for index, recording in enumerate(recordings)
         if recording.n_taxels != n
     }

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from models.architecture import parse
+from models.chain import links_of
 from models.cnn import (
     RateLIF,
     activations,
@@ -12,6 +13,8 @@ from models.cnn import (
     set_weights,
     with_noise,
 )
+from models.keras.keras2 import tf
+from models.ops import Dense
 
 PAPER = parse("10x10-6c4-24c3-10o")
 
@@ -20,6 +23,24 @@ def test_the_papers_network_has_the_notations_weights():
     weights = get_weights(build_cnn(PAPER))
     assert {name: array.shape for name, array in weights.items()} == PAPER.weight_shapes
     assert sum(array.size for array in weights.values()) == 7432
+
+
+def test_keras_layers_with_other_variables_than_declared_are_refused(monkeypatch):
+    def without_bias(layer, name, gain=None):
+        return tf.keras.layers.Dense(10, name=name, use_bias=False)
+
+    monkeypatch.setattr(Dense, "keras_layer", without_bias)
+    with pytest.raises(ValueError, match=r"declare output\.bias"):
+        build_cnn(PAPER)
+
+
+def test_weights_without_a_kernel_make_no_network():
+    weights = get_weights(build_cnn(PAPER))
+    bias = weights.pop("conv2.bias")
+    np.testing.assert_array_equal(links_of(PAPER, weights)[1].bias, np.zeros_like(bias))
+    del weights["conv2.kernel"]
+    with pytest.raises(ValueError, match=r"'conv2\.kernel' of shape \(3, 3, 6, 24\)"):
+        links_of(PAPER, weights)
 
 
 def test_weights_round_trip():

@@ -143,7 +143,7 @@ def test_weights_must_be_finite_and_fit():
 def test_the_order_of_the_layers():
     conv1, conv2, output = small_spec().layers
     common = dict(architecture="", input_shape=(6, 6, 1), presentation=Presentation())
-    with pytest.raises(UserError, match="dense"):
+    with pytest.raises(UserError, match="'conv2': 'conv' cannot be the last"):
         NetworkSpec(stimulus=ImageSpikes(), layers=(conv1, conv2), **common)
     with pytest.raises(UserError, match=r"'conv2': input_shape.*\(6, 6, 1\)"):
         NetworkSpec(stimulus=ImageSpikes(), layers=(conv2, output), **common)
