@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from deploy.arithmetic import ceil_div, thin
 from pipeline.recordings.events import Recordings, Sensor, is_handwriting
 from pipeline.recordings.steps import EventTable, SpikeLimits
-from pipeline.run.settings import Input
+from pipeline.run.settings import EventTraining, Input
 
 # Number of steps after a sample's last event in which its spikes still reach the outputs.
 TAIL_STEPS = 3
@@ -112,8 +112,8 @@ class NetworkSize:
     hidden: int
     width: float
     budget: float
-    passes: int
-    dropout: float
+    passes: int = 1
+    dropout: float = EventTraining.dropout
 
     def is_for(self, sensor: Sensor, samples: int) -> bool:
         """True if a sensor and a number of training samples suit its convolution."""
@@ -123,8 +123,8 @@ class NetworkSize:
 SIZES = {
     size.name: size
     for size in (
-        NetworkSize("small", 24, 3, 1, hidden=64, width=0.5, budget=0.8, passes=1, dropout=0.1),
-        NetworkSize("standard", 32, 2, 2, hidden=128, width=1.0, budget=2.0, passes=1, dropout=0.1),
+        NetworkSize("small", 24, 3, 1, hidden=64, width=0.5, budget=0.8),
+        NetworkSize("standard", 32, 2, 2, hidden=128, width=1.0, budget=2.0),
         NetworkSize("large", 48, 2, 2, hidden=192, width=1.5, budget=3.5, passes=3, dropout=0.2),
     )
 }

@@ -61,6 +61,8 @@ class EventChoices:
     Attributes
     ----------
     choices : list of Choice
+    size : NetworkSize
+        Of the network: the user's, or that for the recordings.
     """
 
     def __init__(self, settings: Settings, recordings: Recordings, train: np.ndarray):
@@ -70,6 +72,7 @@ class EventChoices:
         self.choices: list[Choice] = []
         self.is_usual = is_handwriting(recordings)
         self.train = train
+        self.size = choose_size(settings.events.size, recordings)
         self._choose_step()
         self._choose_presentation()
         self._choose_architecture()
@@ -123,7 +126,7 @@ class EventChoices:
         """The architecture of the size; the default is the one for simulated handwriting."""
         settings = self.settings
         sensor = self.recordings.sensor
-        size = choose_size(settings.events.size, self.recordings)
+        size = self.size
         is_simulated = self.is_usual and size.name == "small"
         samples = 0 if is_simulated else len(self.train)
         if not settings.is_open("events.architecture"):
@@ -150,7 +153,7 @@ class EventChoices:
     def _choose_epochs(self):
         """More passes over the training samples for a size that has them."""
         settings = self.settings
-        size = choose_size(settings.events.size, self.recordings)
+        size = self.size
         if size.passes == 1 or not settings.is_open("events.epochs"):
             return
         usual = epochs_for(len(self.train), settings.events.batch_size)
@@ -169,7 +172,7 @@ class EventChoices:
         self._choose("events.augment", augmentation, reason)
 
     def _choose_dropout(self):
-        size = choose_size(self.settings.events.size, self.recordings)
+        size = self.size
         samples = len(self.train)
         dropout = dropout_for(size, samples)
         is_default = dropout == Settings().events.dropout

@@ -14,6 +14,7 @@ from pipeline.kinds.architectures import architecture_for, describe_choice, is_f
 from pipeline.kinds.presentation import image_gap_choice
 from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_digits
 from pipeline.run.settings import Choice, Settings, names_in
+from pipeline.training.schedules import SCHEDULES
 
 # Passes over the training samples of a network on one image of recordings that are not simulated.
 # On ST-MNIST the default of 60 has two points less, with faulty taxels three.  Fewer recordings
@@ -25,9 +26,6 @@ MIN_RECORDINGS_FOR_EPOCHS = 2000
 # the schedule.  The change of a neuron's sum in an update grows with its inputs: with 9,216 of them
 # this rate left Keras's example for MNIST at chance, and a rate in proportion did not.
 MAX_INPUTS_AT_FULL_RATE = 500
-
-# Learning rate of the schedule "loihi" in :mod:`pipeline.training.networks`.
-SCHEDULED_RATE = 0.004
 
 # Rows and columns of the first convolution's output on slices of time, on average.
 SLICES_MAP = 5
@@ -158,7 +156,8 @@ def _choose_learning_rate(settings):
     inputs = max(math.prod(shape[:-1]) for shape in kernels)
     if inputs <= MAX_INPUTS_AT_FULL_RATE:
         return []
-    rate = float(f"{SCHEDULED_RATE * MAX_INPUTS_AT_FULL_RATE / inputs:.1g}")
+    full_rate = SCHEDULES["loihi"].learning_rate
+    rate = float(f"{full_rate * MAX_INPUTS_AT_FULL_RATE / inputs:.1g}")
     reason = (
         f"learning rate of rate-lif {rate:g}, since a neuron has up to {inputs} inputs (another: "
         "--set snn.learning_rate=...)"

@@ -32,6 +32,7 @@ from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
 from pipeline.run.settings import Settings
+from pipeline.training.schedules import make_cnn_schedule, make_snn_schedule
 
 
 def _compute_logits(stage, inputs, samples, advance):
@@ -282,7 +283,7 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
 
 def _train_cnn(settings, dataset, weights=None):
     """Train the CNN from given weights or from new ones; return it and the seconds."""
-    from pipeline.training.networks import make_cnn_schedule, train_cnn  # imports TensorFlow
+    from pipeline.training.networks import train_cnn  # imports TensorFlow
 
     augmentation = settings.cnn.augment
     samples = _collect_samples(dataset, "none" if augmentation == "auto" else augmentation)
@@ -327,8 +328,6 @@ def _adopt(model, settings, dataset, say):
 
 def _train_further(name, function, inputs, artifact):
     """Train a network that starts from the CNN; write it, and return it and its metrics."""
-    from pipeline.training.networks import make_snn_schedule
-
     settings = inputs.settings
     dataset = inputs.dataset
     augmentation = "none"

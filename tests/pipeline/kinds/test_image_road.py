@@ -10,12 +10,13 @@ from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.commands.stages import _images_of
 from pipeline.kinds import find_compared_stage, kind_of_network
-from pipeline.kinds.image.choices import SCHEDULED_RATE, choose_image_augmentation
+from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.imported import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Image, Settings, apply_choices, list_reasons, put
+from pipeline.training.schedules import SCHEDULES
 
 
 def settings(**sections):
@@ -72,10 +73,8 @@ def test_neurons_with_many_inputs_are_trained_further_at_a_lower_rate():
         )
 
 
-def test_the_rate_is_in_proportion_to_that_of_the_schedule():
-    from pipeline.training.networks import SCHEDULES
-
-    assert SCHEDULES["loihi"].learning_rate == SCHEDULED_RATE
+def test_the_rate_from_which_lower_ones_are_chosen():
+    assert SCHEDULES["loihi"].learning_rate == 0.004
 
 
 SLICES = {"input": {"kind": "slices"}}
