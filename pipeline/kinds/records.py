@@ -1,4 +1,4 @@
-"""What the training of a network leaves: its weights, learning curve, and record of accuracies."""
+"""Write and read the files of a trained network: weights, learning curve, record of accuracies."""
 
 import csv
 import importlib.metadata

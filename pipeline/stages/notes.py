@@ -21,7 +21,7 @@ COPY_TEXTS = (
 
 
 def list_notes(opened, choices) -> Iterator[str]:
-    """What the user should know of the recordings and of what was chosen for them.
+    """Yield the notes and warnings on the recordings of a run and on the choices for them.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ class OpenedRun:
         return self.kind.artifact(name, self.place, self.dataset.origin)
 
     def step_inputs(self, names) -> StepInputs:
-        """What is made from the named settings only; reading others is an error."""
+        """The inputs of a step, with the named settings only; a step that reads another fails."""
         view = self.settings.only(names)
         dataset = self.dataset.restrict_to(view)
         return StepInputs(view, dataset, self.artifact, self.weights, self.say)
@@ -106,7 +106,7 @@ class OpenedRun:
 
 
 def open_experiment(place, settings: Settings, dataset: Dataset, say=print) -> OpenedRun:
-    """What an experiment opens: the settings are complete, the dataset is loaded.
+    """Open an experiment, whose settings are complete and whose dataset is loaded.
 
     Parameters
     ----------

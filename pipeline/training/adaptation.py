@@ -184,7 +184,7 @@ class _Folds(NamedTuple):
 
 
 class _Trial(NamedTuple):
-    """What cross-validation says of a pair of ``pull`` and ``rehearsal``; see `Refit`.
+    """The result of cross-validating a pair of ``pull`` and ``rehearsal``; see `Refit`.
 
     ``likelihood`` is the mean logarithm of the probability of the right class.
     """
