@@ -139,6 +139,40 @@ def test_a_touch_begins_with_an_event_and_ends_with_silence(stream):
     assert not stream.touching
 
 
+def test_a_decision_is_preliminary_until_the_touch_has_ended():
+    """An early one, and one at the end of a presentation that the touch goes on after."""
+    bundle = make_bundle(confidence=0.5)
+    stream = Stream(bundle, unit="us")
+    silence_us = round(1e6 * stream.silence)
+    decisions = replay(stream, bundle.checks.inputs)
+    assert any(decision.early and not decision.ended for decision in decisions)
+    ended = [decision for decision in decisions if decision.ended]
+    assert all(decision.time - decision.start >= silence_us for decision in ended)
+    patient = Stream(make_bundle(), unit="us", silence=0.05)
+    patient.push(1_000_000, 2, 3, 1)
+    (ended,) = patient.advance(1_060_000)
+    for step in range(25):
+        going_on = patient.push(2_000_000 + STEP_US * step, 2, 3, 1)
+        if going_on:
+            break
+    assert ended.ended
+    assert not going_on[0].ended
+
+
+def test_a_touch_longer_than_the_training_has_no_probability(bundle, network):
+    """Probabilities are estimated on samples of the training: they are too high for slower ones."""
+    shortest = {}
+    for steps in (19, 30):
+        stream = Stream(bundle, "us", longest=1, stream_length=1, network=network)
+        time = STEP_US * np.arange(steps)
+        stream.push(time, np.arange(steps) % 4, np.arange(steps) % 6, np.arange(steps) % 2)
+        (decision,) = stream.finish()
+        assert stream.exceeds_training == (steps > 20)
+        shortest[steps] = decision.probability
+    assert shortest[19] > 0
+    assert shortest[30] == 0
+
+
 def test_silence_ends_a_touch_before_its_presentation_with_the_same_decision(bundle, network):
     patient = replay(Stream(bundle, "us", network=network), bundle.checks.inputs)
     hasty = Stream(bundle, "us", silence=0.05, network=network)

@@ -38,14 +38,18 @@ class Decision:
     number : int
         The class, from 0.
     probability : float
-        Estimated probability that the class is right, from 0 to 1; 0 if no spike has reached the
-        readout, so that the class means nothing.
+        Estimated probability that the class is right, from 0 to 1; 0 if there is no estimate: no
+        spike has reached the readout, so that the class means nothing, or the touch has lasted
+        longer than the samples of the training, on which probabilities are estimated.
     time : float
         Time at which the decision was due, in the unit and on the clock of the events.
     start : float
         Time of the first event of the touch.
     early : bool
         True if the threshold of the bundle was reached before the end.
+    ended : bool
+        True if the touch had ended at that time.  Otherwise the decision is preliminary: what
+        follows may make another class of it.
     events : int
         Number of events of the touch until the decision.
     """
@@ -56,6 +60,7 @@ class Decision:
     time: float
     start: float
     early: bool
+    ended: bool
     events: int
 
     def to_dict(self) -> dict:
@@ -72,13 +77,17 @@ class Touch:
         Time of the first and the last event, on the stream's clock.
     events : ndarray of int, shape (steps,)
         Number of events in each step.
+    end_ns : int or None
+        Time at which the touch ended, by silence; None before.
     presentation : Presentation
     decision : Decision or None
         None until the network has decided.
     """
 
     def __init__(self, start_ns, presentation, steps):
-        self.start_ns = self.last_ns = start_ns
+        self.start_ns = start_ns
+        self.last_ns = start_ns
+        self.end_ns: Optional[int] = None
         self.events = np.zeros(steps, int)
         self.presentation = presentation
         self.decision: Optional[Decision] = None
@@ -220,6 +229,14 @@ class Stream:
     def touch(self) -> Optional[Touch]:
         """The current touch, or the last one."""
         return self._touch
+
+    @property
+    def exceeds_training(self) -> bool:
+        """True if the current touch, or the last one, is longer than the samples of the training.
+
+        Probabilities are estimated on those samples, and are far too high for slower touches.
+        """
+        return self._touch is not None and self._exceeds_training(self._touch)
 
     def push(self, t, x, y, p) -> List[Decision]:
         """Take events that have arrived.
@@ -455,12 +472,15 @@ class Stream:
         """
         if self._longest_steps == self._usual_steps:
             return self._usual_steps
-        if self._step_at(np.int64(touch.last_ns)) < self._usual_steps:
+        if not self._exceeds_training(touch):
             return self._usual_steps
         settling = len(self._spec.layers) + 2
         last_ms = (touch.last_ns - touch.start_ns) / NANOSECONDS_PER_MS
         end = round(last_ms / self._step_ms + settling)
         return min(max(end, self._usual_steps), self._longest_steps)
+
+    def _exceeds_training(self, touch):
+        return bool(self._step_at(np.int64(touch.last_ns)) >= self._usual_steps)
 
     def _frames_to_come(self, steps):
         """The frame of the present step, and silence after it."""
@@ -506,11 +526,12 @@ class Stream:
         steps = self._last_step(touch)
         row = steps - self._spec.presentation.readout_start - 1
         readout = touch.presentation.readout
+        is_estimated = readout.spoke[row] and steps <= self._usual_steps
         self._decide(
             touch,
             steps,
             number=int(readout.scores_at(steps).argmax()),
-            probability=float(readout.confidences[row]) if readout.spoke[row] else 0.0,
+            probability=float(readout.confidences[row]) if is_estimated else 0.0,
             time=time_ns,
             early=False,
         )
@@ -522,6 +543,7 @@ class Stream:
             number=number,
             time=self._clock.sensor_time(time) / self._tick_ns,
             start=self._clock.sensor_time(touch.start_ns) / self._tick_ns,
+            ended=touch.end_ns is not None and time >= touch.end_ns,
             events=int(touch.events[:steps].sum()),
             **others,
         )
@@ -534,6 +556,7 @@ class Stream:
     def _end_touch(self, time_ns):
         """End the touch: compute the rest of its presentation, decide, prepare the next one."""
         touch = self._touch
+        touch.end_ns = time_ns
         steps_left = self._last_step(touch) - touch.presentation.n_steps
         if steps_left > 0:
             self._network.advance(touch.presentation, self._frames_to_come(steps_left))

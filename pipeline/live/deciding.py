@@ -72,10 +72,6 @@ class Curve:
         """The answer at the end."""
         return self._verdict(-1)
 
-    def shares_at(self, verdict: Verdict | None) -> np.ndarray:
-        """Probabilities of the classes at the time of a verdict; without one, at the end."""
-        return self.shares[np.searchsorted(self.seconds, verdict.seconds) if verdict else -1]
-
     def _verdict(self, index, early=False):
         at = float(self.seconds[index])
         return Verdict(int(self.classes[index]), float(self.values[index]), at, early)
@@ -114,12 +110,16 @@ class Answer:
         Its last values are the present ones.
     decided : Verdict or None
         The network's early decision, if there is one.
+    exceeds_training : bool
+        True if the recording is longer than the samples of the training, on which confidence is
+        estimated: it is far too high then.
     """
 
     scores: np.ndarray
     spikes: dict
     curve: Curve
     decided: Verdict | None = None
+    exceeds_training: bool = False
 
 
 class Decider:
@@ -259,9 +259,10 @@ class EventDecider(Decider):
         )
         return TouchDeciding(self, stream, self._sensor.rows)
 
-    def describe(self, touch) -> Answer | None:
-        """The answer for a touch so far."""
+    def describe(self, stream: Stream) -> Answer | None:
+        """The answer for the touch of a stream so far."""
         spec = self._spec
+        touch = stream.touch
         readout = touch.presentation.readout
         if not len(readout.sums) or not readout.spoke[-1]:
             return None
@@ -277,7 +278,8 @@ class EventDecider(Decider):
         usual_s = first_s + self.usual_s + spec.stimulus.step_seconds / 2
         spikes = {name: rows.copy() for name, rows in touch.presentation.spikes.items()}
         verdict = curve.first(self.threshold, usual_s)
-        return Answer(readout.scores_at(readout.n_steps), spikes, curve, verdict)
+        scores = readout.scores_at(readout.n_steps)
+        return Answer(scores, spikes, curve, verdict, stream.exceeds_training)
 
 
 class TouchDeciding:
@@ -325,7 +327,7 @@ class TouchDeciding:
             self._stream.finish()
         else:
             self._stream.advance(1e9 * time_s)
-        return self._decider.describe(self._stream.touch)
+        return self._decider.describe(self._stream)
 
 
 def decider_of(bundle: Bundle, sensor: Sensor) -> Decider:

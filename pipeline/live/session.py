@@ -92,7 +92,7 @@ class OpenRecording:
         self.down = False
         self.complete = example is not None
         self.saved_as = None
-        self.verdict = self.shares = None
+        self.verdict = None
         self.spikes = self.curve = None  # of the latest answer
         self._longest_s = LONGEST_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
@@ -136,8 +136,6 @@ class OpenRecording:
         if self.verdict is not None and self.verdict.early:
             return
         self.verdict = said.decided or (said.curve.last() if settled else None)
-        # Kept with the verdict; later answers do not change them.
-        self.shares = said.curve.shares_at(self.verdict)
 
     def point(self, page_ms, right, down, pressure, touches):
         """Add a point of the pen."""
@@ -447,7 +445,8 @@ def _answer(recording, events, said: Answer):
         "events": len(events),
         "decision": last.label,
         "confidence": last.confidence,
-        "shares": recording.shares.round(4).tolist(),
+        "exceeds_training": said.exceeds_training,
+        "shares": said.curve.shares[-1].round(4).tolist(),
         "verdict": verdict and {**verdict._asdict(), "seconds": verdict.seconds - START_S},
     }
 

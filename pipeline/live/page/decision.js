@@ -3,6 +3,9 @@
 const SURE = 0.5; // confidence below which a verdict is not sure
 const FLICKER = 0.4; // confidence below which an open answer would only flicker
 const GUESS = 1.02; // times the share of equal classes: below it an answer is no better than a guess
+const NOT_SURE = "Not sure";
+const SLOW = "slower than the training, for which confidence has no meaning";
+const SOFTMAX = "softmax"; // of a network without confidence: no probability
 const TAP = 1; // taxels that a pen must move at least, or it has written nothing
 
 // A confidence is below 1 and must not be displayed as 100 %.
@@ -20,12 +23,12 @@ export function isTap(strokes) {
 // message: an answer of the server, or null.  page: { classes, digits, pauseS, threshold, truth (the class of an
 // example or of a saved recording, or null), settled, writes, drawn (strokes), canDraw, named (of a class) }.
 // Returns { text (the class, or ""), confidence, said, open, mark ("right", "wrong" or ""), retracted, seconds }.
+// `confidence` and the beginning of `said` are one statement: "97 %" and "sure, decided after 0.52 s", or "Not sure".
 export function describeDecision(message, page) {
   if (page.settled && isTap(page.drawn))
     return open("", "Too short", `a tap is no ${page.digits ? "digit" : "drawing"}: draw a line`);
   if (message === null) return describeSilence(page);
-  const verdict = message.verdict ?? null;
-  return verdict === null ? describeAnswer(message, page) : describeVerdict(message, verdict, page);
+  return page.settled && message.verdict ? describeVerdict(message, page) : describeAnswer(message, page);
 }
 
 const open = (text, confidence, said) => ({ text, confidence, said, open: true, mark: "", retracted: false, seconds: "" });
@@ -45,39 +48,50 @@ function waiting({ threshold, canDraw, truth, pauseS }) {
   return `Decides ${early}${end}.`;
 }
 
-// The answer so far, which is open.
-function describeAnswer({ decision, confidence }, page) {
+// The answer so far, which is open, also if the network has decided: what follows may make another class of it.
+function describeAnswer(message, page) {
+  const { decision, confidence } = message;
   const guess = isGuess(confidence, page);
-  const sure = guess || confidence < FLICKER ? "…" : percent(confidence);
   const waits = !page.writes && page.drawn.length && page.truth === null;
-  return open(guess ? "" : page.classes[decision], sure, waits ? `so far; waits ${page.pauseS} s for another stroke` : "so far");
+  const number = guess || confidence < FLICKER ? "…" : percent(confidence);
+  return {
+    ...open(guess ? "" : page.classes[decision], message.exceeds_training ? NOT_SURE : number, ""),
+    said: soFarText(message, number, page) + (waits ? `; waits ${page.pauseS} s for another stroke` : ""),
+    seconds: message.verdict?.seconds ?? "",
+  };
 }
 
-// The verdict: the early decision, or else the answer at the end.
-function describeVerdict(message, verdict, page) {
-  const { label, confidence, early, seconds } = verdict;
-  const guess = isGuess(confidence, page);
-  const unsure = confidence < SURE;
-  const retracted = early && page.settled && message.decision !== label; // by the answer at the end
+function soFarText({ decision, exceeds_training, verdict }, number, { named, threshold }) {
+  if (exceeds_training) return SLOW;
+  const sure = number === "…" ? "so far" : `${threshold === null ? SOFTMAX : "sure"} so far`;
+  if (!verdict) return sure;
+  const decided = verdict.label === decision ? "decided" : `decided for ${named(verdict.label)}`;
+  return `${sure}; ${decided} after ${verdict.seconds.toFixed(2)} s`;
+}
+
+// The verdict on a recording that has ended: the early decision, or else the answer at the end.  The confidence is
+// that at the end, which has seen all events.
+function describeVerdict(message, page) {
+  const { label, early, seconds } = message.verdict;
+  const guess = isGuess(message.confidence, page);
+  const retracted = early && message.decision !== label; // by the answer at the end
+  const open = retracted || message.exceeds_training || message.confidence < SURE;
   return {
     text: guess ? "?" : page.classes[label],
-    confidence: confidenceText(confidence, guess, unsure, retracted),
-    said: timeText(early, seconds, retracted, page) + truthText(label, guess, page) + retractionText(message, retracted, page),
-    open: unsure || retracted,
-    mark: markOf(label, unsure, page),
+    confidence: guess || retracted || message.exceeds_training ? NOT_SURE : percent(message.confidence),
+    said: verdictText(message, guess, retracted, page) + truthText(label, guess, page) + retractionText(message, retracted, page),
+    open,
+    mark: markOf(label, open, page),
     retracted,
     seconds,
   };
 }
 
-function confidenceText(confidence, guess, unsure, retracted) {
-  if (guess || retracted) return "Not sure";
-  return unsure ? `Not sure (${percent(confidence)})` : percent(confidence);
-}
-
-function timeText(early, seconds, retracted, { threshold }) {
-  if (early) return `${retracted ? "" : "sure, "}decided after ${seconds.toFixed(2)} s`;
-  return threshold === null ? "softmax at the end" : "at the end";
+function verdictText({ exceeds_training, verdict }, guess, retracted, { threshold }) {
+  if (exceeds_training) return SLOW;
+  const time = verdict.early ? `decided after ${verdict.seconds.toFixed(2)} s` : "at the end";
+  if (guess || retracted) return time;
+  return threshold === null ? `${SOFTMAX} ${time}` : `sure, ${time}`;
 }
 
 function truthText(label, guess, { classes, truth, named }) {
@@ -90,7 +104,7 @@ function retractionText({ decision }, retracted, { named }) {
   return retracted ? `; at the end it would be ${named(decision)}` : "";
 }
 
-function markOf(label, unsure, { truth }) {
-  if (truth === null || unsure) return "";
+function markOf(label, open, { truth }) {
+  if (truth === null || open) return "";
   return truth === label ? "right" : "wrong";
 }

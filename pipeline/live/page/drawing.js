@@ -135,8 +135,8 @@ const LINES = ["--s1", "--s2", "--s3", "--s4"];
 const DASHES = [[], [7, 3], [2, 3], [9, 3, 2, 3]]; // as in the report, for those who do not see the colours
 const FONT = "13px system-ui, sans-serif"; // of a page whose text has 16 pixels
 
-// Everything on one time axis: events of the sensor, spikes of each layer, belief in the likeliest
-// classes; the end of what the network receives, and the decision as a line.
+// Everything on one time axis: events of the sensor, spikes of each layer, how sure the network is of
+// the likeliest classes; the end of what the network receives, and the decision as a line.
 // race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, usualS, seconds, chances,
 //         threshold, classes, verdict }
 // A network on images is presented the image so far again and again: its spikes have an axis of their own.
@@ -156,9 +156,9 @@ export function drawRace(canvas, race) {
   const lane = width - LEFT - right;
   const x = (seconds) => LEFT + (seconds / end) * lane;
   const at = race.verdict ? x(Math.min(race.verdict.seconds, end)) : null; // the line of the verdict
-  const parts = ["touch", ...race.layers, "belief"];
+  const parts = ["touch", ...race.layers, "sure"];
   const free = height - BELOW - parts.length * (ABOVE + GAP);
-  const weights = parts.map((part) => (part === "belief" ? 2 : 1));
+  const weights = parts.map((part) => (part === "sure" ? 2 : 1));
   const unit = free / weights.reduce((a, b) => a + b);
   let top = 0;
   parts.forEach((part, i) => {
@@ -172,11 +172,11 @@ export function drawRace(canvas, race) {
     context.clip();
     if (!race.events.s.length && high > 20) explain(context, part, lane, y + high / 2);
     if (part === "touch") drawEvents(context, race, x, y, high, lane);
-    else if (part === "belief") drawBelief(context, race, curves, x, y, high, lane);
+    else if (part === "sure") drawSureness(context, race, curves, x, y, high, lane);
     else drawSpikes(context, part, race, onEvents ? x : null, y, high, lane);
-    if (race.verdict && (onEvents || typeof part === "string")) drawVerdict(context, at, y, lane, high);
+    if (race.verdict && (onEvents || typeof part === "string")) drawVerdict(context, at, y, high);
     context.restore();
-    if (part === "belief") nameCurves(context, race, curves, LEFT + lane + 6, y, high);
+    if (part === "sure") nameCurves(context, race, curves, LEFT + lane + 6, y, high);
   });
   const bottom = top - GAP;
   context.font = FONT;
@@ -230,12 +230,8 @@ function labelUsualEnd(context, at, end, y) {
   context.fillText(text, left, y);
 }
 
-// The time of the decision as a line; what comes after it does not count, and is faded.
-function drawVerdict(context, at, y, lane, high) {
-  context.fillStyle = colour("--panel");
-  context.globalAlpha = 0.6;
-  context.fillRect(at, y, lane, high);
-  context.globalAlpha = 1;
+// The time of the decision as a line.
+function drawVerdict(context, at, y, high) {
   context.fillStyle = colour("--ink");
   context.fillRect(at - 1, y, 2, high);
 }
@@ -259,7 +255,7 @@ function explain(context, part, lane, y) {
   context.fillStyle = colour("--soft");
   context.textAlign = "center";
   const [row, dot] = part === "touch" ? ["taxel", "event"] : [part.name === "input" ? "line" : "neuron", "spike"];
-  const text = part === "belief" ? "a curve for each of the likeliest classes" : `a row for each ${row}, a dot for each ${dot}`;
+  const text = part === "sure" ? "a curve for each of the likeliest classes" : `a row for each ${row}, a dot for each ${dot}`;
   if (context.measureText(text).width <= lane) context.fillText(text, LEFT + lane / 2, y + 4);
 }
 
@@ -317,11 +313,11 @@ function curvesOf({ seconds, chances, classes, verdict }) {
 let lines = LINES.map(() => null);
 const lineOf = (label) => colour(LINES[lines.indexOf(label)]);
 
-function drawBelief(context, race, curves, x, y, high, lane) {
+function drawSureness(context, race, curves, x, y, high, lane) {
   const { seconds, chances, threshold, classes, verdict } = race;
   const decides = `decides at ${(100 * threshold).toFixed(1)} %`;
   if (threshold === null) caption(context, y, lane, "softmax of the outputs, 0 to 100 %", "softmax");
-  else caption(context, y, lane, `probability, 0 to 100 %; dotted: ${decides}`, `probability; dotted: ${(100 * threshold).toFixed(1)} %`, "probability");
+  else caption(context, y, lane, `how sure, 0 to 100 %; dotted: ${decides}`, `how sure; dotted: ${(100 * threshold).toFixed(1)} %`, "how sure");
   if (!seconds.length) return;
   context.fillStyle = colour("--line");
   for (const share of [0.5, 1]) context.fillRect(LEFT, y + rise(share, high), lane, 1);

@@ -498,7 +498,8 @@ function showDecision(message) {
 // The shares of the classes; if there are more than bars, of those with the highest shares.
 function showScores(message, decided) {
   const items = [...$("scores").children];
-  const shares = message?.shares ?? about.classes.map(() => 0);
+  const known = message !== null && !message.exceeds_training; // else no bar means anything
+  const shares = known ? message.shares : about.classes.map(() => 0);
   const hasMore = about.classes.length > items.length;
   const labels = [...about.classes.keys()];
   if (hasMore) labels.sort((a, b) => shares[b] - shares[a]);

@@ -102,8 +102,10 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
         first, last = slow[index].time_ns[[0, -1]] * 1e-9
         end = round((max(2.0, last - first + 0.01 * (len(spec.layers) + 2))) / 0.01)
         longer += end > 200
+        is_slow = last - first >= 2
         said = decider.begin().answer(slow[index], math.inf)
         assert said.curve.last().label == expected.decisions[index, min(end, 600) - 1]
+        assert said.exceeds_training == is_slow  # and its confidence means nothing
     assert longer > 3
 
 

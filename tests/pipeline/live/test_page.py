@@ -435,6 +435,39 @@ def test_a_tap_or_line_without_events_is_answered(page):
     assert page.evaluate(describe, [])["confidence"] == ""
 
 
+DESCRIBE = """async ([message, settled]) => {
+  const { describeDecision } = await import(new URL("decision.js", location.href));
+  const page = {
+    classes: [..."0123456789"], pauseS: 1, threshold: 0.9, truth: null, canDraw: true,
+    named: (label) => `a ${label}`, settled, writes: !settled, drawn: [[[5, 5], [5, 8]]],
+  };
+  return describeDecision(message, page);
+}"""
+
+
+@pytest.mark.parametrize(
+    ("settled", "changes", "text", "confidence", "is_open"),
+    [
+        (False, {}, "6", "99.0 %", True),  # a longer digit may follow
+        (True, {}, "6", "99.0 %", False),
+        (True, {"confidence": 0.7}, "6", "70 %", False),  # that of all events
+        (True, {"decision": 0}, "6", "Not sure", True),
+        (False, {"decision": 0}, "0", "99.0 %", True),
+        (True, {"exceeds_training": True}, "6", "Not sure", True),
+        (False, {"exceeds_training": True}, "6", "Not sure", True),
+        (True, {"exceeds_training": True, "verdict": {"early": False}}, "6", "Not sure", True),
+    ],
+)
+def test_the_page_is_sure_only_of_what_has_ended_within_the_times_of_the_training(
+    page, settled, changes, text, confidence, is_open
+):
+    verdict = {"label": 6, "confidence": 0.995, "seconds": 0.79, "early": True}
+    verdict = {**verdict, **changes.pop("verdict", {})}
+    message = {"decision": 6, "confidence": 0.99, "exceeds_training": False, "verdict": verdict}
+    view = page.evaluate(DESCRIBE, [{**message, **changes}, settled])
+    assert (view["text"], view["confidence"], view["open"]) == (text, confidence, is_open)
+
+
 def test_all_buttons_of_digits_are_whole_on_a_phone(browser, server):
     with page_of(browser, server, viewport={"width": 390, "height": 844}) as page:
         for label in range(10):
