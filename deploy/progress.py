@@ -22,16 +22,25 @@ class ProgressLines:
         The activity, such as ``"train events"``.
     total : int
         Total number of units of work.
+    unit : str
+        What they are, in the plural.
     clock : callable
         The time in seconds.
     """
 
-    def __init__(self, label: str, total: int, clock=time.monotonic):
+    def __init__(self, label: str, total: int, unit: str = "samples", clock=time.monotonic):
         self._label = label
         self._total = total
+        self._unit = unit
         self._clock = clock
-        self._begun = self._printed = clock()
-        self._done = self._told_line = 0
+        self._begun = clock()
+        self._printed = self._begun
+        self._done = 0
+        self._told_line = 0
+        # The first units take longer, because something is compiled, or shorter, because they were
+        # done in an earlier session: the estimate is from those after them.
+        self._first_done = 0
+        self._first_at = self._begun
 
     def advance(self, n: int = 1, note: str | None = None):
         """Count n more units of work; print a line if a tenth is complete.
@@ -45,15 +54,19 @@ class ProgressLines:
         self._done += n
         line = LINES * self._done // max(self._total, 1)
         now = self._clock()
+        if not self._first_done:
+            self._first_done = self._done
+            self._first_at = now
+            return
         is_last = self._done >= self._total
         if line == self._told_line or is_last or now - self._printed < MIN_SECONDS:
             return
         self._told_line = line
         self._printed = now
-        seconds = now - self._begun
-        seconds_left = seconds * (self._total - self._done) / self._done
+        seconds_a_unit = (now - self._first_at) / (self._done - self._first_done)
+        seconds_left = seconds_a_unit * (self._total - self._done)
         label = self._label if note is None else f"{self._label} {note}"
         remark(
-            f"{label}: {self._done} of {self._total} after {seconds:.0f} s, "
+            f"{label}: {self._done} of {self._total} {self._unit} after {now - self._begun:.0f} s, "
             f"about {seconds_left:.0f} s left"
         )

@@ -389,7 +389,7 @@ def main(
     fit["sections"]["faults"]["sessions"] = target.sessions
     if sections:
         fit = fit_sections(fit, shapes, target, 1000 * seed + STEPS, jobs)
-    with progress("calibrate", STEPS) as advance:
+    with progress("calibrate", STEPS, "steps") as advance:
         fit = calibrate(fit, shapes, target, seed, jobs, advance)
     shape_model.write(out.with_suffix(".npz"), shapes)
     write_json(out, {**fit, "source": about}, indent=None)

@@ -26,13 +26,13 @@ def hide_progress():
 
 
 @contextlib.contextmanager
-def ignore_progress(label: str, total: int):
+def ignore_progress(label: str, total: int, unit: str = "samples"):
     """Display nothing: the default where a function takes :func:`progress` as an argument."""
     yield lambda n=1, note=None: None
 
 
 @contextlib.contextmanager
-def progress(label: str, total: int):
+def progress(label: str, total: int, unit: str = "samples"):
     """Display a bar, or now and then a line, while the block runs.
 
     Parameters
@@ -40,19 +40,21 @@ def progress(label: str, total: int):
     label : str
         The activity, such as ``"import"``.
     total : int
-        Total number of steps.
+        Total number of units of work.
+    unit : str
+        What they are, in the plural; on a terminal, a bar says as much.
 
     Yields
     ------
     callable
-        ``advance(n=1, note=None)``: n more steps are done; ``note`` is printed after the label.
+        ``advance(n=1, note=None)``: n more units are done; ``note`` is printed after the label.
     """
     in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
     if _hidden:
         yield lambda n=1, note=None: None
         return
     if not (console.is_terminal or in_notebook):
-        yield ProgressLines(label, total).advance
+        yield ProgressLines(label, total, unit).advance
         return
     with Progress(console=console) as bar:
         task = bar.add_task(label, total=total)

@@ -177,7 +177,7 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     path = path_of_simulated(describe_source(seed, counts, **how).sha256)
     recordings = load(path)
     if recordings is None:
-        with progress("simulate", sum(counts)) as advance:
+        with progress("simulate", sum(counts), "recordings") as advance:
             made = simulate(seed, counts, jobs, advance, **how)
             recordings = store_and_load(path, made)
     return recordings

@@ -11,6 +11,7 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.training import events
+from pipeline.training.events import checkpoint
 from tests.command import call, missing
 
 TINY = (
@@ -109,8 +110,42 @@ def test_another_kind_of_input_makes_another_network(run_on_events, tmp_path, ca
     said = capsys.readouterr().err
     assert (folder / "cnn" / "weights.npz").exists()
     assert "of the kind 'events'" in said
+    states = {each["name"]: each["state"] for each in _artifacts(folder, capsys)}
+    assert (states["cnn"], states["rate-lif"], states["bundle"]) == (
+        "current",
+        "missing",  # the other network of the run is one on events
+        "outdated",
+    )
     assert call("train", folder) == 0
     assert "of the kind" not in capsys.readouterr().err
+
+
+def _artifacts(folder, capsys):
+    capsys.readouterr()
+    assert call("status", folder, "--json") == 0
+    return json.loads(capsys.readouterr().out)["artifacts"]
+
+
+def test_a_training_that_was_interrupted_is_in_the_status(tmp_path, capsys, monkeypatch):
+    store = checkpoint._store
+
+    def store_and_stop(*given):
+        store(*given)
+        raise UserError("stopped")
+
+    monkeypatch.setattr(checkpoint, "_store", store_and_stop)
+    folder = tmp_path / "run"
+    assert call("train", folder, *TINY[:-4], "--set", "data.samples_per_digit=10") == 2
+    by_name = {each["name"]: each for each in _artifacts(folder, capsys)}
+    assert by_name["events"]["state"] == "missing"
+    assert by_name["events"]["epochs"] == 1
+    assert call("status", folder) == 0
+    assert "1 epoch" in capsys.readouterr().out
+    assert call("status", folder, "--json") == 0
+    settings = folder / "experiment.toml"
+    settings.write_text(settings.read_text().replace("epochs = 2", "epochs = 3"))
+    other = {each["name"]: each for each in _artifacts(folder, capsys)}
+    assert "epochs" not in other["events"]  # the checkpoint is that of other settings
 
 
 def test_what_is_not_shown_is_said(tmp_path, capsys, monkeypatch):

@@ -108,7 +108,7 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
 def test_a_quiet_run_reports_no_progress(run, monkeypatch):
     reported = []
 
-    def report(label, total):
+    def report(label, total, unit):
         reported.append(label)
         return SimpleNamespace(advance=lambda n=1, note=None: None)
 

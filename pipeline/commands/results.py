@@ -86,6 +86,6 @@ def animate(
         raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")
     activity = bundle.checks.inputs.reshape(len(ids), -1).sum(1, dtype=float)
     index = ids.index(sample) if sample else int(activity.argsort(kind="stable")[len(ids) // 2])
-    with progress("animate", animation.FRAMES) as advance:
+    with progress("animate", animation.FRAMES, "frames") as advance:
         animation.animate(out, bundle, index, advance)
     options.say(f"animation: {out}")

@@ -28,7 +28,7 @@ SAMPLES_AT_ONCE = 2000
 
 def time_training(name: str, epochs: int, function, *arguments, **more) -> tuple:
     """Run a training with a progress bar; return the network and the seconds that it took."""
-    with progress(f"train {name}", epochs) as advance:
+    with progress(f"train {name}", epochs, "epochs") as advance:
         begun = time.perf_counter()
         trained = function(*arguments, advance=advance, **more)
         return trained, time.perf_counter() - begun

@@ -504,7 +504,7 @@ def _read_entries(listing, jobs, progress):
     chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
     calls = (delayed(_read_files)(listing.path, chunk) for chunk in chunks)
     n_events = 0
-    bar = progress("import", len(listing.entries))
+    bar = progress("import", len(listing.entries), "recordings")
     with results_of(calls, jobs) as work, bar as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for entry, recording in zip(chunk, results, strict=True):

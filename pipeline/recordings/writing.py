@@ -175,7 +175,7 @@ def write_zip(path, recordings: Recordings, progress=ignore_progress):
     with (
         replacing(path) as file,
         zipfile.ZipFile(file, "w") as archive,
-        progress("write", len(recordings)) as advance,
+        progress("write", len(recordings), "recordings") as advance,
     ):
 
         def add(name, content):  # stored: recordings are compressed already

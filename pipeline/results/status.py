@@ -1,5 +1,6 @@
 """The state of each artifact of a run: current, missing, or outdated with the reason."""
 
+import json
 import math
 import textwrap
 from dataclasses import dataclass, replace
@@ -7,8 +8,8 @@ from pathlib import Path
 
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import read_json, reporting_damage, sha256_of
-from deploy.tables import align_rows
+from deploy.files import read_arrays, read_json, reporting_damage, sha256_of
+from deploy.tables import align_rows, plural
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING, command_text
 from pipeline.kinds import kind_of_network
@@ -23,6 +24,9 @@ from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
 
 # Width of the text in columns.
 WIDTH = 80
+
+# The input in a :class:`pipeline.run.artifacts.Change` of a network on events.
+ON_EVENTS = '"events"'
 
 # Targets of the check that the ladder does not run.
 CHECKED_ALONE = tuple(
@@ -41,15 +45,20 @@ class Status:
         Accuracy on the test set, or on the samples of a check.
     seconds : float or None
         Time it took to make the artifact.
+    epochs : int or None
+        Number of epochs that a training with these settings has finished, if it is running or was
+        interrupted.
     """
 
     state: State
     accuracy: float | None = None
     seconds: float | None = None
+    epochs: int | None = None
 
     def to_json(self) -> dict:
-        """The status as plain values."""
-        return {**self.state.to_json(), "accuracy": self.accuracy, "seconds": self.seconds}
+        """The status as plain values; with ``epochs`` only if they are known."""
+        values = {**self.state.to_json(), "accuracy": self.accuracy, "seconds": self.seconds}
+        return values if self.epochs is None else {**values, "epochs": self.epochs}
 
 
 def status_of(run: RunFolder, adapted: bool = False) -> list:
@@ -158,6 +167,9 @@ def status_text(run: RunFolder, statuses) -> str:
         seconds = "" if status.seconds is None else f"{status.seconds:.0f}"
         rows.append([status.state.name, status.state.state, accuracy, seconds])
     lines = align_rows(rows, left=2)
+    for status in statuses:
+        if status.epochs is not None:
+            lines += ["", *_training_lines(run, status)]
     reasons = find_outdated(statuses)
     if reasons:
         lines.append("")
@@ -174,6 +186,16 @@ def status_text(run: RunFolder, statuses) -> str:
         remedy = f"{remedy_text(run.path, reasons)} makes again what is outdated"
         lines += textwrap.wrap(remedy, WIDTH, break_on_hyphens=False, break_long_words=False)
     return "\n".join(lines)
+
+
+def _training_lines(run, status):
+    """What is said about a training that has not ended."""
+    done = plural(status.epochs, "epoch")
+    text = (
+        f"{status.state.name}: a training has finished {done}; unless it is still running, "
+        f"{command_text('train', run.path)} continues it"
+    )
+    return textwrap.wrap(text, WIDTH, break_on_hyphens=False, break_long_words=False)
 
 
 def _dataset_origin(run, settings):
@@ -209,6 +231,8 @@ def _steps(run, kind, dataset):
             continue
         artifact = kind.artifact(step.name, run, dataset)
         state = artifact.state()
+        if _is_of_other_input(state):
+            state = State(state.name, MISSING)
         with reporting_damage(artifact.record, DELETE_IT):
             accuracy = _number(state.record.get("accuracy", {}).get("test"))
             seconds = _number(state.record.get("seconds"))
@@ -218,8 +242,28 @@ def _steps(run, kind, dataset):
             measured = statuses[step.measures]
             statuses[step.measures] = replace(measured, accuracy=accuracy)
             accuracy = seconds = None  # both are the network's
-        statuses[step.name] = Status(state, accuracy, seconds)
+        epochs = None if state.is_current else _count_finished_epochs(step, artifact)
+        statuses[step.name] = Status(state, accuracy, seconds, epochs)
     return list(statuses.values())
+
+
+def _is_of_other_input(state):
+    """True if a network on events is where one on images would be, or the other way round."""
+    changed = [change for change in state.because if change.what == "input.kind"]
+    return any(ON_EVENTS in (change.before, change.now) for change in changed)
+
+
+def _count_finished_epochs(step, artifact):
+    """Epochs of a training that has not ended, from its checkpoint; None without one."""
+    for file in step.temporary:
+        path = artifact.folder / file
+        if not path.exists():
+            continue
+        arrays = read_arrays(path, DELETE_IT)
+        with reporting_damage(path, DELETE_IT):
+            if str(arrays["key"]) == artifact.origin.key:
+                return len(json.loads(str(arrays["history"])))
+    return None
 
 
 def _number(value):

@@ -153,7 +153,7 @@ def study(
             groups.setdefault(case.trained, []).append(case)
     failures = {}
     work = partial(_measure_group, measured_by or measure, folder, recordings)
-    with progress("measure", sum(map(len, groups.values()))) as advance:
+    with progress("measure", sum(map(len, groups.values())), "cases") as advance:
         jobs = run_jobs(work, list(groups.values()), workers.processes, workers.scheduler, say)
         for group, results in jobs:
             if isinstance(results, Failure):  # an error of the process, not of a case

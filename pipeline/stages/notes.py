@@ -32,12 +32,8 @@ def list_notes(opened, choices) -> Iterator[str]:
     run = opened.run
     kind = opened.kind
     if run.experiment.exists():
-        was = kind_of_network(read_settings(run.experiment))
-        if was.name != kind.name:
-            yield (
-                f"{WARNING}{run.path}: was a run of the kind {was.name!r}; its network and bundle "
-                "are replaced (name another folder to keep both)"
-            )
+        before = read_settings(run.experiment)
+        yield from _list_replacements(run, before, opened.settings)
     elif opened.settings.data.source == SIMULATED:
         yield f"{run.path}: a new run, on simulated recordings (others: --data)"
     else:
@@ -48,6 +44,21 @@ def list_notes(opened, choices) -> Iterator[str]:
     if kind.imported is not None:
         yield from kind.imported.list_changes()
     yield from list_notes_on_recordings(opened)
+
+
+def _list_replacements(run, before, settings):
+    """A warning if the trained networks of a run are going to be replaced by those of a kind."""
+    was = kind_of_network(before).name
+    now = kind_of_network(settings).name
+    if (was, before.input.kind) == (now, settings.input.kind):
+        return
+    if any((folder / "metrics.json").exists() for folder in (run.cnn, run.snn)):
+        yield (
+            f"{WARNING}{run.path}: is a run of the kind {was!r} with the input "
+            f"{before.input.kind!r}; its networks and bundle are replaced as soon as others are "
+            "trained.  To keep them, stop now (Ctrl-C) and give another RUN; with its former "
+            "options this one is as it was"
+        )
 
 
 def list_notes_on_recordings(opened) -> Iterator[str]:
