@@ -263,6 +263,8 @@ class EventDecider(Decider):
         """The answer for the touch of a stream so far."""
         spec = self._spec
         touch = stream.touch
+        if touch is None:
+            return None
         readout = touch.presentation.readout
         if not len(readout.sums) or not readout.spoke[-1]:
             return None
