@@ -387,3 +387,30 @@ def test_a_folder_that_is_no_bundle_and_wrong_values_are_refused(tmp_path, bundl
     ):
         with pytest.raises(UserError, match=next(iter(wrong))):
             Stream(bundle, **wrong)
+
+
+def test_the_present_time_goes_on_from_the_last_event(bundle, network, monkeypatch):
+    """By the clock of this machine, on which an event arrives when it is pushed."""
+    machine_s = 50.0
+    monkeypatch.setattr("time.monotonic", lambda: machine_s)
+    stream = Stream(bundle, "us", network=network)
+    assert stream.now is None
+    assert stream.advance() == []
+    stream.push(1_000_000, 2, 3, 1)
+    machine_s += 0.005
+    assert stream.now == pytest.approx(1_005_000)
+    stream.push(1_004_000, 2, 4, 1)  # within the same step
+    assert stream.now == pytest.approx(1_004_000)
+    stream.push(float("nan"), 2, 4, 1)
+    machine_s += 0.02
+    assert stream.now == pytest.approx(1_024_000)
+    assert stream.advance() == []
+    machine_s += stream.silence
+    (decision,) = stream.advance()
+    assert decision.events == 2
+    assert not stream.touching
+
+
+def test_a_number_that_no_sensor_has_is_counted(stream):
+    assert stream.push([0, 10**400, 1], [1, 1, 10**400], [1, 1, 1], [1, 1, 1]) == []
+    assert stream.faults == {"unreadable": 2}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import asdict, dataclass
 from numbers import Integral
 from pathlib import Path
@@ -184,6 +185,9 @@ class Stream:
         self._touch: Optional[Touch] = None
         self._touching = False
         self._due: List[Decision] = []  # decisions that have not been returned
+        # Time of the last event on the sensor's clock, and when it arrived on this machine's.
+        self._last_ns: Optional[int] = None
+        self._arrived_s = 0.0
         self.n_events = 0
 
     def _set_steps(self, longest):
@@ -219,6 +223,18 @@ class Stream:
     def step_ns(self) -> float:
         """Duration of a step in nanoseconds; a decision is due at the end of one."""
         return self._step_ms * NANOSECONDS_PER_MS
+
+    @property
+    def now(self) -> Optional[float]:
+        """Present time on the sensor's clock: its last event's, and the time since it arrived.
+
+        None before the first event.  The clock of this machine tells how long ago that was, so that
+        a recording which is pushed faster than it was made has to give the time to :meth:`advance`.
+        """
+        if self._last_ns is None:
+            return None
+        waited_ns = 1e9 * (time.monotonic() - self._arrived_s)
+        return (self._last_ns + waited_ns) / self._tick_ns
 
     @property
     def touching(self) -> bool:
@@ -265,24 +281,31 @@ class Stream:
         time_ns, cell = self._readable(t, x, y, p)
         if not len(time_ns):
             return []
+        self._last_ns = int(time_ns[-1])
+        self._arrived_s = time.monotonic()
         self._take(*self._clock.order(time_ns, cell))
         return self._take_due()
 
-    def advance(self, t) -> List[Decision]:
+    def advance(self, t=None) -> List[Decision]:
         """Say what time it is, if no event has told; call it a few times per step.
 
         Push all events before this time first: later ones are presented in the present step.
 
         Parameters
         ----------
-        t : float
-            Present time on the sensor's clock.
+        t : float, optional
+            Present time on the sensor's clock; default: :attr:`now`, which is nothing before the
+            first event.
 
         Returns
         -------
         list of Decision
             Decisions that have become due.
         """
+        if t is None:
+            t = self.now
+            if t is None:
+                return []
         if isinstance(t, NUMBERS) and self._is_nothing_due(t):
             return []
         time_ns, known = self._nanoseconds(np.atleast_1d(t))
@@ -320,7 +343,8 @@ class Stream:
         touch = self._touch
         steps = touch.presentation.n_steps
         try:
-            time_ns = self._clock.stream_time(round(t * self._tick_ns))
+            sensor_ns = round(t * self._tick_ns)
+            time_ns = self._clock.stream_time(sensor_ns)
             is_next = self._clock.is_next(time_ns)
             is_present = time_ns < self._certain_end_ns(touch)
             inside = 0 <= x < self._columns and 0 <= y < self._rows
@@ -335,6 +359,8 @@ class Stream:
         touch.events[steps] += 1
         touch.last_ns = time_ns
         self._clock.note(time_ns)
+        self._last_ns = sensor_ns
+        self._arrived_s = time.monotonic()
         self.n_events += 1
         return True
 
@@ -576,14 +602,14 @@ def _floats(values):
     """Numbers as floats; NaN for what is no number."""
     try:
         return np.asarray(values, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.array([_float(value) for value in np.ravel(values)])
 
 
 def _float(value):
     try:
         return float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.nan
 
 

@@ -38,6 +38,7 @@ from pipeline.progress import ignore_progress
 from pipeline.recordings import sensor
 from pipeline.recordings.events import Recordings, Source, collect
 from pipeline.recordings.formats import READERS, read_file
+from pipeline.recordings.formats.camera import CONVERT_OLD, OLD_SUFFIX
 from pipeline.recordings.formats.column_order import ORDERS, settle_orders
 from pipeline.recordings.formats.mat import read_lookup_table
 from pipeline.recordings.formats.recording import MAX_FILE_BYTES, BadRecording, read_limited
@@ -193,6 +194,8 @@ def _choose_kind(path, members):
                 f"{path}: holds no recordings, but archives; give one of them: "
                 f"--data {path / archives[0]}"
             )
+        if any(member.suffix.lower() == OLD_SUFFIX for member in members):
+            raise UserError(f"{path}: holds no recordings that can be read; {CONVERT_OLD}")
         raise UserError(
             f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
             "other files of events, <digit>/*.mat in the ST-MNIST archive"
@@ -293,6 +296,8 @@ def _members(path):
         return _members_of_folder(path)
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
+    if path.suffix.lower() == OLD_SUFFIX:
+        raise UserError(f"{path}: cannot be read; {CONVERT_OLD}")
     if path.suffix.lower() in READERS:
         raise UserError(f"{path}: is one recording; give the zip or folder of all of them")
     try:

@@ -20,6 +20,15 @@ from pipeline.recordings.formats.recording import (
 
 SUFFIXES = (".aedat4", ".raw", ".dat")
 
+# The format of iniVation's cameras before .aedat4, which faery does not read either.
+OLD_SUFFIX = ".aedat"
+
+# The remedy for it.
+CONVERT_OLD = (
+    "convert .aedat files to .npz with arrays x, y, t and p: tonic reads them (pip install tonic; "
+    "tonic.io.read_dvs_128, read_davis_346 or read_dvs_ibm, by the camera)"
+)
+
 
 def read_camera(content: bytes, name: str) -> EventRecording:
     """Read a camera's file.

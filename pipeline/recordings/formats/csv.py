@@ -1,6 +1,7 @@
 """Text with a line for each event: four columns, with or without their names in the first line."""
 
 import re
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,19 +35,26 @@ def read_csv(content: bytes, name: str = "") -> EventRecording:
     return make_recording(columns) if isinstance(columns, dict) else make_array_recording(columns)
 
 
+class _Line(NamedTuple):
+    """A line of a file, and its number there, from 1."""
+
+    number: int
+    text: str
+
+
 def _read_columns(content):
     """The columns by their names, or a table without names, shape (events, columns)."""
     lines = _read_lines(content)
-    body = [line for line in lines if line[0] not in REMARKS]
+    body = [line for line in lines if line.text[0] not in REMARKS]
     if not body:
         raise BadRecording("is empty: no events")
-    separator = _find_separator(body[-1])
-    names = _split_names(body[0], separator)
+    separator = _find_separator(body[-1].text)
+    names = _split_names(body[0].text, separator)
     if names:
         del body[0]
     else:
         above = lines[: lines.index(body[0])]
-        names = _find_names_in_remark(above[-1]) if above else []
+        names = _find_names_in_remark(above[-1].text) if above else []
     if not body:
         raise BadRecording("is empty: no events")
     if not names:
@@ -64,7 +72,11 @@ def _read_lines(content):
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
     text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
-    return [line.strip() for line in text.splitlines() if line.strip().strip(REMARKS).strip()]
+    return [
+        _Line(number, line.strip())
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip().strip(REMARKS).strip()
+    ]
 
 
 def _find_separator(line):
@@ -85,20 +97,50 @@ def _find_names_in_remark(line):
     return words if set(map(column_of, words)) >= set(ARRAYS) else []
 
 
+def _split_values(line, separator):
+    """The texts of the values in a line."""
+    return line.text.partition("#")[0].split(separator)
+
+
 def _require_columns(body, separator, number):
     """Refuse lines with another number of values than there are names."""
-    sizes = {len(line.partition("#")[0].split(separator)) for line in body}
-    if odd := sizes - {number}:
-        raise BadRecording(f"has {min(odd)} columns below {number} names")
+    for line in body:
+        size = len(_split_values(line, separator))
+        if size != number:
+            raise BadRecording(f"line {line.number} has {size} columns below {number} names")
 
 
 def _load_table(body, separator, columns=None):
     """The numbers of some columns, or of all; other columns may have text."""
     try:
         return np.loadtxt(
-            body, delimiter=separator, ndmin=2, max_rows=MAX_EVENTS + 1, usecols=columns
+            [line.text for line in body],
+            delimiter=separator,
+            ndmin=2,
+            max_rows=MAX_EVENTS + 1,
+            usecols=columns,
         )
     except ValueError as error:
-        raise BadRecording(
-            "has a line that is not numbers, or has more or fewer than the others"
-        ) from error
+        raise BadRecording(_describe_bad_line(body, separator, columns)) from error
+
+
+def _describe_bad_line(body, separator, columns):
+    """The first line that is not numbers, or has more or fewer values than the first one."""
+    size = len(_split_values(body[0], separator))
+    for line in body:
+        values = _split_values(line, separator)
+        wanted = values if columns is None else [values[column] for column in columns]
+        if len(values) != size:
+            return f"line {line.number} has {len(values)} values, those above {size}"
+        for value in wanted:
+            if not _is_number(value):
+                return f"line {line.number}: {value.strip()[:40]!r} is not a number"
+    return "has a line that is not numbers, or has more or fewer than the others"
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -95,11 +95,13 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
 
 
 @pytest.mark.parametrize(("name", "content", "fact"), [
-    ("a.csv", b"1,2,3,4\n1,2,3", "line"),
+    ("a.csv", b"1,2,3,4\n1,2,3", "line 2 has 3 values"),
+    ("a.csv", b"# of a sensor\n\nx,y,t,p\n1,2,3,1\n\n1,2,3.5s,1", "line 6: '3.5s' is not a number"),
+    ("a.csv", b"1 2 3 1\n1 2 4 1\n1 ? 3 1", "line 3: '\\?' is not a number"),
     ("a.csv", b"\xff", "UTF-8"),
     ("a.csv", b"x,y,t,p\n", "empty"),
     ("a.csv", b"x,y,t\n1,2,3", "'p'"),
-    ("a.csv", b"a,x,y,t,p\n9,1,2,0,1\n9,1,2,0,5,1", "6 columns below 5"),
+    ("a.csv", b"a,x,y,t,p\n9,1,2,0,1\n9,1,2,0,5,1", "line 3 has 6 columns below 5"),
     ("a.npy", npy(np.zeros((2, 5))), r"\(2, 5\)"),
     ("a.npy", npy(X)[:-1], "damaged"),
     ("a.npz", npz(x=X, y=Y, t=T), "'p'"),

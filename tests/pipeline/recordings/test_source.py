@@ -134,6 +134,7 @@ def test_no_source(tmp_path, content):
     assert "not a zip archive" in error(tmp_path / "s.zip")
     assert "no such file" in error(tmp_path / "nothing.zip")
     assert "holds no recordings" in error(put(tmp_path / "t.zip", {"a/b.json": b""}))
+    assert "tonic" in error(put(tmp_path / "old.zip", {"a/b.aedat": b""}))
 
 
 def test_damaged_members_are_refused_by_name(tmp_path):
