@@ -11,7 +11,7 @@ Two shares of a layer's neurons measure how much information they can transmit:
 import numpy as np
 
 from deploy.network.spec import DT, NetworkSpec
-from deploy.tables import align_rows
+from deploy.tables import align_rows, plural
 
 # Share of the fastest rate from which a neuron counts as saturated on a sample.
 NEAR_FASTEST = 0.9
@@ -60,8 +60,8 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     Returns
     -------
     dict
-        ``layer``; the ``correlation`` (Pearson) over all neurons and samples, None if either side
-        is constant; ``worst_error`` and ``mean_error``, the largest and the mean magnitude of rate
+        ``layer``; ``n_samples``; the ``correlation`` (Pearson) over all neurons and samples, None
+        if either side is constant; ``worst_error`` and ``mean_error``, the largest and the mean magnitude of rate
         minus activation, in units of ``max_rate``; :func:`activity` on the ``chip`` and in the
         ``rate_network``.
     """
@@ -74,6 +74,7 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     fastest = fastest_rate(tau_ref)
     return {
         "layer": layer,
+        "n_samples": len(measured),
         "correlation": correlation,
         "worst_error": float(error.max()),
         "mean_error": float(error.mean()),
@@ -117,8 +118,10 @@ def layers_text(layers: list) -> str:
         shares = (f"{chip[name]:.1%} ({rate[name]:6.1%})" for name in ("silent", "saturated"))
         errors = (f"{layer['worst_error']:.3f}", f"{layer['mean_error']:.4f}")
         rows.append((layer["layer"], "-" if r is None else f"{r:.4f}", *errors, *shares))
+    samples = plural(layers[0]["n_samples"], "sample") if "n_samples" in layers[0] else "samples"
     lines = [
-        "firing rate on the chip in the readout window against the rate network's activation:",
+        "firing rate on the chip in the readout window against the rate network's activation,",
+        f"on {samples}:",
         *(f"  {line}" for line in align_rows(rows)),
         f"  lowest correlation: {least_faithful(layers)}",
         "  errors in units of max_rate; in brackets the rate network.  silent: share of neurons",

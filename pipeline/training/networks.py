@@ -13,7 +13,7 @@ import numpy as np
 from deploy.arithmetic import thin
 from deploy.errors import UserError
 from deploy.network.spec import DT
-from models.architecture import parse
+from models.architecture import Architecture, parse
 from models.chain import links_of
 from models.cnn import (
     RateLIF,
@@ -52,6 +52,10 @@ IMAGES_AHEAD = 1 << 24
 
 # Maximum number of training samples on which the activations of the layers are measured.
 MAX_MEASURED_SAMPLES = 1 << 14
+
+# Maximum number of these activations, of 4 bytes each: large networks are measured on fewer
+# samples. Networks such as the paper's, of some thousand neurons, have fewer on all samples.
+MAX_MEASURED_ACTIVATIONS = 1 << 26
 
 # Number of steps whose synaptic operations ``snn.spike_penalty`` penalises. It is independent of
 # the presentation, so that the same weights can be used with any number of steps.
@@ -278,9 +282,17 @@ def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) ->
     return model
 
 
-def select_measured(images) -> np.ndarray:
-    """Images on which activations are measured: all, or some at equal distances of many."""
-    return thin(images, MAX_MEASURED_SAMPLES)
+def select_measured(images, architecture: Architecture) -> np.ndarray:
+    """Images on which activations are measured: all, or some at equal distances of many.
+
+    Parameters
+    ----------
+    images : ndarray, shape (n_samples, ...)
+    architecture : Architecture
+        Of the network, which has activations for each of its neurons and each image.
+    """
+    neurons = max(sum(architecture.neurons.values()), 1)
+    return thin(images, min(MAX_MEASURED_SAMPLES, max(MAX_MEASURED_ACTIVATIONS // neurons, 1)))
 
 
 def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
@@ -299,7 +311,8 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     """
     scaled = dict(weights)
     before = 1.0
-    for name, output in TrainedCNN(settings, weights).activations(select_measured(images)).items():
+    measured = select_measured(images, parse(settings.cnn.architecture))
+    for name, output in TrainedCNN(settings, weights).activations(measured).items():
         scale = _reach(output)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * (before / scale)
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
@@ -340,7 +353,8 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     snn = settings.snn
     fitted = dict(weights)
     before = 1.0
-    outputs = TrainedCNN(settings, weights).activations(select_measured(images))
+    measured = select_measured(images, parse(settings.cnn.architecture))
+    outputs = TrainedCNN(settings, weights).activations(measured)
     for index, (name, output) in enumerate(outputs.items()):
         scale = _reach(output)
         neurons = RateLIF(snn.max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)

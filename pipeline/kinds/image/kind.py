@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deploy.arithmetic import thin
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import copy_file, sha256_of
@@ -52,6 +53,11 @@ def _compute_logits(stage, inputs, samples, advance):
         advance(len(logits))
     return logits
 
+
+# Maximum number of firing rates, of a neuron in a sample, that are compared with activations: they
+# are thinned for large networks, whose emulation takes long.  Networks such as the paper's, of some
+# thousand neurons, have fewer on all samples of a check.
+MAX_COMPARED_RATES = 2_000_000
 
 # Settings of the neurons, and those that have an effect in each recipe of the spiking network.
 NEURON_SETTINGS = ("snn.recipe", "snn.max_rates", "snn.tau_rc", "snn.tau_ref")
@@ -199,12 +205,18 @@ class ImageKind(NetworkKind):
     @staticmethod
     def _train_rates(inputs, artifact):
         """Train the rate-LIF network, starting from the CNN."""
-        from pipeline.training.networks import train_rate_network
+        from pipeline.training.networks import select_measured, train_rate_network
 
         trained, metrics = _train_further("rate-lif", train_rate_network, inputs, artifact)
         images, _ = inputs.dataset.subset("train")
-        metrics["neurons"] = _measure_activity(inputs.settings, trained, images)
+        measured = select_measured(images, parse(inputs.settings.cnn.architecture))
+        metrics["neurons"] = _measure_activity(inputs.settings, trained, measured)
         inputs.say(describe_accuracy("rate-lif", metrics))
+        if len(measured) < len(images):
+            inputs.say(
+                f"rate-lif: its neurons are measured on {len(measured)} of {len(images)} training "
+                "samples, because they are many"
+            )
         for line in training_lines(metrics["neurons"]):
             inputs.say(f"rate-lif: {line}")
         return metrics
@@ -221,9 +233,12 @@ class ImageKind(NetworkKind):
 
         settings = inputs.settings
         spec = bundle.spec
-        images = bundle.checks.inputs
+        neurons = sum(layer.size for layer in spec.layers if layer.neurons is not None)
+        images = thin(bundle.checks.inputs, max(MAX_COMPARED_RATES // max(neurons, 1), 1))
         start = spec.presentation.readout_start
         rates = firing_rates(spec, images, settings.seed, start, advance)
+        if advance is not None:
+            advance(len(bundle.checks) - len(images))
         network = TrainedRates(settings, inputs.weights("rate-lif"))
         activations = network.activations(images)
         return layers_json(spec, rates, activations)
@@ -345,12 +360,10 @@ def _train_further(name, function, inputs, artifact):
     return trained, {**metrics, "augment": augmentation}
 
 
-def _measure_activity(settings, trained, inputs):
-    """Shares of silent and saturated neurons of each layer on the training samples."""
-    from pipeline.training.networks import select_measured
-
+def _measure_activity(settings, trained, images):
+    """Shares of silent and saturated neurons of each layer on some images."""
     fastest = fastest_rate(settings.snn.tau_ref)
-    outputs = trained.activations(select_measured(inputs))
+    outputs = trained.activations(images)
     return {
         name: activity(output * settings.snn.max_rate(index), fastest)
         for index, (name, output) in enumerate(outputs.items())

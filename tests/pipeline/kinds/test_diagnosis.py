@@ -5,11 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.files import read_json
 from deploy.targets.fast import firing_rates
-from pipeline.kinds.diagnosis import activity, fastest_rate, fidelity, layers_json
+from models.architecture import parse
+from pipeline.kinds.diagnosis import (
+    activity,
+    fastest_rate,
+    fidelity,
+    layers_json,
+    layers_text,
+)
+from pipeline.kinds.image import kind
+from pipeline.training import networks
+from pipeline.training.networks import select_measured
+from tests.command import call
 from tests.deploy.networks import bundle_at, random_checks, small_spec
 
 
@@ -87,3 +99,25 @@ def test_a_runs_metrics_and_ladder_hold_the_diagnosis(tiny_run):
     assert all(layer["correlation"] > 0.6 for layer in ladder["layers"])
     assert ladder["least_faithful_layer"] in neurons
     assert ladder["bundle"] == read_result(tiny_run / "checks" / "emulator.json")["bundle"]
+
+
+def test_a_large_networks_rates_are_compared_on_fewer_samples(run, monkeypatch):
+    """Neurons times samples are bounded; that is said where the comparison is printed."""
+    bundle = read_bundle(run / "bundle")
+    neurons = sum(layer.size for layer in bundle.spec.layers if layer.neurons)
+    everything = read_json(run / "ladder.json", "")["layers"]
+    assert {layer["n_samples"] for layer in everything} == {len(bundle.checks)}
+    (run / "ladder.json").unlink()
+    monkeypatch.setattr(kind, "MAX_COMPARED_RATES", 6 * neurons)
+    assert call("ladder", run) == 0
+    layers = read_json(run / "ladder.json", "")["layers"]
+    assert {0 < layer["n_samples"] <= 6 for layer in layers} == {True}
+    assert f"on {layers[0]['n_samples']} samples" in layers_text(layers)
+
+
+def test_a_large_networks_activations_are_measured_on_fewer_samples(monkeypatch):
+    images = np.zeros((2000, 10, 10, 1))
+    assert len(select_measured(images, parse("10x10-6c4-24c3-10o"))) == 2000
+    wide = parse("10x10-64c3p-128c3p-10o")
+    monkeypatch.setattr(networks, "MAX_MEASURED_ACTIVATIONS", 100 * sum(wide.neurons.values()))
+    assert len(select_measured(images, wide)) == 100
