@@ -61,8 +61,9 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     -------
     dict
         ``layer``; ``n_samples``; the ``correlation`` (Pearson) over all neurons and samples, None
-        if either side is constant; ``worst_error`` and ``mean_error``, the largest and the mean magnitude of rate
-        minus activation, in units of ``max_rate``; :func:`activity` on the ``chip`` and in the
+        if either side is constant; ``worst_error`` and ``mean_error``, the largest and the mean
+        magnitude of rate minus activation, in units of ``max_rate``; :func:`activity` on the
+        ``chip`` and in the
         ``rate_network``.
     """
     measured = np.asarray(rates) / max_rate
