@@ -123,14 +123,14 @@ def fitted_to_people(spec, others, recordings, draws: int, seed: int):
     responder = Responder(spec, seed)
     readout = spec.layers[-1]
     kept = spec.rehearsal
-    elsewhere = responder.responses(others[0]), others[1]
+    elsewhere = responder.compute_responses(others[0]), others[1]
     for who in np.unique(recordings.writers[recordings.writers >= 0]):
         mine = recordings.subset(np.flatnonzero(recordings.writers == who))
         classes = len(recordings.sensor.classes)
         if np.bincount(mine.labels, minlength=classes).min() <= max(EACH):
             continue
-        responses = responder.responses_to(mine)
-        copies = responder.copies(mine, [seed, int(who)])
+        responses = responder.respond_to(mine)
+        copies = responder.respond_to_copies(mine, [seed, int(who)])
         results = {each: [] for each in EACH}
         for draw in range(draws):
             first, rest = split_recordings(mine.labels, [seed, int(who), draw])

@@ -41,7 +41,7 @@ from models.keras.keras2 import quiet_compiler, tf
 from models.spiking import scan, weighted_sums
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.steps import spike_frames
+from pipeline.recordings.steps import make_spike_frames
 from pipeline.training.events import Checkpoint, train_epochs
 
 _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
@@ -361,7 +361,7 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
         column=taxels.column[events.taxel],
         polarity=(events.polarity < 0).astype(int),
     )
-    return spike_frames(columns, 1.0, len(recordings), bins, (sensor.rows, sensor.columns))
+    return make_spike_frames(columns, 1.0, len(recordings), bins, (sensor.rows, sensor.columns))
 
 
 def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Path) -> tuple:

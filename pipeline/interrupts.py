@@ -20,7 +20,7 @@ def listen():
 
 
 @contextlib.contextmanager
-def interruptible():
+def raise_at_interrupts():
     """Raise `KeyboardInterrupt` if native code, such as TensorFlow's, has raised another error.
 
     Only an error after an interruption of this process counts.

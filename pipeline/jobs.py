@@ -13,7 +13,7 @@ from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import KILLED, UserError
-from pipeline.interrupts import interruptible
+from pipeline.interrupts import raise_at_interrupts
 
 # Largest number of characters in a failure's line; the traceback has the whole message.
 MESSAGE_LENGTH = 160
@@ -175,7 +175,7 @@ def _run_numbered(number, function, job):
 def attempt(function, job):
     """Call a function for a job; return its result, or a :class:`Failure` if it raises an error."""
     try:
-        with interruptible():
+        with raise_at_interrupts():
             return function(job)
     except UserError as error:
         return Failure(_one_line(error), str(error), error)

@@ -57,7 +57,7 @@ class SimulatedSource:
         """Number of recordings of each digit."""
         return count_samples(self.samples_per_digit)
 
-    def how(self, rows: int, columns: int) -> dict:
+    def describe_reading(self, rows: int, columns: int) -> dict:
         """The people and the size of the skin, as :func:`load_simulated` takes them.
 
         Parameters
@@ -96,7 +96,7 @@ def load_recordings(
     if source != SIMULATED:
         return import_recordings(Path(source), skip_bad, jobs, warn, reading)
     simulated = simulated or SimulatedSource()
-    how = simulated.how(reading.rows, reading.columns)
+    how = simulated.describe_reading(reading.rows, reading.columns)
     return load_simulated(simulated.seed, simulated.counts, jobs, **how)
 
 
@@ -147,7 +147,7 @@ def identity_of(settings: Settings) -> tuple:
     kind = settings.split.kind
     if settings.data.source == SIMULATED:
         simulated = SimulatedSource.of(settings)
-        how = simulated.how(settings.skin.rows, settings.skin.columns)
+        how = simulated.describe_reading(settings.skin.rows, settings.skin.columns)
         sha256 = describe_source(simulated.seed, simulated.counts, **how).sha256
         return sha256, RANDOM if kind == "auto" else kind
     listing = list_source(settings.data.source)

@@ -91,7 +91,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     unseen = strange_hand(8, seed=6)
     from pipeline.training.adaptation import Responder
 
-    responses = (r := Responder(old.spec)).responses(r.inputs(unseen))
+    responses = (r := Responder(old.spec)).compute_responses(r.make_inputs(unseen))
     right = [
         np.mean((responses @ b.spec.layers[-1].weights.T).argmax(1) == unseen.labels)
         for b in (old, new)
@@ -116,7 +116,7 @@ def test_responses_are_what_the_readout_reads(of, request):
     bundle = read_bundle(request.getfixturevalue(of) / "bundle")
     alone = bundle.spec.with_presentation(stream_length=1)
     readout = bundle.spec.layers[-1]
-    scores = Responder(bundle.spec).responses(bundle.checks.inputs) @ readout.weights.T
+    scores = Responder(bundle.spec).compute_responses(bundle.checks.inputs) @ readout.weights.T
     found = run_target(alone, bundle.checks.inputs, "fast").scores
     np.testing.assert_allclose(scores + readout.bias, found, atol=1e-6)
 
@@ -144,13 +144,13 @@ def test_labels_that_are_all_wrong_cost_others_as_little_as_is_promised(run, tmp
 
 
 def test_the_reason_for_which_nothing_changes():
-    from pipeline.training.adaptation import Adapted, Refit, text_of
+    from pipeline.training.adaptation import Adapted, Refit, adaptation_text
 
     right, wrong = np.ones(10, bool), np.zeros(10, bool)
     for after, kept, reason in ((wrong, right, "no improvement"), (right, wrong, "100.0 points")):
         fit = Refit(np.zeros((2, 3)), 1.0, 1.0, wrong, after, right, kept)
         assert not fit.helps
-        assert reason in text_of(Adapted(None, fit, right, right), None)
+        assert reason in adaptation_text(Adapted(None, fit, right, right), None)
 
 
 def named(recordings: Recordings) -> Recordings:

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 
 from deploy.files import read_json
-from pipeline.recordings.images import tactile_images
+from pipeline.recordings.images import make_tactile_images
 from pipeline.sources import load_recordings
 from tests.command import LEAVE_GARBAGE, call, environment
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures, owners_image, write_folder
@@ -38,7 +38,7 @@ def test_images_are_those_that_the_owner_draws(tmp_path):
     recordings = load_recordings(str(write_folder(tmp_path / "own", per_class=3)), jobs=1)
     assert (recordings.sensor.rows, recordings.sensor.columns) == (ROWS, COLUMNS)
     expected = np.array([owners_image(events) for events, _ in gestures(3)])
-    np.testing.assert_allclose(tactile_images(recordings)[..., 0], expected, atol=1e-6)
+    np.testing.assert_allclose(make_tactile_images(recordings)[..., 0], expected, atol=1e-6)
     assert recordings.labels.tolist() == [label for _, label in gestures(3)]
 
 

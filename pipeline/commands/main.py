@@ -13,7 +13,7 @@ from deploy import __version__
 from deploy.errors import KILLED, CheckFailed, SeveralErrors, UserError, line_of, one_line
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 from pipeline.commands.options import for_typer
-from pipeline.interrupts import interruptible, listen
+from pipeline.interrupts import listen, raise_at_interrupts
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError, ClickException = typer.BadParameter.__mro__[1:3]
@@ -172,7 +172,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     prepare()
     listen()
     try:
-        with interruptible():
+        with raise_at_interrupts():
             run = command or command_line()
             status = run(args=arguments, prog_name=name, standalone_mode=False)
         if status == INTERRUPTED:  # Typer turns an interruption into this status

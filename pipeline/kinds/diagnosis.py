@@ -20,12 +20,12 @@ NEAR_FASTEST = 0.9
 SATURATED_SAMPLES = 0.01
 
 
-def fastest_rate(tau_ref: float) -> float:
+def compute_fastest_rate(tau_ref: float) -> float:
     """Largest rate in spikes per second of a neuron with intervals of whole steps."""
     return 1 / (DT * (round(tau_ref / DT) + 1))
 
 
-def activity(rates, fastest: float) -> dict:
+def measure_activity(rates, fastest: float) -> dict:
     """Shares of ``silent`` and ``saturated`` neurons of a layer; see the module's docstring.
 
     Parameters
@@ -33,7 +33,7 @@ def activity(rates, fastest: float) -> dict:
     rates : ndarray, shape (n_samples, n_neurons)
         In spikes per second.
     fastest : float
-        See :func:`fastest_rate`.
+        See :func:`compute_fastest_rate`.
     """
     rates = np.asarray(rates)
     at_limit = np.mean(rates >= NEAR_FASTEST * fastest, axis=0)
@@ -41,7 +41,7 @@ def activity(rates, fastest: float) -> dict:
     return {"silent": float(np.mean(np.all(rates <= 0, axis=0))), "saturated": saturated}
 
 
-def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) -> dict:
+def compare_layer(layer: str, rates, activations, max_rate: float, tau_ref: float) -> dict:
     """Compare a layer's firing rates with its activations.
 
     Parameters
@@ -62,9 +62,8 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     dict
         ``layer``; ``n_samples``; the ``correlation`` (Pearson) over all neurons and samples, None
         if either side is constant; ``worst_error`` and ``mean_error``, the largest and the mean
-        magnitude of rate minus activation, in units of ``max_rate``; :func:`activity` on the
-        ``chip`` and in the
-        ``rate_network``.
+        magnitude of rate minus activation, in units of ``max_rate``; :func:`measure_activity` on
+        the ``chip`` and in the ``rate_network``.
     """
     measured = np.asarray(rates) / max_rate
     expected = np.asarray(activations)
@@ -72,20 +71,20 @@ def fidelity(layer: str, rates, activations, max_rate: float, tau_ref: float) ->
     correlation = None
     if np.ptp(measured) > 0 and np.ptp(expected) > 0:
         correlation = float(np.corrcoef(measured.ravel(), expected.ravel())[0, 1])
-    fastest = fastest_rate(tau_ref)
+    fastest = compute_fastest_rate(tau_ref)
     return {
         "layer": layer,
         "n_samples": len(measured),
         "correlation": correlation,
         "worst_error": float(error.max()),
         "mean_error": float(error.mean()),
-        "chip": activity(rates, fastest),
-        "rate_network": activity(expected * max_rate, fastest),
+        "chip": measure_activity(rates, fastest),
+        "rate_network": measure_activity(expected * max_rate, fastest),
     }
 
 
-def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
-    """The :func:`fidelity` of every layer with neurons.
+def compare_rates(spec: NetworkSpec, rates: dict, activations: dict) -> list:
+    """Compare the firing rates of every layer with its activations; see :func:`compare_layer`.
 
     Parameters
     ----------
@@ -97,12 +96,12 @@ def layers_json(spec: NetworkSpec, rates: dict, activations: dict) -> list:
     """
     neurons = {layer.name: layer.neurons for layer in spec.layers if layer.neurons is not None}
     return [
-        fidelity(name, rates[name], values, 1 / neurons[name].amplitude, neurons[name].tau_ref)
+        compare_layer(name, rates[name], values, 1 / neurons[name].amplitude, neurons[name].tau_ref)
         for name, values in activations.items()
     ]
 
 
-def least_faithful(layers: list) -> str:
+def find_least_faithful(layers: list) -> str:
     """Name of the layer with the lowest correlation, where a constant layer counts as lowest."""
     return min(
         layers, key=lambda layer: -2 if layer["correlation"] is None else layer["correlation"]
@@ -124,7 +123,7 @@ def layers_text(layers: list) -> str:
         "firing rate on the chip in the readout window against the rate network's activation,",
         f"on {samples}:",
         *(f"  {line}" for line in align_rows(rows)),
-        f"  lowest correlation: {least_faithful(layers)}",
+        f"  lowest correlation: {find_least_faithful(layers)}",
         "  errors in units of max_rate; in brackets the rate network.  silent: share of neurons",
         "  that fire on no sample; saturated: share that on 1 % of the samples or more fire at",
         "  90 % or more of the fastest rate, 1 / (tau_ref + 1 step)",
@@ -138,7 +137,7 @@ def training_lines(neurons: dict) -> list:
     Parameters
     ----------
     neurons : dict of str to dict
-        The :func:`activity` of each layer.
+        The :func:`measure_activity` of each layer.
     """
     lines = []
     for name, layer in neurons.items():

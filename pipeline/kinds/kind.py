@@ -163,13 +163,13 @@ class NetworkKind:
         """
         raise NotImplementedError
 
-    def fidelity(self, inputs: StepInputs, bundle: Bundle, advance=None) -> list | None:
+    def compare_layers(self, inputs: StepInputs, bundle: Bundle, advance=None) -> list | None:
         """Compare the firing rates on the chip with those of the trained network.
 
         Returns
         -------
         list of dict or None
-            See :func:`pipeline.kinds.diagnosis.layers_json`; None without a network with rates.
+            See :func:`pipeline.kinds.diagnosis.compare_rates`; None without a network with rates.
         """
         return None
 

@@ -14,7 +14,7 @@ from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
 from pipeline.recordings.cache import empty_array
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.images import AlteredImages, tactile_images
+from pipeline.recordings.images import AlteredImages, make_tactile_images
 from pipeline.recordings.splits import PUBLISHED, Split, find_split_problem, split_of
 from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
 from pipeline.run.artifacts import Origin
@@ -273,7 +273,9 @@ class FramesOnDemand:
         frames = np.empty((len(some), *self.shape[1:]), np.uint8)
         for batch in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
             steps = self.shape[1]
-            frames_by_step = self._table.frames(some[batch], self._step_ms, steps, self._limits)
+            frames_by_step = self._table.make_frames(
+                some[batch], self._step_ms, steps, self._limits
+            )
             frames[batch] = np.moveaxis(frames_by_step, 0, 1)
         return frames if np.ndim(samples) else frames[0]
 
@@ -293,7 +295,7 @@ def make_inputs(recordings: Recordings, settings: Settings):
         frames = FramesOnDemand(recordings, settings)
         is_large = math.prod(frames.shape) > MAX_FRAME_BYTES
         return frames if is_large else frames[:]
-    return tactile_images(recordings, image)
+    return make_tactile_images(recordings, image)
 
 
 def require_sensor_fits(spec: NetworkSpec, recordings: Recordings):
@@ -332,11 +334,11 @@ def make_inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | No
         table = recordings.table
         steps = spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
-        frames = table.frames(np.arange(len(table)), step_ms, steps, SpikeLimits.of(stimulus))
+        frames = table.make_frames(np.arange(len(table)), step_ms, steps, SpikeLimits.of(stimulus))
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.get("image")) is not None:
         image = Settings().with_values({"image": recorded}, "provenance of the bundle").image
-    return tactile_images(recordings, image)
+    return make_tactile_images(recordings, image)
 
 
 def list_event_warnings(settings: Settings, recordings: Recordings) -> list:
@@ -353,8 +355,8 @@ def list_event_warnings(settings: Settings, recordings: Recordings) -> list:
     empty = int(np.sum(np.diff(table.offsets) == 0))
     if empty == len(recordings):
         raise UserError(f"{recordings.source.name}: no recording has events; use other recordings")
-    shared = table.lost(step)
-    lost_share = table.lost(step, settings.input.refractory_steps)
+    shared = table.measure_loss(step)
+    lost_share = table.measure_loss(step, settings.input.refractory_steps)
     lines = [
         f"events: {shared:.1%} are merged into one spike with another event of their taxel and "
         f"polarity in the same step of {step:g} ms"

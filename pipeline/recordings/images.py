@@ -82,7 +82,7 @@ def _find_scales(magnitudes, normalisation):
     return np.where(scales > 0, scales, of_taxels.max(1))
 
 
-def tactile_images(recordings: Recordings, image: Image | None = None) -> np.ndarray:
+def make_tactile_images(recordings: Recordings, image: Image | None = None) -> np.ndarray:
     """Normalised tactile images, shape (n_samples, rows, columns, channels), float32.
 
     Parameters
@@ -132,7 +132,7 @@ def _count_batches(recordings, image, indices=None):
     """Counts of all or some recordings, a few recordings at a time; see `EventTable.batches`."""
     table = recordings.table
     indices = np.arange(len(table)) if indices is None else np.asarray(indices)
-    for span, events in table.batches(indices):
+    for span, events in table.pick_in_batches(indices):
         some = indices[span]
         weights = None
         if image.aggregation == "columns":

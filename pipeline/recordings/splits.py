@@ -67,7 +67,7 @@ class Split:
         return draw_check_samples(self.test, n_samples, 0 if self.kind == PUBLISHED else seed)
 
 
-def resolve_kind(kind: str, recordings: Recordings) -> str:
+def resolve_split_kind(kind: str, recordings: Recordings) -> str:
     """The kind of the split: that of the settings, or for ``"auto"`` the published one if any."""
     if kind != "auto":
         return kind
@@ -97,7 +97,7 @@ def split_of(
     ValueError
         There are too few samples, the writers are not known, or the source has no published split.
     """
-    kind = resolve_kind(kind, recordings)
+    kind = resolve_split_kind(kind, recordings)
     if kind == WRITERS:
         split = split_by_writers(recordings.writers, seed, test_fraction)
         if not validation_fraction:
@@ -170,7 +170,7 @@ def find_split_problem(recordings: Recordings, kind: str = "auto") -> str | None
     counts = np.bincount(labels, minlength=len(classes))
     if np.count_nonzero(counts) < 2:
         return "recordings of one class only; at least two are needed"
-    if resolve_kind(kind, recordings) != PUBLISHED or not recordings.is_split:
+    if resolve_split_kind(kind, recordings) != PUBLISHED or not recordings.is_split:
         if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
             return f"only one recording of {list_names(single)}; record more, or remove the folder"
         return None

@@ -167,7 +167,7 @@ def file_text(name: str, facts: dict) -> str:
 # The paper's Table 1.
 
 
-def per_sample(recordings) -> dict:
+def measure_samples(recordings) -> dict:
     """The measures of every recording.
 
     Every column of the published array counts as an event, as in the paper; ``on_physical`` and
@@ -202,7 +202,7 @@ def per_sample(recordings) -> dict:
     return measures
 
 
-def table(recordings) -> dict:
+def measure_classes(recordings) -> dict:
     """Mean and standard deviation of each measure over the recordings of each digit.
 
     Returns
@@ -210,7 +210,7 @@ def table(recordings) -> dict:
     dict of int to dict
         For each digit that occurs: a pair (mean, SD) for each measure, and ``samples``.
     """
-    measures = per_sample(recordings)
+    measures = measure_samples(recordings)
     result = {}
     for digit in np.unique(recordings.labels):
         of_digit = recordings.labels == digit
@@ -263,7 +263,9 @@ def statistics_json(recordings) -> dict:
     return {
         "simulated": recordings.source.simulated,
         "samples": len(recordings),
-        "classes": {names[label]: _plain(row) for label, row in table(recordings).items()},
+        "classes": {
+            names[label]: _plain(row) for label, row in measure_classes(recordings).items()
+        },
         "polarity_order": measure_polarity_order(recordings),
         "taxels": activity_json(recordings),
     }
@@ -282,7 +284,7 @@ def statistics_text(recordings) -> str:
 
 def table1_text(recordings) -> str:
     """The table as text."""
-    ours = table(recordings)
+    ours = measure_classes(recordings)
     name = printable(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"

@@ -104,7 +104,7 @@ class EventTable:
         durations_ms = self.duration_ms[indices]
         return max(float(np.quantile(durations_ms, 0.9)), 1.0) if len(durations_ms) else 1.0
 
-    def batches(self, indices=None) -> Iterator[tuple]:
+    def pick_in_batches(self, indices=None) -> Iterator[tuple]:
         """Pick the events of all or some recordings, a few recordings at a time.
 
         Yields
@@ -142,7 +142,7 @@ class EventTable:
         """
         indices = np.arange(len(self)) if indices is None else np.asarray(indices)
         counts = empty_array((len(indices), slices, *self.size, 2), np.float32)
-        for span, events in self.batches(indices):
+        for span, events in self.pick_in_batches(indices):
             counts[span] = self.count(events, span.stop - span.start, slices, duration_ms)
         return counts
 
@@ -199,17 +199,17 @@ class EventTable:
             polarity=(self.events.polarity[event] < 0).astype(np.uint8),
         )
 
-    def frames(
+    def make_frames(
         self, indices, step_ms: float, steps: int, limits: SpikeLimits = NO_LIMITS
     ) -> np.ndarray:
-        """Frames of some recordings; see :func:`spike_frames`."""
+        """Frames of some recordings; see :func:`make_spike_frames`."""
         events = self.pick(np.asarray(indices))
-        return spike_frames(events, step_ms, len(indices), steps, self.size, limits)
+        return make_spike_frames(events, step_ms, len(indices), steps, self.size, limits)
 
-    def lost(self, step_ms: float, refractory: int = 0) -> float:
-        """Share of the events without a spike of their own; see :func:`spike_frames`."""
+    def measure_loss(self, step_ms: float, refractory: int = 0) -> float:
+        """Share of the events without a spike of their own; see :func:`make_spike_frames`."""
         spikes = sum(
-            self._count_spikes(events, step_ms, refractory) for _, events in self.batches()
+            self._count_spikes(events, step_ms, refractory) for _, events in self.pick_in_batches()
         )
         return 1 - spikes / self.offsets[-1] if self.offsets[-1] else 0.0
 
@@ -228,7 +228,7 @@ class EventTable:
         return spikes
 
 
-def spike_frames(
+def make_spike_frames(
     events: EventColumns,
     step_ms: float,
     samples: int,

@@ -145,7 +145,7 @@ def compare_runs(runs) -> dict:
         "runs": [
             {
                 "name": run.name,
-                **inference(run),
+                **compute_inference(run),
                 "results_of_an_earlier_bundle": list(run.stale),
                 "outdated": run.outdated,
             }
@@ -176,7 +176,7 @@ def _different_settings(runs):
     return different
 
 
-def inference(run: Run) -> dict:
+def compute_inference(run: Run) -> dict:
     """Costs of an inference of a run's network, as plain values.
 
     Operations and times are those of the stage named by ``counted_on``, or None without a
@@ -226,7 +226,7 @@ def _stage(stage, runs):
     return {
         "stage": stage,
         "accuracies": [_accuracy(run.results.get(stage)) for run in runs],
-        "differences": [None, *(difference(first, run, stage) for run in others)],
+        "differences": [None, *(compare_accuracies(first, run, stage) for run in others)],
     }
 
 
@@ -238,7 +238,7 @@ def _right(result):
     return sum(sample["prediction"] == sample["label"] for sample in result["samples"])
 
 
-def difference(a: Run, b: Run, stage: str) -> dict | None:
+def compare_accuracies(a: Run, b: Run, stage: str) -> dict | None:
     """Difference in accuracy of a stage between two runs, B's minus A's.
 
     The comparison is paired if both have the same samples: the same ids and labels, in any order,

@@ -1,4 +1,4 @@
-"""The loss ladder: the stages from CNN to chip on the same samples, one row per stage."""
+"""The loss ladder: the accuracy of each stage, from the CNN to the chip, on the same samples."""
 
 import hashlib
 import itertools
@@ -6,13 +6,14 @@ import json
 
 import numpy as np
 
+from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, align_rows, list_names, p_text, star
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING
 from pipeline.kinds import TRAINED_STAGES, NetworkKind, find_compared_stage
-from pipeline.kinds.diagnosis import layers_text, least_faithful
+from pipeline.kinds.diagnosis import find_least_faithful, layers_text
 from pipeline.progress import progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.run.folder import RunFolder
@@ -40,48 +41,61 @@ def ladder_stages(kind: NetworkKind) -> list:
     return [*kind.reference_stages, *targets]
 
 
-def measure_ladder(opened: OpenedRun, jobs: int = 1, asked=None) -> dict:
+def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
     """Make the missing artifacts of a run up to the emulator, and compare the stages.
 
     Parameters
     ----------
     opened : pipeline.stages.opening.OpenedRun
-        Of a run, which is locked.
+        A run, which is locked.
     jobs : int
         Number of processes for targets.
-    asked : sequence of str, optional
-        Stages of the ladder; default: :func:`ladder_stages`.
+    stages : sequence of str, optional
+        Stages of the ladder; default: :func:`ladder_stages` without boards.
 
     Returns
     -------
     dict
         See :func:`ladder_json`.
     """
-    run = opened.run
     bundle = convert(opened)
-    asked = asked or [stage for stage in ladder_stages(opened.kind) if stage not in BOARDS]
-    results = check_stages(opened, bundle, asked, jobs)
-    # A board's result is included if it exists and belongs to this bundle.
-    for board in map(run.check, BOARDS):
-        if board.exists() and (result := read_result(board))["bundle"] == bundle.id:
-            results.append(result)
-    artifact = ladder_artifact(run, results)
+    if not stages:
+        stages = [stage for stage in ladder_stages(opened.kind) if stage not in BOARDS]
+    results = check_stages(opened, bundle, stages, jobs)
+    results += read_board_results(opened.run, bundle.id)
+    artifact = ladder_artifact(opened.run, results)
     state = artifact.state()
     if state.is_current:
         with reporting_damage(artifact.record, DELETE_IT):
-            ladder_text(state.record)  # an error if damaged
-            if state.record["layers"]:
-                layers_text(state.record["layers"])
+            require_complete(state.record)
         return state.record
-    inputs = opened.step_inputs(bundle.spec.provenance["made_from"]["settings"])
-    with progress("compare layers", len(bundle.checks)) as advance:
-        layers = opened.kind.fidelity(inputs, bundle, advance)
+    layers = compare_layers(opened, bundle)
     classes = opened.dataset.recordings.sensor.classes
     return artifact.write(ladder_json(results, layers, classes, opened.kind.remedy))
 
 
+def read_board_results(run: RunFolder, bundle_id: str) -> list:
+    """The existing check results of a bundle on boards."""
+    files = [file for file in map(run.check, BOARDS) if file.exists()]
+    return [result for result in map(read_result, files) if result["bundle"] == bundle_id]
+
+
+def compare_layers(opened: OpenedRun, bundle: Bundle) -> list | None:
+    """Compare firing rates with activations; see :meth:`NetworkKind.compare_layers`."""
+    inputs = opened.step_inputs(bundle.spec.provenance["made_from"]["settings"])
+    with progress("compare layers", len(bundle.checks)) as advance:
+        return opened.kind.compare_layers(inputs, bundle, advance)
+
+
+def require_complete(ladder: dict):
+    """Raise an error if a stored ladder lacks values that its texts need."""
+    ladder_text(ladder)
+    if ladder["layers"]:
+        layers_text(ladder["layers"])
+
+
 def ladder_artifact(run: RunFolder, results) -> Artifact:
-    """The loss ladder of check results."""
+    """The loss ladder as an artifact, which is made from check results."""
     contents = {
         f"checks/{result['target']}": _hash_of([result["bundle"], result["samples"]])
         for result in results
@@ -94,7 +108,9 @@ def _hash_of(value):
 
 
 def ladder_rows(results) -> list:
-    """Compare each result with the previous one, and none with ``counts``, the simplest baseline.
+    """Compare each result with that of the stage above.
+
+    The row below ``counts`` has no comparison, since no later stage is derived from it.
 
     Parameters
     ----------
@@ -104,10 +120,10 @@ def ladder_rows(results) -> list:
     Returns
     -------
     list of dict
-        The ladder's rows: ``stage``, ``accuracy``, ``accuracy_ci95`` (Wilson's interval);
-        compared with the stage above, and None in the first row and below ``counts``: ``change`` of
-        the accuracy, number of ``disagreements`` of the predictions, and ``mcnemar_p`` of the exact
-        test.
+        A row has ``stage``, ``accuracy`` and ``accuracy_ci95`` (Wilson's interval).  Three values
+        compare it with the stage above: ``change`` of the accuracy, number of ``disagreements`` of
+        the predictions, and ``mcnemar_p`` of McNemar's exact test.  They are None in the first row
+        and in the row below ``counts``.
 
     Raises
     ------
@@ -116,18 +132,20 @@ def ladder_rows(results) -> list:
     """
     rows = []
     for above, result in itertools.pairwise([None, *results]):
-        is_first = above is None or above["target"] == "counts"
-        against = None if is_first else compare_results(above, result)
-        rows.append(
-            {
-                "stage": result["target"],
-                "accuracy": result["accuracy"],
-                "accuracy_ci95": list(result["accuracy_ci95"]),
-                "change": against and 0.0 - against.accuracy_drop,
-                "disagreements": against and len(against.disagreements),
-                "mcnemar_p": against and against.p_value,
-            }
-        )
+        row = {
+            "stage": result["target"],
+            "accuracy": result["accuracy"],
+            "accuracy_ci95": list(result["accuracy_ci95"]),
+            "change": None,
+            "disagreements": None,
+            "mcnemar_p": None,
+        }
+        if above is not None and above["target"] != "counts":
+            compared = compare_results(above, result)
+            row["change"] = 0.0 - compared.accuracy_drop
+            row["disagreements"] = len(compared.disagreements)
+            row["mcnemar_p"] = compared.p_value
+        rows.append(row)
     return rows
 
 
@@ -142,7 +160,7 @@ def select_deployed_result(results) -> dict:
     return results[-1]
 
 
-def confusion_matrix(labels, predictions, classes: int = 10) -> np.ndarray:
+def count_confusions(labels, predictions, classes: int = 10) -> np.ndarray:
     """Count samples by label (row) and prediction (column).
 
     Parameters
@@ -167,7 +185,7 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
     results : sequence of dict
         As in :func:`ladder_rows`.
     layers : list of dict, optional
-        From :func:`pipeline.kinds.diagnosis.layers_json`.
+        From :func:`pipeline.kinds.diagnosis.compare_rates`.
     classes : sequence of str, optional
         Class names in the order of the scores; default: numbers from 0.
     remedy : str
@@ -177,9 +195,7 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
     if classes is None:
         classes = map(str, range(len(first["samples"][0]["scores"])))
     classes = list(classes)
-    presented = {sample["label"] for sample in first["samples"]}
     by_stage = {result["target"]: result for result in results}
-    trained = next((result for result in results if result["target"] in TRAINED_STAGES), None)
     reference = by_stage[find_compared_stage(by_stage)]
     deployed = select_deployed_result(results)
     return {
@@ -188,22 +204,33 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
         "simulated": first["simulated"],
         "n_samples": first["n_samples"],
         "classes": classes,
-        "classes_without_samples": [
-            name for label, name in enumerate(classes) if label not in presented
-        ],
+        "classes_without_samples": _find_classes_without_samples(classes, first),
         "rows": ladder_rows(results),
-        "last_against_trained_p": trained and compare_results(trained, deployed).p_value,
-        "against_reference": _against(reference, deployed),
-        "against_counts": _against(by_stage.get("counts"), deployed),
+        "last_against_trained_p": _test_against_trained(results),
+        "against_reference": _compare_with_deployed(reference, deployed),
+        "against_counts": _compare_with_deployed(by_stage.get("counts"), deployed),
         "while_written": deployed.get("while_written"),
         "remedy": remedy,
         "layers": layers,
-        "least_faithful_layer": layers and least_faithful(layers),
+        "least_faithful_layer": find_least_faithful(layers) if layers else None,
     }
 
 
-def _against(other, deployed):
-    """Comparison of the deployed network with another; None without that."""
+def _find_classes_without_samples(classes, result):
+    presented = {sample["label"] for sample in result["samples"]}
+    return [name for label, name in enumerate(classes) if label not in presented]
+
+
+def _test_against_trained(results):
+    """The p-value of the deployed network against the trained one; None without a trained one."""
+    for result in results:
+        if result["target"] in TRAINED_STAGES:
+            return compare_results(result, select_deployed_result(results)).p_value
+    return None
+
+
+def _compare_with_deployed(other, deployed):
+    """The change of accuracy from another stage to the deployed network; None if they are one."""
     if other is None or other is deployed:
         return None
     compared = compare_results(other, deployed)
@@ -231,7 +258,7 @@ def early_text(value: dict, row: dict) -> str:
     )
 
 
-def losing_stages(ladder: dict) -> list:
+def find_losing_stages(ladder: dict) -> list:
     """Find the stages that lose more than :data:`MAX_LOSS_POINTS` points, as (from, to, points).
 
     Stages from the trained network on (the rate-based network, or the one trained on events) are
@@ -256,45 +283,83 @@ def losing_stages(ladder: dict) -> list:
 
 def ladder_text(ladder: dict) -> str:
     """The ladder, from :func:`ladder_json`, as a table; with the layers if a stage loses much."""
+    return "\n".join(
+        [
+            *_table_lines(ladder),
+            *_change_lines(ladder),
+            *_note_lines(ladder),
+            *_loss_lines(ladder),
+            *_baseline_lines(ladder),
+        ]
+    )
+
+
+def _table_lines(ladder):
     what = "simulated samples" if ladder["simulated"] else "samples"
-    table = [["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]]
-    table += [_cells(row) for row in ladder["rows"]]
-    by_stage = {row["stage"]: row for row in ladder["rows"]}
-    last = ladder["rows"][-1]
-    first = by_stage[find_compared_stage(by_stage)]
-    lines = [
+    headings = ["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]
+    return [
         f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
-        *align_rows(table),
+        *align_rows([headings, *map(_cells, ladder["rows"])]),
     ]
-    compared = {first["stage"]: ladder["against_reference"]}
-    compared["counts"] = simplest = ladder["against_counts"]
-    for stage, against in compared.items():
-        if against is not None:
-            change = points_text(100 * against["difference"])
-            p_value = p_text(against["mcnemar_p"])
-            lines.append(f"from {stage} to {last['stage']}: {change}, p {p_value}")
-    if any(cells[-1] for cells in table):
+
+
+def _change_lines(ladder):
+    """Lines about the change from a reference to the last stage, one for each reference."""
+    stages = [row["stage"] for row in ladder["rows"]]
+    changes = {
+        find_compared_stage(stages): ladder["against_reference"],
+        "counts": ladder["against_counts"],
+    }
+    return [
+        f"from {stage} to {stages[-1]}: {points_text(100 * change['difference'])}, "
+        f"p {p_text(change['mcnemar_p'])}"
+        for stage, change in changes.items()
+        if change is not None
+    ]
+
+
+def _note_lines(ladder):
+    """Lines about what the table means, and what it says nothing about."""
+    rows = ladder["rows"]
+    lines = []
+    if any(_is_significant(row) for row in rows):
         lines.append(f"*: p below {SIGNIFICANCE:g}, uncorrected for several tests")
-    for stage in (row["stage"] for row in ladder["rows"]):
+    for stage in (row["stage"] for row in rows):
         if stage in TARGETS and TARGETS[stage].note:
             lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder.get("while_written"):
-        lines.append(early_text(ladder["while_written"], last))
+        lines.append(early_text(ladder["while_written"], rows[-1]))
     if absent := ladder.get("classes_without_samples"):
         lines.append(
             f"{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
         )
-    losing = losing_stages(ladder)
-    for a, b, points in losing:
-        lines.append(f"{WARNING}{b} is {points:.1f} points below {a}{STREAM_REMEDY.get(b, '')}")
-    if losing and ladder["layers"]:
+    return lines
+
+
+def _loss_lines(ladder):
+    """A warning for each stage that loses much, followed by the layers."""
+    lines = [
+        f"{WARNING}{stage} is {points:.1f} points below {above}{STREAM_REMEDY.get(stage, '')}"
+        for above, stage, points in find_losing_stages(ladder)
+    ]
+    if lines and ladder["layers"]:
         lines += ["", layers_text(ladder["layers"])]
-    if simplest and simplest["difference"] < 0 and simplest["mcnemar_p"] < SIGNIFICANCE:
-        lines.append(
-            f"{WARNING}{last['stage']} is less accurate than the logistic regression on event "
-            f"counts; try {ladder.get('remedy') or 'more epochs'}"
-        )
-    return "\n".join(lines)
+    return lines
+
+
+def _baseline_lines(ladder):
+    """A warning if the deployed network is less accurate than ``counts``, the simplest baseline."""
+    change = ladder["against_counts"]
+    if not change or change["difference"] >= 0 or change["mcnemar_p"] >= SIGNIFICANCE:
+        return []
+    return [
+        f"{WARNING}{ladder['rows'][-1]['stage']} is less accurate than the logistic regression on "
+        f"event counts; try {ladder.get('remedy') or 'more epochs'}"
+    ]
+
+
+def _is_significant(row):
+    return row["mcnemar_p"] is not None and row["mcnemar_p"] < SIGNIFICANCE
 
 
 def _cells(row: dict) -> list:

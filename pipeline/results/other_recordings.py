@@ -25,7 +25,7 @@ from pipeline.recordings.formats.recording import UNITS
 from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.splits import draw_check_samples
 from pipeline.recordings.times import MIN_DURATION_S
-from pipeline.results.ladder import confusion_matrix
+from pipeline.results.ladder import count_confusions
 from pipeline.run.folder import checks_of, run_around
 from pipeline.run.settings import Image, Settings, read_settings
 from pipeline.sources import load_recordings
@@ -321,7 +321,7 @@ def add_accuracies(
             "warnings": list(_limits(bundle.spec, recordings)),
         },
         "classes": list(classes),
-        "confusion": confusion_matrix(labels, predictions, len(classes)).tolist(),
+        "confusion": count_confusions(labels, predictions, len(classes)).tolist(),
         "per_class": [
             {"class": name, **_right(labels == predictions, labels == index)}
             for index, name in enumerate(classes)

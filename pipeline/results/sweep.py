@@ -35,7 +35,7 @@ STAGES = ("rate-lif", "trained", "fast")
 SAMPLES_APART = ("seed", "data", "split", "check")
 
 
-def points_of(base: Settings, grid) -> list:
+def make_points(base: Settings, grid) -> list:
     """Every combination of the grid's values.
 
     Parameters
@@ -123,7 +123,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
         Folder of the sweep, locked.
     settings : Settings
     grid : sequence of str or None
-        As in :func:`points_of`; None for the default of the kind of input.
+        As in :func:`make_points`; None for the default of the kind of input.
     workers, say
         As in :func:`pipeline.results.study.study`.
 
@@ -137,7 +137,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     Raises
     ------
     UserError
-        As in :func:`points_of`, or the recordings cannot be read or are too few.
+        As in :func:`make_points`, or the recordings cannot be read or are too few.
     """
     recordings = recordings_of(settings, workers.processes, say)
     fraction = settings.split.validation_fraction or VALIDATION_FRACTION
@@ -145,7 +145,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     held_out = {"split.validation_fraction": fraction}
     divided = settings.with_named_values(held_out, "sweep", Provenance.CHOSEN)
     base = choose_settings(divided, recordings)
-    combinations = points_of(divided, grid or kind_of_network(base).grid)
+    combinations = make_points(divided, grid or kind_of_network(base).grid)
     points = [
         _prepare_point(number, changes, asked, recordings)
         for number, (changes, asked) in enumerate(combinations)

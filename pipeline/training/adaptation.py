@@ -143,7 +143,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     problem = _Problem(weights, bias, person, kept, scale)
     folds = _Folds.draw(person, kept, seed)
     before = problem.log_odds(problem.weights, person.responses)
-    kept_before = _right(problem.log_odds(problem.weights, kept.responses), kept.labels)
+    kept_before = _find_right(problem.log_odds(problem.weights, kept.responses), kept.labels)
 
     def rate(trial):
         """Keeping the accuracy for others comes first, then the likelihood for the person."""
@@ -162,7 +162,7 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
         weights=round_to_8_bits(refitted),
         pull=best.pull,
         rehearsal=best.rehearsal,
-        before=_right(before, person.labels),
+        before=_find_right(before, person.labels),
         after=best.after,
         kept_before=kept_before,
         kept_after=best.kept_after,
@@ -178,7 +178,7 @@ class _Folds(NamedTuple):
     @classmethod
     def draw(cls, person, kept, seed):
         """Draw the folds; the samples of a class are in as many folds as possible."""
-        own = _folds(person.labels, seed)
+        own = _draw_folds(person.labels, seed)
         order = np.random.default_rng([seed, 1]).permutation(len(kept))
         return cls(own, order % (own.max() + 1))
 
@@ -208,9 +208,9 @@ def _cross_validate(problem, person, kept, folds, pull, rehearsal) -> _Trial:
         refitted = round_to_8_bits(solution)
         log_p[is_out] = problem.log_odds(refitted, person.responses[is_out])
         log_kept = problem.log_odds(refitted, kept.responses[is_kept_out])
-        kept_after[is_kept_out] = _right(log_kept, kept.labels[is_kept_out])
+        kept_after[is_kept_out] = _find_right(log_kept, kept.labels[is_kept_out])
     likelihood = log_p[np.arange(len(person)), person.labels].mean()
-    return _Trial(pull, rehearsal, _right(log_p, person.labels), kept_after, likelihood)
+    return _Trial(pull, rehearsal, _find_right(log_p, person.labels), kept_after, likelihood)
 
 
 def round_to_8_bits(weights) -> np.ndarray:
@@ -269,7 +269,7 @@ class _Problem:
         return self.weights + change
 
 
-def _folds(labels, seed):
+def _draw_folds(labels, seed):
     """The fold of each sample; the samples of a class are in as many folds as possible."""
     order = np.random.default_rng([seed, 0]).permutation(len(labels))
     order = order[np.argsort(np.asarray(labels)[order], kind="stable")]
@@ -278,7 +278,7 @@ def _folds(labels, seed):
     return folds
 
 
-def _right(log_p, labels):
+def _find_right(log_p, labels):
     return log_p.argmax(axis=1) == labels
 
 
@@ -333,11 +333,11 @@ class Responder:
         on_events = isinstance(self.spec.stimulus, EventFrames)
         return float(presentation.steps - presentation.readout_start) if on_events else 1.0
 
-    def inputs(self, recordings: Recordings) -> np.ndarray:
+    def make_inputs(self, recordings: Recordings) -> np.ndarray:
         """The inputs of the network for recordings."""
         return make_inputs_for(self.spec, recordings, self._image)
 
-    def outputs(self, samples):
+    def run_to_readout(self, samples):
         """The input of the readout at each step.
 
         Parameters
@@ -354,7 +354,7 @@ class Responder:
         for start in range(0, len(fed), SAMPLES_AT_ONCE):
             yield self._emulation.run(fed[start : start + SAMPLES_AT_ONCE, None]).output[:, 0, gap:]
 
-    def responses(self, samples) -> np.ndarray:
+    def compute_responses(self, samples) -> np.ndarray:
         """Mean input of the readout while it is read.
 
         Returns
@@ -365,40 +365,41 @@ class Responder:
         start = self.spec.presentation.readout_start
         readout = self.spec.layers[-1]
         batches = [np.empty((0, readout.by_class.shape[1]))]
-        for output in self.outputs(samples):
+        for output in self.run_to_readout(samples):
             output = output[:, start:]
             section = readout.section_of(start + np.arange(output.shape[1]))
             sums = [output[:, section == k].sum(axis=1) for k in range(readout.sections)]
             batches.append(np.concatenate(sums, axis=1) / output.shape[1])
         return np.concatenate(batches)
 
-    def inputs_in_batches(self, recordings: Recordings):
-        """:meth:`inputs` of some recordings at a time.
+    def make_inputs_in_batches(self, recordings: Recordings):
+        """:meth:`make_inputs` of some recordings at a time.
 
         The inputs on events of 500 recordings of a large sensor need gigabytes.
         """
         for start in range(0, len(recordings), SAMPLES_AT_ONCE):
-            yield self.inputs(
+            yield self.make_inputs(
                 recordings.subset(np.arange(len(recordings))[start : start + SAMPLES_AT_ONCE])
             )
 
-    def responses_to(self, recordings: Recordings) -> np.ndarray:
-        """:meth:`responses` to recordings."""
-        return np.concatenate([self.responses(some) for some in self.inputs_in_batches(recordings)])
+    def respond_to(self, recordings: Recordings) -> np.ndarray:
+        """:meth:`compute_responses` to recordings."""
+        batches = self.make_inputs_in_batches(recordings)
+        return np.concatenate([self.compute_responses(some) for some in batches])
 
-    def copies(self, recordings: Recordings, seed) -> np.ndarray:
+    def respond_to_copies(self, recordings: Recordings, seed) -> np.ndarray:
         """Responses to augmented copies of recordings, shape (n_samples, COPIES, inputs)."""
         n = len(recordings)
         step_ms = 1e3 * self.spec.stimulus.step_seconds
         often = np.repeat(np.arange(n), COPIES)
         augmentation = AUGMENTATIONS[choose_augmentation(recordings)]
         altered = alter_recordings(recordings, often, augmentation, step_ms, seed)
-        return self.responses_to(altered).reshape(n, COPIES, -1)
+        return self.respond_to(altered).reshape(n, COPIES, -1)
 
-    def person(self, recordings: Recordings, seed) -> Person:
+    def make_person(self, recordings: Recordings, seed) -> Person:
         """The responses to a person's recordings that a refit needs."""
-        responses = self.responses_to(recordings)
-        return Person(responses, recordings.labels, self.copies(recordings, seed))
+        responses = self.respond_to(recordings)
+        return Person(responses, recordings.labels, self.respond_to_copies(recordings, seed))
 
 
 def add_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> NetworkSpec:
@@ -420,7 +421,7 @@ def add_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> Networ
     chosen = np.random.default_rng([seed, 0xADA97]).permutation(np.asarray(train))[
         :MAX_KEPT_SAMPLES
     ]
-    responses = Responder(spec).responses(inputs[chosen])
+    responses = Responder(spec).compute_responses(inputs[chosen])
     return replace(spec, rehearsal=Rehearsal(responses.astype(np.float32), labels[chosen]))
 
 
@@ -474,11 +475,11 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         raise UserError(
             f"{bundle.path}: has no responses to training samples; only 'stmnist convert' adds them"
         )
-    person = responder.person(recordings, [seed, 0xADA])
+    person = responder.make_person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
     fit = refit(readout.by_class, readout.bias, person, spec.rehearsal, seed, responder.scale)
     new = ~_in_check(bundle, responder, recordings)
-    others = responder.responses(bundle.checks.inputs)[new]
+    others = responder.compute_responses(bundle.checks.inputs)[new]
     others_before, others_after = (
         (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels[new]
         for weights in (readout.by_class, fit.weights)
@@ -514,7 +515,7 @@ def _in_check(bundle, responder, recordings):
     samples = bundle.checks.inputs
     known = {
         np.asarray(row, samples.dtype).tobytes()
-        for some in responder.inputs_in_batches(recordings)
+        for some in responder.make_inputs_in_batches(recordings)
         for row in some
     }
     return np.array([row.tobytes() in known for row in samples], bool)
@@ -553,9 +554,9 @@ def _with_threshold(spec, responder, recordings):
     weights = spec.layers[-1].weights
     outputs = []
     last = []
-    for samples in responder.inputs_in_batches(recordings):
+    for samples in responder.make_inputs_in_batches(recordings):
         outputs += [
-            select_readout(spec, output @ weights.T) for output in responder.outputs(samples)
+            select_readout(spec, output @ weights.T) for output in responder.run_to_readout(samples)
         ]
         last.append(last_steps(samples))
     chosen = choose_threshold(
@@ -567,7 +568,7 @@ def _with_threshold(spec, responder, recordings):
     return spec.with_presentation(confidence=max(limit, chosen.confidence))
 
 
-def text_of(adapted: Adapted, place) -> str:
+def adaptation_text(adapted: Adapted, place) -> str:
     """The result of :func:`adapt` as text.
 
     Parameters
@@ -583,7 +584,7 @@ def text_of(adapted: Adapted, place) -> str:
     if place is not None and len(others := adapted.others_before):
         compared.append(("the bundle's check, each sample from rest", others, adapted.others_after))
     for who, before, after in compared:
-        lines.append(f"{who}: {_share(before)} before, {_share(after)} after")
+        lines.append(f"{who}: {_share_text(before)} before, {_share_text(after)} after")
     if adapted.fitted:
         lines.append(
             f"{adapted.fitted} of the {adapted.fitted + len(adapted.others_before)} samples of the "
@@ -599,6 +600,6 @@ def text_of(adapted: Adapted, place) -> str:
     return "\n".join(lines)
 
 
-def _share(right):
+def _share_text(right):
     low, high = wilson_interval(int(right.sum()), len(right))
     return f"{right.mean():.3f} ({low:.3f} to {high:.3f}, {len(right)} samples)"

@@ -213,7 +213,7 @@ def find_bin_ms(table: EventTable) -> float | None:
         millisecond and at most `MAX_BIN_MS`.
     """
     bin_us = 0
-    for _, events in table.batches():
+    for _, events in table.pick_in_batches():
         time_us = np.rint(1000 * events.time_ms.astype(float)).astype(np.int64)
         bin_us = math.gcd(bin_us, int(np.gcd.reduce(np.unique(time_us), initial=0)))
     bin_ms = bin_us / 1000
@@ -252,7 +252,7 @@ def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int)
     lost = {}
     accuracy = {}
     for refractory in REFRACTORY_STEPS:
-        lost[refractory] = table.lost(step_ms, refractory)
+        lost[refractory] = table.measure_loss(step_ms, refractory)
         is_long = refractory * step_ms > MAX_REFRACTORY_MS
         if refractory and (is_long or lost[refractory] > MAX_LOST_EVENT_SHARE):
             continue
@@ -318,7 +318,7 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
     by_batch = [np.zeros(0, int)]
     for start in range(0, len(some), 64):
         indices = some[start : start + 64]
-        frames = table.frames(indices, shown.step, steps, SpikeLimits(shown.refractory_steps))
+        frames = table.make_frames(indices, shown.step, steps, SpikeLimits(shown.refractory_steps))
         by_batch.append(frames.sum(0, dtype=int).ravel())
     counts = np.concatenate(by_batch)
     most = steps // (1 + shown.refractory_steps)
@@ -335,7 +335,7 @@ def _spikes(table, indices, step_ms, steps, refractory):
     limits = SpikeLimits(refractory)
     counts = []
     for start in range(0, len(indices), 64):
-        frames = table.frames(indices[start : start + 64], step_ms, steps, limits)
+        frames = table.make_frames(indices[start : start + 64], step_ms, steps, limits)
         frames = frames.reshape(*frames.shape[:2], -1)
         counts.append(
             [frames[section == k].sum(0, dtype=np.float32) for k in range(SECTION_COUNTS[-1])]

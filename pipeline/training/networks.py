@@ -85,7 +85,7 @@ class Trained:
         """Logits, shape (n_samples, classes)."""
         return predict(self._model, inputs)
 
-    def activations(self, inputs) -> dict:
+    def compute_activations(self, inputs) -> dict:
         """Outputs of the neurons of each layer, shape (n_samples, n_neurons), by the layer."""
         return activations(self._model, inputs)
 
@@ -160,7 +160,7 @@ def train_cnn(
     -------
     TrainedCNN
     """
-    model = new_cnn(settings, seed)
+    model = build_new_cnn(settings, seed)
     if weights is not None:
         set_weights(model, weights)
     schedule = make_cnn_schedule(settings.cnn, len(samples))
@@ -195,7 +195,7 @@ def train_matched(
     return TrainedCNN(settings, get_weights(model), history)
 
 
-def new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
+def build_new_cnn(settings: Settings, seed: int) -> tf.keras.Model:
     """The CNN with its initial weights."""
     make_deterministic(seed)
     return TrainedCNN.build(settings)
@@ -267,13 +267,15 @@ def train_rate_network(
     """
     if settings.snn.recipe == "as-is":
         return TrainedRates(settings, fit_to_rates(settings, cnn_weights, samples.images))
-    model = new_rate_network(settings, seed, samples.images, cnn_weights)
+    model = build_new_rate_network(settings, seed, samples.images, cnn_weights)
     schedule = make_snn_schedule(settings.snn, len(samples))
     history = fit(model, schedule, samples, seed, advance)
     return TrainedRates(settings, get_weights(model), history)
 
 
-def new_rate_network(settings: Settings, seed: int, images, cnn_weights=None) -> tf.keras.Model:
+def build_new_rate_network(
+    settings: Settings, seed: int, images, cnn_weights=None
+) -> tf.keras.Model:
     """The rate-based network with its initial weights, for training on some images."""
     make_deterministic(seed)
     model = build_rate_network(settings)
@@ -312,7 +314,7 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     scaled = dict(weights)
     before = 1.0
     measured = select_measured(images, parse(settings.cnn.architecture))
-    for name, output in TrainedCNN(settings, weights).activations(measured).items():
+    for name, output in TrainedCNN(settings, weights).compute_activations(measured).items():
         scale = _reach(output)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * (before / scale)
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
@@ -354,7 +356,7 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     fitted = dict(weights)
     before = 1.0
     measured = select_measured(images, parse(settings.cnn.architecture))
-    outputs = TrainedCNN(settings, weights).activations(measured)
+    outputs = TrainedCNN(settings, weights).compute_activations(measured)
     for index, (name, output) in enumerate(outputs.items()):
         scale = _reach(output)
         neurons = RateLIF(snn.max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)
@@ -427,7 +429,7 @@ def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, se
         ``loss`` and ``accuracy`` of the epoch.
     """
     count = len(samples)
-    rule = optimizer(schedule, count)
+    rule = make_optimizer(schedule, count)
     rule.build(model.trainable_variables)
     train_on = _compiled_batches(model, rule, schedule.batch_size)
     batches = _compute_ahead(_draw_samples(model, samples, schedule, seed))
@@ -532,11 +534,11 @@ def _evaluate(logits, labels):
     return {"val_loss": float(np.mean(losses)), "val_accuracy": float(right)}
 
 
-def optimizer(schedule: TrainingSchedule, n_samples: int) -> tf.keras.optimizers.Optimizer:
+def make_optimizer(schedule: TrainingSchedule, n_samples: int) -> tf.keras.optimizers.Optimizer:
     """The schedule's optimiser for a number of training samples."""
     if not schedule.annealed:
         return tf.keras.optimizers.RMSprop(schedule.learning_rate)
-    steps = schedule.batches(n_samples) * schedule.epochs
+    steps = schedule.count_batches(n_samples) * schedule.epochs
     return tf.keras.optimizers.Adam(
         tf.keras.optimizers.schedules.CosineDecay(schedule.learning_rate, steps)
     )

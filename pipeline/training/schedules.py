@@ -29,7 +29,7 @@ class TrainingSchedule:
     annealed: bool = False
     min_shown_samples: int = 0
 
-    def batches(self, n_samples: int) -> int:
+    def count_batches(self, n_samples: int) -> int:
         """Number of updates in an epoch."""
         return ceil_div(n_samples, self.batch_size)
 

@@ -223,4 +223,4 @@ class EventChoices:
         if self.settings.is_open("input.refractory"):
             return reading
         chosen = presented.input.refractory_steps
-        return reading._replace(refractory=chosen, lost=self.table.lost(step_ms, chosen))
+        return reading._replace(refractory=chosen, lost=self.table.measure_loss(step_ms, chosen))

@@ -15,7 +15,12 @@ from models import chain
 from models.architecture import parse
 from models.keras.reader import original_network, read_keras
 from pipeline.kinds import counts
-from pipeline.kinds.diagnosis import activity, fastest_rate, layers_json, training_lines
+from pipeline.kinds.diagnosis import (
+    compare_rates,
+    compute_fastest_rate,
+    measure_activity,
+    training_lines,
+)
 from pipeline.kinds.image.choices import choose_image_augmentation, choose_image_settings
 from pipeline.kinds.imported import Imported, find_imported_file
 from pipeline.kinds.kind import NetworkKind
@@ -228,7 +233,7 @@ class ImageKind(NetworkKind):
             inputs.settings, weights, provenance, inputs.dataset.subset("train")
         )
 
-    def fidelity(self, inputs, bundle, advance=None):
+    def compare_layers(self, inputs, bundle, advance=None):
         from pipeline.training.networks import TrainedRates
 
         settings = inputs.settings
@@ -240,8 +245,8 @@ class ImageKind(NetworkKind):
         if advance is not None:
             advance(len(bundle.checks) - len(images))
         network = TrainedRates(settings, inputs.weights("rate-lif"))
-        activations = network.activations(images)
-        return layers_json(spec, rates, activations)
+        activations = network.compute_activations(images)
+        return compare_rates(spec, rates, activations)
 
     def choices(self, recordings, train):
         return choose_image_settings(self.settings, recordings)
@@ -362,10 +367,10 @@ def _train_further(name, function, inputs, artifact):
 
 def _measure_activity(settings, trained, images):
     """Shares of silent and saturated neurons of each layer on some images."""
-    fastest = fastest_rate(settings.snn.tau_ref)
-    outputs = trained.activations(images)
+    fastest = compute_fastest_rate(settings.snn.tau_ref)
+    outputs = trained.compute_activations(images)
     return {
-        name: activity(output * settings.snn.max_rate(index), fastest)
+        name: measure_activity(output * settings.snn.max_rate(index), fastest)
         for index, (name, output) in enumerate(outputs.items())
     }
 

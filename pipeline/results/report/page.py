@@ -19,7 +19,7 @@ from deploy.tables import SIGNIFICANCE, list_names, p_text, plural
 from deploy.targets.registry import TARGETS
 from pipeline import look
 from pipeline.kinds import COMPARED_WITH, REFERENCES
-from pipeline.results.ladder import confusion_matrix, ladder_rows, select_deployed_result
+from pipeline.results.ladder import count_confusions, ladder_rows, select_deployed_result
 from pipeline.results.report import charts, prose
 from pipeline.run.settings import PATHS, Settings
 from pipeline.stages import settings_of_network
@@ -341,7 +341,7 @@ def _list_predictions(inputs) -> tuple:
 
 
 def _confusion(inputs):
-    return confusion_matrix(*_list_predictions(inputs), len(inputs.classes))
+    return count_confusions(*_list_predictions(inputs), len(inputs.classes))
 
 
 def _matrix(inputs):

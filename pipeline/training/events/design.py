@@ -11,7 +11,7 @@ from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.steps import EventTable, SpikeLimits, spike_frames
+from pipeline.recordings.steps import EventTable, SpikeLimits, make_spike_frames
 from pipeline.run.settings import EventTraining, Input, Settings
 from pipeline.training.event_rules import epochs_for
 
@@ -79,12 +79,12 @@ class EventDesign:
     def make_frames(
         self, events: EventColumns, samples: int, steps: int, size: tuple
     ) -> np.ndarray:
-        """Frames of events; see :func:`pipeline.recordings.steps.spike_frames`."""
-        return spike_frames(events, self.step_ms, samples, steps, size, self.limits)
+        """Frames of events; see :func:`pipeline.recordings.steps.make_spike_frames`."""
+        return make_spike_frames(events, self.step_ms, samples, steps, size, self.limits)
 
     def make_frames_of_samples(self, table: EventTable, indices, steps: int) -> np.ndarray:
         """Frames of some samples as they are, shape (steps, n_samples, rows, columns, 2)."""
-        return table.frames(indices, self.step_ms, steps, self.limits)
+        return table.make_frames(indices, self.step_ms, steps, self.limits)
 
     @classmethod
     def of(cls, settings: Settings) -> EventDesign:

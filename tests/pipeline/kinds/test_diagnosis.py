@@ -12,11 +12,11 @@ from deploy.files import read_json
 from deploy.targets.fast import firing_rates
 from models.architecture import parse
 from pipeline.kinds.diagnosis import (
-    activity,
-    fastest_rate,
-    fidelity,
-    layers_json,
+    compare_layer,
+    compare_rates,
+    compute_fastest_rate,
     layers_text,
+    measure_activity,
 )
 from pipeline.kinds.image import kind
 from pipeline.training import networks
@@ -26,8 +26,8 @@ from tests.deploy.networks import bundle_at, random_checks, small_spec
 
 
 def test_the_fastest_rate_is_a_spike_every_refractory_period_and_a_step():
-    assert fastest_rate(0.001) == pytest.approx(500)
-    assert fastest_rate(0.003) == pytest.approx(250)
+    assert compute_fastest_rate(0.001) == pytest.approx(500)
+    assert compute_fastest_rate(0.003) == pytest.approx(250)
 
 
 def test_silent_and_saturated_by_hand():
@@ -35,7 +35,7 @@ def test_silent_and_saturated_by_hand():
     rates[7, 1] = 50  # fires once in a while: neither
     rates[:2, 2] = 450  # at the limit on 1 % of the samples
     rates[:2, 3] = [450, 449]  # on half of that
-    found = activity(rates, fastest=500)
+    found = measure_activity(rates, fastest=500)
     assert found == {"silent": 0.25, "saturated": 0.25}
 
 
@@ -43,7 +43,7 @@ def test_fidelity_by_hand():
     """Rates 0, 50, 100, 150 of max_rate 100 against activations 0, 1, 1, 2."""
     rates = np.array([[0.0, 50.0], [100.0, 150.0]])
     activations = np.array([[0.0, 1.0], [1.0, 2.0]])
-    found = fidelity("conv1", rates, activations, max_rate=100, tau_ref=0.001)
+    found = compare_layer("conv1", rates, activations, max_rate=100, tau_ref=0.001)
     assert found["worst_error"] == pytest.approx(0.5)
     assert found["mean_error"] == pytest.approx(0.25)
     # deviations (-.75, -.25, .25, .75) and (-1, 0, 0, 1): 1.5 / sqrt(1.25 * 2)
@@ -83,7 +83,7 @@ def test_a_layer_against_its_own_rates_is_perfect():
     rates = firing_rates(spec, images, start=spec.presentation.readout_start)
     amplitudes = {layer.name: layer.neurons.amplitude for layer in spec.layers if layer.neurons}
     own = {name: values * amplitudes[name] for name, values in rates.items()}
-    for layer in layers_json(spec, rates, own):
+    for layer in compare_rates(spec, rates, own):
         assert layer["correlation"] == pytest.approx(1)
         assert layer["worst_error"] == pytest.approx(0)
         assert layer["chip"] == layer["rate_network"]

@@ -60,7 +60,9 @@ def test_every_spike_is_that_of_the_trained_network(architecture, starts, target
     spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
     assert make_plan(spec).problems == []
     indices = np.arange(len(table))
-    frames = np.moveaxis(table.frames(indices, design.step_ms, STEPS + GAP, design.limits), 0, 1)
+    frames = np.moveaxis(
+        table.make_frames(indices, design.step_ms, STEPS + GAP, design.limits), 0, 1
+    )
     expected = run_on_frames(design, weights, frames)
     found = run_target(spec, frames, target)
     for name, spikes in expected.spikes.items():
@@ -104,7 +106,7 @@ def test_the_estimator_decides_on_the_chip_as_in_training():
     rng, weights, table = np.random.default_rng(0), trained_like(design.architecture), table_of()
     weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Estimator.shapes(10).items()}
     indices, steps = np.arange(len(table)), STEPS + GAP
-    frames = np.moveaxis(table.frames(indices, design.step_ms, steps, design.limits), 0, 1)
+    frames = np.moveaxis(table.make_frames(indices, design.step_ms, steps, design.limits), 0, 1)
     shown = run_on_frames(design, weights, frames)
     late = len(shown.spikes) + 1
     # What arrives is what was said `late` steps before.

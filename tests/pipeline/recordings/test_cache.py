@@ -9,7 +9,7 @@ from experiments.growth import repeat_recordings
 from pipeline.kinds import counts as kinds_counts
 from pipeline.recordings import cache, library, steps
 from pipeline.recordings.events import EVENT_DTYPES
-from pipeline.recordings.images import AlteredImages, tactile_images
+from pipeline.recordings.images import AlteredImages, make_tactile_images
 from pipeline.recordings.steps import EventTable
 from pipeline.run.settings import Image
 from tests.pipeline.handmade import recordings
@@ -44,7 +44,9 @@ def test_stored_recordings_are_mapped_and_the_same(some, tmp_path):
     for name in EVENT_DTYPES:
         assert is_mapped(getattr(loaded.events, name)), name
     assert loaded.hashes == some.hashes
-    np.testing.assert_array_equal(tactile_images(loaded, IMAGE), tactile_images(some, IMAGE))
+    np.testing.assert_array_equal(
+        make_tactile_images(loaded, IMAGE), make_tactile_images(some, IMAGE)
+    )
 
 
 def all_of(some):
@@ -54,9 +56,9 @@ def all_of(some):
     return [
         table.count_in_slices(2, 20.0),
         table.count_in_slices(2, 20.0, np.array([3, 2])),
-        tactile_images(some, IMAGE),
+        make_tactile_images(some, IMAGE),
         altered(np.random.default_rng(0), [2, 0]),
-        np.array([table.lost(5.0), table.lost(5.0, 2)]),
+        np.array([table.measure_loss(5.0), table.measure_loss(5.0, 2)]),
     ]
 
 

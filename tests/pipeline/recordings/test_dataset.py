@@ -7,7 +7,7 @@ from deploy import limits
 from deploy.check.bundle import HEADERS
 from deploy.errors import UserError
 from pipeline.recordings.dataset import make_dataset_origin, make_inputs
-from pipeline.recordings.images import tactile_images
+from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.splits import split_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import SIMULATED, Settings, UndeclaredSetting
@@ -48,7 +48,7 @@ def test_other_simulated_people_are_other_recordings():
 def test_inputs_and_labels_are_those_of_the_recordings(dataset):
     assert len(dataset) == 60
     np.testing.assert_array_equal(dataset.labels, np.repeat(np.arange(10), 6))
-    np.testing.assert_array_equal(dataset.inputs, tactile_images(dataset.recordings))
+    np.testing.assert_array_equal(dataset.inputs, make_tactile_images(dataset.recordings))
 
 
 def test_the_split_is_of_the_settings_seed_and_fractions(dataset):

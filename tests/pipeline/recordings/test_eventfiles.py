@@ -12,7 +12,7 @@ from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.csv import read_csv
 from pipeline.recordings.formats.recording import BadRecording, make_recording
-from pipeline.recordings.images import tactile_images
+from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.times import to_ns
 from pipeline.recordings.writing import write_recordings
 from pipeline.sources import load_recordings
@@ -227,7 +227,7 @@ def test_arrays_and_a_data_set_of_tonic_s_come_back(tmp_path):
     assert tonic.sensor.classes == plain.sensor.classes == CLASSES
     assert (tonic.source.simulated, plain.source.simulated) == (False, True)
     np.testing.assert_array_equal(tonic.labels, [label for _, label in gestures(3)])
-    np.testing.assert_array_equal(tactile_images(tonic), tactile_images(plain))
+    np.testing.assert_array_equal(make_tactile_images(tonic), make_tactile_images(plain))
     expected = np.concatenate([t for (_, _, t, _), _ in gestures(3)])
     np.testing.assert_allclose(tonic.events.time_ns * 1e-9, expected, atol=1e-6)
     np.testing.assert_allclose(plain.events.time_ns * 1e-9, expected, atol=1e-9)

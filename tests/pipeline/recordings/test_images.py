@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as hnp
 from pipeline.recordings import faults
 from pipeline.recordings.augmentation import AUGMENTATIONS
 from pipeline.recordings.events import TaxelMap
-from pipeline.recordings.images import AlteredImages, normalise, tactile_images
+from pipeline.recordings.images import AlteredImages, make_tactile_images, normalise
 from pipeline.run.settings import Image
 from tests.pipeline.handmade import recordings
 
@@ -22,7 +22,8 @@ ROWS = [(0, 37, 1, 4), (1_000, 90, -1, 3), (5_000, 37, 1, 5), (9_000, 37, -1, 2)
     [("count", 3, 1), ("columns", 11, 3), ("signed", 1, -1), ("on", 2, 0), ("off", 1, 1)],
 )
 def test_aggregations_by_hand(aggregation, at_37, at_90):
-    image = tactile_images(recordings([], ROWS), Image(aggregation, normalisation="none"))[..., 0]
+    settings = Image(aggregation, normalisation="none")
+    image = make_tactile_images(recordings([], ROWS), settings)[..., 0]
     assert image.shape == (2, 10, 10)
     assert not image[0].any()
     expected = np.zeros((10, 10))
@@ -32,7 +33,7 @@ def test_aggregations_by_hand(aggregation, at_37, at_90):
 
 def test_the_lookup_table_decides_where_a_taxel_is():
     transposed = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
-    found = tactile_images(recordings(ROWS, taxels=transposed), Image(normalisation="none"))
+    found = make_tactile_images(recordings(ROWS, taxels=transposed), Image(normalisation="none"))
     image = found[0, ..., 0]
     assert (image[3, 7], image[9, 0]) == (3, 1)
     assert image.sum() == 4
@@ -94,7 +95,7 @@ def test_each_image_is_normalised_by_itself(images, normalisation):
 
 
 def test_what_the_networks_see():
-    images = tactile_images(recordings(ROWS, []))
+    images = make_tactile_images(recordings(ROWS, []))
     assert images.shape == (2, 10, 10, 1)
     assert images.dtype == np.float32
     assert images[0, 7, 3, 0] == 1
@@ -105,11 +106,11 @@ def test_channels_are_slices_of_time_and_polarities():
     """Two slices of 5 us: an event at 5 us is in the second, as is one after the end."""
     rows = [(0, 37, 1, 4), (1_000, 90, -1, 3), (5_000, 37, 1, 5), (90_000, 37, -1, 2)]
     image = Image("polarities", 2, 0.01, "none")
-    (found,) = tactile_images(recordings(rows), image)
+    (found,) = make_tactile_images(recordings(rows), image)
     expected = np.zeros((10, 10, 4))
     expected[7, 3], expected[0, 9] = [1, 0, 1, 1], [0, 1, 0, 0]
     np.testing.assert_array_equal(found, expected)
-    both = tactile_images(recordings(rows), Image("count", 2, 0.01, "none"))[0]
+    both = make_tactile_images(recordings(rows), Image("count", 2, 0.01, "none"))[0]
     np.testing.assert_array_equal(both, expected.reshape(10, 10, 2, 2).sum(3))
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from pipeline.recordings.events import Sensor, reading_text
-from pipeline.recordings.images import tactile_images
+from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.sensor import ReadingOptions, class_order
 from pipeline.recordings.source import read_source
 from pipeline.run.settings import Image
@@ -133,7 +133,7 @@ def test_coordinates_come_out_where_they_went_in(tmp_path):
     read = read_source(tmp_path / "g.zip", jobs=1)
     np.testing.assert_array_equal(read[0].time_ns, [100_000_000, 200_000_000, 500_000_000])
     np.testing.assert_array_equal(read[0].polarity, [-1, 1, 1])
-    image = tactile_images(read, Image(normalisation="none"))[0, ..., 0]
+    image = make_tactile_images(read, Image(normalisation="none"))[0, ..., 0]
     assert image.shape == (4, 5)
     expected = np.zeros((4, 5))
     expected[3, 1], expected[0, 4] = 2, 1
@@ -189,7 +189,7 @@ def test_a_simulated_skin_of_another_size():
     assert large.events.taxel.max() < 16 * 14
     # A digit covers as much of the larger skin, in both directions.
     for skin, size in ((small, 10), (large, 14)):
-        images = tactile_images(skin)[..., 0] > 0
+        images = make_tactile_images(skin)[..., 0] > 0
         high, wide = (np.ptp(np.nonzero(images.any(axis=(0, axis)))[0]) for axis in (2, 1))
         assert high >= 0.7 * size
         assert wide >= 0.6 * size

@@ -22,7 +22,7 @@ def by_hand():
 
 
 def test_by_hand():
-    row = statistics.table(by_hand())[4]
+    row = statistics.measure_classes(by_hand())[4]
     assert row["samples"] == 2
     assert row["on"] == pytest.approx((4.5, np.sqrt(0.5)))
     assert row["off"] == pytest.approx((1.0, np.sqrt(2)))
@@ -37,8 +37,8 @@ def test_by_hand():
 
 def test_another_lookup_table():
     turned = TaxelMap(row=TaxelMap().column, column=TaxelMap().row)
-    straight = statistics.table(by_hand())[4]
-    row = statistics.table(replace(by_hand(), taxels=turned))[4]
+    straight = statistics.measure_classes(by_hand())[4]
+    row = statistics.measure_classes(replace(by_hand(), taxels=turned))[4]
     assert row["x_mean"] == straight["y_mean"]
     assert row["y_range"] == straight["x_range"]
 
@@ -46,7 +46,7 @@ def test_another_lookup_table():
 def test_the_one_real_recording(real_recording):
     recording = read_recording(real_recording.read_bytes())
     recordings = collect([recording.events], [0], ["real"], [-1], SOURCE)
-    measures = {name: values[0] for name, values in statistics.per_sample(recordings).items()}
+    measures = {name: values[0] for name, values in statistics.measure_samples(recordings).items()}
     assert (measures["on"], measures["off"]) == (745, 1601)
     assert (measures["on_physical"], measures["off_physical"]) == (306, 359)
     # From the array itself, without merging bursts.

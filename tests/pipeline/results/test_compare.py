@@ -11,7 +11,14 @@ from deploy.errors import UserError
 from pipeline.kinds import kind_of_network
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.results import compare
-from pipeline.results.compare import Run, compare_runs, difference, inference, read_runs, runs_text
+from pipeline.results.compare import (
+    Run,
+    compare_accuracies,
+    compare_runs,
+    compute_inference,
+    read_runs,
+    runs_text,
+)
 from pipeline.run.settings import Settings
 from tests.command import call, missing
 from tests.deploy.networks import events_spec, small_spec
@@ -52,12 +59,12 @@ LAST_FOUR = [9, 9, 9, 9, 4, 5, 6, 7]
 
 def test_a_paired_difference_by_hand():
     a, b = run("a", [result("nengo", FIVE_RIGHT)]), run("b", [result("nengo", LAST_FOUR)])
-    found = difference(a, b, "nengo")
+    found = compare_accuracies(a, b, "nengo")
     assert found["paired"]
     assert found["difference"] == pytest.approx(-1 / 8)
     assert (found["only_a"], found["only_b"]) == (4, 3)  # 0 to 3, and 5 to 7
     assert found["p"] == pytest.approx(1)  # 4 of 7
-    found = difference(b, run("c", [result("nengo", ALL)]), "nengo")
+    found = compare_accuracies(b, run("c", [result("nengo", ALL)]), "nengo")
     assert (found["only_a"], found["only_b"]) == (0, 4)
     assert found["p"] == pytest.approx(2 * 0.5**4)
 
@@ -66,7 +73,7 @@ def test_the_same_samples_in_another_order_are_paired():
     ids = [f"x/{i}" for i in range(8)]
     backwards = result("nengo", LAST_FOUR[::-1], LABELS[::-1], ids[::-1])
     a = run("a", [result("nengo", LAST_FOUR)])
-    found = difference(a, run("b", [backwards]), "nengo")
+    found = compare_accuracies(a, run("b", [backwards]), "nengo")
     assert found["paired"]
     assert (found["only_a"], found["only_b"], found["p"]) == (0, 0, 1)
 
@@ -83,7 +90,7 @@ def test_the_same_samples_in_another_order_are_paired():
 )
 def test_other_samples_are_not_paired(other):
     a = run("a", [result("nengo", LAST_FOUR)])
-    found = difference(a, run("b", **other), "nengo")
+    found = compare_accuracies(a, run("b", **other), "nengo")
     assert not found["paired"]
     assert found["only_a"] is None
     text = runs_text(compare_runs([a, run("b", **other)]))
@@ -125,7 +132,7 @@ def test_what_an_inference_takes_by_hand(monkeypatch):
     # 6x6-4c3-8c2-10o: 16 * 9 * 4, 9 * 16 * 8, 72 * 10
     assert first["operations_per_mac"] is None  # the paper's CNN is for the digits of its sensor
     monkeypatch.setattr(compare, "is_written", lambda rows, columns, classes: True)
-    assert inference(images)["operations_per_mac"] == pytest.approx(100 / 43104)
+    assert compute_inference(images)["operations_per_mac"] == pytest.approx(100 / 43104)
     assert first["neurons"] == 64 + 72
     assert (second["counted_on"], second["synaptic_operations"]) == (None, None)
 

@@ -8,10 +8,10 @@ from deploy.errors import UserError
 from deploy.network.spec import Presentation
 from pipeline.kinds.reference import compute_responses
 from pipeline.results.ladder import (
+    find_losing_stages,
     ladder_json,
     ladder_rows,
     ladder_text,
-    losing_stages,
     points_text,
 )
 from tests.command import call, missing
@@ -84,7 +84,7 @@ def beyond_chance(ladder):
 def test_a_loss_that_chance_explains_is_no_warning():
     ladder = ladder_json([CNN, result("rate-lif", LABELS), EMULATOR], LAYERS)
     assert ladder["last_against_trained_p"] == pytest.approx(0.25)
-    assert losing_stages(ladder) == []
+    assert find_losing_stages(ladder) == []
     assert "loses" not in ladder_text(ladder)
 
 
@@ -92,7 +92,7 @@ def test_a_stage_that_loses_too_much_brings_the_layers():
     better = result("rate-lif", LABELS)
     ladder = beyond_chance(ladder_json([CNN, better, EMULATOR], LAYERS))
     assert ladder["least_faithful_layer"] == "conv2"
-    assert losing_stages(ladder) == [("rate-lif", "emulator", pytest.approx(30))]
+    assert find_losing_stages(ladder) == [("rate-lif", "emulator", pytest.approx(30))]
     text = ladder_text(ladder)
     assert re.search(r"emulator .*\b30\.0 points .*rate-lif", text)
     assert re.search(r"conv2 +0\.8700 +0\.500 +0\.0100", text)
@@ -111,7 +111,7 @@ def test_losses_are_stated_against_the_matched_cnn():
 
 
 def test_what_the_cnn_loses_is_no_matter_of_firing_rates():
-    assert losing_stages(ladder_json([CNN, RATE])) == []
+    assert find_losing_stages(ladder_json([CNN, RATE])) == []
 
 
 def of_eighty(target, right):

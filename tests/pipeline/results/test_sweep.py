@@ -25,7 +25,7 @@ SMALL = Settings().with_values(
 
 def test_every_combination_of_the_grid():
     grid = ["presentation.steps=30, 50, 30", "snn.max_rates=[100,150],[200],120"]
-    points = sweep.points_of(SMALL, grid)
+    points = sweep.make_points(SMALL, grid)
     assert len(points) == 6
     assert points[0][0] == {"presentation.steps": 30, "snn.max_rates": [100, 150]}
     assert points[-1][0] == {"presentation.steps": 50, "snn.max_rates": [120]}
@@ -38,18 +38,18 @@ def test_what_is_open_is_chosen_for_each_point(tmp_path):
     source = str(write_folder(tmp_path / "own", per_class=5))
     recordings = load_recordings(source, jobs=1)
 
-    def points_of(base, grid):
-        return [choose_settings(point, recordings) for _, point in sweep.points_of(base, grid)]
+    def make_points(base, grid):
+        return [choose_settings(point, recordings) for _, point in sweep.make_points(base, grid)]
 
     own = Settings().with_values({"data": {"source": source}, "input": {"kind": "events"}}, "")
-    fine, coarse = points_of(own, ["input.step=5,10"])
+    fine, coarse = make_points(own, ["input.step=5,10"])
     assert fine.input.step == 5
     assert fine.steps == pytest.approx(2 * coarse.steps, abs=1)
-    auto, none = points_of(own, ["events.augment=auto,none"])
+    auto, none = make_points(own, ["events.augment=auto,none"])
     assert auto.events.augment not in ("auto", "none")
     assert none.events.augment == "none"
     images = own.with_values({"input": {"kind": "image"}}, "")
-    sliced, plain = points_of(images, ["image.slices=4,1"])
+    sliced, plain = make_points(images, ["image.slices=4,1"])
     assert sliced.cnn.architecture.startswith("9x12x4")
     assert plain.cnn.architecture.startswith("9x12-")
 
@@ -68,12 +68,12 @@ def test_what_is_open_is_chosen_for_each_point(tmp_path):
 )
 def test_a_wrong_grid_is_refused_before_anything_is_trained(entry, problem):
     with pytest.raises(UserError, match=problem):
-        sweep.points_of(SMALL, [entry])
+        sweep.make_points(SMALL, [entry])
 
 
 def test_the_default_grids_are_grids():
-    assert len(sweep.points_of(SMALL, ImageKind.grid)) == 16
-    assert len(sweep.points_of(SMALL, EventsKind.grid)) == 4
+    assert len(sweep.make_points(SMALL, ImageKind.grid)) == 16
+    assert len(sweep.make_points(SMALL, EventsKind.grid)) == 4
 
 
 def test_pareto_front_by_hand():

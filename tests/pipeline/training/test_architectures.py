@@ -159,7 +159,7 @@ def test_training_with_strides_pooling_and_dense_layers():
     shapes = parse(settings.cnn.architecture).weight_shapes
     assert {name: array.shape for name, array in single.weights.items()} == shapes
     assert np.isfinite(single.logits(images())).all()
-    assert set(single.activations(images())) == {"conv1", "dense1"}
+    assert set(single.compute_activations(images())) == {"conv1", "dense1"}
 
 
 def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):

@@ -51,7 +51,8 @@ def test_a_period_that_loses_most_events_is_not_chosen():
 
     table, labels = table_of(events)
     reading = event_rules.choose_reading(table, labels, np.arange(120), 10.0, 100)
-    assert table.lost(10.0, max(event_rules.REFRACTORY_STEPS)) > event_rules.MAX_LOST_EVENT_SHARE
+    longest = max(event_rules.REFRACTORY_STEPS)
+    assert table.measure_loss(10.0, longest) > event_rules.MAX_LOST_EVENT_SHARE
     assert reading.lost <= event_rules.MAX_LOST_EVENT_SHARE
 
 

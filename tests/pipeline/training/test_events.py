@@ -75,7 +75,7 @@ def test_of_whatever_length_samples_are_a_network_is_traced_once(trained):
 
 def answers_to(weights, table, indices, steps):
     """What the trained network answers to samples, each from rest."""
-    frames = table.frames(indices, DESIGN.step_ms, steps, DESIGN.limits)
+    frames = table.make_frames(indices, DESIGN.step_ms, steps, DESIGN.limits)
     return run_on_frames(DESIGN, weights, np.moveaxis(frames, 0, 1))
 
 
@@ -117,7 +117,7 @@ def test_answers_are_the_chips_integers(trained, data):
     answers = answers_to(trained.weights, table, VALIDATION, steps=64)
     network = SpikingNetwork(parse(DESIGN.architecture))
     network.set_weights(trained.weights)
-    frames = table.frames(VALIDATION, DESIGN.step_ms, 64, DESIGN.limits)
+    frames = table.make_frames(VALIDATION, DESIGN.step_ms, 64, DESIGN.limits)
     for index in (0, 7):
         conv, dense = spiking_in_numpy.network(
             network.architecture, network.integers(), frames[:, index]

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from deploy.tables import shorten_apart, shorten_name
 from pipeline.look import colour
 from pipeline.recordings.events import DIGITS, Recordings
-from pipeline.recordings.images import tactile_images
+from pipeline.recordings.images import make_tactile_images
 from pipeline.results.report.figures import SHADES, plain
 
 # Tactile images above the raster.
@@ -117,7 +117,7 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     blocks = -(-len(digits) // MAX_SHEET_ROWS)
     rows = -(-len(digits) // blocks)
     per_digit = max(SAMPLES // blocks, 2)
-    images = tactile_images(recordings)[..., 0]
+    images = make_tactile_images(recordings)[..., 0]
     classes = recordings.sensor.classes
     numbers = np.bincount(recordings.labels)
     short = shorten_apart([classes[d] for d in digits], NAME)
