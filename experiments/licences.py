@@ -12,7 +12,7 @@ FOR_DEVELOPERS = ("dev", "docs")
 
 # Licences by the word that their names have, with what they ask of whoever passes a package on or
 # uses it; the first that fits counts.
-KINDS = {
+OBLIGATIONS = {
     "non-commercial": "free for non-commercial use only; commercial use needs a paid licence",
     "LESSER GENERAL PUBLIC": "may be sold; changes of this package are passed on as source",
     "LGPL": "may be sold; changes of this package are passed on as source",
@@ -24,7 +24,7 @@ KINDS = {
 PERMISSIVE = "may be used and sold; the notice is kept"
 
 
-def licence_of(package: str) -> str:
+def read_licence(package: str) -> str:
     """The licence of an installed package.
 
     It is the licence expression of its metadata, or else its classifier, its field ``License``, or
@@ -47,12 +47,12 @@ def licence_of(package: str) -> str:
     return files[0].read_text().strip().partition("\n")[0].strip() if files else "not stated"
 
 
-def kind_of(licence: str) -> str:
+def describe_obligations(licence: str) -> str:
     """What a licence asks for, in a few words."""
-    return next((text for word, text in KINDS.items() if word in licence), PERMISSIVE)
+    return next((text for word, text in OBLIGATIONS.items() if word in licence), PERMISSIVE)
 
 
-def packages_of_users() -> list:
+def list_users_packages() -> list:
     """Packages that ``pyproject.toml`` asks for, without those that only developers need."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)["project"]
@@ -62,7 +62,7 @@ def packages_of_users() -> list:
     return [_name_in(requirement) for requirement in wanted]
 
 
-def _requirements_of(package):
+def _read_requirements(package):
     """Names of the packages that an installed package needs, without its optional parts."""
     requirements = importlib.metadata.requires(package) or []
     return [_name_in(one) for one in requirements if "extra ==" not in one]
@@ -72,20 +72,20 @@ def _name_in(requirement):
     return re.match(r"[\w.-]+", requirement)[0]
 
 
-def restricted_packages() -> list:
+def list_restricted_packages() -> list:
     """All installed packages of users, also indirect ones, whose licence is not permissive."""
-    kinds = {}
-    waiting = packages_of_users()
+    obligations = {}
+    waiting = list_users_packages()
     while waiting:
         name = _normalise(waiting.pop())
-        if name in kinds:
+        if name in obligations:
             continue
         try:
-            kinds[name] = kind_of(licence_of(name))
+            obligations[name] = describe_obligations(read_licence(name))
         except importlib.metadata.PackageNotFoundError:
             continue  # of another system or version of Python
-        waiting += _requirements_of(name)
-    return sorted(name for name, kind in kinds.items() if kind != PERMISSIVE)
+        waiting += _read_requirements(name)
+    return sorted(name for name, text in obligations.items() if text != PERMISSIVE)
 
 
 def _normalise(name):
@@ -94,12 +94,15 @@ def _normalise(name):
 
 def cells() -> list:
     """The table of the packages that the project asks for, and of those that have conditions."""
-    direct = list(map(_normalise, packages_of_users()))
-    indirect = [name for name in restricted_packages() if name not in direct]
-    rows = [(name, licence_of(name)) for name in [*direct, *indirect]]
-    restricted = [row for row in rows if kind_of(row[1]) != PERMISSIVE]
-    others = [row for row in rows if kind_of(row[1]) == PERMISSIVE]
+    direct = list(map(_normalise, list_users_packages()))
+    indirect = [name for name in list_restricted_packages() if name not in direct]
+    rows = [(name, read_licence(name)) for name in [*direct, *indirect]]
+    restricted = [row for row in rows if describe_obligations(row[1]) != PERMISSIVE]
+    others = [row for row in rows if describe_obligations(row[1]) == PERMISSIVE]
     return [
         ("package", "licence", "in short"),
-        *((name, licence, kind_of(licence)) for name, licence in [*restricted, *others]),
+        *(
+            (name, licence, describe_obligations(licence))
+            for name, licence in [*restricted, *others]
+        ),
     ]

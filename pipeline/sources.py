@@ -136,24 +136,24 @@ def identity_of(settings: Settings) -> tuple:
     -------
     sha256 : str
         ``source.sha256`` of :func:`recordings_of`.
-    kind : str
-        Kind of the split, see :class:`pipeline.recordings.splits.Split`.
+    split : str
+        See :attr:`pipeline.recordings.splits.Split.kind`.
 
     Raises
     ------
     UserError
         The source does not exist or cannot be read.
     """
-    kind = settings.split.kind
+    split = settings.split.kind
     if settings.data.source == SIMULATED:
         simulated = SimulatedSource.of(settings)
         how = simulated.describe_reading(settings.skin.rows, settings.skin.columns)
         sha256 = describe_source(simulated.seed, simulated.counts, **how).sha256
-        return sha256, RANDOM if kind == "auto" else kind
+        return sha256, RANDOM if split == "auto" else split
     listing = list_source(settings.data.source)
-    if kind == "auto":
-        kind = PUBLISHED if listing.entries[0].part else RANDOM
-    return find_hash(listing), kind
+    if split == "auto":
+        split = PUBLISHED if listing.entries[0].part else RANDOM
+    return find_hash(listing), split
 
 
 def count_samples(samples_per_digit: int) -> list:

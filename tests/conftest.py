@@ -72,16 +72,19 @@ def pytest_make_parametrize_id(val, argname):
     return argname if isinstance(val, bytes) else None
 
 
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory):
+    """A folder that all processes of this run of the tests have in common."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory):
-    """Neither read nor fill the user's cache."""
-    before = os.environ.get("STMNIST_CACHE")
-    os.environ["STMNIST_CACHE"] = str(tmp_path_factory.mktemp("cache"))
-    yield Path(os.environ["STMNIST_CACHE"])
-    if before is None:
-        del os.environ["STMNIST_CACHE"]
-    else:
-        os.environ["STMNIST_CACHE"] = before
+def own_cache(shared_folder):
+    """Neither read nor fill the user's cache; what one process has simulated, no other does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STMNIST_CACHE", str(shared_folder / "cache"))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -99,24 +102,21 @@ def real_recording(shared_data):
 
 
 @pytest.fixture(scope="session")
-def made_once(tmp_path_factory, own_cache):
+def made_once(tmp_path_factory, shared_folder):
     """``made_once(name, make)``: a folder that ``make(folder)`` fills, once for all processes.
 
-    Each has a copy of its own, and of the recordings in the cache.
+    Each process has a copy of its own.
     """
-    base = tmp_path_factory.getbasetemp()
-    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
     def copy_of(name, make):
-        made, cache = shared / name, shared / f"{name}-cache"  # the last, which tells that all is
-        with open(shared / f"{name}.lock", "w") as lock:
+        made, is_complete = shared_folder / name, shared_folder / f"{name}.complete"
+        with open(shared_folder / f"{name}.lock", "w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            if not cache.exists():
+            if not is_complete.exists():
                 shutil.rmtree(made, ignore_errors=True)
                 made.mkdir()
                 make(made)
-                shutil.copytree(own_cache, made.with_suffix(".copy")).rename(cache)
-        shutil.copytree(cache, own_cache, dirs_exist_ok=True)
+                is_complete.touch()
         return shutil.copytree(made, tmp_path_factory.mktemp("copy") / name)
 
     return copy_of

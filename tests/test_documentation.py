@@ -363,9 +363,9 @@ def test_pictures_show_what_there_is():
 def test_the_page_on_licences_names_every_condition():
     """The table is generated, so that it is compared with the metadata by the test of all parts."""
     page = read(ROOT / "docs" / "licences.md").lower()
-    restricted = licences.restricted_packages()
+    restricted = licences.list_restricted_packages()
     assert {"nengo", "nengo-dl", "nengo-extras"} <= set(restricted)
     assert missing(page, *(f"|{name}|" for name in restricted)) == []
-    assert "gpl" in licences.licence_of("nengo").lower()
+    assert "gpl" in licences.read_licence("nengo").lower()
     faq = read(ROOT / "docs" / "faq.md")
     assert missing(faq, "GPLv2", "non-commercial", "licences.md") == []

@@ -24,11 +24,13 @@ TINY = (
 
 
 @pytest.fixture(scope="module")
-def run_on_events(tmp_path_factory):
+def run_on_events(made_once):
     """A finished run on events, trained badly, but through every stage."""
-    folder = tmp_path_factory.mktemp("runs") / "events"
-    assert call("ladder", folder, *TINY) == 0
-    return folder
+
+    def make(folder):
+        assert call("ladder", folder / "events", *TINY) == 0
+
+    return made_once("on-events", make) / "events"
 
 
 def test_the_ladder_begins_with_what_was_trained(run_on_events):

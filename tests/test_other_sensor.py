@@ -33,8 +33,11 @@ def gesture(kind, rng):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("gestures")
+def run(made_once):
+    return made_once("gestures", make) / "run"
+
+
+def make(folder):
     rng = np.random.default_rng(0)
     members = {f"{name}/{i:02d}.npz": gesture(name, rng) for name in NAMES for i in range(30)}
     archive(folder / "gestures.zip", members)
@@ -45,7 +48,6 @@ def run(tmp_path_factory):
         *("--samples", "20", "--steps", "40"),
     )
     assert status == 0
-    return folder / "run"
 
 
 def test_names_and_sizes_in_the_run(run):

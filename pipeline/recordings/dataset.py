@@ -167,7 +167,9 @@ class Dataset:
         return AlteredImages(self.recordings, self.settings.image, how, self.split.train)
 
 
-def make_dataset_origin(settings: Settings, recordings_sha256: str, kind: str = "random") -> Origin:
+def make_dataset_origin(
+    settings: Settings, recordings_sha256: str, split: str = "random"
+) -> Origin:
     """The origin of recordings and their split.
 
     Parameters
@@ -175,18 +177,18 @@ def make_dataset_origin(settings: Settings, recordings_sha256: str, kind: str = 
     settings : Settings
     recordings_sha256 : str
         Hash of the recordings' content.
-    kind : str
-        Kind of the split, see :class:`pipeline.recordings.splits.Split`.
+    split : str
+        See :attr:`pipeline.recordings.splits.Split.kind`.
     """
     reads = ["seed", "split.kind", "split.validation_fraction", "data.skip_bad", "skin"]
-    if kind != PUBLISHED:
+    if split != PUBLISHED:
         reads.append("split.test_fraction")
     if settings.data.source == SIMULATED:
         reads += ["data.simulation_seed", "data.samples_per_digit"]
         reads += ["data.writers", "data.chunked"]
     else:
         reads += ["data.time_unit", "data.downsample", "data.bin", "data.rise"]
-    contents = {"recordings": recordings_sha256, "split": kind}
+    contents = {"recordings": recordings_sha256, "split": split}
     if settings.data.source != SIMULATED:
         contents["rules of reading files"] = READING
     return Origin.of(settings, reads, contents=contents)
@@ -226,7 +228,7 @@ def split_recordings(recordings: Recordings, settings: Settings) -> Split:
     Raises
     ------
     UserError
-        There are too few recordings, or they do not have what the kind of split needs.
+        There are too few recordings, or they do not have what the split needs.
     """
     shares = settings.split
     try:

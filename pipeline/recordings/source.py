@@ -143,7 +143,7 @@ def list_source(path) -> Listing:
     ------
     UserError
         The source does not exist, is not a zip or a damaged zip, or has no recordings, recordings
-        of several kinds or a folder of validation samples.
+        of several formats or a folder of validation samples.
     """
     path = Path(path)
     files, folders, refused = _members(path)
@@ -185,9 +185,9 @@ def _sort_files(path, files):
 
 def _choose_kind(path, members):
     """The recordings, which have one suffix, and the files that are none, with the reason."""
-    kinds = {member.suffix.lower(): member for member in reversed(members)}
-    kinds = {suffix: kinds[suffix] for suffix in READERS if suffix in kinds}
-    if not kinds:
+    examples = {member.suffix.lower(): member for member in reversed(members)}
+    examples = {suffix: examples[suffix] for suffix in READERS if suffix in examples}
+    if not examples:
         archives = [_shorten(m) for m in members if m.suffix.lower() == ".zip"]
         if archives:
             raise UserError(
@@ -200,12 +200,12 @@ def _choose_kind(path, members):
             f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
             "other files of events, <digit>/*.mat in the ST-MNIST archive"
         )
-    if len(kinds) > 1:
+    if len(examples) > 1:
         raise UserError(
-            f"{path}: holds both {' and '.join(kinds)} files, such as "
-            f"{' and '.join(map(_shorten, kinds.values()))}; keep one kind of recording"
+            f"{path}: holds both {' and '.join(examples)} files, such as "
+            f"{' and '.join(map(_shorten, examples.values()))}; keep one format"
         )
-    (suffix,) = kinds
+    (suffix,) = examples
     recordings = [member for member in members if member.suffix.lower() == suffix]
     if len(recordings) > MAX_FILES:
         raise UserError(
@@ -587,29 +587,29 @@ def reading_lines(path, recordings: Recordings) -> list:
 
 
 def _refusals(path, refused, total, can_skip=True):
-    """A line for each kind of reason: number of files, the first ones, and the reason of the first.
+    """A line for each reason: number of files, the first ones, and the reason of the first.
 
-    If there are several kinds, a line with the remedy precedes them.
+    If there are several, a line with the remedy precedes them.
     """
-    kinds = {}
+    by_reason = {}
     for name, reason in sorted(refused):
-        kinds.setdefault(re.sub(r"'[^']*'|-?[\d.]+", "*", reason), []).append((name, reason))
+        by_reason.setdefault(re.sub(r"'[^']*'|-?[\d.]+", "*", reason), []).append((name, reason))
     lines = []
-    for files in list(kinds.values())[:MAX_LISTED]:
+    for files in list(by_reason.values())[:MAX_LISTED]:
         name, reason = files[0]
         others = [_shorten(other) for other, _ in files[1:3]]
         if len(files) > 3:
             others.append(f"{len(files) - 3} more")
         also = f" (also {', '.join(others)})" if others else ""
         lines.append(f"{len(files)} of {total} files refused: {_shorten(name)}{also} {reason}")
-    if len(kinds) > MAX_LISTED:
-        lines.append(f"and files refused for {len(kinds) - MAX_LISTED} more reasons")
+    if len(by_reason) > MAX_LISTED:
+        lines.append(f"and files refused for {len(by_reason) - MAX_LISTED} more reasons")
     remedy = "correct them" + can_skip * (
         ", or leave them out: --set data.skip_bad=true (of 'adapt' and 'check run' --skip-bad)"
     )
     if len(lines) == 1:
         return [f"{path}: {lines[0]}; {remedy}"]
-    head = f"{len(refused)} of {total} files refused, for {len(kinds)} reasons; {remedy}"
+    head = f"{len(refused)} of {total} files refused, for {len(by_reason)} reasons; {remedy}"
     return [f"{path}: {line}" for line in (head, *lines)]
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from deploy.tables import list_names
 from pipeline.recordings.events import Recordings
 
-# Kinds of splits: over samples, as in the paper; of the source; over writers, of whom none has
-# samples in both sets.
+# How recordings are split: at random, as in the paper; as the source says; by writers, of whom none
+# has samples in both sets.
 RANDOM = "random"
 PUBLISHED = "published"
 WRITERS = "writers"
@@ -67,10 +67,10 @@ class Split:
         return draw_check_samples(self.test, n_samples, 0 if self.kind == PUBLISHED else seed)
 
 
-def resolve_split_kind(kind: str, recordings: Recordings) -> str:
-    """The kind of the split: that of the settings, or for ``"auto"`` the published one if any."""
-    if kind != "auto":
-        return kind
+def resolve_split(requested: str, recordings: Recordings) -> str:
+    """The split to make: the requested one, or for ``"auto"`` the published one if there is one."""
+    if requested != "auto":
+        return requested
     return PUBLISHED if recordings.is_split else RANDOM
 
 
@@ -79,7 +79,7 @@ def split_of(
     seed: int,
     test_fraction: float,
     validation_fraction: float = 0.0,
-    kind: str = RANDOM,
+    requested: str = RANDOM,
 ) -> Split:
     """Split recordings into training, validation and test samples.
 
@@ -89,22 +89,22 @@ def split_of(
     seed : int
     test_fraction, validation_fraction : float
         See :func:`split_at_random`; in splits by writers, validation samples have own writers too.
-    kind : str
-        ``"auto"`` or a kind of split, see :class:`Split`.
+    requested : str
+        Value of ``split.kind``: ``"auto"``, or one of those of :class:`Split`.
 
     Raises
     ------
     ValueError
         There are too few samples, the writers are not known, or the source has no published split.
     """
-    kind = resolve_split_kind(kind, recordings)
-    if kind == WRITERS:
+    resolved = resolve_split(requested, recordings)
+    if resolved == WRITERS:
         split = split_by_writers(recordings.writers, seed, test_fraction)
         if not validation_fraction:
             return split
         inner = split_by_writers(recordings.writers[split.train], seed, validation_fraction)
         return replace(split, train=split.train[inner.train], validation=split.train[inner.test])
-    if kind == PUBLISHED:
+    if resolved == PUBLISHED:
         return split_as_published(recordings.parts, seed, validation_fraction)
     split = split_at_random(len(recordings), seed, test_fraction, validation_fraction)
     return _add_missing_classes(split, recordings.labels)
@@ -153,7 +153,7 @@ def find_classes_without_test(recordings: Recordings, split: Split) -> list:
     return [recordings.sensor.classes[label] for label in missing]
 
 
-def find_split_problem(recordings: Recordings, kind: str = "auto") -> str | None:
+def find_split_problem(recordings: Recordings, requested: str = "auto") -> str | None:
     """Find a class with too few recordings for a training.
 
     A class with one recording can be used for training or for testing, but not for both.  A
@@ -162,15 +162,15 @@ def find_split_problem(recordings: Recordings, kind: str = "auto") -> str | None
     Parameters
     ----------
     recordings : Recordings
-    kind : str
-        Kind of the split.
+    requested : str
+        As in :func:`split_of`.
     """
     classes = recordings.sensor.classes
     labels = recordings.labels
     counts = np.bincount(labels, minlength=len(classes))
     if np.count_nonzero(counts) < 2:
         return "recordings of one class only; at least two are needed"
-    if resolve_split_kind(kind, recordings) != PUBLISHED or not recordings.is_split:
+    if resolve_split(requested, recordings) != PUBLISHED or not recordings.is_split:
         if single := [repr(classes[i]) for i in np.flatnonzero(counts == 1)]:
             return f"only one recording of {list_names(single)}; record more, or remove the folder"
         return None

@@ -49,14 +49,14 @@ def facts_with_events(recordings: Recordings) -> dict:
 def recordings_text(facts: dict, recordings: Recordings) -> str:
     """:func:`facts_with_events` of recordings in a few lines."""
     sensor = recordings.sensor
-    kind = "simulated recordings" if facts["simulated"] else "recordings"
+    what = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
-        kind = "recordings, written by hand on the simulated sensor,"
+        what = "recordings, written by hand on the simulated sensor,"
     of_each = list_names(
         f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
     )
     source = printable(facts["source"])
-    text = f"{facts['samples']} {kind} in {source}; of each class: {of_each}\n"
+    text = f"{facts['samples']} {what} in {source}; of each class: {of_each}\n"
     text += _count_text(facts)
     if sensor != Sensor():
         text += f"\n{reading_text(recordings)}"
@@ -143,11 +143,13 @@ def _read_bins(path, recording, options):
 
 def file_text(name: str, facts: dict) -> str:
     """:func:`facts_of_file` in a line."""
-    kind = " (simulated)" if facts["simulated"] else ""
+    remark = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
-        kind = " (written by hand on the simulated sensor)"
+        remark = " (written by hand on the simulated sensor)"
     polarities = f" ({facts['on']} ON, {facts['off']} OFF)"
-    text = f"{printable(name)}{kind}: {_count_text(facts, polarities)} of {facts['taxels']} taxels"
+    text = (
+        f"{printable(name)}{remark}: {_count_text(facts, polarities)} of {facts['taxels']} taxels"
+    )
     if "sensor" in facts:
         text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
     text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"

@@ -16,7 +16,7 @@ from pipeline.run.folder import run_around
 from pipeline.run.settings import Image, read_settings
 from pipeline.sources import recordings_of
 
-# Maximum number of faulty taxels of a kind.
+# Maximum number of taxels with the same fault.
 MAX_FAULTS = 1000
 
 
@@ -26,7 +26,7 @@ def parse_faults(texts) -> FaultCounts:
     Raises
     ------
     UserError
-        A text is of another form, or a kind of fault is named twice.
+        A text is of another form, or a fault is named twice.
     """
     counts: dict = {}
     for entry in ",".join(texts).split(","):

@@ -166,8 +166,9 @@ def _different_settings(runs):
     if len(contents) > 1 and {*sources} != {SIMULATED}:  # not the same ones in another place
         different.append({"name": "data.source", "values": sources})
     imported = [kind_of_network(run.settings).imported for run in runs]
-    if len({one and one.sha256 for one in imported}) > 1:
-        files = [one.file if one else "training" for one in imported]
+    hashes = {None if network is None else network.sha256 for network in imported}
+    if len(hashes) > 1:
+        files = ["training" if network is None else network.file for network in imported]
         different.append({"name": "network from", "values": files})
     for name in (name for name in names if name not in IMPORT_SETTINGS):
         values = [settings.get(name) for settings in read]
@@ -194,8 +195,6 @@ def compute_inference(run: Run) -> dict:
     result = run.results.get(stage, {})
     counted = result.get("synaptic_operations", {})
     operations = sum(counted.values()) / result["n_samples"] if stage else None
-    early = result.get("while_written", {}).get("by_itself")
-    early = early if early and early["confidence"] < 1 else None  # else it decides at the end
     rows, columns, _ = spec.input_shape
     of_digits = is_written(rows, columns, read_classes(spec))
     per_mac = operations / CNN_MACS if operations is not None and of_digits else None
@@ -213,11 +212,19 @@ def compute_inference(run: Run) -> dict:
         "operations_per_mac": per_mac,
         "steps": spec.presentation.steps,
         "step_ms": 1000 * spec.stimulus.step_seconds,
-        "writing": early
-        and {
-            "share": early["share_of_writing_mean"],
-            **{name: early[name] for name in ("accuracy", "accuracy_ci95")},
-        },
+        "writing": _describe_early_decisions(result),
+    }
+
+
+def _describe_early_decisions(result):
+    """Time and accuracy of early decisions; None if the network decides at the end."""
+    early = result.get("while_written", {}).get("by_itself")
+    if not early or early["confidence"] >= 1:
+        return None
+    return {
+        "share": early["share_of_writing_mean"],
+        "accuracy": early["accuracy"],
+        "accuracy_ci95": early["accuracy_ci95"],
     }
 
 
@@ -225,13 +232,16 @@ def _stage(stage, runs):
     first, *others = runs
     return {
         "stage": stage,
-        "accuracies": [_accuracy(run.results.get(stage)) for run in runs],
+        "accuracies": [_select_accuracy(run.results.get(stage)) for run in runs],
         "differences": [None, *(compare_accuracies(first, run, stage) for run in others)],
     }
 
 
-def _accuracy(result):
-    return result and {name: result[name] for name in ("n_samples", "accuracy", "accuracy_ci95")}
+def _select_accuracy(result):
+    """The accuracy of a check result with its interval; None without a result."""
+    if result is None:
+        return None
+    return {name: result[name] for name in ("n_samples", "accuracy", "accuracy_ci95")}
 
 
 def _right(result):
@@ -382,26 +392,24 @@ def _difference_cells(value):
 
 
 def _inference_lines(runs, letters):
-    def row(head, name, form="{}", find=lambda run: run):
-        values = [find(run) and find(run)[name] for run in runs]
+    def make_row(head, name, form="{}", costs=runs):
+        values = [None if cost is None else cost[name] for cost in costs]
         return [head, *("" if value is None else form.format(value) for value in values)]
 
-    def early(run):
-        return run["writing"]
-
+    early = [run["writing"] for run in runs]
     rows = [
         ["an inference", *letters],
-        row("input", "input"),
-        row("architecture", "architecture"),
-        row("neurons", "neurons"),
-        row("cores", "cores"),
-        row("chips", "chips"),
-        row("counted on", "counted_on"),
-        row("synaptic operations", "synaptic_operations", "{:,.0f}"),
-        row("times the CNN's", "operations_per_mac", "{:.2f}"),
-        row("steps of presentation", "steps"),
-        row("early decision after", "share", "{:.0%} of recording", early),
-        row("its accuracy", "accuracy", "{:.3f}", early),
+        make_row("input", "input"),
+        make_row("architecture", "architecture"),
+        make_row("neurons", "neurons"),
+        make_row("cores", "cores"),
+        make_row("chips", "chips"),
+        make_row("counted on", "counted_on"),
+        make_row("synaptic operations", "synaptic_operations", "{:,.0f}"),
+        make_row("times the CNN's", "operations_per_mac", "{:.2f}"),
+        make_row("steps of presentation", "steps"),
+        make_row("early decision after", "share", "{:.0%} of recording", early),
+        make_row("its accuracy", "accuracy", "{:.3f}", early),
     ]
     lines = _wrap_table([cells for cells in rows if any(cells[1:])])
     if any(run["operations_per_mac"] is not None for run in runs):

@@ -261,13 +261,13 @@ def summarise(points, rows: dict, failed: dict) -> dict:
 def _describe_point(changes, by_stage) -> dict:
     """The entry of a point in the summary, from the rows of its stages."""
     chip = by_stage["fast"]
-    trained = next((row for stage, row in by_stage.items() if stage != "fast"), None)
+    accuracies = [row["accuracy"] for stage, row in by_stage.items() if stage != "fast"]
     right = chip["right"]
     return {
         "changes": changes,
         "accuracy": chip["accuracy"],
         "accuracy_ci95": list(wilson_interval(sum(right), len(right))),
-        "trained_accuracy": trained and trained["accuracy"],
+        "trained_accuracy": accuracies[0] if accuracies else None,
         "n_samples": len(right),
         "simulated": chip["simulated"],
         **chip["costs"],
@@ -283,7 +283,7 @@ def sweep_text(sweep: dict) -> str:
         lines.append(f"failed: {changed}: {point['error']}")
     if not points:
         return "\n".join(lines)
-    kind = "simulated validation samples" if points[0]["simulated"] else "validation samples"
+    what = "simulated validation samples" if points[0]["simulated"] else "validation samples"
     heads = ["accuracy", "95 % interval", "operations", "cores", "presented", "trained"]
     rows = [["", "#", *heads, *sweep["names"]]]
     for number, point in enumerate(points, 1):
@@ -304,7 +304,7 @@ def sweep_text(sweep: dict) -> str:
         )
     return "\n".join(
         [
-            f"{len(points)} points, each on the same {points[0]['n_samples']} {kind}",
+            f"{len(points)} points, each on the same {points[0]['n_samples']} {what}",
             *in_blocks(rows, left=2),
             "* on the Pareto front: no other point is at least as good in accuracy,",
             "operations, cores and steps and better in one of them",

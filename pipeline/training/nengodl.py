@@ -161,8 +161,8 @@ def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray
     return outputs[:, settings.presentation.readout_start :].mean(axis=1).argmax(1)
 
 
-def _convert(settings, weights, kind, synapse):
-    """Convert the network to a kind of neurons; returns converter, input node and output probe."""
+def _convert(settings, weights, neuron_type, synapse):
+    """Convert the network to a type of neurons; returns converter, input node and output probe."""
     snn = settings.snn
     architecture = parse(settings.cnn.architecture)
     gains = {
@@ -177,7 +177,7 @@ def _convert(settings, weights, kind, synapse):
             arrays = quantise_layer(*(tf.constant(weights[n], tf.float32) for n in names), gain)
             weights.update(zip(names, (array.numpy() for array in arrays), strict=True))
     set_weights(model, weights)
-    swap = {tf.nn.relu: kind()}
+    swap = {tf.nn.relu: neuron_type()}
     converter = nengo_dl.Converter(
         model, swap_activations=swap, synapse=synapse, inference_only=True
     )
@@ -186,7 +186,7 @@ def _convert(settings, weights, kind, synapse):
     converter.net.seed = settings.seed
     for index, (name, gain) in enumerate(gains.items()):
         ensemble = converter.layers[model.get_layer(f"{name}_neurons").output].ensemble
-        ensemble.neuron_type = kind(
+        ensemble.neuron_type = neuron_type(
             tau_rc=snn.tau_rc, tau_ref=snn.tau_ref, amplitude=1 / snn.max_rate(index)
         )
         ensemble.gain = np.full(ensemble.n_neurons, gain)

@@ -207,7 +207,9 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
     architecture = parse(settings.cnn.architecture)
     on_chip = snn.is_on_chip
     is_noisy = snn.recipe == "loihi"
-    costs = _spike_costs(settings, architecture) if is_noisy and snn.spike_penalty else None
+    costs = None
+    if is_noisy and snn.spike_penalty:
+        costs = _compute_spike_costs(settings, architecture)
 
     def neurons(index):
         return RateLIF(
@@ -217,7 +219,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
             on_chip=on_chip,
             noise=snn.noise if is_noisy else 0.0,
             dropout=snn.dropout if is_noisy else 0.0,
-            spike_costs=costs and costs[index],
+            spike_costs=None if costs is None else costs[index],
         )
 
     def gain(index):
@@ -231,7 +233,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
     return build_cnn(architecture, neurons, gain if on_chip else None)
 
 
-def _spike_costs(settings, architecture):
+def _compute_spike_costs(settings, architecture):
     """For each layer the penalty for a neuron that fires at ``max_rate`` for `PRICED_STEPS`."""
     synapses = [link.fan_out for link in links_of(architecture)]
     operations = sum(int(layer.sum()) for layer in synapses)

@@ -163,7 +163,7 @@ def test_people_are_fitted_one_by_one(tiny_run, monkeypatch):
     monkeypatch.setattr(adapt, "EACH", (1, 2))
     bundle = read_bundle(tiny_run / "bundle")
     recordings = recordings_of(Settings().with_values({"data": {"samples_per_digit": 60}}))
-    some = recordings.subset(np.arange(0, len(recordings), 3))
+    some = recordings.subset(np.arange(0, len(recordings), 10))
     some = replace(some, writers=np.arange(len(some)) % 2)
     inputs = bundle.checks.inputs, bundle.checks.labels
     spec = bundle.spec

@@ -102,19 +102,25 @@ BAD = {
 
 
 @pytest.fixture(scope="session")
-def files(tmp_path_factory):
+def files(made_once):
     """Folders of files that Keras 2 and Keras 3 wrote, in a process of their own."""
-    folders = {which: tmp_path_factory.mktemp(which) for which in SUFFIXES}
+    folder = made_once("keras-models", write_models)
+    return {which: folder / which for which in SUFFIXES}
+
+
+def write_models(folder):
+    folders = [folder / which for which in SUFFIXES]
+    for each in folders:
+        each.mkdir()
     clean = {k: v for k, v in os.environ.items() if k != "TF_USE_LEGACY_KERAS"}
     done = subprocess.run(
-        [sys.executable, keras_models.__file__, *map(str, folders.values())],
+        [sys.executable, keras_models.__file__, *map(str, folders)],
         env=clean,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    return folders
 
 
 def original_outputs(path, own):

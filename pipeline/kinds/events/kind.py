@@ -289,9 +289,11 @@ def confidence_of(artifact) -> float | None:
     """The confidence for early decisions in a network's record, or None."""
     with reporting_damage(artifact.record, DELETE_IT):
         chosen = artifact.state().record["decides_by_itself"]
-        if chosen is not None and not 0 <= chosen["confidence"] <= 1:
+        if chosen is None:
+            return None
+        if not 0 <= chosen["confidence"] <= 1:
             raise ValueError("a confidence that is not from 0 to 1")
-        return chosen and float(chosen["confidence"])
+        return float(chosen["confidence"])
 
 
 def _decision_text(chosen, samples):

@@ -156,8 +156,8 @@ def _read_dataset(dataset) -> np.ndarray:
         raise BadRecording(f"{dataset.name!r} refers to another file")
     fields = dataset.dtype.names
     dtypes = [dataset.dtype[name] for name in fields] if fields else [dataset.dtype]
-    kinds = {dtype.kind for dtype in dtypes}
-    if not kinds <= set("fiub") or dataset.dtype.itemsize > MAX_EVENT_BYTES:
+    type_codes = {dtype.kind for dtype in dtypes}
+    if not type_codes <= set("fiub") or dataset.dtype.itemsize > MAX_EVENT_BYTES:
         raise BadRecording(f"{dataset.name!r} has other values than numbers")
     if dataset.shape[0] > MAX_EVENTS:
         raise BadRecording(f"has {dataset.shape[0]} events, more than {MAX_EVENTS}")

@@ -219,9 +219,9 @@ def read_variables(content: bytes, fits) -> dict:
 def _read_mat5(content, fits):
     file = io.BytesIO(content)
     names = []
-    for name, shape, kind in scipy.io.whosmat(file):
-        if kind in ITEM_SIZES and fits(name, shape):
-            _refuse_too_large(name, shape, ITEM_SIZES[kind])
+    for name, shape, matlab_class in scipy.io.whosmat(file):
+        if matlab_class in ITEM_SIZES and fits(name, shape):
+            _refuse_too_large(name, shape, ITEM_SIZES[matlab_class])
             names.append(name)
     variables = scipy.io.loadmat(file, variable_names=names)
     return {name: variables[name] for name in names}

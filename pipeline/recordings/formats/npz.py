@@ -87,9 +87,9 @@ def read_array(content: bytes, name: str, max_dimensions: float = 2) -> np.ndarr
             (2, 0): np.lib.format.read_array_header_2_0,
         }[version]
         shape, columns_first, dtype = read_header(data)
-        kinds = {dtype[field].kind for field in dtype.names} if dtype.names else {dtype.kind}
+        type_codes = {dtype[field].kind for field in dtype.names} if dtype.names else {dtype.kind}
         is_too_large = dtype.itemsize > MAX_EVENT_BYTES or len(shape) > max_dimensions
-        if not kinds <= set("fiub") or is_too_large:
+        if not type_codes <= set("fiub") or is_too_large:
             raise BadRecording(f"{name!r} is not a row of numbers")
         return np.frombuffer(data.read(), dtype).reshape(shape, order="F" if columns_first else "C")
     except BadRecording:

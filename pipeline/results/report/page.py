@@ -133,7 +133,7 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         curves=_learning_curves(inputs.histories),
         layers=layers,
         neurons_on_chip=sum(row["neurons"] or 0 for row in layers if row["name"] != "input"),
-        energy=estimate and _energy(estimate),
+        energy=None if estimate is None else _format_energy(estimate),
     )
 
 
@@ -224,7 +224,7 @@ def class_table(inputs: Inputs) -> list:
 
 
 def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list:
-    """Each layer: kind, output shape, weights, neurons, place, activity per sample.
+    """Each layer: operation, output shape, weights, neurons, place, activity per sample.
 
     ``rate`` is in spikes per second and neuron, ``microjoules`` an estimate for the chip;
     values that do not exist are None.
@@ -241,13 +241,13 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
     energy = {layer.layer: layer.chip_joules for layer in estimate.layers} if estimate else {}
     seconds = seconds_per_sample(spec)
 
-    def row(name, kind, shape, weights, neurons):
+    def make_row(name, operation, shape, weights, neurons):
         spikes = result["spikes"].get(name)
         operations = result["synaptic_operations"].get(name)
         used = cores.count(name)
         return {
             "name": name,
-            "kind": kind,
+            "operation": operation,
             "shape": "x".join(map(str, np.atleast_1d(shape))),
             "weights": weights,
             "neurons": neurons,
@@ -258,11 +258,11 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
             "microjoules": 1e6 * energy[name] if name in energy else None,
         }
 
-    rows = [row("input", "input", spec.input_shape, None, int(np.prod(spec.input_shape)))]
+    rows = [make_row("input", "input", spec.input_shape, None, int(np.prod(spec.input_shape)))]
     for layer in spec.layers:
         neurons = layer.size if layer.neurons is not None else None
         rows.append(
-            row(
+            make_row(
                 layer.name,
                 layer.operation.describe(layer),
                 layer.shape,
@@ -488,7 +488,7 @@ def _draw_spikes(layer, step_ms) -> charts.Raster:
     spikes = sum(len(steps) for _, steps, _ in layer.groups)
     return charts.Raster(
         f"{layer.name}: {layer.size} {layer.unit}, {spikes:,} spikes",
-        tuple((kind, (steps + 0.5) * step_ms, rows) for kind, steps, rows in layer.groups),
+        tuple((name, (steps + 0.5) * step_ms, rows) for name, steps, rows in layer.groups),
         layer.size,
     )
 
@@ -518,7 +518,7 @@ def _learning_curves(histories):
     return curves
 
 
-def _energy(estimate):
+def _format_energy(estimate):
     return {
         "loihi": joules_text(estimate.chip_joules),
         "share_of_updates": estimate.share_of_updates,

@@ -51,24 +51,20 @@ class Adam:
     @property
     def state(self) -> dict:
         """All arrays that the next update depends on, by name."""
-        kinds = {
-            "weight": self.values,
-            "mean": self.means,
-            "first": self._first,
-            "second": self._second,
-        }
-        return {
-            f"{kind}.{name}": value
-            for kind, values in kinds.items()
-            for name, value in values.items()
-        }
+        arrays = {}
+        for name in self.values:
+            arrays[f"weight.{name}"] = self.values[name]
+            arrays[f"mean.{name}"] = self.means[name]
+            arrays[f"first.{name}"] = self._first[name]
+            arrays[f"second.{name}"] = self._second[name]
+        return arrays
 
     def update(self, gradients: dict, number: int):
         """Change the values by the gradients of update ``number``, counted from 0."""
         squares = sum(float(np.sum(np.square(each, dtype=float))) for each in gradients.values())
         clip = min(1.0, MAX_GRADIENT_NORM / max(math.sqrt(squares), 1e-12))
         done = number + 1
-        rate = self._rate_of(number) * math.sqrt(1 - BETA_2**done) / (1 - BETA_1**done)
+        rate = self._compute_rate(number) * math.sqrt(1 - BETA_2**done) / (1 - BETA_1**done)
         share = min(self.average, done / (9 + done))
         for name, value in self.values.items():
             gradient = clip * np.asarray(gradients[name], np.float32)
@@ -80,7 +76,7 @@ class Adam:
             value -= (rate * first / (np.sqrt(second) + EPSILON)).astype(np.float32)
             mean += (1 - share) * (value - mean)
 
-    def _rate_of(self, number):
+    def _compute_rate(self, number):
         if number < WARM_UP_UPDATES:
             return self.learning_rate * number / WARM_UP_UPDATES
         share = min((number - WARM_UP_UPDATES) / self.updates, 1.0)

@@ -105,10 +105,10 @@ def test_a_published_split_is_used():
         assert len(split.validation) == 3
         np.testing.assert_array_equal(split.check_samples(2, 9), splits[0].check_samples(2, 1))
     assert len({tuple(split.train) for split in splits}) > 1
-    assert split_of(read, 0, 0.5, kind="random").kind == "random"
-    assert split_of(published("      "), 0, 0.5, kind="auto").kind == "random"
+    assert split_of(read, 0, 0.5, requested="random").kind == "random"
+    assert split_of(published("      "), 0, 0.5, requested="auto").kind == "random"
     with pytest.raises(ValueError, match="train and test"):
-        split_of(published("      "), 0, 0.5, kind="published")
+        split_of(published("      "), 0, 0.5, requested="published")
 
 
 @pytest.mark.parametrize(

@@ -107,16 +107,18 @@ GRID = ("--grid", "presentation.steps=24,40", "--grid", "snn.spike_penalty=0,3")
 
 
 @pytest.fixture(scope="module")
-def tiny_sweep(tmp_path_factory):
+def tiny_sweep(made_once):
     """Four points from three trainings, on a cluster."""
     distributed = pytest.importorskip("distributed")
-    folder = tmp_path_factory.mktemp("sweep") / "out"
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-    ) as cluster:
-        workers = ("--scheduler", cluster.scheduler_address)
-        assert call("sweep", folder, *TINY, *GRID, *workers) == 0
-    return folder
+
+    def make(folder):
+        with distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster:
+            workers = ("--scheduler", cluster.scheduler_address)
+            assert call("sweep", folder / "out", *TINY, *GRID, *workers) == 0
+
+    return made_once("sweep", make) / "out"
 
 
 def test_a_small_sweep(tiny_sweep):
@@ -193,11 +195,11 @@ def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
 def test_a_sweep_that_has_no_point_yet_is_no_run(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sweep, "study", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        call("sweep", tmp_path / "out", "--jobs", 1, *GRID)
+        call("sweep", tmp_path / "out", *TINY, *GRID)
     assert call("train", tmp_path / "out") == 2
     assert "results of a sweep" in capsys.readouterr().err
     monkeypatch.setattr(sweep, "study", lambda *arguments: ([], {}))
-    assert call("sweep", tmp_path / "out", "--jobs", 1, *GRID) == 0
+    assert call("sweep", tmp_path / "out", *TINY, *GRID) == 0
 
 
 def test_a_sweep_on_events(tmp_path, capsys):
@@ -221,7 +223,7 @@ def test_a_sweep_on_events(tmp_path, capsys):
 
 def test_a_sweep_over_the_kind_of_input(tmp_path):
     """Each point has the stages of its own kind of network."""
-    tiny = ("--set", "data.samples_per_digit=30", "--set", "events.epochs=1", "--set")
+    tiny = ("--set", "data.samples_per_digit=40", "--set", "events.epochs=1", "--set")
     tiny += ("cnn.epochs=1", "--set", "snn.epochs=1", "--set", "input.step=500", "--jobs", 1)
     assert call("sweep", tmp_path / "out", *tiny, "--grid", "input.kind=image,events") == 0
     sweep = read_json(tmp_path / "out" / "sweep.json", "")

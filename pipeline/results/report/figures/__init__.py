@@ -27,10 +27,10 @@ def format_of(path: Path) -> str:
     UserError
         The format is not supported.
     """
-    kind = Path(path).suffix.lstrip(".").lower()
-    if kind not in FORMATS:
+    ending = Path(path).suffix.lstrip(".").lower()
+    if ending not in FORMATS:
         raise UserError(f"{path}: not a picture that can be drawn; use .png, .svg or .pdf")
-    return kind
+    return ending
 
 
 def plain(name: str) -> str:

@@ -125,8 +125,8 @@ class _Animation:
         left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
         axes = left.subplots(2, 1, height_ratios=[1.6, 1])
         panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-        kind = "simulated " if self._spec.provenance.get("simulated") else ""
-        title = f"{kind}sample {name}, class {self._classes[self._label]}"
+        remark = "simulated " if self._spec.provenance.get("simulated") else ""
+        title = f"{remark}sample {name}, class {self._classes[self._label]}"
         right.suptitle(title, ha="center")
         return axes, panels
 
@@ -166,9 +166,9 @@ class _Animation:
             axes.set(ylim=(layer.size - 0.5, -0.5), xlim=(0, self.extent_ms), yticks=[])
             title = f"{layer.name}\n{layer.size} {layer.unit}"
             axes.set_ylabel(title, rotation=0, ha="right", va="center")
-            for kind, steps, rows in layer.groups:
-                name = "ink" if kind == "s1" else kind
-                tall = {"markersize": max(1, 60 / layer.size), "label": NAMES.get(kind)}
+            for group, steps, rows in layer.groups:
+                name = "ink" if group == "s1" else group
+                tall = {"markersize": max(1, 60 / layer.size), "label": NAMES.get(group)}
                 line = axes.plot([], [], "|", color=colour(name), **tall)[0]
                 marks.append((line, self._step_ms * (steps + 0.5), rows))
             if len(layer.groups) > 1:
