@@ -28,6 +28,7 @@ from pipeline.recordings import formats
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.source import read_source
 from pipeline.run.settings import Settings
+from tests.conformance import assert_format_conforms
 from tests.deploy.networks import bundle_at, small_spec
 
 
@@ -42,12 +43,15 @@ def read_toy(content, name):
 
 def test_a_format(tmp_path, monkeypatch):
     monkeypatch.setitem(formats.READERS, ".toy", read_toy)
+    events = {"x": [0, 2], "y": [0, 1], "t": [0.1, 0.2], "p": [1, -1]}
+    content = json.dumps([[0, 0, 0.1, 1], [2, 1, 0.2, 0]]).encode()
+    assert_format_conforms(".toy", content, events, tmp_path / "conformance")
     for label in ("a", "b"):
         for number in range(4):
-            path = tmp_path / label / f"{number}.toy"
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(json.dumps([[0, 0, 0.1, 1], [2, 1, 0.2, 0]]))
-    recordings = read_source(tmp_path, jobs=1)
+            path = tmp_path / "own" / label / f"{number}.toy"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    recordings = read_source(tmp_path / "own", jobs=1)
     assert (recordings.sensor.rows, recordings.sensor.columns) == (2, 3)
     assert len(recordings) == 8
     assert recordings[0].polarity.tolist() == [1, -1]

@@ -451,8 +451,8 @@ def is_handwriting(recordings: Recordings) -> bool:
     source = recordings.source
     sensor = recordings.sensor
     is_simulated = source.simulated and are_digits(sensor.classes)
-    is_matrix = not source.time_unit and not source.bin_ms
-    is_st_mnist = is_written(sensor.rows, sensor.columns, sensor.classes) and is_matrix
+    is_numbered = not source.time_unit and not source.bin_ms
+    is_st_mnist = is_written(sensor.rows, sensor.columns, sensor.classes) and is_numbered
     return bool(source.written or is_simulated or is_st_mnist)
 
 

@@ -30,7 +30,7 @@ GIVE_SIZE = "--set skin.rows=... --set skin.columns=..."
 # What each layout of a file is called; see EventRecording.layout.
 LAYOUT_NAMES = {
     "events": "a list of events",
-    "matrix": "a spiketrain",
+    "numbered": "a spiketrain",
     "bins": "an array of counts",
 }
 
@@ -113,8 +113,8 @@ class Interpretation:
     def make_sensor(self, classes) -> Sensor:
         """The sensor, with ST-MNIST's classes and duration if the recordings are of its format."""
         is_full = len(self.taxels) == N_TAXELS and self.rows == self.columns == GRID
-        is_matrix = not self.time_unit and not self.bin_ms
-        if is_full and set(classes) <= set(DIGITS) and is_matrix:
+        is_numbered = not self.time_unit and not self.bin_ms
+        if is_full and set(classes) <= set(DIGITS) and is_numbered:
             return Sensor(self.rows, self.columns)
         latest_ns = max((int(events.time_ns[-1]) for events in self.events), default=0)
         latest_ns = max(latest_ns, round(self.duration_s * 1e9))

@@ -13,7 +13,7 @@ a recording can be is read.
 
 import io
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -27,6 +27,7 @@ from pipeline.recordings.formats.recording import (
     MAX_TAXELS,
     BadRecording,
     EventRecording,
+    make_numbered_recording,
     parse_writer,
 )
 
@@ -109,17 +110,14 @@ def read_mat(content: bytes, name: str = "") -> EventRecording:
     """:func:`read_recording` for any number of taxels, as an :class:`EventRecording`."""
     recording = read_recording(content, n_taxels=None)
     events = recording.events
-    return EventRecording(
-        x=events.taxel.astype(np.int64),
-        y=np.zeros(len(events), np.int64),
-        time=events.time_ns,
-        polarity=events.polarity,
-        unit="ns",
+    numbered = make_numbered_recording(
+        events.taxel, events.time_ns, events.polarity, recording.n_taxels, events.columns
+    )
+    return replace(
+        numbered,
         simulated=recording.simulated,
         writer=recording.writer,
         written=recording.written,
-        n_taxels=recording.n_taxels,
-        columns=events.columns,
     )
 
 

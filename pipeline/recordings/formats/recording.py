@@ -31,7 +31,7 @@ _NAME_WITH_UNIT = re.compile(r"(.+?)(?:[\s_]*[\[(]|[\s_]+)([mun\u00b5\u03bc]?s)[
 # What to write where the polarity is missing.
 NO_POLARITY = (
     "add the polarity p: 1 for ON, the pressure rises, and 0 for OFF; 1 everywhere if the sensor "
-    "has one kind of events"
+    "does not tell them apart"
 )
 
 # Events of one recording.
@@ -120,15 +120,19 @@ class EventRecording:
     orders: tuple = ()
     table: np.ndarray | None = None
 
+    def __post_init__(self):
+        if self.layout == "numbered" and self.unit != "ns":
+            raise ValueError("times of a file with numbered taxels must be in nanoseconds")
+
     def __len__(self):
         return len(self.polarity)
 
     @property
     def layout(self) -> str:
-        """``"events"`` with places, or ``"matrix"`` or ``"bins"`` with numbered taxels."""
+        """``"events"`` with places; ``"numbered"`` or ``"bins"`` with numbers of taxels."""
         if self.bins is not None:
             return "bins"
-        return "matrix" if self.n_taxels else "events"
+        return "numbered" if self.n_taxels else "events"
 
     def to_events(self, rows: int, time_ns: np.ndarray) -> Events:
         """The events with taxels numbered as by :meth:`pipeline.recordings.events.TaxelMap.grid`.
@@ -143,9 +147,52 @@ class EventRecording:
         return Events(time_ns, self.y + rows * self.x, self.polarity, columns)
 
     def to_numbered_events(self) -> Events:
-        """The events of a file that numbers its taxels and has times in nanoseconds."""
-        assert self.unit == "ns", "times in another unit need a conversion"
+        """The events of a recording with the layout ``"numbered"``."""
         return self.to_events(1, self.time)
+
+
+def make_numbered_recording(
+    taxel: np.ndarray,
+    time_ns: np.ndarray,
+    polarity: np.ndarray,
+    n_taxels: int,
+    columns: np.ndarray | None = None,
+) -> EventRecording:
+    """Make the recording of a file that numbers its taxels; its events are in order of time.
+
+    Parameters
+    ----------
+    taxel : ndarray of int, shape (n,)
+        Numbers of the taxels, from 0.
+    time_ns : ndarray of int64, shape (n,)
+        Times in nanoseconds, not negative.
+    polarity : ndarray of int8, shape (n,)
+        1 where pressure rises (ON), -1 where it falls (OFF).
+    n_taxels : int
+        Number of taxels of the sensor.
+    columns : ndarray of int, shape (n,), optional
+        See :attr:`EventRecording.columns`.
+
+    Raises
+    ------
+    BadRecording
+        There are no events, they are not in order of time, or a taxel is not one of the sensor's.
+    """
+    if len(taxel) == 0:
+        raise BadRecording("is empty: no events")
+    if taxel.min() < 0 or taxel.max() >= n_taxels:
+        raise BadRecording(f"has a taxel that is not from 0 to {n_taxels - 1}")
+    if time_ns[0] < 0 or (np.diff(time_ns) < 0).any():
+        raise BadRecording("has times that are negative or not in order")
+    return EventRecording(
+        x=taxel.astype(np.int64),
+        y=np.zeros(len(taxel), np.int64),
+        time=time_ns,
+        polarity=polarity,
+        unit="ns",
+        n_taxels=n_taxels,
+        columns=columns,
+    )
 
 
 def make_recording(events) -> EventRecording:

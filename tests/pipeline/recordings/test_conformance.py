@@ -1,0 +1,110 @@
+"""The formats conform, and what checks it finds the usual mistakes of a reader."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.recordings.formats import READERS
+from pipeline.recordings.formats.recording import (
+    BadRecording,
+    make_numbered_recording,
+    make_recording,
+)
+from tests.conformance import assert_format_conforms
+from tests.pipeline.handmade import mat5, npz
+
+EVENTS = {"x": [3, 0, 1], "y": [1, 2, 0], "t": [0.1, 0.25, 0.5], "p": [1, -1, 1]}
+T_MS = [100, 250, 500]
+LINES = "x,y,t_ms,p\n3,1,100,1\n0,2,250,0\n1,0,500,1\n"
+
+# Columns of taxel 2 (rise), 0 (fall) and 1 (rise); the last row has the times.
+SPIKETRAIN = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0], [0.1, 0.25, 0.5]])
+NUMBERED = {"x": [2, 0, 1], "y": [0, 0, 0], "t": [0.1, 0.25, 0.5], "p": [1, -1, 1]}
+
+
+@pytest.mark.parametrize(
+    ("ending", "content", "events"),
+    [
+        (".npz", npz(x=[3, 0, 1], y=[1, 2, 0], t_ms=T_MS, p=[1, 0, 1]), EVENTS),
+        (".csv", LINES.encode(), EVENTS),
+        (".mat", mat5(spiketrain=SPIKETRAIN), NUMBERED),
+    ],
+)
+def test_the_formats_conform(tmp_path, ending, content, events):
+    assert_format_conforms(ending, content, events, tmp_path)
+
+
+CONTENT = json.dumps([EVENTS[name] for name in "xytp"]).encode()
+
+
+def read_well(content, name):
+    try:
+        x, y, t, p = json.loads(content)
+    except ValueError as error:
+        raise BadRecording("is not four lists of numbers") from error
+    return make_recording({"x": x, "y": y, "t_s": t, "p": p})
+
+
+def exchange(found):
+    return replace(found, x=found.y, y=found.x)
+
+
+def raise_key_error(content, name):
+    return read_well(content, name) if content == CONTENT else {}["x"]
+
+
+def alter(change):
+    return lambda content, name: change(read_well(content, name))
+
+
+MISTAKES = {
+    "exchanged": alter(exchange),
+    "from the top": alter(lambda found: replace(found, y=2 - found.y)),
+    "count from 0": alter(lambda found: replace(found, x=found.x + 1)),
+    "reversed": alter(lambda found: replace(found, polarity=-found.polarity)),
+    "factor 0.001": alter(lambda found: replace(found, unit="ms")),
+    "no unit": alter(lambda found: replace(found, unit="")),
+    "order of time": alter(lambda found: replace(found, time=found.time[::-1].copy())),
+    "8-bit integers": alter(lambda found: replace(found, polarity=found.polarity.astype(int))),
+    "another one for the name": lambda content, name: replace(
+        read_well(content, name), x=read_well(content, name).x + ("/" in name)
+    ),
+    "raises KeyError": raise_key_error,
+    "EventRecording": lambda content, name: (content, name),
+}
+
+
+@pytest.mark.parametrize("said", MISTAKES)
+def test_a_mistake_is_named(tmp_path, monkeypatch, said):
+    monkeypatch.setitem(READERS, ".toy", MISTAKES[said])
+    with pytest.raises(AssertionError, match=said):
+        assert_format_conforms(".toy", CONTENT, EVENTS, tmp_path)
+
+
+def test_a_good_reader_conforms(tmp_path, monkeypatch):
+    monkeypatch.setitem(READERS, ".toy", read_well)
+    assert_format_conforms(".toy", CONTENT, EVENTS, tmp_path)
+
+
+def test_an_ending_without_a_reader_is_named(tmp_path):
+    with pytest.raises(AssertionError, match="has no reader"):
+        assert_format_conforms(".none", CONTENT, EVENTS, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("taxels", "times", "fact"),
+    [([], [], "empty"), ([0, 3], [1, 2], "0 to 2"), ([0, 1], [2, 1], "order")],
+)
+def test_numbered_taxels_that_cannot_be(taxels, times, fact):
+    arrays = np.array(taxels, int), np.array(times, np.int64), np.ones(len(taxels), np.int8)
+    with pytest.raises(BadRecording, match=fact):
+        make_numbered_recording(*arrays, n_taxels=3)
+
+
+def test_numbered_taxels_have_times_in_nanoseconds():
+    found = make_numbered_recording(np.array([0]), np.array([5]), np.array([1], np.int8), 3)
+    assert found.layout == "numbered"
+    with pytest.raises(ValueError, match="nanoseconds"):
+        replace(found, unit="s")
