@@ -16,13 +16,25 @@ ROOT = Path(__file__).resolve().parent.parent
 LEAVE_GARBAGE = "import atexit, gc; gc.disable(); atexit.register(gc.freeze)\n"
 
 
+# Verbs with the option --jobs, those of a group with its name.
+WITH_JOBS = ("train", "convert", "ladder", "sweep", "adapt")
+WITH_JOBS += ("data import", "data simulate", "data stats", "data plot")
+
+
 def call(*arguments, main=None) -> int:
-    """Run it in this process and return its exit status; ``capsys`` has what it printed."""
+    """Run it in this process and return its exit status; ``capsys`` has what it printed.
+
+    It starts no other processes unless ``--jobs`` is given: each would import everything anew.
+    """
     if main is None:
         from pipeline.commands.main import main
 
+    words = [str(argument) for argument in arguments]
+    has_jobs = words[:1] and (words[0] in WITH_JOBS or " ".join(words[:2]) in WITH_JOBS)
+    if has_jobs and not {"--jobs", "--scheduler", "--help"} & {*words}:
+        words += ["--jobs", "1"]
     try:
-        main([str(argument) for argument in arguments])
+        main(words)
     except SystemExit as end:
         return int(end.code or 0)
     raise AssertionError("the command ended without an exit status")

@@ -127,7 +127,8 @@ def tiny_run(made_once):
     """A finished run; tests copy it before they change it."""
 
     def make(folder):
-        assert call("ladder", folder / "run", *TINY) == 0, "the small run of the main job failed"
+        made = call("ladder", folder / "run", *TINY, "--jobs", 2)
+        assert made == 0, "the small run of the main job failed"
 
     return made_once("tiny", make) / "run"
 
