@@ -182,7 +182,9 @@ def summarise(people) -> list:
     rows = []
     for each in sorted({person["each"] for person in people}):
         some = [person for person in people if person["each"] == each]
-        table = {name: np.array([person[name] for person in some]) for name in MEASURES}
+        table = {}
+        for name in MEASURES:
+            table[name] = np.array([person[name] for person in some])
         gain = table["after"] - table["before"]
         row = {"each": each, "people": len(some), **{k: float(v.mean()) for k, v in table.items()}}
         error = gain.std(ddof=1) / np.sqrt(len(gain)) if len(gain) > 1 else np.nan
@@ -200,8 +202,8 @@ def cells(found: dict) -> list:
     heads = ["of each digit", "people", "before", "after", "gain, points", "95 % over people"]
     lines = [[*heads, "worst person", "on others", "changed"]]
     for row in found["rows"]:
-        points = (f"{100 * row[key]:+.1f}" for key in ("gain", "worst"))
-        gain, worst = points
+        gain = f"{100 * row['gain']:+.1f}"
+        worst = f"{100 * row['worst']:+.1f}"
         lost = 100 * (row["others_after"] - row["others_before"])
         lines.append(
             [

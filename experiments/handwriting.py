@@ -117,20 +117,18 @@ def _tempo(traces, digits, writers):
     A tablet's points are evenly spaced in time.  A digit's mean speed is therefore its length (in
     heights) divided by their number, independently of the tablet's rate.
     """
-    speed = np.array(
-        [
-            np.log(
-                sum(np.hypot(*np.diff(s, axis=0).T).sum() for s in t.strokes)
-                / sum(len(s) - 1 for s in t.strokes)
-            )
-            for t in traces
-        ]
-    )
+    speed = np.array([_measure_log_speed(trace) for trace in traces])
     for digit in range(DIGITS):
         speed[digits == digit] -= speed[digits == digit].mean()
     means = {w: speed[writers == w].mean() for w in np.unique(writers)}
     left = speed - np.array([means[w] for w in writers])
     return float(np.std(list(means.values()), ddof=1)), float(left.std())
+
+
+def _measure_log_speed(trace):
+    """Logarithm of the mean distance between points of the same stroke."""
+    length = sum(np.hypot(*np.diff(stroke, axis=0).T).sum() for stroke in trace.strokes)
+    return np.log(length / sum(len(stroke) - 1 for stroke in trace.strokes))
 
 
 def _ways_of(traces, seed, most):
@@ -156,7 +154,8 @@ def _ways_of(traces, seed, most):
 
 def _points_of(traces, count):
     """Number of positions of each stroke: proportional to its share of the time, at least four."""
-    shares = np.mean([[len(s) - 1 for s in t.strokes] for t in traces], axis=0)
+    steps = np.array([len(stroke) - 1 for trace in traces for stroke in trace.strokes])
+    shares = np.mean(steps.reshape(len(traces), count), axis=0)
     points = np.maximum(np.floor(shares / shares.sum() * POINTS), 4).astype(int)
     points[points.argmax()] += POINTS - points.sum()
     return tuple(int(n) for n in points)

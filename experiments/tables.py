@@ -81,8 +81,9 @@ def _compare_rows(ones, others):
         return None
     pairs = [(ones[seed], others[seed]) for seed in seeds]
     differences = [float(np.subtract(*_common(*pair)).mean()) for pair in pairs]
-    shares = [_mean([one for one, _ in pairs], size) for size in ("n_train", "n_test")]
-    found = estimate(differences, *shares, pairs[0][0]["split"])
+    shared = [one for one, _ in pairs]
+    sizes = [_mean(shared, name) for name in ("n_train", "n_test")]
+    found = estimate(differences, *sizes, pairs[0][0]["split"])
     if len(pairs) == 1:
         found["p"] = mcnemar(*_common(*pairs[0]))
     agree = [np.mean(np.equal(*_common(*pair, "predictions"))) for pair in pairs]
@@ -91,9 +92,13 @@ def _compare_rows(ones, others):
 
 def _common(one, other, what="right"):
     """An entry of two rows for each sample that both have."""
-    values = [dict(zip(row["samples"], row[what], strict=True)) for row in (one, other)]
-    shared = sorted(values[0].keys() & values[1].keys())
-    return [np.array([of[sample] for sample in shared]) for of in values]
+    ours = dict(zip(one["samples"], one[what], strict=True))
+    theirs = dict(zip(other["samples"], other[what], strict=True))
+    shared = sorted(ours.keys() & theirs.keys())
+    return [
+        np.array([ours[sample] for sample in shared]),
+        np.array([theirs[sample] for sample in shared]),
+    ]
 
 
 def estimate(values, n_train: float, n_test: float, split: str = "random") -> dict:

@@ -18,10 +18,10 @@ from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.shape_model import fit_in_box
 
 # Characters that are read of a file; a thousand writers take a tenth of it.
-MOST_TEXT = 1 << 26
+MAX_CHARACTERS = 1 << 26
 
 # Largest coordinate; all integers up to it are exact.
-LARGEST = 2**53
+MAX_COORDINATE = 2**53
 
 _COMPONENTS = re.compile(r"(\d+)(?:-(\d+))?")
 _SEGMENT = re.compile(r'\.SEGMENT\s+\S+\s+(\S+)\s+\S+\s+"(.*)"')
@@ -46,78 +46,106 @@ def read(path) -> tuple:
     path = Path(path)
     reporting = reporting_os_errors(path, "cannot read", "give a UNIPEN file")
     with reporting, open_regular(path, "r", encoding="utf-8", errors="replace") as file:
-        lines = file.read(MOST_TEXT).splitlines()
-    traces = []
-    segment = None
-    strokes = []
-    pen_down = False
-    begin, x_y = 1, (0, 1)  # line of the segment, places of x and y
-
-    def finish():
-        if segment is None:
-            return
-        label, writer, n_strokes = segment
-        if re.fullmatch("[0-9]", label) and n_strokes != len(strokes):
-            raise UserError(
-                f"{path}: line {begin}: the strokes below it are not those that the segment names; "
-                "give a UNIPEN file in which each digit's strokes follow its .SEGMENT"
-            )
-        if (trace := _trace(label, writer, strokes)) is not None:
-            traces.append(trace)
-
+        lines = file.read(MAX_CHARACTERS).splitlines()
+    reader = _Reader(path)
     for number, line in enumerate(lines, 1):
-        if line.startswith("."):
-            keyword = line.split()[0]
-            if keyword == ".SEGMENT":
-                finish()
-                match = _SEGMENT.match(line)
-                segment = (match[2], -1, _strokes_of(match[1])) if match else None
-                begin = number
-                strokes = []
-            elif keyword == ".COMMENT" and segment is not None and not strokes:
-                segment = segment[0], _writer(line, segment[0]), segment[2]
-            elif keyword == ".COORD":
-                names = line.split()[1:]
-                if not {"X", "Y"} <= set(names):
-                    raise UserError(
-                        f"{path}: line {number}: no X and Y in {line.strip()[:40]!r}; give a "
-                        "UNIPEN file whose points have both"
-                    )
-                x_y = names.index("X"), names.index("Y")
-            elif keyword == ".PEN_DOWN":
-                strokes.append([])
-            pen_down = keyword == ".PEN_DOWN"
-        elif pen_down and line.strip():
-            try:
-                values = line.split(maxsplit=max(x_y) + 1)
-                right, up = (float(values[place]) for place in x_y)
-                if not (abs(right) <= LARGEST and abs(up) <= LARGEST):  # NaN is not
-                    raise ValueError
-            except (ValueError, IndexError):
-                raise UserError(
-                    f"{path}: line {number} is not a point (x y): {line.strip()[:40]!r}; "
-                    "give a UNIPEN file with points in plain numbers"
-                ) from None
-            strokes[-1].append((-up, right))
-    finish()
-    if not traces:
+        reader.read_line(number, line)
+    reader.finish_segment()
+    if not reader.traces:
         raise UserError(f"{path}: no segment labelled with a digit; give a UNIPEN file of digits")
-    return tuple(traces)
+    return tuple(reader.traces)
 
 
-def _strokes_of(components):
+class _Reader:
+    """What was read so far of a file, and the segment that is being read."""
+
+    def __init__(self, path):
+        self.path = path
+        self.traces = []
+        self._segment = None  # label, writer and number of strokes
+        self._begin = 1  # line of the segment
+        self._strokes = []
+        self._pen_is_down = False
+        self._places = (0, 1)  # of x and y in a line
+
+    def read_line(self, number, line):
+        if line.startswith("."):
+            self._read_keyword(number, line)
+        elif self._pen_is_down and line.strip():
+            self._strokes[-1].append(self._read_point(number, line))
+
+    def finish_segment(self):
+        """Add the digit of the segment, if it is one."""
+        if self._segment is None:
+            return
+        label, writer, n_strokes = self._segment
+        if re.fullmatch("[0-9]", label) and n_strokes != len(self._strokes):
+            raise UserError(
+                f"{self.path}: line {self._begin}: the strokes below it are not those that the "
+                "segment names; give a UNIPEN file in which each digit's strokes follow its "
+                ".SEGMENT"
+            )
+        trace = _make_trace(label, writer, self._strokes)
+        if trace is not None:
+            self.traces.append(trace)
+
+    def _read_keyword(self, number, line):
+        keyword = line.split()[0]
+        if keyword == ".SEGMENT":
+            self._begin_segment(number, line)
+        elif keyword == ".COMMENT" and self._segment is not None and not self._strokes:
+            label, _, n_strokes = self._segment
+            self._segment = label, _find_writer(line, label), n_strokes
+        elif keyword == ".COORD":
+            self._places = self._find_places(number, line)
+        elif keyword == ".PEN_DOWN":
+            self._strokes.append([])
+        self._pen_is_down = keyword == ".PEN_DOWN"
+
+    def _begin_segment(self, number, line):
+        self.finish_segment()
+        match = _SEGMENT.match(line)
+        self._segment = (match[2], -1, _count_strokes(match[1])) if match else None
+        self._begin = number
+        self._strokes = []
+
+    def _find_places(self, number, line):
+        names = line.split()[1:]
+        if not {"X", "Y"} <= set(names):
+            raise UserError(
+                f"{self.path}: line {number}: no X and Y in {line.strip()[:40]!r}; give a "
+                "UNIPEN file whose points have both"
+            )
+        return names.index("X"), names.index("Y")
+
+    def _read_point(self, number, line):
+        """The point (down, right) of a line."""
+        try:
+            values = line.split(maxsplit=max(self._places) + 1)
+            right, up = (float(values[place]) for place in self._places)
+            if not (abs(right) <= MAX_COORDINATE and abs(up) <= MAX_COORDINATE):  # NaN is not
+                raise ValueError
+        except (ValueError, IndexError):
+            raise UserError(
+                f"{self.path}: line {number} is not a point (x y): {line.strip()[:40]!r}; "
+                "give a UNIPEN file with points in plain numbers"
+            ) from None
+        return -up, right
+
+
+def _count_strokes(components):
     """Number of the components in ``3`` or ``3-5``; None for another form."""
     match = _COMPONENTS.fullmatch(components)
     return int(match[2] or match[1]) - int(match[1]) + 1 if match else None
 
 
-def _writer(comment, label):
+def _find_writer(comment, label):
     """Pen-Based Recognition of Handwritten Digits notes digit, writer and number."""
     match = re.fullmatch(r"\.COMMENT\s+(\d)\s+(\d+)\s+\d+\s*", comment)
     return int(match[2]) - 1 if match and match[1] == label else -1
 
 
-def _trace(label, writer, strokes):
+def _make_trace(label, writer, strokes):
     strokes = [np.array(stroke) for stroke in strokes if len(stroke) > 1]
     if not re.fullmatch("[0-9]", label) or not strokes:
         return None

@@ -122,13 +122,16 @@ def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
         name: _section(name, {**entries, **fit["sections"].get(name, {})})
         for name, entries in assumed.items()
     }
-    forms = [{key: _freeze(value) for key, value in form.items()} for form in fit["digits"]]
     return Parameters(
         **sections,
-        forms=tuple(Form(**form) for form in forms),
+        forms=tuple(map(_make_form, fit["digits"])),
         shapes=shape_model.load().join(shapes, 1 - sections["writers"].tablet),
         people=people,
     )
+
+
+def _make_form(values):
+    return Form(**{key: _freeze(value) for key, value in values.items()})
 
 
 def _section(name, values):

@@ -133,7 +133,7 @@ class ShapeModel:
     @functools.cached_property
     def cumulative_shares(self) -> tuple:
         """For each digit the cumulative sums of the shares of its allographs."""
-        return tuple(np.cumsum([way.share for way in ways]) for ways in self.allographs)
+        return tuple(map(_accumulate_shares, self.allographs))
 
     def arrays(self) -> dict:
         """The parameters as arrays, for a file; the inverse of :meth:`from_arrays`."""
@@ -149,12 +149,12 @@ class ShapeModel:
     @classmethod
     def from_arrays(cls, arrays: dict) -> ShapeModel:
         """The model of :meth:`arrays`."""
-        ways = tuple(
-            _unpack({part: arrays[f"{digit}.{part}"] for part in PARTS}) for digit in range(DIGITS)
-        )
+        ways = []
+        for digit in range(DIGITS):
+            ways.append(_unpack({part: arrays[f"{digit}.{part}"] for part in PARTS}))
         tempo, trial_tempo = arrays["tempo"].astype(float).tolist()
         return cls(
-            allographs=ways,
+            allographs=tuple(ways),
             loyalty=tuple(arrays["loyalty"].astype(float).tolist()),
             tempo=tempo,
             trial_tempo=trial_tempo,
@@ -179,14 +179,9 @@ class ShapeModel:
 
     def vary(self, factor: float) -> ShapeModel:
         """The model with another factor on all deviations from the means."""
-        allographs = tuple(
-            tuple(
-                replace(way, between=factor * way.between, within=factor * way.within)
-                for way in ways
-            )
-            for ways in self.allographs
+        return replace(
+            self, allographs=tuple(_scale_deviations(ways, factor) for ways in self.allographs)
         )
-        return replace(self, allographs=allographs)
 
     def fingerprint(self) -> str:
         """Hexadecimal SHA-256 over the parameters as they are stored."""
@@ -195,6 +190,16 @@ class ShapeModel:
             if name != "about":
                 digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+
+def _accumulate_shares(ways):
+    return np.cumsum([way.share for way in ways])
+
+
+def _scale_deviations(ways, factor):
+    return tuple(
+        replace(way, between=factor * way.between, within=factor * way.within) for way in ways
+    )
 
 
 def scale_shares(ways, total: float) -> tuple:

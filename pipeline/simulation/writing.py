@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.recordings.events import Events
+from pipeline.recordings.events import Events, join_events
 from pipeline.simulation import aces, contact
 from pipeline.simulation.contact import Receptors
 from pipeline.simulation.handwriting import NOBODY, compute_contact_force
@@ -115,10 +115,8 @@ class Writing:
     @property
     def events(self) -> Events:
         """All events so far."""
-        names = ("time_ns", "taxel", "polarity", "columns")
         if len(self._parts) > 1:
-            joined = (np.concatenate([getattr(p, name) for p in self._parts]) for name in names)
-            self._parts = [Events(*joined)]
+            self._parts = [join_events(self._parts)]
         return self._parts[0] if self._parts else Events(*(np.empty(0),) * 4)
 
     def point(self, point: PenPoint):
