@@ -1,4 +1,4 @@
-"""The gain of fitting a network to a person nobody trained on, over real pen trajectories.
+"""Measure the gain of fitting a network to a new person, with real pen trajectories.
 
 The people of a UNIPEN file are divided into folds.  For each fold the model of handwriting is
 estimated from all other people, a network is trained on recordings simulated with it, and the

@@ -1,4 +1,4 @@
-"""The fit of the simulation to real recordings, in the representation in which they are published.
+"""Fit the simulation to real recordings in their published representation.
 
 The published arrays keep the order of events and not their time (:mod:`experiments.fidelity`), so
 nothing that depends on time alone is fitted.

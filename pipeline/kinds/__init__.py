@@ -1,4 +1,4 @@
-"""Kinds: all that depends on the kind of network, each in one module; see :mod:`.kind`.
+"""The kinds of networks, a folder each; :mod:`.kind` says what depends on the kind.
 
 :func:`prepare_dataset` chooses the settings that the user has left open, for the recordings.  The
 defaults are the paper's: its network, 200 samples, two seconds.  If recordings of another sensor

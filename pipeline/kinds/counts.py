@@ -1,4 +1,4 @@
-"""The simplest classifier of every kind: multinomial logistic regression on event counts.
+"""The baseline of every ladder: multinomial logistic regression on event counts.
 
 Its features are the square roots of the numbers of events of each taxel and polarity in a few
 equal slices of time, standardised on the training samples.  The number of slices and the strength

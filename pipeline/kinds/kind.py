@@ -1,8 +1,8 @@
-"""What the kinds have in common.
+"""The interface that each kind of network implements.
 
-A *kind* is all that depends on the kind of network: the artifacts from which its bundle is made,
-the deployed network, the reference stages of the ladder, and the settings that are chosen for the
-recordings.  Nothing outside of this package asks what kind of network a run has.
+A kind determines the artifacts from which the bundle is made, the deployed network, the reference
+stages of the ladder, and the settings that are chosen for the recordings.  No module outside of
+this package depends on the kind of a run's network.
 """
 
 from typing import ClassVar
@@ -28,7 +28,7 @@ from pipeline.run.settings import Choice, Settings
 
 
 class NetworkKind:
-    """What depends on the kind of network; a subclass is a kind.
+    """Base class of the kinds of networks.
 
     Parameters
     ----------
@@ -39,15 +39,16 @@ class NetworkKind:
     name: ClassVar[str]
     # The :class:`Reference` stages of the ladder by their names, in order.
     references: ClassVar[dict] = {}
-    # Name of the step from which the bundle is made.
+    # Name of the step whose artifact the bundle is made from.
     deployed: ClassVar[str]
-    # The reference stage whose network becomes the bundle; later losses are caused by conversion.
+    # The reference stage of the network that becomes the bundle.  Conversion causes the losses from
+    # this stage on.
     deployed_stage: ClassVar[str]
-    # Settings of the deployed network that the bundle depends on, besides the presentation.
+    # Settings that the bundle depends on, besides those of presentation and check.
     placement: ClassVar[tuple] = ()
-    # Section of the settings that has its architecture; empty if the network has its own.
+    # Section of the settings with the architecture; empty if the user's file determines it.
     section: ClassVar[str] = ""
-    # Channels of its input.
+    # Number of channels of the input.
     channels: ClassVar[int]
     # What to try if the network is less accurate than ``counts``.
     remedy: ClassVar[str] = "the other --input, a wider architecture or more epochs"
@@ -64,7 +65,7 @@ class NetworkKind:
 
     @property
     def architecture(self) -> str:
-        """The architecture of the network in the notation; empty if it has its own."""
+        """The architecture in the paper's notation; empty if the user's file determines it."""
         return getattr(self.settings, self.section).architecture if self.section else ""
 
     @property

@@ -1,4 +1,4 @@
-"""Compare a network from elsewhere on images of this run and on images normalised otherwise."""
+"""Compare an imported network on the images of a run and on images with other normalisations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What recordings are: their numbers, sizes and durations, and the paper's Table 1 for them."""
+"""Statistics of recordings: numbers, sizes, durations, and the values of the paper's Table 1."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The signal of each taxel under a moving pen (contact, film, gain, vibration, noise), its events.
+"""The signal of each taxel under a moving pen (contact, film, gain, vibration, noise).
 
 :func:`press` computes the pressure of a complete recording at once, :func:`spread_force` that of a
 pen that is being used.  :class:`Creep` and :func:`add_vibration` follow in both cases.

@@ -1,4 +1,4 @@
-"""Run networks and targets on the samples of a bundle."""
+"""Check networks and targets on the samples of a bundle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.run.folder import RunFolder
 from pipeline.stages.opening import OpenedRun
 
-# The samples of a check on those of the bundle.
+# What the record of a check says of its samples if they are those in the bundle.
 OWN_SAMPLES = "the bundle's"
 
 
@@ -29,9 +29,8 @@ def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
     Parameters
     ----------
     opened : OpenedRun
-        Of a run.
     bundle : Bundle
-        The run's own bundle, or that with other recordings of it.
+        The run's bundle, or one with other samples of its recordings.
     stage : str
         One of the kind's reference stages, or a target.
     """
@@ -73,7 +72,7 @@ def _check_reference(opened, bundle, stage) -> dict:
 def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> list:
     """Run :func:`check_stage` for several stages: targets in processes, networks in this process.
 
-    Processes share single streams, not targets, so that no core is idle during the last target.
+    A job of a process is one stream and not a whole target, so that no core is idle at the end.
 
     Parameters
     ----------
@@ -164,7 +163,7 @@ def _run_all_streams(work):
 
 
 def _check_artifact_of(opened, bundle, stage):
-    """The artifact of a check's result; one that is damaged is refused and not replaced."""
+    """The artifact of a check result.  A damaged result is an error, and it is not replaced."""
     stages = (*opened.kind.references, *TARGETS)
     if stage not in stages:
         raise UserError(f"no stage or target {stage!r}; they are {', '.join(stages)}")
@@ -178,10 +177,10 @@ def _check_artifact_of(opened, bundle, stage):
 def check_artifact(
     run: RunFolder, stage: str, kind: NetworkKind, dataset: Origin, bundle_id: str
 ) -> Artifact:
-    """The result of a stage on a bundle's samples.
+    """The check result of a stage as an artifact.
 
-    It depends on the bundle, which may have been copied to another machine; the result of a network
-    from which the bundle is not made depends on that network too.
+    It depends on the bundle by its id, since a bundle may have been copied to another machine.  The
+    result of a network that the bundle is not made from also depends on that network.
     """
     contents = {"bundle": bundle_id, "target": stage, "samples": OWN_SAMPLES}
     if stage in kind.references and stage not in kind.deployed_stages:

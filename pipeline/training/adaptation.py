@@ -1,4 +1,4 @@
-"""A bundle whose readout is fitted to one person, while it stays accurate for other people.
+"""Fit the readout of a bundle to one person, while it stays accurate for other people.
 
 With x the responses at the input of the readout, W its weights and p = softmax(W x), the change D
 of the weights minimises

@@ -1,4 +1,4 @@
-"""A NIR graph as the network of a run: its settings, its copy, what it must fit."""
+"""Import a NIR graph as the network of a run: its settings, a copy of it, and requirements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading what a run has, for its report."""
+"""Read the artifacts of a run for its report."""
 
 from pathlib import Path
 

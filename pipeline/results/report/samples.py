@@ -1,4 +1,4 @@
-"""Some samples of a check again, with every spike and the probabilities at each step."""
+"""Replay some samples of a check, with every spike and the probabilities at each step."""
 
 from collections import Counter
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A training epoch by epoch, whose state is stored after each."""
+"""Train epoch by epoch, and store the state after each epoch."""
 
 from __future__ import annotations
 
