@@ -95,7 +95,7 @@ def make_tactile_images(recordings: Recordings, image: Image | None = None) -> n
 
 
 def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
-    """As :func:`tactile_images`, of some recordings.
+    """As :func:`make_tactile_images`, of some recordings.
 
     Parameters
     ----------
