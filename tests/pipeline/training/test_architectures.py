@@ -165,7 +165,7 @@ def test_training_with_strides_pooling_and_dense_layers():
 def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
     """A network that was made without a run has what a run's has to read other recordings."""
     image = {"aggregation": "on", "normalisation": "sqrt-max", "duration": 500.0}
-    chosen = settings_of("10x10-4c3s3-10o", steps=20).with_values(
+    chosen = settings_of("10x10-4c3s3-10o", steps=20, readout_start=4).with_values(
         {"data": {"source": "simulated", "samples_per_digit": 4}, "image": image}
     )
     dataset, weights = load_dataset(chosen), random_weights("10x10-4c3s3-10o")

@@ -129,7 +129,7 @@ def test_eight_bits():
 @pytest.mark.parametrize("each", [1, 2, 7])
 def test_folds_share_out_every_class(each):
     labels = np.repeat(np.arange(10), each)
-    folds = adaptation._folds(labels, 0)
+    folds = adaptation._draw_folds(labels, 0)
     assert folds.max() + 1 == 5
     assert set(np.bincount(folds)) <= {2 * each, 2 * each + 1, 2 * each - 1}
     for label in range(10):
