@@ -103,7 +103,7 @@ def settings() -> str:
         for row in rows:
             default = json.dumps(row["default"], ensure_ascii=False)
             # A heading of its own, so that a search of the site finds a setting by its name.
-            lines.append(f"\n### `{row['name']}`\n\nBy default `{default}`.  {row['meaning']}")
+            lines.append(f"\n### `{row['name']}`\n\nDefault: `{default}`\n\n{row['meaning']}")
     return "\n".join(lines)
 
 
