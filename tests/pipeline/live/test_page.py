@@ -468,6 +468,20 @@ def test_the_page_is_sure_only_of_what_has_ended_within_the_times_of_the_trainin
     assert (view["text"], view["confidence"], view["open"]) == (text, confidence, is_open)
 
 
+def test_a_message_covers_neither_the_title_nor_what_is_pressed(browser, server):
+    with page_of(browser, server, viewport={"width": 1280, "height": 800}) as page:
+        page.evaluate("document.querySelector('#problem').hidden = false")
+        page.evaluate(
+            "document.querySelector('#problem-text').textContent = 'a message '.repeat(12)"
+        )
+        message = page.locator("#problem").bounding_box()
+        for name in ("#title", "#skin", "#undo", "#writer", "#decision"):
+            box = page.locator(name).bounding_box()
+            is_beside = box["x"] + box["width"] <= message["x"]
+            is_above = box["y"] + box["height"] <= message["y"]
+            assert is_beside or is_above, name
+
+
 def test_all_buttons_of_digits_are_whole_on_a_phone(browser, server):
     with page_of(browser, server, viewport={"width": 390, "height": 844}) as page:
         for label in range(10):
