@@ -14,7 +14,7 @@ from .errors import CheckFailed, UserError, line_of, one_line
 from .preflight.plan import make_plan, plan_text
 from .progress import ProgressLines
 from .targets.board import nxsdk_version
-from .targets.registry import TARGETS, list_options, options_for
+from .targets.registry import TARGETS, list_options, select_options
 from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 
 
@@ -89,7 +89,7 @@ def _add_target_options(parser):
 
 def _check(options):
     values = {name: getattr(options, name) for name in list_options()}
-    chosen = options_for(options.target, **values)
+    chosen = select_options(options.target, **values)
     bundle = read_bundle(options.bundle)
     out = options.out or result_beside(options.bundle, options.target)
     total = len(bundle.checks)

@@ -38,7 +38,7 @@ import numpy as np
 
 from models.architecture import parse
 from models.keras.keras2 import quiet_compiler, tf
-from models.spiking import scan, weighted_sums
+from models.spiking import compute_weighted_sums, scan
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.steps import make_spike_frames
@@ -156,7 +156,9 @@ class SlayerNetwork:
             if not layer.has_neurons:
                 signal = _pool(signal, layer.size)
             else:
-                layers.append(fire(weighted_sums(layer, next(kernels), signal), self.recipe))
+                layers.append(
+                    fire(compute_weighted_sums(layer, next(kernels), signal), self.recipe)
+                )
                 signal = layers[-1][1]
         return layers
 

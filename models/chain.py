@@ -7,7 +7,7 @@ makes the deployed network of any of them:
 =======================================  =========================================================
 :func:`from_rates`                       a network trained on images with rate-based neurons
 :func:`models.integers.from_integers`    a network trained on events in the chip's integers
-:func:`models.nir.chain.from_nir`        a NIR graph; :func:`models.integers.in_integers` rounds it
+:func:`models.nir.chain.from_nir`        a NIR graph; :func:`models.integers.round_chain` rounds it
 =======================================  =========================================================
 
 A user's Keras model becomes an architecture and weights (:mod:`models.keras.reader`), from which
@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deploy.network.geometry import pooled_shape
+from deploy.network.geometry import compute_pooled_shape
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import Stimulus
 from models.architecture import Architecture
@@ -54,18 +54,19 @@ class Link:
     operation : Operation
         The linear map.
     input_shape : tuple of int
-        (rows, columns, channels), or (values,), before averaging.
+        (rows, columns, channels), or (values,), before pooling.
     weights : ndarray, shape (rows, columns, channels in, filters) or (sections * inputs, units)
-        Of sums over averages; for neurons in units of their threshold.
+        Weights of the values after average pooling, in the order of the trained kernel; for neurons
+        in units of their threshold.
     bias : ndarray, shape (filters,) or (units,)
-    neuron : Neurons, Decays or None
+    neurons : Neurons, Decays or None
         Neurons as they are deployed, in seconds; neurons by what remains after a step, before they
         are rounded to integers; None for a linear readout on the host.
-    tau_syn : float or None
+    synapse : float or None
         Time constant in seconds of the low-pass on the input; None for none.
     pool : int
-        Side length of the windows that are averaged before the map; 1 for none.
-    loop : ndarray, shape (units, units), or None
+        Side length of the windows of the average pooling before the weights; 1 for none.
+    recurrent : ndarray, shape (units, units), or None
         Weights of a dense link's own spikes, by sending and receiving unit; they arrive with the
         input of the next step.
     sources : tuple of str
@@ -79,10 +80,10 @@ class Link:
     input_shape: tuple
     weights: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
-    neuron: Neurons | Decays | None = None
-    tau_syn: float | None = None
+    neurons: Neurons | Decays | None = None
+    synapse: float | None = None
     pool: int = 1
-    loop: np.ndarray | None = field(default=None, repr=False)
+    recurrent: np.ndarray | None = field(default=None, repr=False)
     sources: tuple = ()
     starts: tuple = (0,)
 
@@ -93,8 +94,8 @@ class Link:
     @property
     def decays(self) -> Decays:
         """Its neurons, of a link whose neurons are not rounded to integers yet."""
-        assert isinstance(self.neuron, Decays), f"{self}: has no decays"
-        return self.neuron
+        assert isinstance(self.neurons, Decays), f"{self}: has no decays"
+        return self.neurons
 
     @property
     def kind(self) -> str:
@@ -118,11 +119,15 @@ class Link:
 
     @property
     def read_shape(self) -> tuple:
-        """Shape of the values that the weights read: of the input, after averaging."""
-        return self.input_shape if self.pool == 1 else pooled_shape(self.input_shape, self.pool)
+        """Shape of the values that the weights read: of the input, after pooling."""
+        return (
+            self.input_shape
+            if self.pool == 1
+            else compute_pooled_shape(self.input_shape, self.pool)
+        )
 
 
-def links_of(architecture: Architecture, weights: dict | None = None) -> tuple:
+def make_links(architecture: Architecture, weights: dict | None = None) -> tuple:
     """The links of an architecture, as yet without neurons.
 
     Parameters
@@ -202,18 +207,18 @@ def from_rates(
     -------
     tuple of Link
     """
-    from models.cnn import gain_for  # imports TensorFlow
+    from models.cnn import find_gain  # imports TensorFlow
     from models.quantised import quantise_bias, quantise_weights
 
     def spiking(link, rate, weights, bias):
-        neuron = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)
-        return replace(link, weights=weights, bias=bias, neuron=neuron, tau_syn=synapse or None)
+        neurons = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)
+        return replace(link, weights=weights, bias=bias, neurons=neurons, synapse=synapse or None)
 
-    *hidden, output = links_of(architecture, weights)
+    *hidden, output = make_links(architecture, weights)
     chain = []
     for index, link in enumerate(hidden):
         rate = snn.max_rate(index)
-        gain = gain_for(rate, snn.tau_rc, snn.tau_ref)
+        gain = find_gain(rate, snn.tau_rc, snn.tau_ref)
         kernel = gain * link.weights
         bias = 1 + gain * link.bias
         if snn.is_on_chip:
@@ -231,7 +236,7 @@ def from_rates(
         threshold = np.percentile(logits.max(axis=1), OUTPUT_THRESHOLD_PERCENTILE)
         full = np.percentile(right, 99)
         rate = OUTPUT_RATE_SHARE / snn.tau_ref
-        gain = gain_for(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
+        gain = find_gain(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
         bias = 1 + gain * (output.bias - threshold)
         output = spiking(output, rate, gain * output.weights, bias)
     return (*chain, output)
@@ -249,7 +254,7 @@ def build_network_spec(
     Parameters
     ----------
     chain : sequence of Link
-        Neurons are in seconds; see :func:`models.integers.in_integers` for others.
+        Neurons are in seconds; see :func:`models.integers.round_chain` for others.
     stimulus : Stimulus
     presentation : Presentation
     provenance : dict, optional
@@ -258,7 +263,7 @@ def build_network_spec(
         Confidence estimator of the outputs.
     """
     return NetworkSpec(
-        architecture=notation(chain),
+        architecture=write_notation(chain),
         input_shape=chain[0].input_shape,
         stimulus=stimulus,
         layers=tuple(_deploy(link) for link in chain),
@@ -271,29 +276,26 @@ def build_network_spec(
 def _deploy(link: Link) -> Layer:
     """The layer of a link.
 
-    A link is a step of training, in the order of axes of TensorFlow and with its operation as an
-    object.  A layer is what a bundle stores, in the order of Nengo and with plain values.
+    A link and a layer have the same names.  The arrays of a link have the order of axes of training
+    in TensorFlow, and those of a layer the order of Nengo; a link's operation has its training,
+    too.
     """
-    assert not isinstance(link.neuron, Decays), f"{link}: its neurons are not integers yet"
+    assert not isinstance(link.neurons, Decays), f"{link}: its neurons are not integers yet"
     return Layer(
         name=link.name,
-        kind=link.kind,
+        operation=link.operation.to_layer_operation(link.shape),
         input_shape=link.input_shape,
-        shape=link.shape,
-        placement="host" if link.neuron is None else "chip",
-        neurons=link.neuron,
-        synapse=link.tau_syn,
-        block_shape=None,
+        neurons=link.neurons,
+        synapse=link.synapse,
         weights=link.operation.to_deployed(link.weights, len(link.starts)),
         bias=link.bias,
         pool=link.pool,
         starts=link.starts,
-        recurrent=None if link.loop is None else link.loop.T,
-        **link.operation.layer_attributes(),
+        recurrent=None if link.recurrent is None else link.recurrent.T,
     )
 
 
-def notation(chain) -> str:
+def write_notation(chain) -> str:
     """A chain in the notation of architectures, such as ``10x10x2-12c4s2-64-10o``."""
     return str(Architecture(chain[0].input_shape, tuple(_list_operations(chain))))
 

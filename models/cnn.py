@@ -30,13 +30,13 @@ from models.keras.keras2 import as_written, tf
 MIN_EXCESS = 1e-12
 
 
-def on_chip_time_constants(tau_rc: float, tau_ref: float, chip: Chip = LOIHI):
+def round_time_constants(tau_rc: float, tau_ref: float, chip: Chip = LOIHI):
     """Time constants in seconds on a chip: a rounded decay, a refractory period in whole steps."""
     decay = np.round(-np.expm1(-chip.dt / tau_rc) * chip.decay_levels) / chip.decay_levels
     return -chip.dt / np.log1p(-decay), chip.dt * np.round(tau_ref / chip.dt)
 
 
-def gain_for(max_rate: float, tau_rc: float, tau_ref: float) -> float:
+def find_gain(max_rate: float, tau_rc: float, tau_ref: float) -> float:
     """Gain for which z = 1 makes a neuron fire at ``max_rate`` spikes per second.
 
     Raises
@@ -64,7 +64,7 @@ class RateLIF(tf.keras.layers.Layer):
         Use the mean rate on Loihi, with rounded intervals and time constants.
     noise : float
         Standard deviation of the normal noise added to z in training, outside of this layer: see
-        :func:`with_noise`.
+        :func:`call_with_noise`.
     dropout : float
         Share of the neurons that are left out in training, in the same way.
     spike_costs : ndarray, shape of one sample, optional
@@ -93,7 +93,7 @@ class RateLIF(tf.keras.layers.Layer):
     ):
         super().__init__(**kwargs)
         self.max_rate = max_rate
-        self.gain = gain_for(max_rate, tau_rc, tau_ref)
+        self.gain = find_gain(max_rate, tau_rc, tau_ref)
         self.noise = noise
         self.dropout = dropout
         self.spike_costs = spike_costs
@@ -101,7 +101,7 @@ class RateLIF(tf.keras.layers.Layer):
         self.tau_rc = tau_rc
         self.shortest_interval = tau_ref
         if on_chip:
-            self.tau_rc, refractory = on_chip_time_constants(tau_rc, tau_ref)
+            self.tau_rc, refractory = round_time_constants(tau_rc, tau_ref)
             self.shortest_interval = refractory + LOIHI.dt / 2
 
     def call(self, inputs, training=None):
@@ -235,15 +235,15 @@ def set_weights(model: tf.keras.Model, weights: dict):
         variable.assign(weights[name])
 
 
-def relu(noise: float = 0.0, dropout: float = 0.0) -> tf.keras.layers.Layer:
-    """A layer of ReLUs with the noise and the dropout of :func:`with_noise`."""
+def make_relu(noise: float = 0.0, dropout: float = 0.0) -> tf.keras.layers.Layer:
+    """A layer of ReLUs with the noise and the dropout of :func:`call_with_noise`."""
     layer = tf.keras.layers.ReLU()
     layer.noise = noise
     layer.dropout = dropout
     return layer
 
 
-def with_noise(model: tf.keras.Model, images, noise, masks=()):
+def call_with_noise(model: tf.keras.Model, images, noise, masks=()):
     """Call the network in training mode, with noise on the input of its neurons, and dropout.
 
     Parameters
@@ -252,18 +252,19 @@ def with_noise(model: tf.keras.Model, images, noise, masks=()):
         From :func:`build_cnn`.
     images : tensor, shape (n_samples, rows, columns, channels)
     noise : sequence of tensors
-        One for each layer of :func:`noisy_layers`, shape (n_samples, \\*shape of its input); it
-        is added.
+        One for each layer of :func:`list_noisy_layers`, shape (n_samples, \\*shape of its input);
+        it is added.
     masks : sequence of tensors
-        One for each layer of :func:`dropped_layers`, of the same shape; the output is multiplied.
+        One for each layer of :func:`list_dropped_layers`, of the same shape; the output is
+        multiplied.
 
     Returns
     -------
     tensor, shape (n_samples, outputs)
         Logits.
     """
-    added = dict(zip(noisy_layers(model), noise, strict=True))
-    dropped = dict(zip(dropped_layers(model), masks, strict=True))
+    added = dict(zip(list_noisy_layers(model), noise, strict=True))
+    dropped = dict(zip(list_dropped_layers(model), masks, strict=True))
     signal = images
     for layer in model.layers[1:]:  # the first is the input layer
         if layer in added:
@@ -274,12 +275,12 @@ def with_noise(model: tf.keras.Model, images, noise, masks=()):
     return signal
 
 
-def noisy_layers(model: tf.keras.Model) -> list:
+def list_noisy_layers(model: tf.keras.Model) -> list:
     """The activation layers whose input is noisy during training."""
     return [layer for layer in model.layers if getattr(layer, "noise", 0)]
 
 
-def dropped_layers(model: tf.keras.Model) -> list:
+def list_dropped_layers(model: tf.keras.Model) -> list:
     """The activation layers whose output has dropout during training."""
     return [layer for layer in model.layers if getattr(layer, "dropout", 0)]
 
@@ -289,7 +290,7 @@ def predict(model: tf.keras.Model, images) -> np.ndarray:
     return np.concatenate([model(batch, training=False) for batch in _batches(images)])
 
 
-def activations(model: tf.keras.Model, images) -> dict:
+def compute_activations(model: tf.keras.Model, images) -> dict:
     """Outputs of the neurons of each layer, by the layer's name.
 
     Returns

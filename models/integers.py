@@ -1,8 +1,9 @@
 """Layers of neurons in Loihi's integers.
 
-The equations of the chip's step are in :mod:`models.spiking`; the rounding is that of NengoLoihi
-1.1, ``builder/discretize.py``.  Networks on events are trained in integers; the links of other
-networks whose neurons are given by :class:`models.chain.Decays` are rounded by :func:`in_integers`.
+The equations of the chip's step are in :mod:`deploy.network.reference`; the rounding is that of
+NengoLoihi 1.1, ``builder/discretize.py``.  Networks on events are trained in integers; the links of
+other networks whose neurons are given by :class:`models.chain.Decays` are rounded by
+:func:`round_chain`.
 """
 
 import itertools
@@ -13,12 +14,11 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI, Chip
+from deploy.network.geometry import sum_squares
+from deploy.network.reference import NeuronEquations
 from deploy.network.spec import Neurons
 from models.architecture import Architecture
-from models.chain import Link, links_of
-
-# Largest magnitude of an 8-bit weight that may have either sign.
-WEIGHT_LEVELS = LOIHI.weight_levels
+from models.chain import Link, make_links
 
 # Increase of q by a weight of 1: at exponent 0 NengoLoihi's weights are even, shifted by 6.
 WEIGHT_UNIT = 128
@@ -67,7 +67,7 @@ class Integers:
         Remaining share of current and voltage after a step, in 4096ths.
     exponent : int
         0 or less: a weight of 1 adds ``WEIGHT_UNIT`` times 2 to this power.
-    loop : ndarray of int32, shape (units, units), or None
+    recurrent : ndarray of int32, shape (units, units), or None
         Weights of the layer's own spikes of the step before.
     """
 
@@ -78,10 +78,10 @@ class Integers:
     keep_u: int
     keep_v: int
     exponent: int = 0
-    loop: np.ndarray | None = None
+    recurrent: np.ndarray | None = None
 
 
-def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
+def set_integers(link: Link, layer: Integers, height: float = 1.0) -> Link:
     """The link with parameters from which NengoLoihi derives these integers.
 
     NengoLoihi makes decays of 12 bits from the time constants.  It scales a block's weights so that
@@ -113,16 +113,16 @@ def on_loihi(link: Link, layer: Integers, height: float = 1.0) -> Link:
     sum_v = _sum_of_decays(layer.keep_v)
     share_u = (decay_u + 1) / (DECAY_UNIT - 1)
     share_v = decay_v / (DECAY_UNIT - 1)
-    per_unit = 255 / WEIGHT_LEVELS * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
+    per_unit = 255 / LOIHI.weight_levels * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
     tau_rc = float(-dt / np.log1p(-share_v))
     per_unit *= 2.0**layer.exponent
     return replace(
         link,
         weights=layer.weights * per_unit * (link.pool**2 / height),
-        loop=None if layer.loop is None else layer.loop * per_unit,
+        recurrent=None if layer.recurrent is None else layer.recurrent * per_unit,
         bias=layer.bias * (sum_v / layer.threshold),
-        neuron=Neurons(dt, tau_rc, 0.0, layer.floor / layer.threshold),
-        tau_syn=None if share_u == 1 else float(-dt / np.log1p(-share_u)),
+        neurons=Neurons(dt, tau_rc, 0.0, layer.floor / layer.threshold),
+        synapse=None if share_u == 1 else float(-dt / np.log1p(-share_u)),
     )
 
 
@@ -159,17 +159,17 @@ def from_integers(
     -------
     tuple of Link
     """
-    *hidden, output = links_of(architecture)
+    *hidden, output = make_links(architecture)
     # On the chip, the relay and each layer of neurons take a step.
     arrive = (0, *(first + len(hidden) + 1 for first in starts[1:]))
     output = replace(output, weights=weights["output.kernel"].astype(float), starts=arrive)
-    return (*(on_loihi(link, integers[link.name]) for link in hidden), output)
+    return (*(set_integers(link, integers[link.name]) for link in hidden), output)
 
 
 # --- simulation -----------------------------------------------------------------------------------
 
 
-def currents(link: Link, weights, spikes) -> np.ndarray:
+def compute_currents(link: Link, weights, spikes) -> np.ndarray:
     """Input currents W s at each step.
 
     Parameters
@@ -183,7 +183,10 @@ def currents(link: Link, weights, spikes) -> np.ndarray:
     -------
     ndarray, shape (n_samples, steps, neurons)
     """
-    return link.operation.currents(link, weights, spikes)
+    operation = link.operation
+    sums = sum_squares(np.reshape(spikes, (-1, *link.input_shape)), link.pool)
+    sums = operation.compute_sums(operation.to_deployed(weights), sums)
+    return sums.reshape(*spikes.shape[:2], -1)
 
 
 def simulate_spikes(
@@ -207,42 +210,32 @@ def simulate_spikes(
         In the same step as the input; on the chip, one step later for each layer.
     """
     spikes = np.asarray(spikes, float)
+    bias = link.bias if integers is None else integers.bias
+    bias = np.tile(bias, link.size // len(bias))
     if integers is None:
-        added = currents(link, link.weights / link.pool**2, spikes)
-        bias = link.bias
-        loop = link.loop
-        keep_u = link.decays.keep_u
-        keep_v = link.decays.keep_v
-        threshold = 1.0
-        floor = -np.inf
+        sums = compute_currents(link, link.weights / link.pool**2, spikes)
+        equations = NeuronEquations(link.decays.keep_u, link.decays.keep_v, bias)
+        recurrent = link.recurrent
     else:
-        added = currents(link, integers.weights.astype(float), spikes)
-        bias = integers.bias
-        unit = WEIGHT_UNIT * 2.0**integers.exponent
-        added = added * unit
-        loop = None if integers.loop is None else integers.loop * unit
-        keep_u = integers.keep_u / chip.decay_unit
-        keep_v = integers.keep_v / chip.decay_unit
-        threshold = integers.threshold
-        floor = integers.floor
-    cut = (lambda x: x) if integers is None else np.trunc
-    bias = np.tile(bias, added.shape[2] // bias.size)
-    u, v = np.zeros((2, len(added), added.shape[2]))
-    result = np.empty(added.shape, bool)
-    for t in range(added.shape[1]):
-        u = cut(u * keep_u) + added[:, t]
-        if loop is not None and t:
-            u = u + result[:, t - 1].astype(float) @ loop
-        v = np.maximum(cut(v * keep_v) + u + bias, floor)
-        result[:, t] = v > threshold
-        v = np.where(result[:, t], 0.0, v)
-    return result
+        sums = compute_currents(link, integers.weights.astype(float), spikes)
+        equations = NeuronEquations(
+            keep_u=integers.keep_u / chip.decay_unit,
+            keep_v=integers.keep_v / chip.decay_unit,
+            bias=bias,
+            threshold=integers.threshold,
+            floor=integers.floor,
+            gain=WEIGHT_UNIT * 2.0**integers.exponent,
+            is_integer=True,
+        )
+        recurrent = integers.recurrent
+    spiked = equations.compute_spikes(np.moveaxis(sums, 1, 0), recurrent)
+    return np.ascontiguousarray(np.moveaxis(spiked, 0, 1))
 
 
 # --- rounding -------------------------------------------------------------------------------------
 
 
-def in_integers(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple:
+def round_chain(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple:
     """A chain whose neurons are given by their decays, with the chip's integers.
 
     Parameters
@@ -265,12 +258,12 @@ def in_integers(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple
     """
     rounded = []
     for index, link in enumerate(chain):
-        if link.neuron is None:
+        if link.neurons is None:
             rounded.append(link)
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(link, weights=link.weights * factor)
-        rounded.append(on_loihi(link, choose_integers(scaled, spikes, chip), factor))
+        rounded.append(set_integers(link, choose_integers(scaled, spikes, chip), factor))
         spikes = simulate_spikes(scaled, spikes)
     return tuple(rounded)
 
@@ -290,7 +283,10 @@ def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
     candidates = []
     ways: list[np.ndarray | None] = [None]
     if math.prod(link.weights.shape[:-1]) <= MAX_COMPENSATED_INPUTS:
-        ways.append(moments_of(link, spikes if link.loop is None else _with_own(spikes, spiked)))
+        inputs = spikes if link.recurrent is None else _append_own(spikes, spiked)
+        moments = measure_moments(link, inputs)
+        if moments is not None:
+            ways.append(moments)
     for clip, moments in itertools.product(CLIPS, ways):
         integers = round_to_integers(link, clip, moments, chip)
         error = simulate_spikes(link, spikes, integers, chip).sum(1, dtype=float) - real_counts
@@ -298,7 +294,7 @@ def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
     return min(candidates, key=lambda entry: entry[:2])[2]
 
 
-def _with_own(spikes, own):
+def _append_own(spikes, own):
     """Inputs of a recurrent link: those from before, then its own spikes of the step before."""
     return np.concatenate([spikes, np.pad(own[:, :-1], ((0, 0), (1, 0), (0, 0)))], 2)
 
@@ -312,7 +308,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     clip : float
         Share of the largest weight that becomes the chip's largest, 127 on Loihi.
     moments : ndarray, shape (inputs, inputs), optional
-        From :func:`moments_of`: the rounding error of a weight is then compensated by the
+        From :func:`measure_moments`: the rounding error of a weight is then compensated by the
         following weights, if their inputs are active together.  The inputs of a recurrent link
         include its own spikes, last.
     chip : Chip
@@ -334,7 +330,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     else:
         weights = _round_with_compensation(real / scale, moments, levels)
     threshold, exponent = _choose_threshold(link, scale, chip)
-    weights, loop = np.split(weights.astype(np.int32), [len(link.weights)])
+    weights, recurrent = np.split(weights.astype(np.int32), [len(link.weights)])
     return Integers(
         weights=weights,
         bias=_round_bias(link.bias * threshold, chip),
@@ -343,7 +339,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
         keep_u=_round_decay(link.decays.keep_u, MIN_KEEP_U, chip),
         keep_v=_round_decay(link.decays.keep_v, MIN_KEEP_V, chip),
         exponent=exponent,
-        loop=None if link.loop is None else loop,
+        recurrent=None if link.recurrent is None else recurrent,
     )
 
 
@@ -356,8 +352,8 @@ def _weights_of_sums(link):
         A weight, bias or decay is infinite.
     """
     real = link.weights / link.pool**2
-    if link.loop is not None:
-        real = np.concatenate([real, link.loop])
+    if link.recurrent is not None:
+        real = np.concatenate([real, link.recurrent])
     parameters = (real, link.bias, link.decays.keep_u, link.decays.keep_v)
     if not all(np.isfinite(values).all() for values in parameters):
         raise UserError(
@@ -436,7 +432,7 @@ def _round_with_compensation(real, moments, levels) -> np.ndarray:
     return remaining[np.argsort(order)].reshape(real.shape)
 
 
-def moments_of(link: Link, spikes) -> np.ndarray:
+def measure_moments(link: Link, spikes) -> np.ndarray | None:
     """Second moments of the inputs' contributions to the voltage, with a small diagonal added.
 
     Parameters
@@ -446,8 +442,8 @@ def moments_of(link: Link, spikes) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (inputs, inputs) or (rows * columns * channels,) twice
-        In the order of the weights.
+    ndarray, shape (inputs of a neuron,) twice, or None
+        In the order of the weights; None if the operation's rounding is not compensated.
     """
     voltages = []
     u = 0.0
@@ -458,10 +454,15 @@ def moments_of(link: Link, spikes) -> np.ndarray:
         if t % MOMENT_INTERVAL_STEPS == 0:
             voltages.append(v)
     values = np.stack(voltages, 1)
-    values = link.operation.windows(link, values)
-    inputs = values.shape[-1]
-    values = values.reshape(-1, inputs)
-    moments = values.T @ values / len(values)
+    values = values.reshape(-1, values.shape[-1])
+    if link.recurrent is None:  # the inputs of others have the link's own spikes at their end
+        values = sum_squares(values.reshape(-1, *link.input_shape), link.pool)
+    read = link.operation.gather_inputs(values)
+    if read is None:
+        return None
+    inputs = read.shape[-1]
+    read = read.reshape(-1, inputs)
+    moments = read.T @ read / len(read)
     return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)
 
 

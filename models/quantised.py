@@ -11,7 +11,7 @@ def straight_through(rounding, values):
     return values + tf.stop_gradient(rounding(values) - values)
 
 
-def weight_scale(weights, chip: Chip = LOIHI):
+def find_weight_scale(weights, chip: Chip = LOIHI):
     """Value of one level of a weight on the chip: a scalar tensor without a gradient.
 
     NengoLoihi scales the weights of a block so that the largest fills its bits
@@ -22,7 +22,7 @@ def weight_scale(weights, chip: Chip = LOIHI):
 
 def quantise_weights(weights, chip: Chip = LOIHI):
     """Round weights to the chip's bits with a common scale; the gradient is straight-through."""
-    scale = weight_scale(weights, chip)
+    scale = find_weight_scale(weights, chip)
     return straight_through(lambda values: tf.round(values / scale) * scale, weights)
 
 
@@ -50,45 +50,3 @@ def quantise_layer(kernel, bias, gain: float, chip: Chip = LOIHI):
     """
     current = quantise_bias(1 + gain * bias, chip)
     return quantise_weights(kernel, chip), (current - 1) / gain
-
-
-class OnChipConv2D(tf.keras.layers.Conv2D):
-    """A ``Conv2D`` with the chip's quantised weights and bias currents.
-
-    Parameters
-    ----------
-    filters, kernel_size : int
-    gain : float
-        See :func:`quantise_layer`.
-    """
-
-    def __init__(self, filters, kernel_size, gain, **kwargs):
-        super().__init__(filters, kernel_size, **kwargs)
-        self.gain = gain
-
-    def call(self, inputs):
-        """Convolve; shapes as in ``Conv2D``."""
-        kernel, bias = quantise_layer(self.kernel, self.bias, self.gain)
-        return tf.nn.bias_add(
-            tf.nn.conv2d(inputs, kernel, strides=self.strides, padding=self.padding.upper()), bias
-        )
-
-
-class OnChipDense(tf.keras.layers.Dense):
-    """A ``Dense`` layer with the chip's quantised weights and bias currents.
-
-    Parameters
-    ----------
-    units : int
-    gain : float
-        See :func:`quantise_layer`.
-    """
-
-    def __init__(self, units, gain, **kwargs):
-        super().__init__(units, **kwargs)
-        self.gain = gain
-
-    def call(self, inputs):
-        """Compute the weighted sums; shapes as in ``Dense``."""
-        kernel, bias = quantise_layer(self.kernel, self.bias, self.gain)
-        return tf.matmul(inputs, kernel) + bias

@@ -57,7 +57,7 @@ from models.integers import (
     Integers,
 )
 from models.keras.keras2 import quiet_compiler, tf
-from models.quantised import straight_through, weight_scale
+from models.quantised import find_weight_scale, straight_through
 
 BIAS_EXPONENTS = 7
 
@@ -222,7 +222,7 @@ class SpikingNetwork(tf.Module):
         layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
         for index, (name, layer, before) in enumerate(layers):
             parameters = self._on_chip(name, values, dtype)
-            current = weighted_sums(layer, parameters["kernel"], signal)
+            current = compute_weighted_sums(layer, parameters["kernel"], signal)
             current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
             parameters = _spread(parameters, current.shape[2])
             spikes.append(fire(current, parameters, self.neuron.beta))
@@ -244,7 +244,7 @@ class SpikingNetwork(tf.Module):
             tf.cast(values[f"{name}.{array}"], dtype)
             for array in ("kernel", "bias", "tau_u", "tau_v")
         )
-        scale = weight_scale(kernel)
+        scale = find_weight_scale(kernel)
         threshold = THRESHOLD_UNIT * tf.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
         threshold = tf.clip_by_value(threshold, THRESHOLD_UNIT, MAX_THRESHOLD)
         keep_u, keep_v = (
@@ -320,7 +320,7 @@ def scan(step, like, state, outputs: int, backwards: bool = False):
     return tuple(a.stack() for a in arrays)
 
 
-def weighted_sums(layer, kernel, signal):
+def compute_weighted_sums(layer, kernel, signal):
     """Weighted sums of a layer's inputs, for all steps of all samples at once.
 
     Parameters
@@ -338,7 +338,7 @@ def weighted_sums(layer, kernel, signal):
     """
     steps = _length(signal, 0)
     samples = _length(signal, 1)
-    sums = layer.sums(kernel, tf.reshape(signal, (-1, *signal.shape[2:])))
+    sums = layer.tensor_sums(kernel, tf.reshape(signal, (-1, *signal.shape[2:])))
     return tf.reshape(sums, (steps, samples, *sums.shape[1:]))
 
 
@@ -347,7 +347,7 @@ def _length(tensor, axis):
     return tf.shape(tensor)[axis] if tensor.shape[axis] is None else tensor.shape[axis]
 
 
-def operations(architecture: Architecture, frames, spikes):
+def count_operations(architecture: Architecture, frames, spikes):
     """Synaptic operations of each sample by the receiving layer; differentiable.
 
     A spike counts once for each synapse that it reaches, as in ``NetworkSpec.synaptic_operations``.

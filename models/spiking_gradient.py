@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from deploy.network.chip import LOIHI
 from models import spiking_kernels as kernels
 from models.architecture import Architecture
 from models.integers import (
@@ -24,7 +25,6 @@ from models.integers import (
     DECAY_UNIT,
     MAX_THRESHOLD,
     THRESHOLD_UNIT,
-    WEIGHT_LEVELS,
     WEIGHT_UNIT,
 )
 from models.spiking import BIAS_CAP, BIAS_EXPONENTS, OUTPUT_SCALE, Neuron
@@ -60,7 +60,7 @@ class ChipLayer(NamedTuple):
     @classmethod
     def of(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
         """The integers of trained variables, as :meth:`models.spiking.SpikingNetwork.integers`."""
-        scale = max(float(np.abs(kernel).max()), 1e-12) / WEIGHT_LEVELS
+        scale = max(float(np.abs(kernel).max()), 1e-12) / LOIHI.weight_levels
         threshold = THRESHOLD_UNIT * np.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
         threshold = float(np.clip(threshold, THRESHOLD_UNIT, MAX_THRESHOLD))
         keep_u, keep_v = (
@@ -73,7 +73,7 @@ class ChipLayer(NamedTuple):
         below = np.floor((np.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
         rest = np.maximum(np.sign(bias) * (below + 1), lowest)
         repeats = neurons // len(bias)
-        weights = np.round(kernel / scale).reshape(-1, kernel.shape[-1])
+        weights = np.round(kernel / scale)
         return cls(
             kernel=(WEIGHT_UNIT * weights).astype(np.float32),
             bias=np.tile(bias, repeats).astype(np.float32),
@@ -151,10 +151,10 @@ class SpikingGradient:
     def on_chip(self, values: dict) -> list:
         """The :class:`ChipLayer` of each layer for values of the variables, by their names."""
         layers = []
-        for name, neurons in zip(self.names, self.neurons, strict=True):
+        for name, neurons, synapses in zip(self.names, self.neurons, self.synapses, strict=True):
             layers.append(
                 ChipLayer.of(
-                    kernel=values[f"{name}.kernel"],
+                    kernel=np.reshape(values[f"{name}.kernel"], (-1, synapses.width)),
                     bias=values[f"{name}.bias"],
                     tau_u=values[f"{name}.tau_u"],
                     tau_v=values[f"{name}.tau_v"],
@@ -262,7 +262,7 @@ class SpikingGradient:
             gain = gains[index - 1] if index else self._ones_of(error, passed.spikes[0])
             to_kernel = np.zeros_like(layer.kernel)
             kernels.add_kernel_gradient(
-                passed.spikes[index], gain, *self.synapses[index], error, to_kernel
+                passed.spikes[index], gain, *self.synapses[index].arrays, error, to_kernel
             )
             gradients |= {
                 f"{name}.kernel": to_kernel,
@@ -286,7 +286,9 @@ class SpikingGradient:
             current = np.empty(shape, np.float32)
             voltage = np.empty(shape, np.float32)
             fired = np.empty(shape, np.uint8)
-            kernels.sum_inputs(spikes[-1], gain, *self.synapses[index], layer.kernel, current)
+            kernels.sum_inputs(
+                spikes[-1], gain, *self.synapses[index].arrays, layer.kernel, current
+            )
             kernels.integrate(
                 current, layer.bias, layer.rest, layer.keep_u, layer.keep_v, layer.threshold,
                 layer.floor, voltage, fired,
@@ -309,7 +311,7 @@ class SpikingGradient:
             return by_row.reshape(samples, steps, inputs)
         to_inputs = np.empty((samples * steps, inputs), np.float32)
         by_row = by_row.reshape(samples * steps, -1, layer.kernel.shape[0])
-        kernels.gather(by_row, *self.synapses[index], to_inputs)
+        kernels.gather(by_row, *self.synapses[index].arrays, to_inputs)
         return to_inputs.reshape(samples, steps, inputs)
 
     def _operations(self, counts):

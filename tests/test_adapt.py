@@ -192,9 +192,7 @@ def test_a_readout_on_the_chip_and_other_classes(tmp_path, run, person, capsys):
     from deploy.network.spec import Neurons
 
     bundle = read_bundle(run / "bundle")
-    readout = replace(
-        bundle.spec.layers[-1], placement="chip", neurons=Neurons(0.001), synapse=0.008
-    )
+    readout = replace(bundle.spec.layers[-1], neurons=Neurons(0.001), synapse=0.008)
     on_chip = replace(bundle.spec, layers=(*bundle.spec.layers[:-1], readout), estimator=None)
     write_bundle(tmp_path / "chip", on_chip, bundle.checks)
     assert call("adapt", tmp_path / "chip", "--data", person) == 2

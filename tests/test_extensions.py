@@ -5,7 +5,6 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-import nengo
 import numpy as np
 import pytest
 
@@ -13,10 +12,10 @@ from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
-from deploy.network.responses import Responses
+from deploy.network.responses import TargetOutput
 from deploy.preflight.plan import make_plan
 from deploy.targets.options import Options, option
-from deploy.targets.registry import TARGETS, Target, list_options, options_for, run_target
+from deploy.targets.registry import TARGETS, Target, list_options, run_target, select_options
 from models import ops
 from models.chain import Decays, Link
 from models.integers import choose_integers, simulate_spikes
@@ -66,10 +65,9 @@ def run_first_class(spec, streams, seed=0, options=None):
     """Predict one class, the first by default, without a network."""
     options = options or FirstOptions()
     for samples in streams:
-        scores = np.zeros((len(samples), spec.layers[-1].size))
-        scores[:, options.label] = 1
-        decisions = np.full((len(samples), spec.presentation.steps), options.label)
-        yield Responses(scores, decisions, {}, {})
+        readout = np.zeros((len(samples), spec.presentation.steps, spec.layers[-1].size))
+        readout[:, :, options.label] = 1
+        yield TargetOutput(readout)
 
 
 def test_a_target(tmp_path, monkeypatch):
@@ -78,11 +76,11 @@ def test_a_target(tmp_path, monkeypatch):
     bundle = bundle_at(tmp_path / "bundle")
     result = run_check(bundle, "first", tmp_path / "first.json")
     assert {sample["prediction"] for sample in result["samples"]} == {0}
-    options = options_for("first", label=2)
+    options = select_options("first", label=2)
     result = run_check(bundle, "first", tmp_path / "second.json", options=options)
     assert {sample["prediction"] for sample in result["samples"]} == {2}
     with pytest.raises(UserError, match="--label is for --target first"):
-        options_for("fast", label=2)
+        select_options("fast", label=2)
     monkeypatch.setitem(TARGETS, "twin", replace(target, name="twin"))
     with pytest.raises(ValueError, match="first and twin: both have --label"):
         list_options()
@@ -133,7 +131,6 @@ def test_a_kind(tmp_path, monkeypatch):
     assert bundle.spec.layers[-1].size == 10
 
 
-@dataclass(frozen=True)
 class DeployedOneToOne(DeployedOperation):
     """A weight for each value."""
 
@@ -145,11 +142,8 @@ class DeployedOneToOne(DeployedOperation):
     def weight_shape(self, read_shape):
         return self.shape(read_shape)
 
-    def fan_out(self, read_shape):
-        return np.ones(read_shape, int)
-
-    def transform(self, layer, chip):
-        return nengo.Dense((layer.size, layer.size), init=np.diag(layer.weights)), None
+    def compute_sums(self, weights, values):
+        return weights * values.reshape(len(values), -1)
 
 
 class OneToOne(ops.Operation, DeployedOneToOne):

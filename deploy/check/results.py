@@ -16,7 +16,7 @@ from ..loading import Limit, WrongValue, between, limited_field, load
 from ..network.decision import share_of_time
 from ..network.loihi_import import nengo_loihi
 from ..network.provenance import read_classes
-from ..network.stimulus import last_steps
+from ..network.stimulus import find_last_steps
 from ..terminal import WARNING
 from .intervals import mcnemar, wilson_interval
 
@@ -41,7 +41,7 @@ def versions() -> dict:
     }
 
 
-def result_of(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
+def make_result(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:
     """Assemble a result from its samples.
 
     Parameters
@@ -123,7 +123,7 @@ def _measure_while_written(bundle, decisions, labels, samples) -> dict:
     spec = bundle.spec
     if spec.stimulus.static:
         return {}
-    written = last_steps(bundle.checks.inputs) + 1
+    written = find_last_steps(bundle.checks.inputs) + 1
     everyone = np.arange(len(labels))
 
     def right_at(steps):
@@ -317,7 +317,7 @@ def compare_results(a: dict, b: dict) -> Comparison:
     Parameters
     ----------
     a, b : dict
-        See :func:`result_of`.
+        See :func:`make_result`.
 
     Raises
     ------

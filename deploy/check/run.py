@@ -16,11 +16,17 @@ from ..files import lock_file, reporting_os_errors, write_json
 from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
-from ..targets.overflow import OverflowWatch, overflow_text
-from ..targets.registry import Target, refuse_unfit, run_target, target_named
+from ..targets.overflow import OverflowWatch, describe_overflows
+from ..targets.registry import (
+    Target,
+    find_target,
+    refuse_unfit,
+    respond_to_streams,
+    run_target,
+)
 from ..terminal import WARNING, remark
 from .bundle import Bundle, CheckSet
-from .results import result_of, versions
+from .results import make_result, versions
 
 
 def _is_seed(value: object) -> bool:
@@ -28,7 +34,7 @@ def _is_seed(value: object) -> bool:
 
 
 @dataclass(frozen=True)
-class _Answer:
+class _SavedSample:
     """A sample in the partial file."""
 
     id: str
@@ -41,13 +47,13 @@ class _Answer:
 
 
 @dataclass(frozen=True)
-class _Record:
-    """A line of the partial file."""
+class _SavedStream:
+    """A line of the partial file: the responses to a stream."""
 
     of: dict
     first: int
     seconds: float
-    samples: List[_Answer]
+    samples: List[_SavedSample]
 
 
 def run_check(
@@ -75,7 +81,7 @@ def run_check(
     advance : callable, optional
         Called with the number of samples done since the last call, including resumed ones.
     options : object, optional
-        Options of the target's own class, see :func:`deploy.targets.registry.options_for`.
+        Options of the target's own class, see :func:`deploy.targets.registry.select_options`.
 
     Returns
     -------
@@ -93,14 +99,14 @@ def run_check(
     if not isinstance(bundle, Bundle):
         kind = type(bundle).__name__
         raise TypeError(f"bundle is a Bundle, not {kind}; read_bundle reads one from its folder")
-    with open_check(bundle, target, out, seed, advance, options) as check:
-        for record in run_streams(check.work(check.left)):
-            check.take(record)
-        return check.finish()
+    with open_check(bundle, target, out, seed, advance, options) as opened:
+        for record in run_streams(opened.make_job(opened.remaining_streams)):
+            opened.add_record(record)
+        return opened.finish()
 
 
 @dataclass(frozen=True)
-class Work:
+class StreamJob:
     """Some streams of a check with all data to run them, also in another process.
 
     Attributes
@@ -108,9 +114,9 @@ class Work:
     spec : NetworkSpec
     streams : tuple of (int, CheckSet)
         Index of each stream's first sample in the check, and its samples.
-    check : dict
-        Identification of the check.
-    saved : Path
+    identity : dict
+        What distinguishes the check from others, see `OpenCheck`.
+    partial : Path
         File to which the responses to each stream are appended.
     options : object or None
         Options of the target.
@@ -118,37 +124,36 @@ class Work:
 
     spec: NetworkSpec
     streams: tuple
-    check: dict
-    saved: Path
+    identity: dict
+    partial: Path
     options: Optional[object]
 
     @property
     def target(self) -> str:
         """The target's name."""
-        return self.check["target"]
+        return self.identity["target"]
 
 
-def run_streams(work: Work) -> Iterator[dict]:
-    """Run streams of a check; save and yield the responses to each.
+def run_streams(job: StreamJob) -> Iterator[dict]:
+    """Run streams of a check; save and yield the record of each.
 
     Raises
     ------
     UserError
         The disk is full, or the network's stimulus cannot present the samples.
     """
-    chosen = {} if work.options is None else {"options": work.options}
-    presented = [work.spec.flatten_samples(checks.inputs) for _, checks in work.streams]
-    run = target_named(work.target).run
+    options = {} if job.options is None else {"options": job.options}
+    samples = [job.spec.flatten_samples(checks.inputs) for _, checks in job.streams]
+    seed = job.identity["seed"]
     watch = OverflowWatch()
     begun = time.perf_counter()
-    for (first, checks), responses in zip(
-        work.streams, watch.during(run(work.spec, presented, work.check["seed"], **chosen))
-    ):
+    by_stream = watch.during(respond_to_streams(job.spec, samples, job.target, seed, **options))
+    for (first, checks), responses in zip(job.streams, by_stream):
         now = time.perf_counter()
         record = {
-            "of": work.check,
+            "of": job.identity,
             "first": first,
-            "samples": records_of(checks, responses),
+            "samples": list_sample_records(checks, responses),
             "seconds": now - begun,
         }
         if responses.notes:
@@ -156,12 +161,16 @@ def run_streams(work: Work) -> Iterator[dict]:
         if watch.numbers:
             record["overflows"] = sorted(watch.numbers)
         begun = now
-        remedy = "free some space and run the same command again: the other streams are saved"
-        reporting = reporting_os_errors(work.saved, "cannot write", remedy)
-        with reporting, open(str(work.saved), "ab", buffering=0) as file:
-            file.write(b"\n" + json.dumps(record).encode())
-            os.fsync(file.fileno())
+        _append_record(job.partial, record)
         yield record
+
+
+def _append_record(partial: Path, record: dict):
+    remedy = "free some space and run the same command again: the other streams are saved"
+    reporting = reporting_os_errors(partial, "cannot write", remedy)
+    with reporting, open(str(partial), "ab", buffering=0) as file:
+        file.write(b"\n" + json.dumps(record).encode())
+        os.fsync(file.fileno())
 
 
 @dataclass
@@ -173,9 +182,9 @@ class OpenCheck:
     bundle : Bundle
     identity : dict
         What distinguishes this check from others: bundle, target, seed, versions and samples.
-    out, saved : Path
-        File of the result, and of the responses to the finished streams.
-    done : dict of int to dict
+    out, partial : Path
+        File of the result, and of the records of the finished streams.
+    records : dict of int to dict
         Records of the finished streams, by their first sample.
     options : object or None
         Options of the target.
@@ -186,66 +195,82 @@ class OpenCheck:
     bundle: Bundle
     identity: dict
     out: Path
-    saved: Path
-    done: Dict[int, dict]
+    partial: Path
+    records: Dict[int, dict]
     options: Optional[object]
     advance: Callable
 
     @property
     def target(self) -> Target:
         """The target."""
-        return target_named(self.identity["target"])
+        return find_target(self.identity["target"])
 
     @property
-    def left(self) -> list:
-        """The remaining streams in order, as slices of the samples."""
-        return [stream for stream in _streams(self.bundle) if stream.start not in self.done]
+    def remaining_streams(self) -> list:
+        """The streams without a record in order, as slices of the samples."""
+        return [stream for stream in _list_streams(self.bundle) if stream.start not in self.records]
 
-    def work(self, streams) -> Work:
+    def make_job(self, streams) -> StreamJob:
         """The data to run some of the remaining streams."""
         samples = tuple((stream.start, self.bundle.checks[stream]) for stream in streams)
         # An absolute path, because another process may have another working directory.
-        return Work(self.bundle.spec, samples, self.identity, self.saved.absolute(), self.options)
+        partial = self.partial.absolute()
+        return StreamJob(self.bundle.spec, samples, self.identity, partial, self.options)
 
-    def take(self, record: dict):
+    def add_record(self, record: dict):
         """Add a record from :func:`run_streams`, in any order."""
-        self.done[record["first"]] = record
+        self.records[record["first"]] = record
         self.advance(len(record["samples"]))
 
     def finish(self) -> dict:
         """Write and return the result, after the last stream."""
         bundle = self.bundle
-        target = self.target
-        seed = self.identity["seed"]
-        records = [self.done[stream.start] for stream in _streams(bundle)]
+        name = self.target.name
+        records = [self.records[stream.start] for stream in _list_streams(bundle)]
         samples = [sample for record in records for sample in record["samples"]]
-        notes = [record["notes"] for record in records if "notes" in record]
-        extra = target.describe(notes) if notes and target.describe else {}
-        if target.hardware:
-            # Without Numba the board's result is written all the same.
-            with contextlib.suppress(UserError):
-                expected = run_target(bundle.spec, bundle.checks.inputs, "fast", seed)
-                assert expected.spike_hashes is not None  # this target gives them
-                extra["samples_unlike_fast"] = sum(
-                    sample.get("spike_hash") != str(spikes)
-                    for sample, spikes in zip(samples, expected.spike_hashes)
-                )
+        extra = self._describe_notes(records)
+        if self.target.hardware:
+            extra.update(self._compare_with_fast(samples))
         overflows = {number for record in records for number in record.get("overflows", ())}
         if overflows:
-            remark(WARNING + overflow_text(bundle.spec, target.name, overflows))
+            remark(WARNING + describe_overflows(bundle.spec, name, overflows))
         seconds = sum(record["seconds"] for record in records)
-        result = result_of(bundle, target.name, seed, samples, seconds, extra)
+        result = make_result(bundle, name, self.identity["seed"], samples, seconds, extra)
         write_json(self.out, result)
         with contextlib.suppress(OSError):
-            self.saved.unlink()
+            self.partial.unlink()
         return result
+
+    def _describe_notes(self, records) -> dict:
+        """Fields of the result that the target makes of the notes of its streams."""
+        notes = [record["notes"] for record in records if "notes" in record]
+        if not notes or self.target.describe is None:
+            return {}
+        return self.target.describe(notes)
+
+    def _compare_with_fast(self, samples) -> dict:
+        """The number of samples whose spikes differ from those of ``fast``.
+
+        Empty without Numba: the board's result is written all the same.
+        """
+        bundle = self.bundle
+        try:
+            expected = run_target(
+                bundle.spec, bundle.checks.inputs, "fast", self.identity["seed"]
+            ).spike_hashes
+        except UserError:
+            return {}
+        assert expected is not None  # this target gives them
+        pairs = zip(samples, expected)
+        differing = sum(sample.get("spike_hash") != str(spikes) for sample, spikes in pairs)
+        return {"samples_unlike_fast": differing}
 
 
 def _ignore(n_samples):
     """Report no progress."""
 
 
-def _streams(bundle):
+def _list_streams(bundle):
     return bundle.spec.presentation.streams(len(bundle.checks))
 
 
@@ -274,7 +299,7 @@ def open_check(
     UserError
         As :func:`run_check`.
     """
-    target_named(target)
+    find_target(target)
     seed = bundle.seed if seed is None else seed
     if not _is_seed(seed):  # a bundle's is not validated
         raise UserError(f"seed {seed}: must be from 0 to {2**31 - 1}")
@@ -283,37 +308,42 @@ def open_check(
     out = Path(out)
     if out.exists() and not out.is_file():  # before the samples are run
         raise UserError(f"{out}: cannot write (not a file); choose another --out")
-    saved = out.with_name("." + out.name + ".partial")
-    check = {"bundle": bundle.id, "target": target, "seed": seed, "versions": versions()}
-    # Other recordings may have been put in the place of the bundle's, also with the same ids.
-    check["samples"] = bundle.checks.sha256
-    taken = f"{out}: another process is writing this result; wait for it or use another --out"
-    with lock_file(saved, taken, "choose another --out") as file:
+    partial = out.with_name("." + out.name + ".partial")
+    identity = {
+        "bundle": bundle.id,
+        "target": target,
+        "seed": seed,
+        "versions": versions(),
+        # Other recordings may have been put in the place of the bundle's, also with the same ids.
+        "samples": bundle.checks.sha256,
+    }
+    is_locked = f"{out}: another process is writing this result; wait for it or use another --out"
+    with lock_file(partial, is_locked, "choose another --out") as file:
         try:
-            done = _resume(file, check, _streams(bundle))
+            records = _read_records(file, identity, _list_streams(bundle))
             advance = advance or _ignore
-            for record in done.values():
+            for record in records.values():
                 advance(len(record["samples"]))
             yield OpenCheck(
                 bundle=bundle,
-                identity=check,
+                identity=identity,
                 out=out,
-                saved=saved,
-                done=done,
+                partial=partial,
+                records=records,
                 options=options,
                 advance=advance,
             )
         finally:
-            if os.path.exists(str(saved)) and not os.path.getsize(str(saved)):
-                os.unlink(str(saved))
+            if os.path.exists(str(partial)) and not os.path.getsize(str(partial)):
+                os.unlink(str(partial))
 
 
-def records_of(checks: CheckSet, responses: Responses) -> list:
-    """The saved fields of each sample."""
-    return [_record_of(checks, responses, index) for index in range(len(checks))]
+def list_sample_records(checks: CheckSet, responses: Responses) -> list:
+    """The fields of each sample in a result, a list of dict."""
+    return [_make_sample_record(checks, responses, index) for index in range(len(checks))]
 
 
-def _record_of(checks, responses, index):
+def _make_sample_record(checks, responses, index):
     record = {
         "id": checks.ids[index],
         "label": int(checks.labels[index]),
@@ -330,27 +360,27 @@ def _record_of(checks, responses, index):
     return record
 
 
-def _resume(file, check, streams):
+def _read_records(file, identity, streams) -> dict:
     """The records of a check in a partial file, by their first sample.
 
-    A damaged line is ignored, and so is a record of another check, such as one with another version
-    of NumPy, which remains for that check until this one is complete.  A file without any record is
-    emptied.
+    A damaged line is ignored.  A record of another check, such as one with another version of
+    NumPy, is ignored, too, and the file keeps it until a check is complete.  A file without any
+    record is emptied.
     """
     lengths = {stream.start: stream.stop - stream.start for stream in streams}
     file.seek(0)
-    done = {}
-    others = False
+    records = {}
+    has_others = False
     for line in file.read().decode("utf-8", "replace").split("\n"):
         try:
             record = json.loads(line)
-            load(_Record, record, extra=True)
+            load(_SavedStream, record, extra=True)
         except (ValueError, RecursionError):  # cut short by an interruption
             continue
-        if record["of"] != check:
-            others = others or record["of"].get("bundle") == check["bundle"]
+        if record["of"] != identity:
+            has_others = has_others or record["of"].get("bundle") == identity["bundle"]
         elif lengths.get(record["first"]) == len(record["samples"]):
-            done[record["first"]] = record
-    if not done and not others:
+            records[record["first"]] = record
+    if not records and not has_others:
         file.truncate(0)
-    return done
+    return records

@@ -13,7 +13,7 @@ def summary(result: dict) -> str:
     Parameters
     ----------
     result : dict
-        See :func:`deploy.check.results.result_of`.
+        See :func:`deploy.check.results.make_result`.
     """
     low, high = result["accuracy_ci95"]
     spikes = ", ".join(

@@ -20,10 +20,10 @@ import numpy as np
 
 from ..arithmetic import ceil_div
 from .chip import LOIHI, Chip
-from .ops.base import input_words, n_blocks, ranges_of
+from .ops.base import count_blocks, count_input_words, list_ranges
 
 
-def block_shapes(layers, chip: Chip = LOIHI) -> Dict[str, Tuple[int, ...]]:
+def choose_blocks(layers, chip: Chip = LOIHI) -> Dict[str, Tuple[int, ...]]:
     """Block of each layer on the chip, by its name; an explicit ``block_shape`` has precedence.
 
     Parameters
@@ -37,7 +37,7 @@ def block_shapes(layers, chip: Chip = LOIHI) -> Dict[str, Tuple[int, ...]]:
     for layer in reversed(layers):
         if layer.placement == "chip":
             after_block = shapes[after.name] if after is not None else None
-            shapes[layer.name] = layer.block_shape or default_block(layer, after, after_block, chip)
+            shapes[layer.name] = layer.block_shape or choose_block(layer, after, after_block, chip)
             after = layer
     return shapes
 
@@ -54,7 +54,7 @@ def find_rescaled_layers(layers) -> List[str]:
     layers : sequence of deploy.network.spec.Layer
         Layers of a network, in order.
     """
-    shapes = block_shapes(layers)
+    shapes = choose_blocks(layers)
     names = []
     for layer in layers:
         if layer.name not in shapes or layer.neurons is None:
@@ -63,13 +63,13 @@ def find_rescaled_layers(layers) -> List[str]:
         largest = sizes.reshape(layer.shape[-1], -1).max(1)
         if layer.recurrent is not None:
             largest = np.maximum(largest, np.abs(layer.recurrent).max(1))
-        ranges = ranges_of(layer.shape[-1], shapes[layer.name][-1])
+        ranges = list_ranges(layer.shape[-1], shapes[layer.name][-1])
         if any(largest[first:last].max() < largest.max() for first, last in ranges):
             names.append(layer.name)
     return names
 
 
-def default_block(layer, after=None, after_block=None, chip: Chip = LOIHI) -> Tuple[int, ...]:
+def choose_block(layer, after=None, after_block=None, chip: Chip = LOIHI) -> Tuple[int, ...]:
     """Choose the block of a layer; see the module's docstring.
 
     Parameters
@@ -91,7 +91,7 @@ def default_block(layer, after=None, after_block=None, chip: Chip = LOIHI) -> Tu
 
 @functools.lru_cache(maxsize=256)
 def _default_block(layer, is_recurrent, after, after_block, chip):
-    """As `default_block`; layers of the same shapes are equal, whether recurrent or not."""
+    """As `choose_block`; layers of the same shapes are equal, whether recurrent or not."""
     limit = chip.limits["compartments"]
     needs = BlockNeeds(layer, chip)
     receiver = after and after.operation.resources(after, chip).receiver(after_block)
@@ -101,7 +101,7 @@ def _default_block(layer, is_recurrent, after, after_block, chip):
     blocks = [block for block in itertools.product(*lengths) if np.prod(block) <= limit]
 
     def cost(block):
-        return needs.input_axons(block), n_blocks(layer.shape, block), block
+        return needs.input_axons(block), count_blocks(layer.shape, block), block
 
     by_cost = sorted(blocks, key=cost)
     for block in by_cost:
@@ -132,7 +132,7 @@ class BlockNeeds:
 
     def input_axons(self, block) -> int:
         """Number of input axons of all blocks of one shape."""
-        recurrent_axons = self.own_axons * n_blocks(self.layer.shape, block)
+        recurrent_axons = self.own_axons * count_blocks(self.layer.shape, block)
         return self.resources.input_axons(block) + recurrent_axons
 
     def count(self, ranges) -> Tuple[int, int]:
@@ -140,7 +140,7 @@ class BlockNeeds:
         axons, words = self.resources.needs(ranges)
         if self.own_axons:
             ((first, last),) = ranges
-            words_of_one = input_words(last - first, self.chip.weight_bits, self.chip)
+            words_of_one = count_input_words(last - first, self.chip.weight_bits, self.chip)
             words += self.own_axons * words_of_one
         return axons + self.own_axons, words
 
@@ -154,14 +154,14 @@ class BlockNeeds:
             From `Resources.receiver` of the next layer.
         """
         limits = self.chip.limits
-        along = [ranges_of(n, length) for n, length in zip(self.layer.shape, block)]
+        along = [list_ranges(n, length) for n, length in zip(self.layer.shape, block)]
         for ranges in itertools.product(*along):
             axons, words = self.count(ranges)
             if axons > limits["input axons"] or words > limits["synapse words"]:
                 return False
             sent = 0 if receiver is None else receiver(ranges)
             if self.own_axons:
-                sent += (ranges[0][1] - ranges[0][0]) * n_blocks(self.layer.shape, block)
+                sent += (ranges[0][1] - ranges[0][0]) * count_blocks(self.layer.shape, block)
             if sent > limits["output axons"]:
                 return False
         return True

@@ -9,7 +9,7 @@ import nengo
 import numpy as np
 from nengo.builder import transforms
 
-from .blocks import block_shapes
+from .blocks import choose_blocks
 from .chip import LOIHI, Chip
 from .loihi_import import nengo_loihi
 from .spec import Layer, NetworkSpec, Neurons
@@ -135,7 +135,7 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
     """
     feed = Feed(spec.presentation, int(np.prod(spec.input_shape)))
     spikes = {}
-    blocks = block_shapes(spec.layers, chip)
+    blocks = choose_blocks(spec.layers, chip)
     with nengo.Network(label=spec.architecture, seed=seed) as network:
         nengo_loihi.add_params(network)
         pixels = nengo.Node(feed, size_out=feed.blank.size, label="pixels")

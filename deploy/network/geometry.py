@@ -33,7 +33,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2
 
 
-def padded_kernel_size(n: int, kernel: int, stride: int, zeros: str) -> int:
+def compute_padded_kernel_size(n: int, kernel: int, stride: int, zeros: str) -> int:
     """Size of a kernel with zeros at its end, whose last window ends with the padded values."""
     count = windows(n, kernel, stride, zeros)[0]
     return n + 2 * int(zeros) - (count - 1) * stride
@@ -48,12 +48,14 @@ def count_windows(n: int, count: int, kernel: int, stride: int, before: int) -> 
     return np.cumsum(steps)[:n]
 
 
-def convolution_shape(input_shape, kernel, filters, stride=1, padding="valid") -> tuple:
+def compute_convolution_shape(input_shape, kernel, filters, stride=1, padding="valid") -> tuple:
     """(rows, columns, channels) of a convolution's output."""
     return (*(windows(n, kernel, stride, padding)[0] for n in input_shape[:2]), filters)
 
 
-def convolution_fan_out(input_shape, kernel, filters, stride=1, padding="valid") -> np.ndarray:
+def count_convolution_fan_out(
+    input_shape, kernel, filters, stride=1, padding="valid"
+) -> np.ndarray:
     """Synapses that leave each input of a convolution, int64, of shape ``input_shape``."""
     reach = []
     for n in input_shape[:2]:
@@ -63,10 +65,31 @@ def convolution_fan_out(input_shape, kernel, filters, stride=1, padding="valid")
     return np.repeat(positions[..., None], input_shape[2], axis=2)
 
 
-def pooled_shape(input_shape, size: int) -> tuple:
+def compute_pooled_shape(input_shape, size: int) -> tuple:
     """Shape after average pooling without overlap; incomplete windows at the end are dropped."""
     rows, columns, channels = input_shape
     return (rows // size, columns // size, channels)
+
+
+def sum_squares(values, size: int) -> np.ndarray:
+    """Sums over the squares of an average pooling, which are its averages times ``size**2``.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, rows, columns, channels)
+        Of any shape if ``size`` is 1.
+    size : int
+        Side length of the squares; incomplete ones at the end are dropped.
+
+    Returns
+    -------
+    ndarray, shape (n, rows // size, columns // size, channels)
+    """
+    if size == 1:
+        return values
+    rows, columns, channels = compute_pooled_shape(values.shape[1:], size)
+    complete = values[:, : rows * size, : columns * size]
+    return complete.reshape(-1, rows, size, columns, size, channels).sum((2, 4))
 
 
 def unpool(values, input_shape, size: int) -> np.ndarray:
@@ -91,7 +114,7 @@ def unpool(values, input_shape, size: int) -> np.ndarray:
     return result
 
 
-def inputs_within(input_shape, read_shape):
+def list_inputs_within(input_shape, read_shape):
     """Numbers of the inputs in the first rows and columns, or None for all of them.
 
     Values outside of complete pooling windows are not read.

@@ -30,11 +30,12 @@ from .. import __version__
 from ..errors import UserError
 from ..files import replacing
 from .build import build
+from .ops.dense import DeployedDense
 from .responses import show
 from .spec import DT, Layer, NetworkSpec, spec_of
 
 
-def nir_graph(spec: NetworkSpec):
+def make_nir_graph(spec: NetworkSpec):
     """The network as a ``nir.NIRGraph``.
 
     Parameters
@@ -90,7 +91,7 @@ def write_nir(path, spec: NetworkSpec):
     spec = spec_of(spec)
     nir = _nir()
     buffer = io.BytesIO()
-    nir.write(buffer, nir_graph(spec))
+    nir.write(buffer, make_nir_graph(spec))
     with replacing(path) as file:
         file.write(buffer.getvalue())
 
@@ -115,10 +116,14 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     size = flat.shape[-1]
     # the input neurons alone, with a readout of zeros
     nothing = Layer(
-        name="nothing", kind="dense", input_shape=spec.input_shape, shape=(1,), placement="host",
-        neurons=None, synapse=None, kernel=0, block_shape=None,
-        weights=np.zeros((1, size)), bias=np.zeros(1),
-    )  # fmt: skip
+        name="nothing",
+        operation=DeployedDense(1),
+        input_shape=spec.input_shape,
+        neurons=None,
+        synapse=None,
+        weights=np.zeros((1, size)),
+        bias=np.zeros(1),
+    )
     spikes = []
     for stream in spec.presentation.streams(len(flat)):
         built = build(replace(spec, layers=(nothing,)))

@@ -9,6 +9,7 @@ has reached the readout, its output is empty and there is no decision.
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Dict, Iterator, NamedTuple, Optional
 
@@ -26,7 +27,7 @@ class Responses:
     Attributes
     ----------
     scores : ndarray, shape (n_samples, n_classes)
-        Scores at the last step, see `settled`.
+        Scores at the last step of the presentation.
     decisions : ndarray of int, shape (n_samples, steps)
         Decision at each step; -1 before the readout starts and while its output is empty.
     spikes : dict of str to ndarray of int, shape (n_samples,)
@@ -60,6 +61,132 @@ class Responses:
         """
         last = self.decisions[:, -1]
         return np.where(last < 0, self.scores.argmax(1), last)
+
+
+@dataclass(frozen=True)
+class TargetOutput:
+    """What a target yields for the samples of a stream.
+
+    Attributes
+    ----------
+    readout : ndarray, shape (n_samples, steps, outputs)
+        The readout at each step of a sample's presentation, without the gap before it.  On the
+        host: decoded values, without the bias, of the classes, or of the classes in all sections
+        (``sections * n_classes`` outputs) of which each step's is taken then; see
+        :func:`deploy.network.reference.read_out`.  On the chip: the output neurons' spikes,
+        ``amplitude / dt`` in a step with a spike.
+    spikes : dict of str to ndarray of int, shape (n_samples, n_neurons), or None
+        Number of spikes of each neuron of each spiking layer (``spec.spiking_layers``), including
+        the gap before the sample; None if the target does not count them.
+    spike_hashes : ndarray of str, shape (n_samples,), or None
+        See `Responses`.
+    notes : dict
+        See `Responses`.
+    """
+
+    readout: np.ndarray
+    spikes: Optional[Dict[str, np.ndarray]] = None
+    spike_hashes: Optional[np.ndarray] = None
+    notes: dict = field(default_factory=dict)
+
+    @classmethod
+    def of_stream(cls, spec: NetworkSpec, output, spikes) -> TargetOutput:
+        """The output for a stream of which every step was recorded.
+
+        Parameters
+        ----------
+        spec : NetworkSpec
+        output : ndarray, shape (n_samples * period, outputs)
+            The readout at each step, the gaps included.
+        spikes : dict of str to ndarray, shape (n_samples * period, n_neurons)
+            Spikes of each spiking layer, in order.
+        """
+        presentation = spec.presentation
+        period = presentation.period
+
+        def split_by_sample(values):
+            return values.reshape(-1, period, values.shape[-1])
+
+        by_layer = {name: split_by_sample(rows) != 0 for name, rows in spikes.items()}
+        packed = [np.packbits(rows, axis=2) for rows in by_layer.values()]
+        hashes = [spike_hash(of_sample) for of_sample in zip(*packed)]
+        return cls(
+            readout=split_by_sample(output)[:, presentation.gap :],
+            spikes={name: np.count_nonzero(rows, axis=1) for name, rows in by_layer.items()},
+            spike_hashes=np.array(hashes),
+        )
+
+    def require_fit(self, spec: NetworkSpec, n_samples: int, target: str):
+        """Refuse what cannot be the output of a network for some samples.
+
+        Raises
+        ------
+        ValueError
+            A shape or a type is wrong; the message names the target.
+        """
+        outputs = _count_outputs(spec, self.readout)
+        shape = (n_samples, spec.presentation.steps, outputs)
+        _require_array(target, "readout", self.readout, shape, "biuf")
+        if not np.isfinite(self.readout).all():
+            raise ValueError(f"target {target!r}: its readout has NaN or infinite values")
+        if self.spikes is not None:
+            sizes = {"input": math.prod(spec.input_shape)}
+            sizes.update((layer.name, layer.size) for layer in spec.layers if layer.neurons)
+            if self.spikes.keys() != sizes.keys():
+                raise ValueError(
+                    f"target {target!r}: it gives the spikes of {', '.join(self.spikes)}; the "
+                    f"spiking layers are {', '.join(sizes)}"
+                )
+            for name, size in sizes.items():
+                counts = self.spikes[name]
+                _require_array(target, f"spikes of {name!r}", counts, (n_samples, size), "iu")
+        if self.spike_hashes is not None:
+            _require_array(target, "spike_hashes", self.spike_hashes, (n_samples,), "U")
+
+
+def _count_outputs(spec, readout) -> int:
+    """The number of outputs of a step that a readout should have."""
+    last = spec.layers[-1]
+    has_only_classes = np.shape(readout)[-1:] == (last.size,)
+    return last.size if has_only_classes else last.sections * last.size
+
+
+def _require_array(target, what, array, shape, kinds):
+    found = np.asarray(array)
+    if found.shape != shape:
+        raise ValueError(f"target {target!r}: {what} of shape {found.shape} should have {shape}")
+    if found.dtype.kind not in kinds:
+        raise ValueError(f"target {target!r}: {what} must not have the type {found.dtype}")
+
+
+def make_responses(
+    spec: NetworkSpec, output: TargetOutput, n_samples: int, target: str
+) -> Responses:
+    """Check what a target yields for a stream, and read scores and decisions from it.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    output : TargetOutput
+    n_samples : int
+        Number of samples of the stream.
+    target : str
+        Name of the target, for messages.
+
+    Raises
+    ------
+    ValueError
+        A shape or a type is wrong.
+    """
+    if not isinstance(output, TargetOutput):
+        kind = type(output).__name__
+        raise ValueError(f"target {target!r}: it yields {kind}, not TargetOutput")
+    output.require_fit(spec, n_samples, target)
+    readout = np.asarray(output.readout, float)
+    if readout.shape[-1] != spec.layers[-1].size:
+        readout = select_readout(spec, readout)
+    responses = read_output(spec, readout, output.spikes)
+    return replace(responses, spike_hashes=output.spike_hashes, notes=output.notes)
 
 
 class ShortOfSteps(Exception):
@@ -116,8 +243,8 @@ def show(built, sim, samples) -> Iterator[Shown]:
         yield Shown(output, spikes)
 
 
-def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
-    """Present one stream to a simulator, or to a board run by NengoLoihi, and read the responses.
+def record_stream(spec: NetworkSpec, built, sim, samples) -> TargetOutput:
+    """Present one stream to a simulator, or to a board run by NengoLoihi, and record its output.
 
     Parameters
     ----------
@@ -134,17 +261,16 @@ def respond(spec: NetworkSpec, built, sim, samples) -> Responses:
     ShortOfSteps
         The simulator returned fewer steps than requested.
     """
-    outputs: list = []
+    readouts: list = []
     hashes: list = []
-    rows_of: dict = {name: [] for name in built.spikes}
+    counts: dict = {name: [] for name in built.spikes}
     for shown in show(built, sim, samples):
         for name, rows in shown.spikes.items():
-            rows_of[name].append(np.count_nonzero(rows, axis=0))
+            counts[name].append(np.count_nonzero(rows, axis=0))
         hashes.append(spike_hash(np.packbits(rows, axis=1) for rows in shown.spikes.values()))
-        outputs.append(shown.output[spec.presentation.gap :])
-    counts = {name: np.array(rows) for name, rows in rows_of.items()}
-    output = select_readout(spec, np.array(outputs))
-    return replace(read_output(spec, output, counts), spike_hashes=np.array(hashes))
+        readouts.append(shown.output[spec.presentation.gap :])
+    spikes = {name: np.array(rows) for name, rows in counts.items()}
+    return TargetOutput(np.array(readouts), spikes, np.array(hashes))
 
 
 def spike_hash(packed) -> str:
@@ -184,7 +310,7 @@ def select_readout(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.
     return by_section[..., steps, readout.section_of(first + steps), :]
 
 
-def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Responses:
+def read_output(spec: NetworkSpec, output: np.ndarray, spikes: Optional[dict]) -> Responses:
     """Convert a target's raw output to scores and decisions.
 
     Parameters
@@ -193,33 +319,35 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: dict) -> Response
     output : ndarray, shape (n_samples, steps, n_classes)
         The readout at each step of a sample's presentation: decoded on the host, or spikes of the
         output neurons (``amplitude / dt`` in a step with a spike); see :func:`select_readout`.
-    spikes : dict of str to ndarray of int, shape (n_samples, n_neurons)
-        Number of spikes of each neuron of each spiking layer, including the gap before the sample.
+    spikes : dict of str to ndarray of int, shape (n_samples, n_neurons), or None
+        Number of spikes of each neuron of each spiking layer, including the gap before the sample;
+        None if they are unknown: the responses then have neither spikes nor operations.
 
     Returns
     -------
     Responses
     """
+    spikes = {} if spikes is None else spikes
     start = spec.presentation.readout_start
     limit = spec.presentation.confidence
     scores = _running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
-    best = np.argmax(round_scores(scores, score_unit(spec)), axis=2)
+    best = np.argmax(round_scores(scores, find_score_unit(spec)), axis=2)
     empty = ~np.logical_or.accumulate((output[:, start:] != 0).any(2), axis=1)
     decisions[:, start:] = np.where(empty, -1, best)
     stopped = None
     if limit is not None:
         stopped = start + 1 + decide(_sums(spec, scores), limit, spec.estimator, start)[0]
     return Responses(
-        scores=round_scores(scores[:, -1], score_unit(spec)),
+        scores=round_scores(scores[:, -1], find_score_unit(spec)),
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
-        operations=spec.synaptic_operations(spikes),
+        operations=spec.synaptic_operations(spikes) if spikes else {},
         stopped_at=stopped,
     )
 
 
-def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
+def compute_running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
     """Accumulated readout during a sample, from which early decisions are made.
 
     Parameters
@@ -237,7 +365,7 @@ def running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
 
 def _sums(spec, means):
     """Sums, computed from the running means."""
-    return round_scores(means * np.arange(1, means.shape[1] + 1)[:, None], score_unit(spec))
+    return round_scores(means * np.arange(1, means.shape[1] + 1)[:, None], find_score_unit(spec))
 
 
 def _running_means(spec, output):
@@ -272,7 +400,7 @@ class RunningReadout:
 
     def __init__(self, spec: NetworkSpec, steps: int):
         self._spec = spec
-        self._unit = score_unit(spec)
+        self._unit = find_score_unit(spec)
         self._start = spec.presentation.readout_start
         classes = spec.layers[-1].size
         self._total = np.zeros((1, classes))
@@ -284,7 +412,7 @@ class RunningReadout:
 
     @property
     def sums(self) -> np.ndarray:
-        """Sums from ``readout_start`` on, shape (n, classes); see :func:`running_sums`."""
+        """Sums from ``readout_start`` on, shape (n, classes); see :func:`compute_running_sums`."""
         return self._sums[: self._n_read]
 
     @property
@@ -333,7 +461,7 @@ class RunningReadout:
         self._confidences[new] = continue_confidence(sums, known, estimator, self._start)
 
 
-def score_unit(spec: NetworkSpec) -> float:
+def find_score_unit(spec: NetworkSpec) -> float:
     """Unit to which scores are rounded: 1, or a power of ten for a readout of unusual scale.
 
     Scaling all weights and biases of the readout, even by 1e-25, does not change the decisions.
@@ -354,7 +482,7 @@ def round_scores(scores: np.ndarray, unit: float = 1.0) -> np.ndarray:
     ----------
     scores : ndarray
     unit : float
-        See :func:`score_unit`.
+        See :func:`find_score_unit`.
 
     Returns
     -------
@@ -384,6 +512,6 @@ def join(by_stream) -> Responses:
     return Responses(**{name: concatenate(name) for name in names})
 
 
-def seconds_per_sample(spec: NetworkSpec) -> float:
+def compute_seconds_per_sample(spec: NetworkSpec) -> float:
     """Duration of one sample in the stimulus's time, including the gap."""
     return spec.presentation.period * spec.stimulus.step_seconds

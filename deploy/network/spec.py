@@ -11,7 +11,7 @@ where ``s`` is the low-pass filtered spike train of the previous layer (each spi
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Dict, Optional, Tuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..errors import UserError
 from ..loading import Limit, WrongValue, between, check, limited_field, load, one_of
 from .chip import LOIHI
 from .decision import Estimator
-from .geometry import pooled_shape
+from .geometry import compute_pooled_shape, sum_squares
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 from .stimulus import KINDS, Stimulus
 
@@ -32,10 +32,6 @@ SHAPE = Limit(
     f"sides of at least 1, with a product of at most {limits.NEURONS}",
 )
 KIND = Limit(lambda kind: kind in DEPLOYED_OPERATIONS, f"one of {', '.join(DEPLOYED_OPERATIONS)}")
-PADDING = Limit(
-    lambda value: value in ("valid", "same") or (value.isdecimal() and 1 <= int(value) <= 1000),
-    "'valid', 'same' or a number from 1 to 1000",
-)
 RISING = Limit(
     lambda starts: (
         starts[:1] == (0,)
@@ -80,30 +76,23 @@ class Layer:
     ----------
     name : str
         ``"conv1"``, ``"conv2"``, ..., ``"dense1"``, ..., ``"output"``.
-    kind : str
-        Of the operation, such as ``"conv"`` or ``"dense"``; see :mod:`deploy.network.ops`.
-    input_shape, shape : tuple of int
-        (rows, columns, channels) before and after; a dense layer's shape is (units,).
-    placement : str
-        ``"chip"``, or ``"host"`` for a linear readout.
+    operation : DeployedOperation
+        The linear map from the input to the neurons, with its numbers, such as a convolution's
+        stride; see :mod:`deploy.network.ops`.
+    input_shape : tuple of int
+        (rows, columns, channels), or (values,).
     neurons : Neurons or None
         None for a linear readout on the host.
     synapse : float or None
         Time constant in seconds of the low-pass filter on the layer's input; None for no filter.
-    kernel : int
-        Side length of the convolution's filters (0 for dense).
-    block_shape : tuple of int or None
-        (rows, columns, channels) of the layer's neurons on one core; None for the whole layer.
-    weights : ndarray, shape (kernel, kernel, channels_in, filters) or (sections * units, inputs)
-        Weights for the input, after pooling if ``pool`` is above 1; of a readout in sections, those
-        of the first section come first.
+    weights : ndarray
+        Weights for the input, after pooling if ``pool`` is above 1, in the operation's
+        `weight_shape`; of a readout in sections, those of the first section come first.
     bias : ndarray, shape (channels,) or (units,)
         Bias current J of each channel's neurons, or the additive bias of a linear readout.
-    stride : int
-        Stride of the convolution.
-    padding : str
-        ``"valid"``, ``"same"`` or a number of zeros on each side, such as ``"1"``, as in
-        :func:`deploy.network.geometry.windows`.
+    block_shape : tuple of int or None
+        (rows, columns, channels) of the layer's neurons on one core; None leaves it to
+        :mod:`deploy.network.blocks`.
     pool : int
         Side length of the average pooling windows before the weights; 1 for no pooling.  Values
         outside of complete windows are not read.  The chip cannot average: pooling is folded into
@@ -117,28 +106,24 @@ class Layer:
     """
 
     name: str
-    kind: str = limited_field(KIND)
+    operation: DeployedOperation
     input_shape: Tuple[int, ...] = limited_field(SHAPE)
-    shape: Tuple[int, ...] = limited_field(SHAPE)
-    placement: str = limited_field(one_of("chip", "host"))
     neurons: Optional[Neurons]
     synapse: Optional[float] = limited_field(TAU)
-    kernel: int
-    block_shape: Optional[Tuple[int, ...]] = limited_field(SHAPE)
     weights: np.ndarray = field(repr=False, compare=False)
     bias: np.ndarray = field(repr=False, compare=False)
-    stride: int = limited_field(AT_LEAST_1, 1)
-    padding: str = limited_field(PADDING, "valid")
+    block_shape: Optional[Tuple[int, ...]] = limited_field(SHAPE, None)
     pool: int = limited_field(AT_LEAST_1, 1)
     starts: Tuple[int, ...] = limited_field(RISING, (0,))
     recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
-        for name in ("input_shape", "shape", "block_shape", "starts"):
+        for name in ("input_shape", "block_shape", "starts"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         try:
             check(self)
+            check(self.operation)
         except WrongValue as error:
             raise UserError(f"network description: layer {self.name!r}: {error}") from error
         self._convert_arrays()
@@ -164,39 +149,32 @@ class Layer:
     def _check_place(self):
         """Refuse neurons, sections and recurrent weights where a layer cannot have them."""
         has_neurons = self.neurons is not None
-        operation = DEPLOYED_OPERATIONS[self.kind]
         self._require(
-            has_neurons == (self.placement == "chip"),
-            "a layer on the chip has neurons, one on the host has none",
-        )
-        self._require(
-            self.sections == 1 or (operation.can_read_out and not has_neurons),
+            self.sections == 1 or (self.operation.can_read_out and not has_neurons),
             "only a readout on the host has sections",
         )
         self._require(
-            self.recurrent is None or (operation.can_recur and has_neurons),
+            self.recurrent is None or (self.operation.can_recur and has_neurons),
             f"{self.kind!r} cannot be recurrent, or has no neurons",
         )
 
     def _check_shapes(self):
         """Compare the shapes with those of the operation."""
-        is_image = DEPLOYED_OPERATIONS[self.kind].is_spatial or self.pool > 1
+        is_image = self.operation.is_spatial or self.pool > 1
         self._require(
             len(self.input_shape) in ((3,) if is_image else (1, 3)),
             f"input_shape {self.input_shape} has a wrong number of dimensions",
         )
-        self._require(min(self.read_shape) >= 1, "its averaging is larger than its input")
+        self._require(min(self.read_shape) >= 1, "its pooling is larger than its input")
         try:
-            operation = self.operation
-            shape = operation.shape(self.read_shape)
+            shape = self.shape
         except ValueError as error:
             raise UserError(f"network description: layer {self.name!r}: {error}") from error
-        self._require(self.shape == shape, f"shape should be {shape}")
         self._require(
             self.block_shape is None or len(self.block_shape) == len(shape),
             f"block_shape {self.block_shape} and shape differ in length",
         )
-        first, *rest = operation.weight_shape(self.read_shape)
+        first, *rest = self.operation.weight_shape(self.read_shape)
         expected = {
             "weights": (self.sections * first, *rest),
             "bias": shape[-1:],
@@ -210,9 +188,35 @@ class Layer:
             )
 
     @property
-    def operation(self) -> DeployedOperation:
-        """The operation of the weights."""
-        return DEPLOYED_OPERATIONS[self.kind].of_layer(self)
+    def kind(self) -> str:
+        """The kind of its operation, such as ``"conv"``."""
+        return self.operation.kind
+
+    @property
+    def shape(self) -> Tuple[int, ...]:
+        """(rows, columns, channels) of the output, or (units,)."""
+        return self.operation.shape(self.read_shape)
+
+    @property
+    def placement(self) -> str:
+        """``"chip"``, or ``"host"`` for a linear readout."""
+        return "host" if self.neurons is None else "chip"
+
+    def compute_sums(self, values) -> np.ndarray:
+        """The weighted sums of a layer's input, with its pooling, without its bias.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, inputs)
+            Values or spikes of the previous layer in n samples or steps.
+
+        Returns
+        -------
+        ndarray, shape (n, neurons) or (n, sections * units)
+        """
+        values = np.reshape(values, (-1, *self.input_shape))
+        averages = sum_squares(values, self.pool) / self.pool**2
+        return self.operation.compute_sums(self.weights, averages).reshape(len(values), -1)
 
     @property
     def arrays(self) -> Tuple[str, ...]:
@@ -249,7 +253,7 @@ class Layer:
         """Shape of the values that the weights read: of the input, after pooling."""
         if self.pool == 1:
             return self.input_shape
-        return pooled_shape(self.input_shape, self.pool)
+        return compute_pooled_shape(self.input_shape, self.pool)
 
     @property
     def read_fan_out(self) -> np.ndarray:
@@ -274,6 +278,107 @@ class Layer:
         pooling = int(np.prod(self.read_shape)) * self.pool**2 if self.pool > 1 else 0
         loop = 0 if self.recurrent is None else self.size**2
         return int(self.read_fan_out.sum()) + pooling + loop
+
+    def to_json(self) -> dict:
+        """The description without the arrays, for ``network.json``."""
+        record = _LayerRecord(
+            name=self.name,
+            kind=self.kind,
+            input_shape=self.input_shape,
+            shape=self.shape,
+            placement=self.placement,
+            neurons=self.neurons,
+            synapse=self.synapse,
+            block_shape=self.block_shape,
+            pool=self.pool,
+            starts=self.starts,
+        )
+        return {**asdict(record), **self.operation.to_file()}
+
+    @classmethod
+    def from_json(cls, plain: dict, arrays: dict, where: str) -> Layer:
+        """The inverse of :meth:`to_json`.
+
+        Parameters
+        ----------
+        plain : dict
+        arrays : dict of str to ndarray
+            Those of all layers, ``<layer>.weights`` and so on.
+        where : str
+            Name of the layer in error messages, such as ``layers[0]``.
+
+        Raises
+        ------
+        WrongValue
+            A value is missing, unknown or of another type.
+        UserError
+            The values contradict each other.
+        KeyError
+            An array is missing.
+        """
+        record, operation = _LayerRecord.read(plain, where)
+        layer = cls(
+            name=record.name,
+            operation=operation,
+            input_shape=record.input_shape,
+            neurons=record.neurons,
+            synapse=record.synapse,
+            weights=arrays[f"{record.name}.weights"],
+            bias=arrays[f"{record.name}.bias"],
+            block_shape=record.block_shape,
+            pool=record.pool,
+            starts=record.starts,
+            recurrent=arrays.get(f"{record.name}.recurrent"),
+        )
+        layer._require(layer.shape == record.shape, f"shape should be {layer.shape}")
+        layer._require(
+            layer.placement == record.placement,
+            "a layer on the chip has neurons, one on the host has none",
+        )
+        return layer
+
+
+@dataclass(frozen=True)
+class _LayerRecord:
+    """A layer in ``network.json``, where each layer has the numbers of a convolution.
+
+    Operations with other numbers have them beside these.
+    """
+
+    name: str
+    kind: str = limited_field(KIND)
+    input_shape: Tuple[int, ...] = limited_field(SHAPE)
+    shape: Tuple[int, ...] = limited_field(SHAPE)
+    placement: str = limited_field(one_of("chip", "host"))
+    neurons: Optional[Neurons]
+    synapse: Optional[float] = limited_field(TAU)
+    kernel: int = 0
+    block_shape: Optional[Tuple[int, ...]] = limited_field(SHAPE, None)
+    stride: int = 1
+    padding: str = "valid"
+    pool: int = limited_field(AT_LEAST_1, 1)
+    starts: Tuple[int, ...] = limited_field(RISING, (0,))
+
+    @classmethod
+    def read(cls, plain: dict, where: str) -> tuple:
+        """The record and the operation of a layer's description.
+
+        Raises
+        ------
+        WrongValue
+            A value is missing, unknown, of another type or out of range.
+        """
+        names = {entry.name for entry in fields(cls)}
+        if not isinstance(plain, dict):
+            raise WrongValue(where, "must be a table of values")
+        record = load(cls, {name: plain[name] for name in plain if name in names}, where)
+        operation = DEPLOYED_OPERATIONS[record.kind]
+        own = {entry.name for entry in fields(operation)}
+        numbers = {name: plain[name] for name in plain if name in own or name not in names}
+        try:
+            return record, operation.from_file(numbers, record.shape)
+        except WrongValue as error:
+            raise WrongValue(f"{where}.{error.name}", error.problem) from error
 
 
 @dataclass(frozen=True)
@@ -500,17 +605,12 @@ class NetworkSpec:
 
     def to_json(self) -> dict:
         """The description without the arrays, for ``network.json``."""
-        layers = []
-        for layer in self.layers:
-            plain = asdict(layer)
-            arrays = ("weights", "bias", "recurrent")
-            layers.append({k: v for k, v in plain.items() if k not in arrays})
         return {
             "architecture": self.architecture,
             "dt": DT,
             "input_shape": list(self.input_shape),
             "stimulus": {"kind": self.stimulus.kind, **asdict(self.stimulus)},
-            "layers": layers,
+            "layers": [layer.to_json() for layer in self.layers],
             "presentation": asdict(self.presentation),
             "provenance": self.provenance,
         }
@@ -540,16 +640,7 @@ class NetworkSpec:
             _require(value["dt"] == DT, "network",
                      f"time step is {value['dt']} s, this version runs {DT} s")  # fmt: skip
             layers = [
-                load(
-                    Layer,
-                    dict(
-                        plain,
-                        weights=arrays[f"{plain['name']}.weights"],
-                        bias=arrays[f"{plain['name']}.bias"],
-                        recurrent=arrays.get(f"{plain['name']}.recurrent"),
-                    ),
-                    f"layers[{index}]",
-                )
+                Layer.from_json(plain, arrays, f"layers[{index}]")
                 for index, plain in enumerate(value["layers"])
             ]
             spec = cls(

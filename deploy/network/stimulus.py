@@ -234,7 +234,7 @@ def apply_refractory_period(frames, refractory: int) -> np.ndarray:
     return frames
 
 
-def last_steps(frames) -> np.ndarray:
+def find_last_steps(frames) -> np.ndarray:
     """Step of each sample's last event, from 0; 0 without events.
 
     Parameters

@@ -10,7 +10,7 @@ from typing import Dict
 import numpy as np
 
 from ..network.chip import Chip
-from ..network.ops.base import list_words
+from ..network.ops.base import count_list_words
 
 # By the type of axon: discrete, or a population's of 32 bits.
 AXON_CFGS_PER_AXON = {0: 1, 32: 2}
@@ -100,7 +100,7 @@ def synapse_words(synapse, chip: Chip) -> int:
         atoms, length = weights.shape
         for first in range(0, length, per_block):
             n = min(per_block, length - first)
-            words += atoms * list_words(n, bits, chip)
+            words += atoms * count_list_words(n, bits, chip)
     return words
 
 

@@ -21,7 +21,7 @@ from ..arithmetic import ceil_div
 from ..errors import UserError, one_line
 from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
-from ..network.responses import Responses, respond
+from ..network.responses import TargetOutput, record_stream
 from ..network.spec import NetworkSpec
 from ..preflight.plan import REMEDIES, require_fit
 from .options import MAX_WAIT_S, BoardOptions
@@ -62,7 +62,7 @@ def nxsdk_version() -> str:
     return installed
 
 
-def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Responses]:
+def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[TargetOutput]:
     """Present streams of samples to a board.
 
     Parameters
@@ -75,8 +75,8 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
 
     Yields
     ------
-    Responses
-        The responses to each stream in order; ``notes`` has the hardware's data.
+    TargetOutput
+        The output for each stream in order; ``notes`` has the hardware's data.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
     for index, samples in enumerate(streams):
         for attempt in range(1, options.attempts + 1):
             try:
-                responses = _run_stream(spec, samples, seed, options)
+                output = _run_stream(spec, samples, seed, options)
                 break
             except BoardLost as error:
                 if attempt == options.attempts:
@@ -98,8 +98,8 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Resp
                         f"{error}; the previous streams are saved: repeat the command to resume"
                     ) from error
                 time.sleep(min(options.wait * 2 ** (attempt - 1), max(options.wait, MAX_WAIT_S)))
-        responses.notes.update(nxsdk=version, attempts=attempt)
-        yield responses
+        output.notes.update(nxsdk=version, attempts=attempt)
+        yield output
 
 
 def _run_stream(spec, samples, seed, options):
@@ -117,7 +117,7 @@ def _run_stream(spec, samples, seed, options):
                 sim.__enter__()
             connected_at = time.perf_counter()
             with _board_errors(), _time_limit(options.timeout):
-                responses = respond(spec, built, sim, samples)
+                output = record_stream(spec, built, sim, samples)
             ended_at = time.perf_counter()
         finally:
             _close(sim)
@@ -133,7 +133,7 @@ def _run_stream(spec, samples, seed, options):
     }
     if options.energy:
         notes["power"] = _measured_power(board)
-    return replace(responses, notes=notes)
+    return replace(output, notes=notes)
 
 
 def _simulator(network, options):

@@ -10,16 +10,16 @@ from __future__ import annotations
 import threading
 import warnings
 from collections import defaultdict
-from dataclasses import replace
 from typing import TYPE_CHECKING, Dict, Iterator, List, NamedTuple
 
 import nengo
 import numpy as np
 
 from ..errors import UserError
-from ..network.build import EvenSpikes, build
+from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
-from ..network.responses import Responses, read_output, select_readout, spike_hash
+from ..network.reference import InputNeurons
+from ..network.responses import TargetOutput, spike_hash
 from ..network.spec import DT, NetworkSpec
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
@@ -211,7 +211,7 @@ class Emulation:
             n_input = np.zeros((n_streams, size), int)
             packed = defaultdict(list)
             for first in range(-gap, period - gap, at_once):
-                sent = host.spikes(first, min(first + at_once, period - gap))
+                sent = host.make_spikes(first, min(first + at_once, period - gap))
                 spikes, output, over = self.advance(state, sent)
                 overflows += over
                 outputs.append(output)
@@ -269,68 +269,6 @@ def _at(values, places):
     return np.take(values, places, axis=-1)
 
 
-class InputNeurons:
-    """The state of the input neurons for several streams.
-
-    Parameters
-    ----------
-    stimulus : Stimulus
-    n_streams, size : int
-        Number of streams, and of values of a frame.
-    """
-
-    def __init__(self, stimulus, n_streams, size):
-        self._static = stimulus.static
-        self._gain = stimulus.max_rate if self._static else 1.0
-        phase = stimulus.initial_phase if self._static else 0.0
-        self._phase = EvenSpikes(phase).phase
-        self._voltage = np.full((n_streams, size), self._phase, float)
-        self._frames = None
-
-    def take(self, samples):
-        """Set the current sample of each stream: (n_streams, size) or (..., steps, size)."""
-        self._frames = samples
-
-    def spikes(self, first, last):
-        """Spikes of several steps of the sample.
-
-        Parameters
-        ----------
-        first, last : int
-            First step, and one past the last, counted from the start of the sample's presentation;
-            negative in the gap before it.
-
-        Returns
-        -------
-        (n_streams, last - first, size) uint8 array
-        """
-        n_streams, size = self._voltage.shape
-        spikes = np.zeros((n_streams, last - first, size), np.uint8)
-        dark = min(max(-first, 0), last - first)
-        if not self._static:
-            frames = self._frames[:, first + dark : last]
-            np.greater(frames, 0, out=spikes[:, dark:].view(bool))
-            return spikes
-        if dark:  # no input resets the phase
-            self._voltage[:] = self._phase
-        self._even_spikes(self._frames, spikes[:, dark:])
-        return spikes
-
-    def _even_spikes(self, frame, out):
-        """The steps of `EvenSpikes` for a constant input, in Nengo's order of operations."""
-        drive = self._gain * np.asarray(frame, float)
-        voltage = self._voltage
-        increase = np.maximum(drive, 0) * DT
-        blank = drive <= 0
-        whole = np.empty_like(voltage)
-        for step in range(out.shape[1]):
-            voltage += increase
-            np.floor(voltage, out=whole)
-            voltage -= whole
-            np.not_equal(whole, 0, out=out[:, step].view(bool))
-            np.putmask(voltage, blank, self._phase)
-
-
 class Readout:
     """The state of the readout for several streams.
 
@@ -376,7 +314,7 @@ class Readout:
         return values
 
 
-def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[Responses]:
+def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOutput]:
     """Run NengoLoihi's emulator, with identical integers and spikes, on many streams at once.
 
     Parameters
@@ -390,8 +328,8 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[Response
 
     Yields
     ------
-    Responses
-        The responses to each stream, in order.  They do not depend on the batches.
+    TargetOutput
+        The output for each stream, in order.  It does not depend on the batches.
     """
     emulation = Emulation(spec, seed)
     gap = spec.presentation.gap
@@ -412,8 +350,7 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[Response
         _warn_of(recording.overflows)
         for index, output in enumerate(recording.output):
             counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
-            readout = read_output(spec, select_readout(spec, output[:, gap:]), counts)
-            yield replace(readout, spike_hashes=np.transpose(hashes)[index])
+            yield TargetOutput(output[:, gap:], counts, np.transpose(hashes)[index])
 
 
 def _batches(streams, fitting):
@@ -440,7 +377,7 @@ def _warn_of(overflows):
 STREAMS_AT_ONCE = 8
 
 
-def firing_rates(
+def measure_firing_rates(
     spec: NetworkSpec, samples, seed: int = 0, start: int = 0, advance=None
 ) -> Dict[str, np.ndarray]:
     """Firing rates of all neurons, computed by the fast emulator.

@@ -61,7 +61,7 @@ class OverflowWatch:
             yield response
 
 
-def overflow_text(spec: NetworkSpec, target: str, numbers) -> str:
+def describe_overflows(spec: NetworkSpec, target: str, numbers) -> str:
     """A warning with its remedy, in one line.
 
     Parameters

@@ -3,16 +3,17 @@
 To add a target:
 
 1. Write a function ``run(spec, streams, seed)`` in a file of this folder.  A stream is an array of
-   samples that are presented one after the other, from a fresh network on.  The function yields the
-   :class:`~deploy.network.responses.Responses` to each stream, which
-   :func:`~deploy.network.responses.read_output` makes of the readout at each step and the spikes.
-   :mod:`.simulators` has the shortest examples.
+   samples that are presented one after the other, from a fresh network on.  For each stream the
+   function yields a :class:`~deploy.network.responses.TargetOutput`: the readout at each step, and
+   the spikes if the target knows them.  Scores and decisions are computed from it in one place.
+   :mod:`deploy.network.reference` has what a target computes, as equations, and
+   :func:`~deploy.network.reference.run_reference` is a target of them.  :mod:`.simulators` has
+   targets that run the network in Nengo.
 2. Write its options, if it has any, in :mod:`.options`: a dataclass with a field for each.  No two
    targets have an option of the same name.
 3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.
-4. Should every ladder have a row of it, set ``in_ladder``, and enter it before the emulator: the
-   last row is that of the deployed network, of which the ladder and the report tell.
-5. If every spike is that of NengoLoihi's emulator, set ``is_exact``: the energy and the comparison
+4. Set ``in_ladder`` if every ladder should have a row of it.
+5. Set ``is_exact`` if every spike is that of NengoLoihi's emulator: the energy and the comparison
    of runs then take its counts.
 
 Ladder, report and both command lines read it from there.  The list is read without Nengo, since the
@@ -23,12 +24,12 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Callable, Dict, Optional, Tuple, Type
+from typing import TYPE_CHECKING, Callable, Dict, Iterator, Optional, Tuple, Type
 
 from ..errors import UserError
 from ..terminal import WARNING, remark
 from .options import BoardOptions, Options
-from .overflow import OverflowWatch, overflow_text
+from .overflow import OverflowWatch, describe_overflows
 
 if TYPE_CHECKING:
     from ..network.responses import Responses
@@ -43,24 +44,25 @@ class Target:
     ----------
     name : str
     run : callable
-        ``run(spec, streams, seed)`` yields the responses to each stream, in order.  Targets with
-        options also have a keyword argument ``options``, which is None for their defaults.
+        ``run(spec, streams, seed)`` yields a :class:`~deploy.network.responses.TargetOutput` for
+        each stream, in order.  Targets with options also have a keyword argument ``options``, which
+        is None for their defaults.
     title : str
         Short description.
     note : str
         Additional information for readers of its results; empty if the title is sufficient.
     slow : bool
         True if the whole test set takes minutes.
-    floating : bool
-        True if the target computes in floating point, so that it would also run a network that the
-        chip's integers cannot hold: see :func:`refuse_unfit`.
+    must_fit_integers : bool
+        True if a network that the chip's integers cannot hold is refused before the target runs,
+        since the target itself would run it: see :func:`refuse_unfit`, which needs NengoLoihi.
     hardware : bool
         True if the target needs a board.
     is_exact : bool
         True if every spike is that of NengoLoihi's emulator.
     in_ladder : bool
-        True if every ladder has a row of it, that of a board if there is one.  The last of them is
-        the deployed network of the ladder and the report.
+        True if every ladder has a row of it, that of a board if there is one; see
+        :func:`list_ladder_targets`.
     options : type or None
         Subclass of :class:`~deploy.targets.options.Options`; its field names are the names of the
         command's options, and no other target has them.
@@ -73,7 +75,7 @@ class Target:
     title: str
     note: str = ""
     slow: bool = False
-    floating: bool = False
+    must_fit_integers: bool = False
     hardware: bool = False
     is_exact: bool = False
     in_ladder: bool = False
@@ -91,7 +93,7 @@ def import_when_called(module: str, function: str) -> Callable:
     return call
 
 
-# The targets by name, in the order of a ladder.
+# The targets by name, in the order of tables.
 TARGETS: Dict[str, Target] = {
     target.name: target
     for target in (
@@ -100,7 +102,7 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("simulators", "run_nengo"),
             title="Nengo's reference simulator",
             slow=True,
-            floating=True,
+            must_fit_integers=True,
             in_ladder=True,
         ),
         Target(
@@ -108,7 +110,7 @@ TARGETS: Dict[str, Target] = {
             run=import_when_called("simulators", "run_simreal"),
             title="Loihi's network before rounding",
             slow=True,
-            floating=True,
+            must_fit_integers=True,
             in_ladder=True,
         ),
         Target(
@@ -139,7 +141,7 @@ TARGETS: Dict[str, Target] = {
 }
 
 
-def target_named(name: str) -> Target:
+def find_target(name: str) -> Target:
     """Find a target by its name.
 
     Raises
@@ -152,6 +154,17 @@ def target_named(name: str) -> Target:
     except KeyError:
         known = ", ".join(TARGETS)
         raise UserError(f"no target {name!r}; the targets are {known}") from None
+
+
+def list_ladder_targets() -> Tuple[str, ...]:
+    """Names of the targets of which every ladder has a row, the nearest to the chip last.
+
+    Simulators come first, then exact targets, then boards.  The last one with a result is the
+    deployed network of the ladder and the report.
+    """
+    targets = [target for target in TARGETS.values() if target.in_ladder]
+    targets.sort(key=lambda target: (target.hardware, target.is_exact))  # keeps equal ones' order
+    return tuple(target.name for target in targets)
 
 
 def list_exact_targets() -> Tuple[str, ...]:
@@ -189,7 +202,7 @@ def list_options() -> Dict[str, tuple]:
     return options
 
 
-def options_for(name: str, **values):
+def select_options(name: str, **values):
     """Select a target's options from those of a command.
 
     Parameters
@@ -209,7 +222,7 @@ def options_for(name: str, **values):
     UserError
         There is no target of that name, or an option belongs to another target.
     """
-    target = target_named(name)
+    target = find_target(name)
     values_of_target = {}
     for option_name, (owner, option) in list_options().items():
         value = values.get(option_name, option.default)
@@ -221,10 +234,10 @@ def options_for(name: str, **values):
 
 
 def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
-    """Refuse a network whose values do not fit the chip's integers, for targets in floating point.
+    """Refuse a network whose values do not fit the chip's integers, for targets that require it.
 
-    All other targets refuse it when they build it.  This builds NengoLoihi's model once more, so it
-    is called once for all samples and not for each stream.
+    This builds NengoLoihi's model once more, so it is called once for all samples and not for each
+    stream.
 
     Raises
     ------
@@ -234,8 +247,43 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
     from ..network.build import build
     from ..network.loihi_import import require_integers
 
-    if target_named(target).floating:
+    if find_target(target).must_fit_integers:
         require_integers(build(spec, seed).network)
+
+
+def respond_to_streams(
+    spec: NetworkSpec, streams: list, target: str, seed=0, **options
+) -> Iterator[Responses]:
+    """Run a target on streams of samples, and read the responses from its output.
+
+    Parameters
+    ----------
+    spec : NetworkSpec
+    streams : list of ndarray
+        Each as returned by `Stimulus.flat`.
+    target : str
+    seed : int
+    **options
+        Keyword arguments of the target's ``run``.
+
+    Yields
+    ------
+    Responses
+        To each stream, in order.
+
+    Raises
+    ------
+    ValueError
+        The target yields something else than the output of each stream.
+    """
+    from ..network.responses import make_responses
+
+    outputs = iter(find_target(target).run(spec, streams, seed, **options))
+    for number, samples in enumerate(streams):
+        output = next(outputs, None)
+        if output is None:
+            raise ValueError(f"target {target!r}: yields {number} outputs, not {len(streams)}")
+        yield make_responses(spec, output, len(samples), target)
 
 
 def run_target(
@@ -273,10 +321,10 @@ def run_target(
     streams = [flat[stream] for stream in spec.presentation.streams(len(flat))]
     watch = OverflowWatch()
     by_stream = []
-    for responses in watch.during(target_named(target).run(spec, streams, seed, **options)):
+    for responses in watch.during(respond_to_streams(spec, streams, target, seed, **options)):
         by_stream.append(responses)
         if advance is not None:
             advance(len(responses.scores))
     if watch.numbers:
-        remark(WARNING + overflow_text(spec, target, watch.numbers))
+        remark(WARNING + describe_overflows(spec, target, watch.numbers))
     return join(by_stream)

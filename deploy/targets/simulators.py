@@ -8,22 +8,22 @@ import nengo
 
 from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
-from ..network.responses import Responses, respond
+from ..network.responses import TargetOutput, record_stream
 from ..network.spec import NetworkSpec
 
 
-def run_nengo(spec, streams, seed=0) -> Iterator[Responses]:
+def run_nengo(spec, streams, seed=0) -> Iterator[TargetOutput]:
     """Run NengoCore's reference simulator, with Loihi's neurons in floating point."""
     options = {"progress_bar": False, "optimize": False}
     return _run_on(spec, streams, seed, lambda network: nengo.Simulator(network, **options))
 
 
-def run_simreal(spec, streams, seed=0) -> Iterator[Responses]:
+def run_simreal(spec, streams, seed=0) -> Iterator[TargetOutput]:
     """Run NengoLoihi's model of the chip before discretisation."""
     return _run_on(spec, streams, seed, lambda network: _loihi_simulator(network, "simreal"))
 
 
-def run_emulator(spec, streams, seed=0) -> Iterator[Responses]:
+def run_emulator(spec, streams, seed=0) -> Iterator[TargetOutput]:
     """Run NengoLoihi's emulator, with the chip's integers."""
     return _run_on(spec, streams, seed, lambda network: _loihi_simulator(network, "sim"))
 
@@ -36,8 +36,8 @@ def _loihi_simulator(network, target):
         raise cannot_build(network, error) from error
 
 
-def _run_on(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[Responses]:
+def _run_on(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[TargetOutput]:
     built = build(spec, seed)
     for samples in streams:
         with simulator(built.network) as sim:
-            yield respond(spec, built, sim, samples)
+            yield record_stream(spec, built, sim, samples)

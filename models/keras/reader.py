@@ -46,17 +46,27 @@ def read_keras(path, retrain: bool = False, grid=None) -> KerasModel:
         raise ModelFileError(f"{path}: is a folder, as a SavedModel is; {REMEDY}")
     try:
         with reporting_os_errors(path, "cannot read", "check the path"):
-            return _read(path, sha256_of(path), retrain, grid)
+            sha256 = sha256_of(path)
+            # A model of images has rows and columns of its own.
+            is_of_vectors = len(_load(path, sha256).inputs[0].shape) == 2
+            return _convert(path, sha256, retrain, grid if is_of_vectors else None)
     except ModelFileError as error:
         raise ModelFileError(f"{path}: {error}") from error
 
 
 @functools.lru_cache(maxsize=2)
-def _read(path, sha256, retrain, grid) -> KerasModel:
-    """Read a file whose content has a hash."""
+def _load(path, sha256):
+    """Load the model of a file whose content has a hash."""
     model = load_keras_model(path)
     if len(model.inputs) != 1 or len(model.outputs) != 1:
         raise ModelFileError("has several inputs or outputs; use one chain of layers")
+    return model
+
+
+@functools.lru_cache(maxsize=2)
+def _convert(path, sha256, retrain, grid) -> KerasModel:
+    """Convert the model of a file whose content has a hash."""
+    model = _load(path, sha256)
     layers = [_layer(layer) for layer in _flat_layers(model)]
     model_read = convert_layers(tuple(model.inputs[0].shape[1:]), layers, retrain, grid)
     if not model_read.architecture.spiking:
@@ -78,7 +88,7 @@ def _layer(layer) -> Layer:
     return Layer(type(layer).__name__, layer.name, layer.get_config(), tuple(layer.get_weights()))
 
 
-def original_network(model: KerasModel):
+def make_original_network(model: KerasModel):
     """The network of the file, with its own activations, maxima and padding, on a sensor's images.
 
     Returns
@@ -124,8 +134,9 @@ def _take_maximum(values, pool):
 def _max_dense(layer, pool):
     """A dense layer of the maxima over windows of an image, with the kernel of the file."""
     from models.keras.keras2 import tf
+    from models.keras.operation_layer import OperationLayer
 
-    class MaxDense(tf.keras.layers.Dense):
+    class MaxDense(OperationLayer):
         def call(self, inputs):
             maxima = _take_maximum(tf.reshape(inputs, (-1, *pool.image)), pool)
             return tf.reshape(maxima, (-1, len(pool.kernel))) @ pool.kernel + self.bias
@@ -136,16 +147,17 @@ def _max_dense(layer, pool):
 def _padded_convolution(layer, padding):
     """A convolution of the same weights whose input is padded with a value for each channel."""
     from models.keras.keras2 import tf
+    from models.keras.operation_layer import OperationLayer
 
     padding = padding.astype(np.float32)
 
-    class PaddedConv2D(tf.keras.layers.Conv2D):
+    class PaddedConvolution(OperationLayer):
         def call(self, inputs):
             # Zeros that are padded around the difference are the value.
             inside = super().call(inputs - padding)
             return inside + tf.reduce_sum(self.kernel * padding[:, None], (0, 1, 2))
 
-    return PaddedConv2D.from_config(layer.get_config())
+    return PaddedConvolution.from_config(layer.get_config())
 
 
 def _compare(model, read: KerasModel):
@@ -164,7 +176,7 @@ def _compare(model, read: KerasModel):
     compute = tf.function(model, jit_compile=True) if is_channels_first else model
     with np.errstate(all="ignore"):
         outputs = np.asarray(compute(inputs, training=False))
-        logits = predict(original_network(read), images)
+        logits = predict(make_original_network(read), images)
         if outputs.shape[1] == 1:
             logits = logits[:, 1:] - logits[:, :1]
         end = tf.nn.log_softmax if read.end == "log_softmax" else tf.keras.activations.get(read.end)

@@ -206,13 +206,13 @@ class _LinkNodes:
         neuron = None if self.neuron is None else Decays(keep_u, gains.keep_v)
         common: dict[str, Any] = {  # arguments of every link
             "name": "",
-            "neuron": neuron,
+            "neurons": neuron,
             "input_shape": self.place,
             "sources": tuple(node.name for node in self.nodes),
         }
         if neuron is None and filters:
             if keep_u > 0:
-                common["tau_syn"] = float(-LOIHI.dt / np.log(keep_u))
+                common["synapse"] = float(-LOIHI.dt / np.log(keep_u))
             if read is not None:
                 bias = self.fade_in(bias, maps, filters[0], keep_u, read)
         if self.is_image and loop is None and len(self.shape) == 3:
@@ -333,7 +333,7 @@ class _LinkNodes:
         neurons = np.arange(outputs) if self.is_last else _order_of_places(self.shape)
         matrix = matrix[_order_of_places(self.before)][:, neurons]
         if loop is not None:
-            common["loop"] = (loop["weight"].T * gain.reshape(-1))[np.ix_(neurons, neurons)]
+            common["recurrent"] = (loop["weight"].T * gain.reshape(-1))[np.ix_(neurons, neurons)]
         operation = Dense(outputs, output=self.is_last)
         return Link(operation=operation, weights=matrix, bias=bias[neurons], **common)
 

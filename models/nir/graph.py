@@ -266,7 +266,9 @@ def _chain(nodes, edges) -> tuple:
     """Name of the input node, and names of the nodes between input and output, in order."""
     first = _end(nodes, "Input")
     last = _end(nodes, "Output")
-    after = {name: sorted(b for a, b in edges if a == name) for name in nodes}
+    after: dict[str, list] = {name: [] for name in nodes}
+    for before, behind in sorted(edges):
+        after[before].append(behind)
     order: list[str] = []
     name = first
     while name != last:

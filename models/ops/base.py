@@ -6,8 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from deploy.errors import UserError
-from deploy.network.ops import DeployedOperation
+from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
 
 # Nine digits exceed every limit.
 NUMBER = "([0-9]{1,9})"
@@ -16,18 +15,26 @@ NUMBER = "([0-9]{1,9})"
 class Synapses(NamedTuple):
     """The synapses of a layer by its inputs; see :mod:`models.spiking_kernels`.
 
-    Synapses ``first[i]`` to ``first[i + 1] - 1`` leave input i.  Synapse k adds row ``row[k]`` of
-    the kernel, reshaped to (-1, n) with its last axis n, to the n neurons from ``place[k] * n`` on.
+    Entries ``first[i]`` to ``first[i + 1] - 1`` leave input i.  Entry k is ``width`` synapses: row
+    ``row[k]`` of the kernel, reshaped to (-1, width), is added to the ``width`` neurons from
+    ``place[k] * width`` on.
 
     Attributes
     ----------
     first : ndarray of int64, shape (inputs + 1,)
-    place, row : ndarray of int64, shape (synapses,)
+    place, row : ndarray of int64, shape (entries,)
+    width : int
     """
 
     first: np.ndarray
     place: np.ndarray
     row: np.ndarray
+    width: int
+
+    @property
+    def arrays(self) -> tuple:
+        """The arrays, as the compiled functions take them."""
+        return self.first, self.place, self.row
 
     @property
     def is_matrix(self) -> bool:
@@ -44,19 +51,18 @@ class Synapses(NamedTuple):
 class Operation(DeployedOperation):
     """A layer of an architecture, with its notation and its training.
 
-    A subclass is a frozen dataclass.  Its second base, the deployed operation, has its shapes and
-    synapses.  It has `token` and `__str__`; the other methods have defaults, or are for one use:
+    A subclass has a second base, its deployed operation, which has its shapes and its sums.  It
+    adds `token` and `__str__`.  The other methods follow from the sums; an operation has its own
+    where it can be faster, or has other numbers than its notation:
 
-    =============================  =================================================================
-    `from_token`                   if the notation has more than numbers
-    `kernel_shape`, `to_deployed`  if the trained kernel has other axes than the deployed weights
-    `fan_in`                       if the kernel's last axis is not that of the outputs
-    `keras_layer`                  for networks on images
-    `sums`, `synapses`             for networks trained on events
-    `currents`, `windows`          for networks that are rounded to integers, such as NIR graphs
-    =============================  =================================================================
-
-    Without the methods for a use, that use is refused.
+    ===================================  ===========================================================
+    `from_token`                         if the notation has more than numbers
+    `kernel_shape`, `to_deployed`        if the trained kernel has other axes than the deployed
+                                         weights
+    `fan_in`, `tensor_sums`, `synapses`  for layers with many inputs
+    `gather_inputs`                      if rounding to integers should compensate errors of weights
+    `keras_layer`                        for an operation without weights
+    ===================================  ===========================================================
 
     Attributes
     ----------
@@ -109,20 +115,50 @@ class Operation(DeployedOperation):
         """
         return kernel
 
+    def to_layer_operation(self, shape) -> DeployedOperation:
+        """The operation without its training, as a deployed layer with an output shape has it."""
+        return DEPLOYED_OPERATIONS[self.kind].from_file(self.to_file(), shape)
+
     def fan_in(self, input_shape) -> int:
-        """Number of inputs of each neuron; initial weights have a variance of one over it.
+        """Largest number of inputs of a neuron; initial weights have a variance of one over it.
 
-        Here it is the product of all axes of the kernel but the last.  `fan_out` is the number of
-        synapses in the other direction.
+        `fan_out` is the number of synapses in the other direction.
         """
-        return math.prod(self.array_shapes(input_shape)["kernel"][:-1])
+        return int((self.find_synapses(input_shape) >= 0).sum(0).max())
 
-    # --- networks on images -----------------------------------------------------------------------
+    def _find_kernel_entries(self, input_shape) -> np.ndarray:
+        """As `find_synapses`, as an index into the flat kernel."""
+        found = self.find_synapses(input_shape)
+        kernel_shape = self.array_shapes(input_shape)["kernel"]
+        numbers = np.arange(math.prod(kernel_shape)).reshape(kernel_shape)
+        return np.where(found < 0, -1, self.to_deployed(numbers).ravel()[found])
+
+    # --- training ---------------------------------------------------------------------------------
+
+    def tensor_sums(self, kernel, frames):
+        """The sums of `compute_sums` in TensorFlow, which differentiates them.
+
+        Parameters
+        ----------
+        kernel : tensor
+        frames : tensor, shape (frames, ...)
+            In the operation's input shape each.
+
+        Returns
+        -------
+        tensor, shape (frames, ...)
+        """
+        from models.keras.keras2 import tf
+
+        input_shape = tuple(frames.shape[1:])
+        entries = self._find_kernel_entries(input_shape)
+        weights = tf.concat([tf.reshape(kernel, [-1]), tf.zeros(1, kernel.dtype)], 0)
+        matrix = tf.gather(weights, np.where(entries < 0, weights.shape[0] - 1, entries))
+        sums = tf.matmul(tf.reshape(frames, (-1, len(entries))), matrix)
+        return tf.reshape(sums, (-1, *self.shape(input_shape)))
 
     def keras_layer(self, name: str, gain: float | None = None):
-        """The layer of Keras that computes its sums, or averages.
-
-        Its trained variables have the names of the arrays in :meth:`array_shapes`.
+        """The layer of Keras that computes its sums, for networks on images.
 
         Parameters
         ----------
@@ -130,33 +166,29 @@ class Operation(DeployedOperation):
         gain : float, optional
             The layer then has the chip's quantised weights (:mod:`models.quantised`).
         """
-        raise self._refuse("networks on images")
+        from models.keras.operation_layer import OperationLayer
 
-    # --- networks on events -----------------------------------------------------------------------
-
-    def sums(self, kernel, frames):
-        """Weighted sums in TensorFlow.
-
-        Parameters
-        ----------
-        kernel : tensor
-        frames : tensor, shape (frames, ...)
-        """
-        raise self._refuse("networks on events")
+        return OperationLayer(self, gain, name=name)
 
     def synapses(self, input_shape) -> Synapses:
-        """The synapses for the kernels that train networks on events."""
-        raise self._refuse("networks on events")
+        """The synapses for the compiled functions that train networks on events."""
+        entries = self._find_kernel_entries(input_shape)
+        source, target = np.nonzero(entries >= 0)
+        first = np.concatenate([[0], np.cumsum((entries >= 0).sum(1))])
+        return Synapses(first, target, entries[source, target], 1)
 
     # --- rounding to integers ---------------------------------------------------------------------
 
-    def currents(self, link, weights, spikes) -> np.ndarray:
-        """Input currents W s of a link; see :func:`models.integers.currents`."""
-        raise self._refuse("networks that are rounded to integers")
+    def gather_inputs(self, values: np.ndarray) -> np.ndarray | None:
+        """What each neuron reads, in the order of the kernel's axes but the last.
 
-    def windows(self, link, values) -> np.ndarray:
-        """What each neuron of a link reads, shape (frames..., inputs) in the weights' order."""
-        raise self._refuse("networks that are rounded to integers")
+        Parameters
+        ----------
+        values : ndarray, shape (n, ...)
 
-    def _refuse(self, use):
-        return UserError(f"the layer {self} is not available in {use}")
+        Returns
+        -------
+        ndarray, shape (..., inputs of a neuron), or None
+            None if the rounding of weights is not compensated.
+        """
+        return None

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.geometry import windows
 from deploy.network.ops.conv import DeployedConvolution
 from models.ops.base import NUMBER, Operation, Synapses
 
@@ -30,24 +29,10 @@ class Convolution(Operation, DeployedConvolution):
         filters, kernel, stride = (int(n) for n in match.groups("1")[:3])
         return cls(filters, kernel, stride, "same" if match[4] else "valid")
 
-    def pads(self, input_shape) -> tuple:
-        """Numbers of zeros padded to rows and columns: ((before, after), (before, after))."""
-        return tuple(
-            windows(n, self.kernel, self.stride, self.padding)[1:] for n in input_shape[:2]
-        )
+    def fan_in(self, input_shape):
+        return self.kernel**2 * input_shape[2]
 
-    def keras_layer(self, name, gain=None):
-        from models.keras.keras2 import tf
-
-        size = self.filters, self.kernel
-        options = {"name": name, "strides": self.stride, "padding": self.padding}
-        if gain is None:
-            return tf.keras.layers.Conv2D(*size, **options)
-        from models.quantised import OnChipConv2D
-
-        return OnChipConv2D(*size, gain, **options)
-
-    def sums(self, kernel, frames):
+    def tensor_sums(self, kernel, frames):
         from models.keras.keras2 import tf
 
         return tf.nn.conv2d(frames, kernel, self.stride, self.padding.upper())
@@ -70,36 +55,13 @@ class Convolution(Operation, DeployedConvolution):
             np.concatenate([[0], np.cumsum(counts)]),
             (out_row * out_columns + out_column)[order],
             ((kernel_row * self.kernel + kernel_column) * channels + channel)[order],
+            self.filters,
         )
 
-    def currents(self, link, weights, spikes):
-        axes = ((3, 4, 5), (2, 0, 1))
-        sums = np.tensordot(self._sum_windows(link, spikes), weights, axes)
-        return sums.reshape(*spikes.shape[:2], -1)
-
-    def windows(self, link, values):
+    def gather_inputs(self, values):
         # Channels are the last axis, as in the weights.
-        windows_read = np.moveaxis(self._sum_windows(link, values), 3, 5)
-        return windows_read.reshape(*windows_read.shape[:3], -1)
-
-    def _sum_windows(self, link, spikes):
-        """Windows of sums over squares.
-
-        Returns
-        -------
-        ndarray, shape (frames, rows, columns, channels, kernel's rows, kernel's columns)
-        """
-        frames = spikes.reshape(-1, *link.input_shape)
-        if link.pool > 1:
-            rows, columns, channels = link.read_shape
-            complete = frames[:, : rows * link.pool, : columns * link.pool]
-            squares = complete.reshape(-1, rows, link.pool, columns, link.pool, channels)
-            frames = squares.sum((2, 4))
-        pads = self.pads(frames.shape[1:3])
-        frames = np.pad(frames, ((0, 0), *pads, (0, 0)))
-        sides = (self.kernel, self.kernel)
-        all_windows = np.lib.stride_tricks.sliding_window_view(frames, sides, (1, 2))
-        return all_windows[:, :: self.stride, :: self.stride]
+        read = np.moveaxis(self.view_windows(values), 3, 5)
+        return read.reshape(*read.shape[:3], -1)
 
     def __str__(self):
         stride = f"s{self.stride}" if self.stride > 1 else ""

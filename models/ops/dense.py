@@ -43,30 +43,22 @@ class Dense(Operation, DeployedDense):
         by_section = kernel.reshape(sections, -1, self.units).swapaxes(1, 2)
         return by_section.reshape(-1, by_section.shape[2])
 
-    def keras_layer(self, name, gain=None):
-        from models.keras.keras2 import tf
+    def fan_in(self, input_shape):
+        return math.prod(input_shape)
 
-        if gain is None:
-            return tf.keras.layers.Dense(self.units, name=name)
-        from models.quantised import OnChipDense
-
-        return OnChipDense(self.units, gain, name=name)
-
-    def sums(self, kernel, frames):
+    def tensor_sums(self, kernel, frames):
         from models.keras.keras2 import tf
 
         return tf.matmul(tf.reshape(frames, (-1, kernel.shape[0])), kernel)
 
     def synapses(self, input_shape):
         inputs = math.prod(input_shape)
-        return Synapses(np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs))
+        return Synapses(
+            np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs), self.units
+        )
 
-    def currents(self, link, weights, spikes):
-        currents = spikes.reshape(-1, spikes.shape[-1]) @ weights
-        return currents.reshape(*spikes.shape[:2], -1)
-
-    def windows(self, link, values):
-        return values
+    def gather_inputs(self, values):
+        return values.reshape(len(values), -1)
 
     def __str__(self):
         return f"{self.units}{'o' * self.output}"

@@ -32,13 +32,14 @@ from pipeline.recordings.arrays import errors_naming
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
 from pipeline.results import compare, other_recordings
-from pipeline.results.check_on_others import OtherRecordings, TargetCheck, check_on_others
+from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
 from pipeline.run.folder import RunFolder, refuse_other_folders, working_in
 from pipeline.run.settings import SIMULATED, Settings, put, read_settings
 from pipeline.sources import recordings_of
+from pipeline.target_check import TargetCheck
 
 # Source of the settings in the messages of errors.
 ORIGIN = "Run"

@@ -9,11 +9,12 @@ import typer
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.targets.registry import TARGETS, list_options, options_for
+from deploy.targets.registry import TARGETS, list_options, select_options
 from deploy.terminal import WARNING
 from pipeline.commands import options
-from pipeline.results.check_on_others import OtherRecordings, TargetCheck, check_on_others
+from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.run.folder import checks_of
+from pipeline.target_check import TargetCheck
 
 
 def _annotate_option(target, option):
@@ -104,7 +105,7 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from deploy.files import require_ending
     from pipeline.results.check_with_faults import fault_path, parse_faults
 
-    target_options = options_for(target, **vars(of_targets))
+    target_options = select_options(target, **vars(of_targets))
     if out is not None:
         require_ending(out, ".json")
     _require_data(others)

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
-from models.chain import build_network_spec, links_of
+from models.chain import build_network_spec, make_links
 from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, size_text
 from pipeline.run.settings import Deployment
 from pipeline.training.event_rules import NetworkSize, choose_hidden_units
@@ -142,14 +142,14 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
     deployment : pipeline.run.settings.schema.Deployment
     """
     rng = np.random.default_rng(0)
-    links = links_of(parse(text))
+    links = make_links(parse(text))
     on_host = on_events or deployment.readout == "host"
     chain = [
         replace(
             link,
             weights=rng.uniform(0.5, 1.0, link.weights.shape),
-            neuron=None if on_host and link is links[-1] else Neurons(0.01),
-            tau_syn=deployment.synapse or None,
+            neurons=None if on_host and link is links[-1] else Neurons(0.01),
+            synapse=deployment.synapse or None,
         )
         for link in links
     ]

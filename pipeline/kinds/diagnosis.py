@@ -90,7 +90,7 @@ def compare_rates(spec: NetworkSpec, rates: dict, activations: dict) -> list:
     ----------
     spec : NetworkSpec
     rates : dict of str to ndarray, shape (n_samples, n_neurons)
-        On the chip in the readout window, from :func:`deploy.targets.fast.firing_rates`.
+        On the chip in the readout window, from :func:`deploy.targets.fast.measure_firing_rates`.
     activations : dict of str to ndarray, shape (n_samples, n_neurons)
         Activations of the rate-based network on the same images.
     """

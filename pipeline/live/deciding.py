@@ -18,10 +18,10 @@ from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence, probabilities
 from deploy.network.responses import (
+    compute_running_sums,
+    find_score_unit,
     read_output,
     round_scores,
-    running_sums,
-    score_unit,
     select_readout,
 )
 from deploy.network.stimulus import EventFrames
@@ -199,7 +199,7 @@ class ImageDecider(Decider):
             first = self._spec.presentation.readout_start
             sure = confidence(sums, self._spec.estimator, first)[-1]
         now_s = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
-        best = int(np.argmax(round_scores(scores, score_unit(self._spec))))
+        best = int(np.argmax(round_scores(scores, find_score_unit(self._spec))))
         points.append((now_s, sure, best, probabilities(scores, sure)))
         curve = Curve(*map(np.array, zip(*points, strict=True)))
         return Answer(scores, spikes, curve, curve.first(self.threshold))
@@ -219,7 +219,7 @@ class ImageDecider(Decider):
         responses = read_output(spec, output, counts)
         if responses.decisions[0, -1] < 0:
             return None
-        return responses.scores[0], spikes, running_sums(spec, output)[0]
+        return responses.scores[0], spikes, compute_running_sums(spec, output)[0]
 
 
 class EventDecider(Decider):

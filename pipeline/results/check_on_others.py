@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deploy.check.bundle import Bundle
     from pipeline.recordings.faults import FaultCounts
+    from pipeline.target_check import TargetCheck
 
 
 @dataclass(frozen=True)
@@ -34,32 +35,6 @@ class OtherRecordings:
     skip_bad: bool = False
     time_unit: str = ""
     jobs: int = 2
-
-
-@dataclass(frozen=True)
-class TargetCheck:
-    """A target, and what it is run with.
-
-    Attributes
-    ----------
-    target : str
-    seed : int
-        Given to the simulator.
-    options : object or None
-        See :func:`deploy.targets.registry.options_for`.
-    """
-
-    target: str
-    seed: int
-    options: object = None
-
-    def run(self, bundle: Bundle, path: Path) -> dict:
-        """Run the target on a bundle's samples, with a progress bar; write the result."""
-        from deploy.check.run import run_check
-        from pipeline.progress import progress
-
-        with progress(f"check {self.target}", len(bundle.checks)) as advance:
-            return run_check(bundle, self.target, path, self.seed, advance, self.options)
 
 
 def check_on_others(

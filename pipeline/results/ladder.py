@@ -10,7 +10,7 @@ from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, align_rows, list_names, p_text, star
-from deploy.targets.registry import TARGETS
+from deploy.targets.registry import TARGETS, list_ladder_targets
 from deploy.terminal import WARNING
 from pipeline.kinds import TRAINED_STAGES, NetworkKind, find_compared_stage
 from pipeline.kinds.diagnosis import find_least_faithful, layers_text
@@ -37,8 +37,7 @@ MAX_LOSS_POINTS = 3.0
 
 def ladder_stages(kind: NetworkKind) -> list:
     """Stages of the ladder of a kind, in order."""
-    targets = [target.name for target in TARGETS.values() if target.in_ladder]
-    return [*kind.reference_stages, *targets]
+    return [*kind.reference_stages, *list_ladder_targets()]
 
 
 def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:

@@ -293,7 +293,7 @@ def add_accuracies(
     Parameters
     ----------
     result : dict
-        See :func:`deploy.check.results.result_of`.
+        See :func:`deploy.check.results.make_result`.
     bundle : Bundle
     recordings : Recordings
     chosen : ndarray of int

@@ -7,8 +7,8 @@ import time
 from functools import partial
 
 from deploy.check.bundle import Bundle
-from deploy.check.results import read_result, result_of
-from deploy.check.run import open_check, records_of, run_check, run_streams
+from deploy.check.results import make_result, read_result
+from deploy.check.run import list_sample_records, open_check, run_streams
 from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.registry import TARGETS
@@ -18,6 +18,7 @@ from pipeline.progress import hide_progress, progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.run.folder import RunFolder
 from pipeline.stages.opening import OpenedRun
+from pipeline.target_check import TargetCheck
 
 # What the record of a check says of its samples if they are those in the bundle.
 OWN_SAMPLES = "the bundle's"
@@ -42,8 +43,7 @@ def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
         return read_result(path, DELETE_IT)
     state.announce("answering", opened.say)
     if stage in TARGETS:
-        with progress(f"check {stage}", len(bundle.checks)) as advance:
-            return run_check(bundle, stage, path, opened.settings.seed, advance)
+        return TargetCheck(stage, opened.settings.seed).run(bundle, path)
     result = _check_reference(opened, bundle, stage)
     write_json(path, result)
     return result
@@ -65,8 +65,8 @@ def _check_reference(opened, bundle, stage) -> dict:
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         responses = reference.respond_to(stage, inputs, bundle, advance)
     seconds = time.perf_counter() - begun
-    samples = records_of(bundle.checks, responses)
-    return result_of(bundle, stage, opened.settings.seed, samples, seconds, extra)
+    samples = list_sample_records(bundle.checks, responses)
+    return make_result(bundle, stage, opened.settings.seed, samples, seconds, extra)
 
 
 def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> list:
@@ -140,26 +140,26 @@ def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):
         for name, path in paths.items():
             report = partial(advance, note=name)
             checks[name] = stack.enter_context(open_check(bundle, name, path, seed, report))
-        work = []
+        stream_jobs = []
         for check in checks.values():
-            jobs_of_check = (
-                [[stream] for stream in check.left] if check.target.slow else [check.left]
-            )
-            work += [check.work(streams) for streams in jobs_of_check if streams]
-        for job, records in run_jobs(_run_all_streams, work, jobs, meanwhile=meanwhile):
+            batches = [check.remaining_streams]
+            if check.target.slow:
+                batches = [[stream] for stream in check.remaining_streams]
+            stream_jobs += [check.make_job(streams) for streams in batches if streams]
+        for job, records in run_jobs(_run_all_streams, stream_jobs, jobs, meanwhile=meanwhile):
             if isinstance(records, Failure):
                 failures.setdefault(job.target, records)
             else:
                 for record in records:
-                    checks[job.target].take(record)
+                    checks[job.target].add_record(record)
         results = {name: checks[name].finish() for name in checks if name not in failures}
     for name, failure in failures.items():
         failure.raise_again(f"target {name}")
     return results
 
 
-def _run_all_streams(work):
-    return list(run_streams(work))
+def _run_all_streams(job):
+    return list(run_streams(job))
 
 
 def _check_artifact_of(opened, bundle, stage):

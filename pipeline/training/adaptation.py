@@ -26,11 +26,13 @@ from threadpoolctl import threadpool_limits
 from deploy.check.bundle import Bundle
 from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
+from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold
+from deploy.network.ops.dense import DeployedDense
 from deploy.network.provenance import TRAINING_RECORDINGS, read_classes, read_training_hashes
-from deploy.network.responses import running_sums, select_readout
+from deploy.network.responses import compute_running_sums, select_readout
 from deploy.network.spec import NetworkSpec, Rehearsal
-from deploy.network.stimulus import EventFrames, last_steps
+from deploy.network.stimulus import EventFrames, find_last_steps
 from deploy.tables import list_names
 from deploy.targets.fast import Emulation
 from pipeline.recordings.augmentation import AUGMENTATIONS, alter_recordings, choose_augmentation
@@ -47,9 +49,6 @@ FOLDS = 5
 # Directions of the responses in which the weights may change, those of the largest variance: a
 # layer of many neurons would take minutes without a gain.
 MAX_DIRECTIONS = 96
-
-# The largest weight in integers: 8 bits with the sign.
-MAX_WEIGHT_LEVEL = 127
 
 # Maximum loss of accuracy on the kept samples in cross-validation, similar to the loss of other
 # people.
@@ -215,7 +214,7 @@ def _cross_validate(problem, person, kept, folds, pull, rehearsal) -> _Trial:
 
 def round_to_8_bits(weights) -> np.ndarray:
     """Weights rounded to 255 levels; the largest magnitude has the last level."""
-    unit = np.abs(weights).max() / MAX_WEIGHT_LEVEL
+    unit = np.abs(weights).max() / LOIHI.weight_levels
     return np.rint(weights / unit) * unit if unit > 0 else np.array(weights)
 
 
@@ -317,9 +316,13 @@ class Responder:
             )
         inputs = readout.weights.shape[1]
         through = replace(
-            readout, shape=(inputs,), block_shape=None, weights=np.eye(inputs),
-            bias=np.zeros(inputs), starts=(0,),
-        )  # fmt: skip
+            readout,
+            operation=DeployedDense(inputs),
+            block_shape=None,
+            weights=np.eye(inputs),
+            bias=np.zeros(inputs),
+            starts=(0,),
+        )
         self.spec = spec
         self._emulation = Emulation(
             replace(spec, layers=(*spec.layers[:-1], through), estimator=None, rehearsal=None), seed
@@ -558,9 +561,9 @@ def _with_threshold(spec, responder, recordings):
         outputs += [
             select_readout(spec, output @ weights.T) for output in responder.run_to_readout(samples)
         ]
-        last.append(last_steps(samples))
+        last.append(find_last_steps(samples))
     chosen = choose_threshold(
-        running_sums(spec, np.concatenate(outputs)),
+        compute_running_sums(spec, np.concatenate(outputs)),
         recordings.labels,
         np.concatenate(last),
         estimator=spec.estimator,

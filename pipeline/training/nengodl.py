@@ -18,7 +18,7 @@ import numpy as np
 
 import deploy.network.loihi_import  # noqa: F401 - puts back what Nengo needs of NumPy 1
 from models.architecture import parse
-from models.cnn import build_cnn, gain_for, set_weights
+from models.cnn import build_cnn, find_gain, set_weights
 from models.keras.keras2 import tf
 from models.quantised import quantise_layer
 from pipeline.run.settings import Settings
@@ -166,7 +166,7 @@ def _convert(settings, weights, neuron_type, synapse):
     snn = settings.snn
     architecture = parse(settings.cnn.architecture)
     gains = {
-        name: gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        name: find_gain(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
         for index, name in enumerate(architecture.spiking)
     }
     model = build_cnn(architecture, activation=lambda index: tf.keras.layers.Activation(tf.nn.relu))

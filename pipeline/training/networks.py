@@ -14,19 +14,19 @@ from deploy.arithmetic import thin
 from deploy.errors import UserError
 from deploy.network.spec import DT
 from models.architecture import Architecture, parse
-from models.chain import links_of
+from models.chain import make_links
 from models.cnn import (
     RateLIF,
-    activations,
     build_cnn,
-    dropped_layers,
-    gain_for,
+    call_with_noise,
+    compute_activations,
+    find_gain,
     get_weights,
-    noisy_layers,
+    list_dropped_layers,
+    list_noisy_layers,
+    make_relu,
     predict,
-    relu,
     set_weights,
-    with_noise,
 )
 from models.keras.keras2 import as_written, tf
 from pipeline.recordings.images import ALTERED_AT_ONCE
@@ -87,7 +87,7 @@ class Trained:
 
     def compute_activations(self, inputs) -> dict:
         """Outputs of the neurons of each layer, shape (n_samples, n_neurons), by the layer."""
-        return activations(self._model, inputs)
+        return compute_activations(self._model, inputs)
 
     @functools.cached_property
     def _model(self):
@@ -188,7 +188,9 @@ def train_matched(
     """
     make_deterministic(seed)
     snn = settings.snn
-    model = build_cnn(parse(settings.cnn.architecture), lambda index: relu(snn.noise, snn.dropout))
+    model = build_cnn(
+        parse(settings.cnn.architecture), lambda index: make_relu(snn.noise, snn.dropout)
+    )
     set_weights(model, scale_to_unit(settings, cnn_weights, samples.images))
     schedule = make_snn_schedule(snn, len(samples))
     history = fit(model, schedule, samples, seed, advance)
@@ -223,11 +225,11 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
         )
 
     def gain(index):
-        return gain_for(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        return find_gain(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
 
     for rate in snn.max_rates:
         try:
-            gain_for(rate, snn.tau_rc, snn.tau_ref)
+            find_gain(rate, snn.tau_rc, snn.tau_ref)
         except ValueError as error:
             raise UserError(f"settings: snn.max_rates: {error}") from error
     return build_cnn(architecture, neurons, gain if on_chip else None)
@@ -235,7 +237,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
 
 def _compute_spike_costs(settings, architecture):
     """For each layer the penalty for a neuron that fires at ``max_rate`` for `PRICED_STEPS`."""
-    synapses = [link.fan_out for link in links_of(architecture)]
+    synapses = [link.fan_out for link in make_links(architecture)]
     operations = sum(int(layer.sum()) for layer in synapses)
     seconds = PRICED_STEPS * DT
     return [
@@ -453,7 +455,7 @@ def _compiled_batches(model, rule, batch_size):
     @as_written
     def step(images, wanted, noise, masks):
         with tf.GradientTape() as tape:
-            logits = with_noise(model, images, noise, masks)
+            logits = call_with_noise(model, images, noise, masks)
             losses = tf.nn.sparse_softmax_cross_entropy_with_logits(wanted, logits)
             loss = tf.reduce_mean(losses) + tf.add_n([0.0, *model.losses])
         rule.apply_gradients(
@@ -482,8 +484,8 @@ def _draw_samples(model, samples, schedule, seed):
     Yields as many whole batches of an epoch at once as `NOISE_AHEAD` allows.  NumPy draws the noise
     in two thirds of TensorFlow's time, and concurrently with the training steps.
     """
-    noisy = noisy_layers(model)
-    dropped = dropped_layers(model)
+    noisy = list_noisy_layers(model)
+    dropped = list_dropped_layers(model)
     images = samples.images
     labels = np.asarray(samples.labels, np.int32)
     numbers = sum(int(np.prod(layer.input_shape[1:])) for layer in (*noisy, *dropped))

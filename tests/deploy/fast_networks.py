@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.network.build import build
-from deploy.network.geometry import convolution_shape, pooled_shape
+from deploy.network.geometry import compute_pooled_shape
 from deploy.network.loihi_import import nengo_loihi
+from deploy.network.ops.conv import DeployedConvolution
+from deploy.network.ops.dense import DeployedDense
 from deploy.network.responses import show
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
@@ -64,45 +66,37 @@ def random_spec(seed):
 
 def _convolution(rng, name, before, size):
     pool = int(rng.choice([1, 1, 2, 3])) if min(before[:2]) >= 3 else 1
-    read = pooled_shape(before, pool)
+    read = compute_pooled_shape(before, pool)
     padding = str(rng.choice(["valid", "valid", "same"]))
     kernel = int(rng.integers(1, (3 if padding == "same" else min(3, *read[:2])) + 1))
     stride = int(rng.choice([1, 1, 2, 3]))
     filters = int(rng.choice([1, 3, 4]))
-    after = convolution_shape(read, kernel, filters, stride, padding)
-    block = [int(rng.integers(1, n + 1)) for n in after]
+    operation = DeployedConvolution(filters, kernel, stride, padding)
+    block = [int(rng.integers(1, n + 1)) for n in operation.shape(read)]
     weights = _weights(rng, size, (kernel, kernel, before[2], filters))
     return Layer(
         name=name,
-        kind="conv",
+        operation=operation,
         input_shape=before,
-        shape=after,
-        placement="chip",
         neurons=random_neurons(rng),
         synapse=rng.choice([0.02, 0.1]) if size == LOUD else rng.choice([None, 0.002, 0.005]),
-        kernel=kernel,
         block_shape=tuple(block),
         weights=weights,
         bias=rng.normal(1.2, 1, filters),
-        stride=stride,
-        padding=padding,
         pool=pool,
     )
 
 
 def _dense(rng, name, before, size):
     pool = int(rng.choice([1, 2])) if len(before) == 3 and min(before[:2]) >= 2 else 1
-    read = pooled_shape(before, pool) if pool > 1 else before
+    read = compute_pooled_shape(before, pool) if pool > 1 else before
     units = int(rng.integers(2, 9))
     return Layer(
         name=name,
-        kind="dense",
+        operation=DeployedDense(units),
         input_shape=before,
-        shape=(units,),
-        placement="chip",
         neurons=random_neurons(rng),
         synapse=rng.choice([0.02, 0.1]) if size == LOUD else rng.choice([None, 0.002, 0.005]),
-        kernel=0,
         block_shape=(int(rng.integers(1, units + 1)),),
         weights=_weights(rng, size, (units, int(np.prod(read)))),
         bias=rng.normal(1.2, 1, units),
@@ -127,13 +121,10 @@ def _output(rng, before, size):
     on_chip = rng.random() < 0.25
     return Layer(
         name="output",
-        kind="dense",
+        operation=DeployedDense(classes),
         input_shape=before,
-        shape=(classes,),
-        placement="chip" if on_chip else "host",
         neurons=random_neurons(rng) if on_chip else None,
         synapse=rng.choice([None, 0.005]),
-        kernel=0,
         block_shape=(int(rng.integers(1, classes + 1)),) if on_chip else None,
         weights=_weights(rng, max(size, 1.0), (classes, int(np.prod(before)))),
         bias=rng.normal(0, 0.5, classes),
@@ -143,13 +134,23 @@ def _output(rng, before, size):
 def loud_spec(filters, sign):
     """36 neurons a filter, all spiking at every other step, onto three with one large weight."""
     conv = Layer(
-        "conv1", "conv", (6, 6, 1), (6, 6, filters), "chip", Neurons(amplitude=0.01), None,
-        1, None, np.full((1, 1, 1, filters), 1000.0), np.zeros(filters),
-    )  # fmt: skip
+        name="conv1",
+        operation=DeployedConvolution(filters, 1),
+        input_shape=(6, 6, 1),
+        neurons=Neurons(amplitude=0.01),
+        synapse=None,
+        weights=np.full((1, 1, 1, filters), 1000.0),
+        bias=np.zeros(filters),
+    )
     output = Layer(
-        "output", "dense", (6, 6, filters), (3,), "chip", Neurons(amplitude=1.0), 0.1,
-        0, None, np.full((3, 36 * filters), sign * 3.0), np.array([-9.0, 0.0, 9.0]),
-    )  # fmt: skip
+        name="output",
+        operation=DeployedDense(3),
+        input_shape=(6, 6, filters),
+        neurons=Neurons(amplitude=1.0),
+        synapse=0.1,
+        weights=np.full((3, 36 * filters), sign * 3.0),
+        bias=np.array([-9.0, 0.0, 9.0]),
+    )
     presentation = Presentation(steps=60, gap=3, readout_start=0)
     return NetworkSpec("loud", (6, 6, 1), ImageSpikes(1000.0), (conv, output), presentation)
 

@@ -3,63 +3,60 @@
 import numpy as np
 
 from deploy.check.bundle import CheckSet, write_bundle
-from deploy.network.geometry import convolution_shape, pooled_shape
+from deploy.network.geometry import compute_pooled_shape
+from deploy.network.ops.conv import DeployedConvolution
+from deploy.network.ops.dense import DeployedDense
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 
 LIF = Neurons(amplitude=0.01)
 
 
-def conv(name, input_shape, filters, kernel, rng, block_shape=None, scale=1.0, **geometry):
+def conv(name, input_shape, filters, kernel, rng, block_shape=None, scale=1.0, pool=1, **geometry):
     """A convolution of LIF neurons on the chip, silent up to an input of about 0.
 
-    ``stride``, ``padding`` and ``pool`` as a layer has them.
+    ``stride`` and ``padding`` as the operation has them.
     """
-    read = pooled_shape(input_shape, geometry.get("pool", 1))
-    stride, padding = geometry.get("stride", 1), geometry.get("padding", "valid")
+    read = compute_pooled_shape(input_shape, pool)
     weights = rng.normal(size=(kernel, kernel, read[2], filters))
     return Layer(
         name=name,
-        kind="conv",
+        operation=DeployedConvolution(filters, kernel, **geometry),
         input_shape=input_shape,
-        shape=convolution_shape(read, kernel, filters, stride, padding),
-        placement="chip",
         neurons=LIF,
         synapse=0.005,
-        kernel=kernel,
         block_shape=block_shape,
         weights=scale * 3 * weights / np.sqrt(weights[..., 0].size),
         bias=rng.uniform(0.9, 1.1, filters),
-        **geometry,
+        pool=pool,
     )
 
 
 def dense(name, input_shape, units, rng, block_shape=None, scale=1.0, pool=1):
     """A hidden dense layer of LIF neurons on the chip."""
-    size = int(np.prod(pooled_shape(input_shape, pool) if pool > 1 else input_shape))
+    size = int(np.prod(compute_pooled_shape(input_shape, pool) if pool > 1 else input_shape))
     return Layer(
-        name=name, kind="dense", input_shape=input_shape, shape=(units,), placement="chip",
-        neurons=LIF, synapse=0.005, kernel=0, block_shape=block_shape,
+        name=name, operation=DeployedDense(units), input_shape=input_shape,
+        neurons=LIF, synapse=0.005, block_shape=block_shape,
         weights=scale * 3 * rng.normal(size=(units, size)) / np.sqrt(size),
         bias=rng.uniform(0.9, 1.1, units), pool=pool,
     )  # fmt: skip
 
 
-def readout(input_shape, rng, classes=10, on_chip=False):
+def readout(input_shape, rng, classes=10, on_chip=False, starts=(0,)):
     """A linear readout on the host, or a layer of output neurons on the chip."""
     size = int(np.prod(input_shape))
     return Layer(
         name="output",
-        kind="dense",
+        operation=DeployedDense(classes),
         input_shape=input_shape,
-        shape=(classes,),
-        placement="chip" if on_chip else "host",
         neurons=LIF if on_chip else None,
         synapse=0.005,
-        kernel=0,
-        block_shape=None,
-        weights=rng.normal(size=(classes, size)) * (3 if on_chip else 1) / np.sqrt(size),
+        weights=rng.normal(size=(len(starts) * classes, size))
+        * (3 if on_chip else 1)
+        / np.sqrt(size),
         bias=np.full(classes, 1.0) if on_chip else rng.normal(size=classes),
+        starts=starts,
     )
 
 
@@ -130,8 +127,8 @@ def events_spec(seed=0, **presentation):
     shown = {"steps": 20, "gap": 4, "readout_start": 0, "stream_length": 3, **presentation}
     conv1 = conv("conv1", (6, 6, 2), 4, 4, rng, scale=8.0)
     dense1 = Layer(
-        name="dense1", kind="dense", input_shape=conv1.shape, shape=(5,), placement="chip",
-        neurons=LIF, synapse=0.002, kernel=0, block_shape=None,
+        name="dense1", operation=DeployedDense(5), input_shape=conv1.shape,
+        neurons=LIF, synapse=0.002,
         weights=rng.normal(size=(5, conv1.size)), bias=np.full(5, 0.9),
     )  # fmt: skip
     return NetworkSpec(

@@ -4,8 +4,8 @@ import nengo
 import numpy as np
 
 from deploy.network.loihi_import import nengo_loihi
-from models.chain import links_of
-from models.integers import on_loihi
+from models.chain import make_links
+from models.integers import set_integers
 
 DT = 0.001
 
@@ -35,7 +35,9 @@ def emulate(architecture, integers, frames, gap=0):
     def show(t):
         return shown[min(round(t / DT) - 1, len(shown) - 1)].reshape(-1)
 
-    links = {link.name: on_loihi(link, integers[link.name]) for link in links_of(architecture)[:-1]}
+    links = {
+        link.name: set_integers(link, integers[link.name]) for link in make_links(architecture)[:-1]
+    }
     with nengo.Network(seed=0) as model:
         nengo_loihi.add_params(model)
         size = int(np.prod(frames.shape[1:]))
@@ -52,9 +54,9 @@ def emulate(architecture, integers, frames, gap=0):
             after = layer.shape(shape)
             n = int(np.prod(after))
             neurons = nengo_loihi.neurons.LoihiLIF(
-                tau_rc=chip.neuron.tau_rc,
+                tau_rc=chip.neurons.tau_rc,
                 tau_ref=0,
-                min_voltage=chip.neuron.min_voltage,
+                min_voltage=chip.neurons.min_voltage,
                 amplitude=DT,
             )
             bias = np.tile(chip.bias, n // len(chip.bias))
@@ -66,7 +68,7 @@ def emulate(architecture, integers, frames, gap=0):
                     layer.filters, shape, strides=(layer.stride,) * 2,
                     kernel_size=(layer.kernel,) * 2, padding=layer.padding, init=chip.weights,
                 )  # fmt: skip
-            synapse = nengo.Lowpass(chip.tau_syn) if chip.tau_syn else None
+            synapse = nengo.Lowpass(chip.synapse) if chip.synapse else None
             nengo.Connection(sender.neurons, ensemble.neurons, transform=transform, synapse=synapse)
             probes.append(nengo.Probe(ensemble.neurons))
             sender, shape = ensemble, after

@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 
 from models.architecture import parse
-from models.chain import links_of
+from models.chain import make_links
 from models.cnn import (
     RateLIF,
-    activations,
     build_cnn,
+    call_with_noise,
+    compute_activations,
     get_weights,
-    noisy_layers,
+    list_noisy_layers,
     predict,
     set_weights,
-    with_noise,
 )
 from models.keras.keras2 import tf
 from models.ops import Dense
@@ -37,10 +37,10 @@ def test_keras_layers_with_other_variables_than_declared_are_refused(monkeypatch
 def test_weights_without_a_kernel_make_no_network():
     weights = get_weights(build_cnn(PAPER))
     bias = weights.pop("conv2.bias")
-    np.testing.assert_array_equal(links_of(PAPER, weights)[1].bias, np.zeros_like(bias))
+    np.testing.assert_array_equal(make_links(PAPER, weights)[1].bias, np.zeros_like(bias))
     del weights["conv2.kernel"]
     with pytest.raises(ValueError, match=r"'conv2\.kernel' of shape \(3, 3, 6, 24\)"):
-        links_of(PAPER, weights)
+        make_links(PAPER, weights)
 
 
 def test_weights_round_trip():
@@ -100,7 +100,7 @@ def test_strides_padding_pooling_and_dense_layers_against_numpy():
     dense = np.maximum(pooled.ravel() @ weights["dense1.kernel"] + weights["dense1.bias"], 0)
     expected = dense @ weights["output.kernel"] + weights["output.bias"]
     np.testing.assert_allclose(predict(model, image[None])[0], expected, atol=1e-5)
-    shapes = {name: array.shape for name, array in activations(model, image[None]).items()}
+    shapes = {name: array.shape for name, array in compute_activations(model, image[None]).items()}
     assert shapes == {"conv1": (1, 36), "dense1": (1, 5)}
 
 
@@ -108,7 +108,7 @@ def test_noise_is_added_to_what_the_neurons_receive():
     """By hand, layer by layer; a model that is called adds none of its own."""
     noises = [0.2, 0.0, 0.5]
     model = build_cnn(parse("6x6-3c3-4c2-5-2o"), lambda index: RateLIF(150.0, noise=noises[index]))
-    assert [layer.name for layer in noisy_layers(model)] == ["conv1_neurons", "dense1_neurons"]
+    assert [layer.name for layer in list_noisy_layers(model)] == ["conv1_neurons", "dense1_neurons"]
     rng = np.random.default_rng(0)
     images = rng.uniform(size=(4, 6, 6, 1)).astype(np.float32)
     noise = [rng.normal(size=shape).astype(np.float32) for shape in ((4, 4, 4, 3), (4, 5))]
@@ -116,11 +116,11 @@ def test_noise_is_added_to_what_the_neurons_receive():
     for layer in model.layers[1:]:
         added = {"conv1_neurons": noise[0], "dense1_neurons": noise[1]}.get(layer.name, 0)
         signal = layer(signal + added).numpy()
-    np.testing.assert_allclose(with_noise(model, images, noise), signal, rtol=1e-6)
+    np.testing.assert_allclose(call_with_noise(model, images, noise), signal, rtol=1e-6)
     quiet = predict(model, images)
     assert not np.allclose(signal, quiet, atol=1e-3)
     np.testing.assert_allclose(model(images, training=True), quiet, rtol=1e-6)
     none = [np.zeros_like(values) for values in noise]
-    np.testing.assert_allclose(with_noise(model, images, none), quiet, rtol=1e-6)
+    np.testing.assert_allclose(call_with_noise(model, images, none), quiet, rtol=1e-6)
     with pytest.raises(ValueError, match="shorter"):
-        with_noise(model, images, noise[:1])
+        call_with_noise(model, images, noise[:1])

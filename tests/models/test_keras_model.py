@@ -16,7 +16,7 @@ from models.cnn import predict
 from models.keras.files import ModelFileError
 from models.keras.layers import convert_layers
 from models.keras.model import Layer
-from models.keras.reader import original_network, read_keras
+from models.keras.reader import make_original_network, read_keras
 from tests.command import missing
 from tests.models import keras_models
 
@@ -129,7 +129,7 @@ def original_outputs(path, own):
         inputs, outputs = kept["inputs"], kept["outputs"]
     images = np.zeros((len(inputs), np.prod(own.architecture.input_shape)))
     images[:, own.input_order.ravel()] = inputs.reshape(len(inputs), -1) / own.input_scale
-    logits = predict(original_network(own), images.reshape(-1, *own.architecture.input_shape))
+    logits = predict(make_original_network(own), images.reshape(-1, *own.architecture.input_shape))
     return outputs, logits
 
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from deploy.network.loihi_import import nengo_loihi
-from models.cnn import RateLIF, gain_for, on_chip_time_constants
+from models.cnn import RateLIF, find_gain, round_time_constants
 from models.keras.keras2 import tf
 
 RATE = 150.0
@@ -34,7 +34,7 @@ def test_on_the_chip_the_rate_is_nengo_loihis_averaged_over_a_ripple(tau_rc, tau
         # A ripple that moves the end of the interval by one step, evenly within it.
         interval = 1 / (float(layer(np.float32([z]))[0]) * RATE)
         ends = interval + 0.001 * (np.arange(400) / 400 - 1)  # half a step around the unrounded one
-        real_tau_rc, real_tau_ref = on_chip_time_constants(tau_rc, tau_ref)
+        real_tau_rc, real_tau_ref = round_time_constants(tau_rc, tau_ref)
         j = 1 + 1 / np.expm1((ends - real_tau_ref) / real_tau_rc)
         rates = nengo_loihi.neurons.loihi_lif_rates(
             neurons, (j - 1)[:, None], np.ones(1), np.ones(1), dt=0.001
@@ -57,11 +57,11 @@ def test_one_gives_the_maximum_rate_and_zero_none():
 
 def test_gain_by_hand():
     # 1 / r - tau_ref = tau_rc log(1 + 1 / (J - 1)), r = 100 Hz, tau_ref = 2 ms: log(...) = 0.4
-    assert gain_for(100, 0.02, 0.002) == pytest.approx(1 / (np.exp(0.4) - 1))
+    assert find_gain(100, 0.02, 0.002) == pytest.approx(1 / (np.exp(0.4) - 1))
 
 
 def test_time_constants_on_the_chip():
-    tau_rc, tau_ref = on_chip_time_constants(0.02, 0.0014)
+    tau_rc, tau_ref = round_time_constants(0.02, 0.0014)
     assert tau_ref == pytest.approx(0.001)
     assert -np.expm1(-0.001 / tau_rc) * 4095 == pytest.approx(200)  # 199.7 rounded to an integer
     assert tau_rc == pytest.approx(0.02, rel=2e-3)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from deploy.errors import UserError
 from models.integers import (
     choose_integers,
-    currents,
-    moments_of,
+    compute_currents,
+    measure_moments,
     round_to_integers,
     simulate_spikes,
 )
@@ -33,12 +33,12 @@ def by_layers(network, inputs, step, method):
     """Spikes of each layer of neurons and the readout's output, in real numbers."""
     signal, found = in_places(inputs), []
     for layer in from_nir(network, step, method):
-        if layer.neuron is not None:
+        if layer.neurons is not None:
             signal = simulate_spikes(layer, signal)
         else:
             added, signal = signal @ layer.weights, np.zeros((*signal.shape[:2], layer.size))
             state = np.zeros(layer.size)
-            keep = 0.0 if layer.tau_syn is None else np.exp(-0.001 / layer.tau_syn)
+            keep = 0.0 if layer.synapse is None else np.exp(-0.001 / layer.synapse)
             for t in range(added.shape[1]):
                 state = keep * state + (1 - keep) * added[:, t]
                 signal[:, t] = state
@@ -280,7 +280,7 @@ def test_rounding_is_made_up_for_where_inputs_are_active_together():
     inputs = np.zeros((1, 80, 3))
     inputs[0, ::8] = [1, 0, 1]
     inputs[0, 4::8] = [0, 1, 0]
-    found = round_to_integers(layer, 1.0, moments_of(layer, inputs)).weights.ravel()
+    found = round_to_integers(layer, 1.0, measure_moments(layer, inputs)).weights.ravel()
     assert round_to_integers(layer).weights.ravel().tolist() == [0, 127, 0]
     assert sorted(found[[0, 2]]) == [0, 1]
     assert found[1] == 127
@@ -302,13 +302,13 @@ def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
     for layer in from_nir(network, 0.001):
         near, made_up = (
             round_to_integers(layer),
-            round_to_integers(layer, 1.0, moments_of(layer, signal)),
+            round_to_integers(layer, 1.0, measure_moments(layer, signal)),
         )
         unit = layer.pool**2 * 128 * 2.0**near.exponent / near.threshold
-        real = currents(layer, layer.weights / layer.pool**2, signal)
+        real = compute_currents(layer, layer.weights / layer.pool**2, signal)
 
         def error(integers, layer=layer, signal=signal, unit=unit, real=real):
-            added = currents(layer, integers.weights * unit / layer.pool**2, signal)
+            added = compute_currents(layer, integers.weights * unit / layer.pool**2, signal)
             return np.square(np.cumsum(added - real, 1)).mean()
 
         assert np.abs(made_up.weights).max() == 127

@@ -4,7 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.keras.keras2 import tf
-from models.quantised import OnChipConv2D, quantise_bias, quantise_weights
+from models.keras.operation_layer import OperationLayer
+from models.ops import Convolution
+from models.quantised import quantise_bias, quantise_weights
 
 
 def test_rounding_by_hand():
@@ -41,7 +43,7 @@ def test_a_bias_keeps_quantise_bias(bias, negative):
 def test_the_convolution_computes_with_the_chips_weights_and_biases():
     image = np.random.default_rng(2).normal(size=(2, 6, 6, 1)).astype(np.float32)
     gain, bias = 0.3, np.float32([0.1, -0.2, 0.33])
-    layer = OnChipConv2D(3, 2, gain=gain)
+    layer = OperationLayer(Convolution(3, 2), gain)
     layer(image)
     layer.bias.assign(bias)
     plain = tf.keras.layers.Conv2D(3, 2)

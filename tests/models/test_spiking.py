@@ -152,7 +152,7 @@ def test_gradients_reach_everything_that_is_trained():
     frames = tf.constant(frames_for(network))
     with tf.GradientTape() as tape:
         outputs, spikes = network(frames)
-        costs = spiking.operations(network.architecture, frames, spikes)
+        costs = spiking.count_operations(network.architecture, frames, spikes)
         loss = tf.reduce_sum(outputs[-1, :, 0]) + 1e-3 * tf.reduce_sum(costs)
     for variable, gradient in zip(
         network.variables_in_order, tape.gradient(loss, network.variables_in_order), strict=True
@@ -181,7 +181,7 @@ def test_operations_are_counted_as_the_deployed_networks():
     network = network_of("10x10x2-6c3-8c3-10o")
     frames = frames_for(network)
     _, spikes = network(tf.constant(frames))
-    counted = spiking.operations(network.architecture, tf.constant(frames), spikes)
+    counted = spiking.count_operations(network.architecture, tf.constant(frames), spikes)
     for layer, (sender, fan_out) in enumerate(
         zip((frames, *spikes), network.architecture.fan_out.values(), strict=True)
     ):

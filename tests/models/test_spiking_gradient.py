@@ -1,42 +1,17 @@
 """The compiled gradients against those of TensorFlow."""
 
-import math
-import re
-
 import numpy as np
 import pytest
 
 from models import ops
 from models.architecture import parse
 from models.keras.keras2 import tf
-from models.spiking import SpikingNetwork, operations
+from models.spiking import SpikingNetwork, count_operations
 from models.spiking_gradient import Batch, SpikingGradient
 from tests.models.test_spiking import ARCHITECTURES, frames_for, network_of
-from tests.test_extensions import DeployedOneToOne
+from tests.test_extensions import OneToOne
 
 EARLY, PRICE = 0.7, 1e-4
-
-
-class OneToOne(ops.Operation, DeployedOneToOne):
-    """An operation of another package, with what training on events needs."""
-
-    token = re.compile("own")
-
-    def kernel_shape(self, input_shape):
-        return (math.prod(input_shape), 1)
-
-    def fan_in(self, input_shape):
-        return 1
-
-    def sums(self, kernel, frames):
-        return frames * kernel[:, 0]
-
-    def synapses(self, input_shape):
-        numbers = np.arange(math.prod(input_shape))
-        return ops.Synapses(np.arange(len(numbers) + 1), numbers, numbers)
-
-    def __str__(self):
-        return "own"
 
 
 def values_of(network):
@@ -65,7 +40,7 @@ def in_tensorflow(network, batch):
         writing = (np.arange(len(frames))[:, None] <= batch.last_step).astype(np.float32)
         mean = tf.reduce_sum(loss_at * writing, 0) / writing.sum(0)
         loss = tf.reduce_sum(loss_at[-1] + EARLY * mean)
-        cost = tf.reduce_sum(operations(network.architecture, frames, spikes))
+        cost = tf.reduce_sum(count_operations(network.architecture, frames, spikes))
         total = loss + PRICE * cost
     gradients = tape.gradient(total, network.variables_in_order)
     named = zip(network.variables_by_name, gradients, strict=True)
@@ -101,7 +76,7 @@ def test_outputs_are_those_of_tensorflow(text):
     for layer, expected in zip(rates, spikes, strict=True):
         assert np.mean(layer != expected.numpy().sum(0)) < 0.01
     assert np.abs(found - np.moveaxis(outputs.numpy(), 0, 1)).mean() < 0.01
-    expected = operations(network.architecture, frames, spikes).numpy().sum(1)
+    expected = count_operations(network.architecture, frames, spikes).numpy().sum(1)
     np.testing.assert_allclose(cost, expected, rtol=1e-2)
 
 

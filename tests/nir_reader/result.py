@@ -8,8 +8,8 @@ import sys
 import numpy as np
 
 from deploy.check.bundle import read_bundle
-from deploy.check.results import result_of
-from deploy.check.run import records_of
+from deploy.check.results import make_result
+from deploy.check.run import list_sample_records
 from deploy.files import read_arrays, write_json
 from deploy.network.responses import read_output
 
@@ -43,8 +43,8 @@ def main(bundle, given, answered, out):
     opened = read_bundle(bundle)
     reader = read_arrays(answered, REMEDY)
     responses = responses_of(opened.spec, read_arrays(given, REMEDY), reader)
-    samples = records_of(opened.checks, responses)
-    write_json(out, result_of(opened, "norse", 0, samples, float(reader["seconds"])))
+    samples = list_sample_records(opened.checks, responses)
+    write_json(out, make_result(opened, "norse", 0, samples, float(reader["seconds"])))
 
 
 if __name__ == "__main__":

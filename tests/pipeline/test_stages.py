@@ -70,7 +70,7 @@ def test_an_interruption_keeps_every_stream_that_was_answered(bundle, tmp_path, 
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(OpenCheck, "take", stop)
+        patched.setattr(OpenCheck, "add_record", stop)
         with pytest.raises(KeyboardInterrupt):
             answered(tmp_path, bundle, ["nengo", "emulator"])
     paths = [partial(check_of(tmp_path, target)) for target in ("nengo", "emulator")]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Tuple
+from dataclasses import asdict, dataclass
+from typing import ClassVar, Tuple
 
 import numpy as np
 
 from ...arithmetic import ceil_div
 from ...errors import UserError
+from ...loading import load
 from ..chip import Chip
-from ..geometry import pooled_shape, unpool
+from ..geometry import compute_pooled_shape, unpool
 
 # Maximum number of synapses of one list.
 SYNAPSES_OF_LIST = 64
@@ -22,30 +25,31 @@ INDEX_BITS = (6, 7, 8, 9, 10, 11, 12)
 POPULATION_SLOTS = 2
 
 
+@dataclass(frozen=True)
 class DeployedOperation:
-    """A linear map from a layer's input, after averaging, to its neurons.
+    """A linear map from a layer's input, after average pooling, to its neurons.
 
-    A subclass is a frozen dataclass whose fields are the operation's numbers, such as the number of
-    filters.  Its methods are:
+    A subclass with numbers, such as the number of filters, is a frozen dataclass whose fields they
+    are.  It has `kind`, `shape`, `weight_shape` and `compute_sums`, which is its meaning: all
+    else follows from the sums.  The other methods are for operations whose defaults are not good
+    enough:
 
-    ==============================  ================================================================
-    `kind`, `shape`,                always
-    `weight_shape`, `fan_out`,
-    `transform`
-    `of_layer`, `layer_attributes`  if it has fields
-    `by_output`                     if the first axis of the weights is not that of the outputs
-    `resources`                     if not every input has a synapse to every neuron (without it the
-                                    axons and the memory are counted too high)
-    `nir_nodes`                     for the export to NIR, which is refused without it
-    ==============================  ================================================================
+    ===========================  ===================================================================
+    `to_file`, `from_file`       if a number is already in the layer's shape
+    `fan_out`, `make_matrix`     if the sums of as many samples as there are inputs need much memory
+    `by_output`                  if the first axis of the weights is not that of the outputs
+    `transform`, `resources`     if the chip needs no synapse from every input to every neuron
+    `nir_nodes`                  for the export to NIR, which is refused without it
+    ===========================  ===================================================================
 
-    ``layer`` is a :class:`deploy.network.spec.Layer`, and ``read_shape`` the shape of its input
-    after averaging: (rows, columns, channels) or (values,).
+    ``read_shape`` is the shape of the values that the weights read, those of the input after
+    average pooling: (rows, columns, channels) or (values,).  ``layer`` is a
+    :class:`deploy.network.spec.Layer`.  No method but `transform` knows of Nengo.
 
     Attributes
     ----------
     kind : str
-        The key in `DEPLOYED_OPERATIONS`, which is ``Layer.kind`` of the layers with this operation.
+        The key in `DEPLOYED_OPERATIONS`, and ``kind`` of the layers in a bundle.
     is_spatial : bool
         True if the input must have rows, columns and channels.
     can_read_out : bool
@@ -54,25 +58,12 @@ class DeployedOperation:
         True if its neurons can have weights from each other.
     """
 
-    kind: str
-    is_spatial = False
-    can_read_out = False
-    can_recur = False
+    kind: ClassVar[str]
+    is_spatial: ClassVar[bool] = False
+    can_read_out: ClassVar[bool] = False
+    can_recur: ClassVar[bool] = False
 
-    @classmethod
-    def of_layer(cls, layer) -> DeployedOperation:
-        """The operation of a layer, by its attributes other than the weights.
-
-        Raises
-        ------
-        ValueError
-            A number is out of range.
-        """
-        return cls()
-
-    def layer_attributes(self) -> dict:
-        """Attributes of a layer from which `of_layer` makes this operation, but for the shapes."""
-        return {"kernel": 0}
+    # --- the meaning ------------------------------------------------------------------------------
 
     def shape(self, read_shape) -> Tuple[int, ...]:
         """Shape of the output.
@@ -88,21 +79,64 @@ class DeployedOperation:
         """Shape of the weights; of a readout in sections, that of one section."""
         raise NotImplementedError
 
-    def fan_out(self, read_shape) -> np.ndarray:
-        """Number of synapses of each value of the input, int64, of shape ``read_shape``."""
+    def compute_sums(self, weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """The weighted sums of the values, in NumPy.
+
+        Each sum adds values of the input, each multiplied by one of the weights.
+
+        Parameters
+        ----------
+        weights : ndarray
+            In the shape of `weight_shape`.
+        values : ndarray, shape (n, ...)
+            Values of n samples or steps, in ``read_shape`` each.
+
+        Returns
+        -------
+        ndarray, shape (n, ...)
+            In `shape` each; of a readout in sections (n, sections * units).
+        """
         raise NotImplementedError
 
+    # --- what follows from it ---------------------------------------------------------------------
+
+    def find_synapses(self, read_shape) -> np.ndarray:
+        """The weight of each synapse, as an index into the flat weights; -1 where there is none.
+
+        Returns
+        -------
+        ndarray of int64, shape (inputs, outputs)
+
+        Raises
+        ------
+        ValueError
+            A sum has something else than one weight times each value that it reads.
+        """
+        return _find_synapses(self, tuple(read_shape))
+
+    def fan_out(self, read_shape) -> np.ndarray:
+        """Number of synapses of each value of the input, int64, of shape ``read_shape``."""
+        has_synapse = self.find_synapses(read_shape) >= 0
+        return has_synapse.sum(1, dtype=np.int64).reshape(read_shape)
+
     def input_fan_out(self, input_shape, pool: int = 1) -> np.ndarray:
-        """Number of synapses of each value before averaging, of shape ``input_shape``.
+        """Number of synapses of each value before pooling, of shape ``input_shape``.
 
         Values outside of complete windows have none.
         """
         if pool == 1:
             return self.fan_out(input_shape)
-        return unpool(self.fan_out(pooled_shape(input_shape, pool)), input_shape, pool)
+        return unpool(self.fan_out(compute_pooled_shape(input_shape, pool)), input_shape, pool)
+
+    def make_matrix(self, weights: np.ndarray, read_shape) -> np.ndarray:
+        """The weights as a matrix, shape (outputs, inputs)."""
+        units = _make_units(read_shape)
+        return self.compute_sums(weights, units).reshape(len(units), -1).T
 
     def transform(self, layer, chip: Chip) -> tuple:
-        """The transform in Nengo with averaging folded in, and the inputs that it reads.
+        """The transform in Nengo with pooling folded in, and the inputs that it reads.
+
+        The default has a synapse from every input to every neuron.
 
         Returns
         -------
@@ -110,18 +144,48 @@ class DeployedOperation:
         inputs : list of int or None
             None for all of them.
         """
-        raise NotImplementedError
+        import nengo
+
+        matrix = self.make_matrix(layer.weights, layer.read_shape)
+        if layer.pool > 1:
+            by_place = np.moveaxis(matrix.reshape(len(matrix), *layer.read_shape), 0, -1)
+            by_place = unpool(by_place, layer.input_shape, layer.pool) / layer.pool**2
+            matrix = np.moveaxis(by_place, -1, 0).reshape(len(matrix), -1)
+        return nengo.Dense(matrix.shape, init=matrix), None
+
+    def resources(self, layer, chip: Chip) -> Resources:
+        """Counts of what the layer needs of cores, for its `transform`."""
+        return DiscreteResources(layer, chip)
+
+    # --- files and tables -------------------------------------------------------------------------
+
+    def to_file(self) -> dict:
+        """The operation's numbers in a bundle, by name, but for those in the layer's shapes."""
+        return asdict(self)
+
+    @classmethod
+    def from_file(cls, numbers: dict, shape) -> DeployedOperation:
+        """The inverse of `to_file`.
+
+        Parameters
+        ----------
+        numbers : dict
+        shape : tuple of int
+            Shape of the layer's output.
+
+        Raises
+        ------
+        deploy.loading.WrongValue
+            A number is missing, unknown or out of range.
+        """
+        return load(cls, numbers)
 
     def by_output(self, layer) -> np.ndarray:
         """The weights with a row for each channel or unit of the output, shape (outputs, ...)."""
         return layer.weights
 
-    def resources(self, layer, chip: Chip) -> Resources:
-        """Counts of what the layer needs of cores."""
-        return DiscreteResources(layer, chip)
-
     def nir_nodes(self, layer, nir, area: float):
-        """Names and nodes of the export to NIR, without the averaging and the neurons.
+        """Names and nodes of the export to NIR, without the pooling and the neurons.
 
         Parameters
         ----------
@@ -140,6 +204,34 @@ class DeployedOperation:
     def describe(self, layer) -> str:
         """A short text for tables."""
         return self.kind
+
+
+def _make_units(read_shape) -> np.ndarray:
+    """As many samples as there are inputs; sample i has a 1 at input i, and is 0 elsewhere."""
+    inputs = math.prod(read_shape)
+    return np.eye(inputs).reshape(inputs, *read_shape)
+
+
+@functools.lru_cache(maxsize=64)
+def _find_synapses(operation: DeployedOperation, read_shape) -> np.ndarray:
+    """As `DeployedOperation.find_synapses`: the sums of units show which weight they have."""
+    weight_shape = operation.weight_shape(read_shape)
+    numbers = np.arange(math.prod(weight_shape) + 1.0)
+    units = _make_units(read_shape)
+
+    def sum_units(weights):
+        return operation.compute_sums(weights[1:].reshape(weight_shape), units)
+
+    numbered = sum_units(numbers).reshape(len(units), -1)
+    found = np.clip(np.rint(numbered), 0, numbers[-1]).astype(np.int64)
+    other_weights = np.sqrt(numbers)
+    other_sums = sum_units(other_weights).reshape(len(units), -1)
+    if not np.allclose(other_weights[found], other_sums):
+        raise ValueError(
+            f"operation {operation.kind!r}: 'compute_sums' adds something else than one weight "
+            "times each value that a sum reads"
+        )
+    return found - 1
 
 
 class Resources:
@@ -174,45 +266,47 @@ class DiscreteResources(Resources):
     """An axon for each input into each block, with a synapse to every neuron of the block."""
 
     def input_axons(self, block):
-        return math.prod(self.layer.input_shape) * n_blocks(self.layer.shape, block)
+        return math.prod(self.layer.input_shape) * count_blocks(self.layer.shape, block)
 
     def needs(self, ranges):
         inputs = math.prod(self.layer.input_shape)
-        return inputs, inputs * input_words(n_neurons(ranges), self.chip.weight_bits, self.chip)
+        return inputs, inputs * count_input_words(
+            count_neurons(ranges), self.chip.weight_bits, self.chip
+        )
 
     def receiver(self, block):
-        blocks = n_blocks(self.layer.shape, block)
-        return lambda ranges: n_neurons(ranges) * blocks
+        blocks = count_blocks(self.layer.shape, block)
+        return lambda ranges: count_neurons(ranges) * blocks
 
 
-def n_blocks(shape, block) -> int:
+def count_blocks(shape, block) -> int:
     """Number of blocks of a layer."""
     return math.prod(ceil_div(n, length) for n, length in zip(shape, block))
 
 
-def n_neurons(ranges) -> int:
+def count_neurons(ranges) -> int:
     """Number of neurons of a block with these ranges, (first, one past the last), of outputs."""
     return math.prod(last - first for first, last in ranges)
 
 
-def ranges_of(n: int, length: int) -> list:
+def list_ranges(n: int, length: int) -> list:
     """(first, one past the last) of each block along one dimension."""
     return [(first, min(first + length, n)) for first in range(0, n, length)]
 
 
-def index_bits(highest: int) -> int:
+def find_index_bits(highest: int) -> int:
     """Width of the index of a synapse's target."""
     return next((bits for bits in INDEX_BITS if 2**bits >= highest), INDEX_BITS[-1])
 
 
-def input_words(synapses: int, bits: int, chip: Chip) -> int:
+def count_input_words(synapses: int, bits: int, chip: Chip) -> int:
     """Number of words of synapse memory for the lists of one input's synapses."""
     full, rest = divmod(synapses, SYNAPSES_OF_LIST)
-    words = full * list_words(SYNAPSES_OF_LIST, bits, chip)
-    return words + (list_words(rest, bits, chip) if rest else 0)
+    words = full * count_list_words(SYNAPSES_OF_LIST, bits, chip)
+    return words + (count_list_words(rest, bits, chip) if rest else 0)
 
 
-def list_words(synapses: int, bits: int, chip: Chip) -> int:
+def count_list_words(synapses: int, bits: int, chip: Chip) -> int:
     """Number of words of synapse memory for one list, which starts with a new word.
 
     Parameters

@@ -8,20 +8,27 @@ from typing import List, NamedTuple
 import numpy as np
 
 from ...arithmetic import ceil_div
+from ...loading import Limit, limited_field, load
 from ..geometry import (
-    convolution_fan_out,
-    convolution_shape,
-    inputs_within,
-    padded_kernel_size,
+    compute_convolution_shape,
+    compute_padded_kernel_size,
+    count_convolution_fan_out,
+    list_inputs_within,
     windows,
 )
 from .base import (
     POPULATION_SLOTS,
     DeployedOperation,
     Resources,
-    index_bits,
-    input_words,
-    ranges_of,
+    count_input_words,
+    find_index_bits,
+    list_ranges,
+)
+
+AT_LEAST_1 = Limit(lambda value: value >= 1, "at least 1")
+PADDING = Limit(
+    lambda value: value in ("valid", "same") or (value.isdecimal() and 1 <= int(value) <= 1000),
+    "'valid', 'same' or a number from 1 to 1000",
 )
 
 # Maximum offset of the targets of a shared list; a larger one needs a separate list.
@@ -41,25 +48,27 @@ class DeployedConvolution(DeployedOperation):
     stride : int
     padding : str
         ``"valid"`` or ``"same"``, as in TensorFlow; of an imported network also a number of zeros
-        on each side.
+        on each side, such as ``"1"``: see :func:`deploy.network.geometry.windows`.
     """
 
-    filters: int
-    kernel: int
-    stride: int = 1
-    padding: str = "valid"
+    filters: int = limited_field(AT_LEAST_1)
+    kernel: int = limited_field(AT_LEAST_1)
+    stride: int = limited_field(AT_LEAST_1, 1)
+    padding: str = limited_field(PADDING, "valid")
     kind = "conv"
     is_spatial = True
 
-    @classmethod
-    def of_layer(cls, layer):
-        return cls(layer.shape[-1], layer.kernel, layer.stride, layer.padding)
-
-    def layer_attributes(self):
+    def to_file(self):
         return {"kernel": self.kernel, "stride": self.stride, "padding": self.padding}
 
+    @classmethod
+    def from_file(cls, numbers, shape):
+        return load(cls, {**numbers, "filters": shape[-1]})
+
     def shape(self, read_shape):
-        shape = convolution_shape(read_shape, self.kernel, self.filters, self.stride, self.padding)
+        shape = compute_convolution_shape(
+            read_shape, self.kernel, self.filters, self.stride, self.padding
+        )
         if min(shape) < 1:
             rows, columns = read_shape[:2]
             raise ValueError(f"does not fit: its kernel is larger than its {rows}x{columns} input")
@@ -68,8 +77,41 @@ class DeployedConvolution(DeployedOperation):
     def weight_shape(self, read_shape):
         return (self.kernel, self.kernel, read_shape[2], self.filters)
 
+    def compute_sums(self, weights, values):
+        axes = ((3, 4, 5), (2, 0, 1))
+        return np.tensordot(self.view_windows(values), weights, axes)
+
+    def view_windows(self, values) -> np.ndarray:
+        """What each window reads, zeros of the padding included.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, rows, columns, channels)
+
+        Returns
+        -------
+        ndarray, shape (n, windows down, windows across, channels, kernel, kernel)
+        """
+        pads = self.pads(values.shape[1:])
+        padded = np.pad(values, ((0, 0), *pads, (0, 0)))
+        down, across, _ = self.shape(values.shape[1:])
+        # The function sliding_window_view is newer than the NumPy of hosts with a board.
+        n, row, column, channel = padded.strides
+        return np.lib.stride_tricks.as_strided(
+            padded,
+            shape=(len(padded), down, across, padded.shape[3], self.kernel, self.kernel),
+            strides=(n, row * self.stride, column * self.stride, channel, row, column),
+            writeable=False,
+        )
+
+    def pads(self, read_shape) -> tuple:
+        """Numbers of zeros padded to rows and columns: ((before, after), (before, after))."""
+        return tuple(windows(n, self.kernel, self.stride, self.padding)[1:] for n in read_shape[:2])
+
     def fan_out(self, read_shape):
-        return convolution_fan_out(read_shape, self.kernel, self.filters, self.stride, self.padding)
+        return count_convolution_fan_out(
+            read_shape, self.kernel, self.filters, self.stride, self.padding
+        )
 
     def by_output(self, layer):
         return np.moveaxis(layer.weights, -1, 0)
@@ -87,27 +129,27 @@ class DeployedConvolution(DeployedOperation):
         kernel = layer.weights
         input_shape = layer.input_shape
         inputs = None
-        has_own_padding = layer.padding not in ("valid", "same")
+        has_own_padding = self.padding not in ("valid", "same")
         if has_own_padding:
             sizes = [
-                padded_kernel_size(n, layer.kernel, layer.stride, layer.padding)
+                compute_padded_kernel_size(n, self.kernel, self.stride, self.padding)
                 for n in layer.read_shape[:2]
             ]
-            edges = [(0, size - layer.kernel) for size in sizes]
+            edges = [(0, size - self.kernel) for size in sizes]
             kernel = np.pad(kernel, (*edges, (0, 0), (0, 0)))
         if layer.pool > 1:
             kernel, input_shape = _fold_pooling(layer, kernel)
-            inputs = inputs_within(layer.input_shape, input_shape)
+            inputs = list_inputs_within(layer.input_shape, input_shape)
         shapes = {
             "n_filters": layer.shape[-1],
             "input_shape": input_shape,
             "kernel_size": kernel.shape[:2],
-            "strides": (layer.stride * layer.pool,) * 2,
+            "strides": (self.stride * layer.pool,) * 2,
         }
         if has_own_padding:
-            zeros = int(layer.padding) * layer.pool
+            zeros = int(self.padding) * layer.pool
             return PaddedConvolution(zeros, init=kernel, **shapes), inputs
-        return nengo.Convolution(padding=layer.padding, init=kernel, **shapes), inputs
+        return nengo.Convolution(padding=self.padding, init=kernel, **shapes), inputs
 
     def resources(self, layer, chip):
         return _ConvolutionResources(layer, chip)
@@ -119,7 +161,7 @@ class DeployedConvolution(DeployedOperation):
             nir.Conv2d(
                 input_shape=layer.read_shape[:2],
                 weight=weights.transpose(3, 2, 0, 1) * area,  # filter, channel, row, column
-                stride=layer.stride,
+                stride=self.stride,
                 padding=padding,
                 dilation=1,
                 groups=1,
@@ -128,7 +170,7 @@ class DeployedConvolution(DeployedOperation):
         )
 
     def describe(self, layer):
-        return f"{layer.kernel}x{layer.kernel} convolution, stride {layer.stride}"
+        return f"{self.kernel}x{self.kernel} convolution, stride {self.stride}"
 
 
 def _fold_pooling(layer, kernel):
@@ -137,17 +179,16 @@ def _fold_pooling(layer, kernel):
     With padding it may need zeros: Nengo puts half of the padding, rounded down, before the values,
     whereas half of the padding of pooled values is a whole number of windows.
     """
+    operation = layer.operation
     pool = layer.pool
-    stride = layer.stride * layer.pool
+    stride = operation.stride * pool
     kernel = kernel.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2
-    if layer.padding == "valid":
+    if operation.padding == "valid":
         return kernel, layer.input_shape
     cut = tuple(n * pool for n in layer.read_shape[:2])
-    if layer.padding != "same":
+    if operation.padding != "same":
         return kernel, (*cut, layer.input_shape[2])
-    zeros_before = [
-        pool * windows(n, layer.kernel, layer.stride, "same")[1] for n in layer.read_shape[:2]
-    ]
+    zeros_before = [pool * before for before, _ in operation.pads(layer.read_shape)]
     for zeros in (0, pool):
         size = len(kernel) + zeros
         front = [windows(n, size, stride, "same")[1] - pad for n, pad in zip(cut, zeros_before)]
@@ -162,9 +203,10 @@ def _pad_evenly(layer):
 
     If one more zero is needed after the values than before, the kernel gets a zero in front.
     """
-    if layer.padding != "same":
-        return layer.weights, 0 if layer.padding == "valid" else int(layer.padding)
-    pads = [windows(n, layer.kernel, layer.stride, "same")[1:] for n in layer.read_shape[:2]]
+    padding = layer.operation.padding
+    if padding != "same":
+        return layer.weights, 0 if padding == "valid" else int(padding)
+    pads = layer.operation.pads(layer.read_shape)
     front = [(after - before, 0) for before, after in pads]
     return np.pad(layer.weights, (*front, (0, 0), (0, 0))), tuple(after for _, after in pads)
 
@@ -210,16 +252,17 @@ class _Line(NamedTuple):
 
 
 def _make_lines(layer) -> List[_Line]:
+    operation = layer.operation
     lines = []
     pool = layer.pool
     for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
-        _, before, _ = windows(read, layer.kernel, layer.stride, layer.padding)
-        kernel = layer.kernel
-        if layer.padding not in ("valid", "same"):  # the network is built with zeros at the end
-            kernel = padded_kernel_size(read, kernel, layer.stride, layer.padding)
+        _, before, _ = windows(read, operation.kernel, operation.stride, operation.padding)
+        kernel = operation.kernel
+        if operation.padding not in ("valid", "same"):  # the network is built with zeros at the end
+            kernel = compute_padded_kernel_size(read, kernel, operation.stride, operation.padding)
         # With padding a window would reach values outside of complete pooling windows.
-        length = n if layer.padding == "valid" else read * pool
-        lines.append(_Line(length, kernel * pool, layer.stride * pool, before * pool))
+        length = n if operation.padding == "valid" else read * pool
+        lines.append(_Line(length, kernel * pool, operation.stride * pool, before * pool))
     return lines
 
 
@@ -233,7 +276,7 @@ class _ConvolutionResources(Resources):
     def input_axons(self, block):
         pixels = 1
         for line, n, length in zip(self.lines, self.layer.shape, block):
-            blocks = ranges_of(n, length)
+            blocks = list_ranges(n, length)
             pixels *= sum(int(line.reach(*ends).is_read.sum()) for ends in blocks)
         return pixels * self._channel_blocks(block)
 
@@ -261,9 +304,9 @@ class _ConvolutionResources(Resources):
         n_across = lists[:, 2]
         last_target = MAX_LIST_OFFSET + ((n_down - 1) * columns + n_across) * filters
         highest = int(min(last_target.max(initial=1), rows * columns * filters))
-        bits = self.chip.weight_bits + index_bits(highest)
+        bits = self.chip.weight_bits + find_index_bits(highest)
         synapses = n_down * n_across * filters
-        words = sum(input_words(int(n), bits, self.chip) for n in synapses)
+        words = sum(count_input_words(int(n), bits, self.chip) for n in synapses)
         pixels = len(down.number) * len(across.number)
         return pixels, words * self.layer.input_shape[2]
 
@@ -285,7 +328,7 @@ class _ConvolutionResources(Resources):
     @staticmethod
     def _is_read_by(line, n, length):
         """Whether each block along a dimension reads each input, bool, shape (blocks, inputs)."""
-        return np.stack([line.reach(*ends).is_read for ends in ranges_of(n, length)])
+        return np.stack([line.reach(*ends).is_read for ends in list_ranges(n, length)])
 
     def _channel_blocks(self, block):
         """Number of blocks along the channels."""

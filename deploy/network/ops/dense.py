@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...loading import load
 from ..chip import Chip
-from ..geometry import inputs_within, unpool
+from ..geometry import list_inputs_within
 from .base import (
     POPULATION_SLOTS,
     DeployedOperation,
     Resources,
-    index_bits,
-    input_words,
-    n_blocks,
-    n_neurons,
+    count_blocks,
+    count_input_words,
+    count_neurons,
+    find_index_bits,
 )
 
 
@@ -34,9 +35,12 @@ class DeployedDense(DeployedOperation):
     can_read_out = True
     can_recur = True
 
+    def to_file(self):
+        return {}
+
     @classmethod
-    def of_layer(cls, layer):
-        return cls(layer.shape[-1])
+    def from_file(cls, numbers, shape):
+        return load(cls, {**numbers, "units": shape[-1]})
 
     def shape(self, read_shape):
         return (self.units,)
@@ -44,21 +48,19 @@ class DeployedDense(DeployedOperation):
     def weight_shape(self, read_shape):
         return (self.units, math.prod(read_shape))
 
+    def compute_sums(self, weights, values):
+        return values.reshape(len(values), -1) @ weights.T
+
+    def make_matrix(self, weights, read_shape):
+        return weights
+
     def fan_out(self, read_shape):
         return np.full(read_shape, self.units, np.int64)
 
     def transform(self, layer, chip):
-        import nengo
-
         if reads_populations(layer, chip):
             return _make_population_transform(layer)
-        weights = layer.weights
-        inputs = math.prod(layer.input_shape)
-        if layer.pool > 1:
-            by_place = np.moveaxis(weights.reshape(len(weights), *layer.read_shape), 0, -1)
-            by_place = unpool(by_place, layer.input_shape, layer.pool) / layer.pool**2
-            weights = np.moveaxis(by_place, -1, 0).reshape(-1, inputs)
-        return nengo.Dense((len(weights), inputs), init=weights), None
+        return super().transform(layer, chip)
 
     def resources(self, layer, chip):
         if reads_populations(layer, chip):
@@ -108,26 +110,26 @@ def _make_population_transform(layer):
         kernel_size=input_shape[:2],
         init=kernel,
     )
-    return transform, inputs_within(layer.input_shape, input_shape)
+    return transform, list_inputs_within(layer.input_shape, input_shape)
 
 
 class _PopulationResources(Resources):
     """An axon for each pixel, with the channels as its atoms."""
 
     def input_axons(self, block):
-        return math.prod(_pixels_read(self.layer)) * n_blocks(self.layer.shape, block)
+        return math.prod(_pixels_read(self.layer)) * count_blocks(self.layer.shape, block)
 
     def needs(self, ranges):
-        units = n_neurons(ranges)
+        units = count_neurons(ranges)
         pixels = math.prod(_pixels_read(self.layer))
         # In a divided layer, the pixels of a pooling window share their lists.
         is_divided = units < self.layer.size
         pixels_with_lists = math.prod(self.layer.read_shape[:2]) if is_divided else pixels
-        words = input_words(units, self.chip.weight_bits + index_bits(units), self.chip)
+        words = count_input_words(units, self.chip.weight_bits + find_index_bits(units), self.chip)
         return pixels, pixels_with_lists * self.layer.input_shape[2] * words
 
     def receiver(self, block):
-        blocks = n_blocks(self.layer.shape, block)
+        blocks = count_blocks(self.layer.shape, block)
         rows, columns = _pixels_read(self.layer)
 
         def output_axons(ranges):

@@ -296,10 +296,7 @@ def _connect(emulator, link):
     _lock(emulator, link)
     link.learn_from(synapses)
     lists = vars(probes).pop("outputs")
-    probes.kept = {
-        probe: [[np.stack(part)] if len(part) else [] for part in parts]
-        for probe, parts in lists.items()
-    }
+    probes.kept = {probe: _stack_parts(parts) for probe, parts in lists.items()}
     vars(synapses).pop("spikes_in")
     vars(synapses).pop("trace_spikes")
     synapses.link = link
@@ -311,6 +308,11 @@ def _connect(emulator, link):
     emulator.__dict__["_random"] = link.random
 
 
+def _stack_parts(parts) -> list:
+    """The outputs of a probe's parts, a list of at most one array for each."""
+    return [[np.stack(part)] if len(part) else [] for part in parts]
+
+
 def _disconnect(emulator):
     """The inverse of `_connect`: NengoLoihi's own steps find all arrays where they expect them."""
     link = emulator._link
@@ -320,7 +322,7 @@ def _disconnect(emulator):
     probes = emulator.probes
     trace_spikes = synapses.trace_spikes
     spikes_in = synapses.spikes_in
-    lists = {probe: [list(part) for part in parts] for probe, parts in probes.outputs.items()}
+    lists = {probe: list(map(list, parts)) for probe, parts in probes.outputs.items()}
     state.__class__ = CompartmentState
     synapses.__class__ = SynapseState
     probes.__class__ = ProbeState

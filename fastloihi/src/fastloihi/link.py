@@ -120,19 +120,10 @@ class Link:
         self.spiked, self.before = (np.zeros(-(-n // 8) * 8, np.uint8) for _ in range(2))
         self.spiked[:n] = state.spiked
         self._n = n
-        sizes = [s.n_axons for s in synapses.traces]
-        self.first_trace = dict(zip(synapses.traces, np.cumsum([0, *sizes]).tolist()))
-        self.traces = np.zeros(sum(sizes), dtype)
-        self.pending = np.zeros(sum(sizes), np.uint8)
-        self.errors = np.zeros(sum(map(len, synapses.pes_errors.values())), dtype)
-        error = 0
-        for s, first in self.first_trace.items():
-            self.traces[first : first + s.n_axons] = synapses.traces[s]
-            self.pending[[first + axon for axon in synapses.trace_spikes[s]]] = 1
-            self.errors[error : error + len(synapses.pes_errors[s])] = synapses.pes_errors[s]
-            error += len(synapses.pes_errors[s])
+        self._copy_learning(synapses, dtype)
+        n_rules = len(self.first_trace)
         self.wide = layout.network[8]
-        self.draws = bool(layout.is_noisy or (integers and sizes))
+        self.draws = bool(layout.is_noisy or (integers and n_rules))
         self._parameters_of = parameters_of_integers if integers else parameters_of_floats
         self.has_probes = bool(layout.columns)
         self._spikes_in = synapses.spikes_in  # of the step before the kernel's first
@@ -140,29 +131,48 @@ class Link:
         self.at_once = max(
             1, min(AT_ONCE // max(n, 1000), HISTORY // max(1, 4 * sum(layout.widths)))
         )
-        self.log = np.zeros((LOG + 3 * len(sizes), 2), np.int64)
+        self.log = np.zeros((LOG + 3 * n_rules, 2), np.int64)
         self._types = [dtype, dtype, np.uint8]
         self._empty = [np.zeros((1, 0), kind) for kind in self._types]
         self.histories = self._empty
         self._inputs = list(emulator.inputs)
         self._axons = emulator.axons
         most = max([s.n_axons * max(1, len(e) * 2) for s, e in synapses.pes_errors.items()] + [n])
-        self.overflows = np.zeros((len(emulator.block_info.blocks), 3), np.int64)
-        scratch = (
-            np.zeros(n, np.int64),  # events
-            np.zeros(len(emulator.block_info.blocks) + 1, np.int64),  # their ends
-            np.zeros(len(self.spiked) // 8 + 1, np.int32),  # words in use
-            np.zeros((len(emulator.block_info.blocks), 2), np.int64),
-            np.zeros(len(sizes), np.int64),  # spikes lost
-            np.zeros(len(layout.network[0]), np.uint8),  # whether a segment waits
-            np.zeros(2 * most, np.uint32),  # random numbers
-            np.zeros(most, dtype),
-            np.zeros(n, dtype),
-        )
+        n_blocks = len(emulator.block_info.blocks)
+        self.overflows = np.zeros((n_blocks, 3), np.int64)
         self.fixed_arguments = (
             *layout.network, *layout.learning, self.traces, self.pending, self.errors,
-            *layout.noise, self.overflows, *scratch,
+            *layout.noise, self.overflows, *self._make_scratch(n_blocks, most, dtype),
         )  # fmt: skip
+
+    def _copy_learning(self, synapses, dtype):
+        """Take the traces, the pending spikes and the errors of the synapses that learn."""
+        sizes = [synapse.n_axons for synapse in synapses.traces]
+        self.first_trace = dict(zip(synapses.traces, np.cumsum([0, *sizes]).tolist()))
+        self.traces = np.zeros(sum(sizes), dtype)
+        self.pending = np.zeros(sum(sizes), np.uint8)
+        self.errors = np.zeros(sum(map(len, synapses.pes_errors.values())), dtype)
+        error = 0
+        for synapse, first in self.first_trace.items():
+            errors = synapses.pes_errors[synapse]
+            self.traces[first : first + synapse.n_axons] = synapses.traces[synapse]
+            self.pending[[first + axon for axon in synapses.trace_spikes[synapse]]] = 1
+            self.errors[error : error + len(errors)] = errors
+            error += len(errors)
+
+    def _make_scratch(self, n_blocks, most, dtype) -> tuple:
+        """Arrays in which the kernel works."""
+        return (
+            np.zeros(self._n, np.int64),  # events
+            np.zeros(n_blocks + 1, np.int64),  # their ends
+            np.zeros(len(self.spiked) // 8 + 1, np.int32),  # words in use
+            np.zeros((n_blocks, 2), np.int64),
+            np.zeros(len(self.first_trace), np.int64),  # spikes lost
+            np.zeros(len(self.layout.network[0]), np.uint8),  # whether a segment waits
+            np.zeros(2 * most, np.uint32),  # random numbers
+            np.zeros(most, dtype),
+            np.zeros(self._n, dtype),
+        )
         self._arguments = (
             self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
             *self.fixed_arguments,

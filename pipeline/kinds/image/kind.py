@@ -10,10 +10,10 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import copy_file, sha256_of
 from deploy.network.spec import NetworkSpec
-from deploy.targets.fast import firing_rates
+from deploy.targets.fast import measure_firing_rates
 from models import chain
 from models.architecture import parse
-from models.keras.reader import original_network, read_keras
+from models.keras.reader import make_original_network, read_keras
 from pipeline.kinds import counts
 from pipeline.kinds.diagnosis import (
     compare_rates,
@@ -241,7 +241,7 @@ class ImageKind(NetworkKind):
         neurons = sum(layer.size for layer in spec.layers if layer.neurons is not None)
         images = thin(bundle.checks.inputs, max(MAX_COMPARED_RATES // max(neurons, 1), 1))
         start = spec.presentation.readout_start
-        rates = firing_rates(spec, images, settings.seed, start, advance)
+        rates = measure_firing_rates(spec, images, settings.seed, start, advance)
         if advance is not None:
             advance(len(bundle.checks) - len(images))
         network = TrainedRates(settings, inputs.weights("rate-lif"))
@@ -331,7 +331,7 @@ def _adopt(model, settings, dataset, say):
     taken = TrainedCNN(settings, model.weights)
     if not model.replaced:
         return taken, 0.0
-    logits = [predict(original_network(model), dataset.inputs), taken.logits(dataset.inputs)]
+    logits = [predict(make_original_network(model), dataset.inputs), taken.logits(dataset.inputs)]
     trained, seconds = _train_cnn(settings, dataset, model.weights)
     logits.append(trained.logits(dataset.inputs))
     rows = [
@@ -457,7 +457,7 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
     from models.cnn import predict
 
     images, labels = dataset.subset("train")
-    logits = predict(original_network(model), images)
+    logits = predict(make_original_network(model), images)
     right = int((logits.argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)
     if wilson_interval(right, len(labels))[0] <= likeliest + MIN_KNOWN_SHARE * (1 - likeliest):
@@ -486,7 +486,7 @@ def _require_images_of_model(folder, settings, dataset):
     path, model = _read_model(folder, settings)
     from models.cnn import predict
 
-    network = original_network(model)
+    network = make_original_network(model)
 
     def classify(images):
         return predict(network, images).argmax(1)

@@ -11,7 +11,7 @@ from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames, Stimulus
 from deploy.terminal import WARNING
 from models import chain
-from models.integers import FLOOR, in_integers, round_to_integers
+from models.integers import FLOOR, round_chain, round_to_integers
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
 from pipeline.kinds.nir.importing import Stepped
@@ -58,7 +58,7 @@ def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, setti
         yield from _doubtful_times(node, stepped.seconds, settings.steps)
     for layer in layers:
         windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
-        is_matrix = layer.neuron is not None and layer.kind == "dense"
+        is_matrix = layer.neurons is not None and layer.kind == "dense"
         if is_matrix and windows and len(windows[0].input_shape) > 1:
             yield (
                 f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
@@ -67,7 +67,7 @@ def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, setti
             )
     height = settings.stimulus.area / LOIHI.dt
     for index, layer in enumerate(layers):
-        if layer.neuron is None:
+        if layer.neurons is None:
             continue
         scaled = replace(layer, weights=layer.weights * (1.0 if index else height))
         floor = FLOOR / round_to_integers(scaled).threshold
@@ -122,7 +122,7 @@ def spec_of_nir(
     read = range(presentation.readout_start, presentation.steps)
     links = from_nir(network, stepped.seconds, stepped.method, samples.shape[-3:], read)
     spikes = input_spikes(stimulus, samples, presentation.steps)
-    links = in_integers(links, spikes, stimulus.area / LOIHI.dt)
+    links = round_chain(links, spikes, stimulus.area / LOIHI.dt)
     return chain.build_network_spec(links, stimulus, presentation, provenance)
 
 

@@ -189,7 +189,7 @@ def refuse_early(settings: Settings, strict: bool = False):
         first, *others = from_nir(network, stepped.seconds, stepped.method)
         height = settings.stimulus.area / LOIHI.dt
         for layer in (replace(first, weights=first.weights * height), *others):
-            if layer.neuron is not None:
+            if layer.neurons is not None:
                 round_to_integers(layer)
     except UserError as error:
         raise UserError(f"{source}: {error}") from error

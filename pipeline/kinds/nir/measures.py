@@ -12,7 +12,7 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import copy_file
 from deploy.network.decision import choose_threshold, delay_outputs
-from deploy.network.stimulus import last_steps
+from deploy.network.stimulus import find_last_steps
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
 from pipeline.kinds.events.kind import require_enough_samples
@@ -173,7 +173,7 @@ def choose_confidence(network, stepped, layers, settings, dataset):
     outputs = simulate_samples(network, stepped, inputs, settings)[0]
     sums = delay_outputs(np.cumsum(outputs, 1), len(layers))
     loss = settings.presentation.early_loss
-    threshold = choose_threshold(sums, dataset.labels[held_out], last_steps(inputs), loss)
+    threshold = choose_threshold(sums, dataset.labels[held_out], find_last_steps(inputs), loss)
     return {**require_enough_samples(threshold, len(held_out))._asdict(), "samples": len(held_out)}
 
 

@@ -14,7 +14,7 @@ from deploy.check.energy import MAC, estimate_energy, joules_text
 from deploy.check.intervals import wilson_interval
 from deploy.check.results import compare_results
 from deploy.network.provenance import read_positions
-from deploy.network.responses import seconds_per_sample
+from deploy.network.responses import compute_seconds_per_sample
 from deploy.tables import SIGNIFICANCE, list_names, p_text, plural
 from deploy.targets.registry import TARGETS
 from pipeline import look
@@ -239,7 +239,7 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
     n = result["n_samples"]
     cores = [core["layer"] for core in plan["cores"]]
     energy = {layer.layer: layer.chip_joules for layer in estimate.layers} if estimate else {}
-    seconds = seconds_per_sample(spec)
+    seconds = compute_seconds_per_sample(spec)
 
     def make_row(name, operation, shape, weights, neurons):
         spikes = result["spikes"].get(name)

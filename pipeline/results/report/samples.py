@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.check.bundle import Bundle
 from deploy.network.decision import confidence, decide, probabilities
-from deploy.network.responses import running_sums, select_readout
+from deploy.network.responses import compute_running_sums, select_readout
 from deploy.targets.fast import Emulation
 
 # Number of classes whose probability is drawn: decision, answer at the end, the right one, rivals.
@@ -106,7 +106,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         samples = spec.stimulus.flat(bundle.checks.inputs[stream.start : here[-1] + 1])
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]
-        sums = running_sums(spec, select_readout(spec, output[:, presentation.gap :]))
+        sums = compute_running_sums(spec, select_readout(spec, output[:, presentation.gap :]))
         limit = presentation.threshold
         decided, predictions = decide(sums, limit, spec.estimator, presentation.readout_start)
         if spec.stimulus.static and limit == 1:  # trained on means, without a threshold for sums

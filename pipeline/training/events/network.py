@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deploy.network.decision import Estimator, Threshold, choose_threshold, delay_outputs
-from deploy.network.stimulus import last_steps
+from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
 from models.keras.keras2 import tf
-from models.spiking import SpikingNetwork, operations
+from models.spiking import SpikingNetwork, count_operations
 from pipeline.run.settings import Settings
 from pipeline.training.events.design import EventDesign
 
@@ -148,7 +148,7 @@ def run_on_frames(design: EventDesign, weights: dict, frames, advance=None) -> N
             advance(len(batch))
     outputs, costs, *spikes = (np.concatenate(column) for column in zip(*by_batch, strict=True))
     named = {n: s.astype(np.int32) for n, s in zip(network.names, spikes, strict=True)}
-    return NetworkOutputs(outputs.astype(np.float32), costs, named, last_steps(frames))
+    return NetworkOutputs(outputs.astype(np.float32), costs, named, find_last_steps(frames))
 
 
 def build_network(design: EventDesign, weights: dict) -> SpikingNetwork:
@@ -190,7 +190,7 @@ def _compile_network(architecture, neuron, starts):
     @tf.function(autograph=False, input_signature=(_frames_of(network), variables))
     def run(frames, values):
         outputs, spikes = network(frames, dtype=tf.float64, values=values)
-        costs = operations(network.architecture, frames, spikes)
+        costs = count_operations(network.architecture, frames, spikes)
         return outputs, costs, [tf.reduce_sum(layer, 0) for layer in spikes]
 
     return run

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from deploy.arithmetic import ceil_div
 from deploy.errors import UserError
-from deploy.network.stimulus import last_steps
+from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
 from models.spiking_gradient import Batch, SpikingGradient
 from pipeline.paper import CNN_MACS
@@ -176,7 +176,7 @@ class Trainer:
         right = []
         for frames_of in (self._frames, lambda some: self._alter(some, rng)[0]):
             for some, frames, outputs, _ in self._outputs(indices, frames_of):
-                lengths = last_steps(frames) + 1 + TAIL_STEPS
+                lengths = find_last_steps(frames) + 1 + TAIL_STEPS
                 delayed = delay_as_on_chip(outputs, self.design)
                 for sample, index, length in zip(delayed, some, lengths, strict=True):
                     every.append(sample[:length])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.targets.fast import firing_rates
+from deploy.targets.fast import measure_firing_rates
 from tests.deploy.networks import random_checks, small_spec
 
 
@@ -16,7 +16,7 @@ def test_rate_of_a_constant_drive():
         spec.layers[0], weights=np.zeros_like(spec.layers[0].weights), bias=np.full(4, 2.0)
     )
     images = np.zeros((1, 6, 6, 1))
-    rates = firing_rates(replace(spec, layers=(layer, *spec.layers[1:])), images)
+    rates = measure_firing_rates(replace(spec, layers=(layer, *spec.layers[1:])), images)
     expected = 1 / (0.001 + 0.02 * np.log(2))
     assert np.ptp(rates["conv1"]) == 0
     assert rates["conv1"][0, 0] == pytest.approx(expected, rel=0.1)
@@ -24,7 +24,7 @@ def test_rate_of_a_constant_drive():
 
 def test_all_layers_on_the_chip_and_all_samples():
     spec = small_spec(on_chip_output=True)
-    rates = firing_rates(spec, random_checks(spec, 3).inputs)
+    rates = measure_firing_rates(spec, random_checks(spec, 3).inputs)
     assert {name: values.shape for name, values in rates.items()} == {
         "conv1": (3, 64),
         "conv2": (3, 72),

@@ -7,12 +7,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.network.blocks import BlockNeeds, block_shapes, default_block, find_rescaled_layers
+from deploy.network.blocks import BlockNeeds, choose_block, choose_blocks, find_rescaled_layers
 from deploy.network.build import build
 from deploy.network.chip import LOIHI
 from deploy.network.geometry import windows
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.ops.base import n_blocks, ranges_of
+from deploy.network.ops.base import count_blocks, list_ranges
+from deploy.network.ops.conv import DeployedConvolution
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
@@ -49,13 +50,16 @@ def matrix_by_hand(layer):
             for c in range(read[1] * p):
                 matrix[:, r, c] = weights[:, r // p, c // p] / p**2
     else:
-        before = [windows(n, layer.kernel, layer.stride, layer.padding)[1] for n in read[:2]]
+        operation = layer.operation
+        before = [
+            windows(n, operation.kernel, operation.stride, operation.padding)[1] for n in read[:2]
+        ]
         for i in range(layer.shape[0]):
             for j in range(layer.shape[1]):
-                for k in range(layer.kernel):
-                    for m in range(layer.kernel):
-                        r = i * layer.stride + k - before[0]
-                        c = j * layer.stride + m - before[1]
+                for k in range(operation.kernel):
+                    for m in range(operation.kernel):
+                        r = i * operation.stride + k - before[0]
+                        c = j * operation.stride + m - before[1]
                         if 0 <= r < read[0] and 0 <= c < read[1]:
                             part = slice(r * p, r * p + p), slice(c * p, c * p + p)
                             tap = layer.weights[k, m].T[:, None, None] / p**2
@@ -108,22 +112,22 @@ def test_the_cut_with_the_fewest_axons():
     # 26 x 26 x 4 = 2704 neurons, three cores at the least; squares overlap least: four of 15 x 15
     # inputs are 900, three strips of 9 rows (11, 11 and 10 inputs of 28) 896
     layer = conv("conv1", (28, 28, 1), 4, 3, rng)
-    assert default_block(layer) == (9, 26, 4)
+    assert choose_block(layer) == (9, 26, 4)
     # channels are the last to be cut: each part would see every input
     wide = conv("conv1", (6, 6, 1), 100, 3, rng)  # 1600 neurons: two parts of 4 x 6 inputs
-    assert default_block(wide) == (2, 4, 100)
+    assert choose_block(wide) == (2, 4, 100)
     # with nothing else to cut, channels it is
-    assert default_block(conv("conv1", (3, 3, 1), 1600, 3, rng)) == (1, 1, 800)
+    assert choose_block(conv("conv1", (3, 3, 1), 1600, 3, rng)) == (1, 1, 800)
 
 
 def test_synapse_memory_and_output_axons_cut_too():
     rng = np.random.default_rng(0)
     # 600 inputs of 256 synapses of 8 bits: 36 words each, 21,600 of 16,384
     layer = dense("dense1", (5, 5, 24), 256, rng)
-    assert default_block(layer) == (128,)
+    assert choose_block(layer) == (128,)
     # 1,000 neurons and six blocks after them are 6,000 axons of 4,096: two blocks of 500
     before, after = conv("conv1", (10, 10, 1), 10, 1, rng), dense("dense1", (10, 10, 10), 600, rng)
-    shapes = block_shapes((before, after))
+    shapes = choose_blocks((before, after))
     assert -(-600 // shapes["dense1"][0]) * np.prod(shapes["conv1"]) <= 4096
     assert make_plan(spec_of((10, 10, 1), before, after)).problems == []
 
@@ -156,17 +160,19 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
     layer = replace(away_from_zero(layer), block_shape=block)
     plan = make_plan(spec_of(layer.input_shape, layer, after))
     needs = BlockNeeds(layer)
-    receiver = BlockNeeds(after).resources.receiver(block_shapes((after,))["after"])
+    receiver = BlockNeeds(after).resources.receiver(choose_blocks((after,))["after"])
     cores = [core.used for core in plan.cores if core.layer == layer.name]
-    assert n_blocks(layer.shape, block) == len(cores)
+    assert count_blocks(layer.shape, block) == len(cores)
     import itertools
 
-    places = itertools.product(*(ranges_of(n, b) for n, b in zip(layer.shape, block, strict=True)))
+    places = itertools.product(
+        *(list_ranges(n, b) for n, b in zip(layer.shape, block, strict=True))
+    )
     total = 0
     for parts, used in zip(places, cores, strict=True):
         axons, words = needs.count(parts)
         total += axons
-        padded = layer.kind == "conv" and layer.padding == "same" and layer.pool > 1
+        padded = layer.kind == "conv" and layer.operation.padding == "same" and layer.pool > 1
         if layer.kind == "conv" and not padded:
             if len(cores) > 1:  # whole, NengoLoihi counts axons that reach nothing too
                 assert axons == used["input axons"]
@@ -189,7 +195,7 @@ def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
     window = wide.weights.reshape(7, 13, 13, 8).transpose(1, 2, 3, 0)
     cut = (26, 26, 8)
     one_window = replace(
-        wide, kind="conv", input_shape=cut, shape=(1, 1, 7), kernel=13, weights=window,
+        wide, operation=DeployedConvolution(7, 13), input_shape=cut, weights=window,
         block_shape=(1, 1, 3),
     )  # fmt: skip
     samples = rng.uniform(0, 0.3, (1, *shape))
@@ -201,7 +207,7 @@ def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
         np.testing.assert_array_equal(found, expected)
     # As it divides itself, and counted before NengoLoihi makes the blocks
     own = replace(wide, block_shape=None)
-    block = default_block(own)
+    block = choose_block(own)
     (used, *_) = (core.used for core in make_plan(spec_of(shape, own)).cores)
     assert used["synapse words"] <= BlockNeeds(own).count([(0, block[0])])[1] <= 16384
 

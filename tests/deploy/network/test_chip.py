@@ -1,7 +1,7 @@
 """What the chip has is said in one place."""
 
 from deploy.network.chip import LOIHI
-from deploy.network.ops.base import list_words
+from deploy.network.ops.base import count_list_words
 
 
 def test_levels_by_hand():
@@ -12,4 +12,4 @@ def test_levels_by_hand():
 
 def test_words_of_a_list_by_hand():
     # 10 bits of header: 54 are left of the first word, six synapses of 9 bits
-    assert [list_words(n, 9, LOIHI) for n in (1, 6, 7, 13, 14)] == [1, 1, 2, 2, 3]
+    assert [count_list_words(n, 9, LOIHI) for n in (1, 6, 7, 13, 14)] == [1, 1, 2, 2, 3]

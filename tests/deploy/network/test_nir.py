@@ -10,7 +10,7 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import read_arrays
-from deploy.network.nir import input_spikes, nir_graph, write_nir
+from deploy.network.nir import input_spikes, make_nir_graph, write_nir
 from deploy.network.spec import DT
 from deploy.targets.registry import run_target
 from tests.deploy.network.test_build import matrix_by_hand
@@ -46,16 +46,16 @@ def test_readout_is_permuted_to_channels_first():
     spec = small_spec()
     layer = spec.layers[-1]
     values = np.random.default_rng(1).normal(size=layer.input_shape)
-    weight = nir_graph(spec).nodes["output_weights"].weight
+    weight = make_nir_graph(spec).nodes["output_weights"].weight
     ours = layer.weights @ values.ravel() * 0.01 / 0.001  # of the spike's amplitude over dt
     np.testing.assert_allclose(weight @ np.moveaxis(values, -1, 0).ravel(), ours)
 
 
 def test_output_neurons_and_neurons_without_a_filter():
     spec = small_spec(on_chip_output=True)
-    assert type(nir_graph(spec).nodes["output_neurons"]) is nir.CubaLIF
+    assert type(make_nir_graph(spec).nodes["output_neurons"]) is nir.CubaLIF
     layers = (replace(spec.layers[0], synapse=None), *spec.layers[1:])
-    assert type(nir_graph(replace(spec, layers=layers)).nodes["conv1_neurons"]) is nir.LIF
+    assert type(make_nir_graph(replace(spec, layers=layers)).nodes["conv1_neurons"]) is nir.LIF
 
 
 def test_input_spikes_are_the_encoders():
@@ -134,7 +134,7 @@ def test_strides_padding_and_averaging_are_the_networks():
     spec = replace(
         small_spec(), input_shape=(9, 8, 2), layers=(layer, hidden, readout((4,), rng, 3))
     )
-    nodes = nir_graph(spec).nodes
+    nodes = make_nir_graph(spec).nodes
     names = ["conv1_pool", "conv1_weights", "conv1_neurons", "dense1_flatten", "dense1_weights"]
     assert list(nodes)[1:6] == names
     pool, graph = nodes["conv1_pool"], nodes["conv1_weights"]

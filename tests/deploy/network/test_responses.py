@@ -5,7 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.responses import Responses, read_output, seconds_per_sample, select_readout
+from deploy.network.responses import (
+    Responses,
+    compute_seconds_per_sample,
+    read_output,
+    select_readout,
+)
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import Feed
 from tests.deploy.networks import events_spec, small_spec
@@ -129,4 +134,4 @@ def test_what_is_shown_at_each_step():
     feed.samples = np.stack([np.full(36, 0.1), np.full(36, 0.2)])
     shown = [float(feed(step * 0.001)[0]) for step in range(1, 11)]
     assert shown == [0, 0, 0.1, 0.1, 0.1, 0, 0, 0.2, 0.2, 0.2]
-    assert seconds_per_sample(spec) == pytest.approx(0.005)
+    assert compute_seconds_per_sample(spec) == pytest.approx(0.005)

@@ -12,7 +12,7 @@ from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import show
 from deploy.network.spec import NetworkSpec
-from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, last_steps
+from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, find_last_steps
 from deploy.preflight.plan import make_plan
 from tests.deploy.check.test_bundle import with_arrays
 from tests.deploy.networks import events_spec, random_frames
@@ -143,7 +143,7 @@ def test_the_last_event_by_hand():
     frames = np.zeros((4, 5, 2, 1, 2), np.uint8)
     frames[0, [1, 3], 1, 0, 1] = 1
     frames[1, 4], frames[2, 0] = 1, 1
-    assert last_steps(frames).tolist() == [3, 4, 0, 0]
+    assert find_last_steps(frames).tolist() == [3, 4, 0, 0]
 
 
 def test_a_taxel_has_at_most_so_many_spikes_in_a_sample():

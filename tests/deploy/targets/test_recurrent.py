@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from deploy.network.blocks import block_shapes
+from deploy.network.blocks import choose_blocks
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import EventFrames
 from deploy.preflight.plan import make_plan
@@ -72,7 +72,7 @@ def test_operations_and_the_plan_count_the_loop():
 
 def test_a_layer_too_large_for_a_core_with_its_loop_is_divided():
     spec = recurrent_spec(units=500)
-    (units,) = block_shapes(spec.layers)["dense1"]
+    (units,) = choose_blocks(spec.layers)["dense1"]
     assert units < 500
     assert make_plan(spec).problems == []
     emulated, fast = (run_target(spec, frames_of(2), target) for target in ("emulator", "fast"))

@@ -11,10 +11,12 @@ from deploy.check.bundle import write_bundle
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.build import build
+from deploy.network.ops.conv import DeployedConvolution
+from deploy.network.ops.dense import DeployedDense
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
-from deploy.targets.registry import TARGETS, run_target, target_named
+from deploy.targets.registry import TARGETS, find_target, run_target
 from deploy.targets.simulators import _loihi_simulator
 from tests.deploy.fast_networks import loud_spec, random_spec
 from tests.deploy.networks import conv, random_checks, readout, small_spec
@@ -99,13 +101,13 @@ def linear_network(steps, readout_start=0, synapse=None):
     """One convolution of one neuron with a known current, decoded on the host."""
     neurons = Neurons(amplitude=0.01)
     first = Layer(
-        name="conv1", kind="conv", input_shape=(2, 2, 1), shape=(1, 1, 2), placement="chip",
-        neurons=neurons, synapse=0.005, kernel=2, block_shape=None,
+        name="conv1", operation=DeployedConvolution(2, 2), input_shape=(2, 2, 1),
+        neurons=neurons, synapse=0.005,
         weights=np.zeros((2, 2, 1, 2)), bias=np.array([1.6, 0.9]),
     )  # fmt: skip
     output = Layer(
-        name="output", kind="dense", input_shape=(1, 1, 2), shape=(2,), placement="host",
-        neurons=None, synapse=synapse, kernel=0, block_shape=None,
+        name="output", operation=DeployedDense(2), input_shape=(1, 1, 2),
+        neurons=None, synapse=synapse,
         weights=np.eye(2), bias=np.array([0.25, -0.5]),
     )  # fmt: skip
     presentation = Presentation(steps, 0, readout_start, 1)
@@ -172,7 +174,7 @@ def test_what_no_integers_can_hold_is_refused_alike(spec):
 
 def test_an_unknown_target_is_named_with_the_known_ones():
     with pytest.raises(UserError, match="'gpu'.* " + ", ".join(TARGETS)):
-        target_named("gpu")
+        find_target("gpu")
 
 
 @pytest.mark.parametrize("target", ["emulator", "fast"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from deploy.network.nir import nir_graph
+from deploy.network.nir import make_nir_graph
 from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import run_target
 from pipeline.training.adaptation import Responder
@@ -52,7 +52,7 @@ def test_the_readout_of_responses_gives_the_scores(spec):
 def test_nir_has_no_parts(spec):
     pytest.importorskip("nir")
     with pytest.raises(UserError, match="parts"):
-        nir_graph(spec)
+        make_nir_graph(spec)
 
 
 @pytest.mark.parametrize("starts", [(), (1,), (0, 0), (0, 5, 3), (0, 10**9)])

@@ -9,7 +9,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.check.run import run_check
 from deploy.files import read_json
-from deploy.targets.fast import firing_rates
+from deploy.targets.fast import measure_firing_rates
 from models.architecture import parse
 from pipeline.kinds.diagnosis import (
     compare_layer,
@@ -58,7 +58,7 @@ def test_rates_of_the_readout_window_are_the_spikes_of_it():
         spec.layers[0], weights=np.zeros_like(spec.layers[0].weights), bias=np.full(4, 2.0)
     )
     spec = replace(spec, layers=(layer, *spec.layers[1:])).with_presentation(readout_start=30)
-    rates = firing_rates(spec, np.zeros((3, 6, 6, 1)), start=30)["conv1"]
+    rates = measure_firing_rates(spec, np.zeros((3, 6, 6, 1)), start=30)["conv1"]
     assert rates.shape == (3, 64)
     assert set(np.unique(rates * 0.12)) <= {8.0, 9.0}  # 120 steps of 15, or a spike more
 
@@ -70,7 +70,7 @@ def test_rates_and_the_targets_counts_agree_however_samples_are_streamed(tmp_pat
     bundle = bundle_at(tmp_path / "bundle", spec, 9)
     result = run_check(bundle, "fast", tmp_path / "fast.json")
     steps = []
-    rates = firing_rates(spec, bundle.checks.inputs, advance=steps.append)
+    rates = measure_firing_rates(spec, bundle.checks.inputs, advance=steps.append)
     assert sum(steps) == 9
     for name, values in rates.items():
         counts = values * spec.presentation.steps * 0.001
@@ -80,7 +80,7 @@ def test_rates_and_the_targets_counts_agree_however_samples_are_streamed(tmp_pat
 def test_a_layer_against_its_own_rates_is_perfect():
     spec = small_spec()
     images = random_checks(spec, 4).inputs
-    rates = firing_rates(spec, images, start=spec.presentation.readout_start)
+    rates = measure_firing_rates(spec, images, start=spec.presentation.readout_start)
     amplitudes = {layer.name: layer.neurons.amplitude for layer in spec.layers if layer.neurons}
     own = {name: values * amplitudes[name] for name, values in rates.items()}
     for layer in compare_rates(spec, rates, own):

@@ -10,7 +10,7 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import read_json
-from deploy.network.nir import nir_graph, write_nir
+from deploy.network.nir import make_nir_graph, write_nir
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from deploy.preflight.plan import make_plan
@@ -99,7 +99,7 @@ def test_spikes_are_the_chosen_integers_one_by_one(padded, target):
     frames = frames_of(rng, 3, shape=(6, 6, 2))
     spec = spec_of_nir(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
     if padded:
-        assert [layer.padding for layer in spec.layers[:2]] == ["1", "2"]
+        assert [layer.operation.padding for layer in spec.layers[:2]] == ["1", "2"]
     found = run_target(spec, frames, target)
     signal = calibration = frames.reshape(3, 60, -1).astype(float)
     for delay, layer in enumerate(from_nir(network, 0.001, "euler", (6, 6, 2))[:-1], 2):
@@ -151,7 +151,7 @@ def test_an_exported_network_on_events_has_the_same_weights_again():
     rng = np.random.default_rng(2)
     frames = frames_of(rng, 3)
     spec = spec_of_nir(events_network(rng), STEPPED, EventFrames(0.02, 0), FRESH, frames, {})
-    graph = read_nir(nir_graph(spec))
+    graph = read_nir(make_nir_graph(spec))
     assert graph.convention.step == 0.001
     for link, layer in zip(from_nir(graph, 0.001, "exact", (8, 8, 2)), spec.layers, strict=True):
         weights = layer.weights if layer.kind == "conv" else layer.weights.T

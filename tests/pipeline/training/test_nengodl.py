@@ -8,7 +8,7 @@ import pytest
 from deploy.network.responses import join
 from deploy.targets.registry import run_target
 from models.architecture import parse
-from models.cnn import gain_for
+from models.cnn import find_gain
 from models.keras.keras2 import tf
 from pipeline.kinds.image.kind import to_spec
 from pipeline.run.settings import Settings
@@ -116,6 +116,6 @@ def test_the_range_of_output_neurons_is_set_by_right_and_wrong_logits():
     output = to_spec(settings, weights, {}, (logits, np.array([3, 3, 3]))).layers[-1]
     full = np.percentile([4, 4, 0], 99)
     threshold = 1.4  # a fifth of the way from the first to the last of the best wrong ones, 1, 2, 3
-    gain = gain_for(500.0, 0.02, 0.001) / (full - threshold)
+    gain = find_gain(500.0, 0.02, 0.001) / (full - threshold)
     assert output.weights[0, 0] == pytest.approx(gain)
     assert output.bias[0] == pytest.approx(1 - gain * threshold)

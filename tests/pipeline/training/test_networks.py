@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from models.cnn import activations
+from models.cnn import compute_activations
 from pipeline.run.settings import Settings, write_settings
 from pipeline.training import networks as training
 from tests.command import LEAVE_GARBAGE, users_environment
@@ -140,7 +140,7 @@ def test_a_price_on_spikes_saves_spikes(cnn, stripes):
         )
         model = training.build_rate_network(chosen)
         training.set_weights(model, trained.weights)
-        totals.append(activations(model, stripes[0])["conv1"].sum())
+        totals.append(compute_activations(model, stripes[0])["conv1"].sum())
     assert totals[1] < 0.8 * totals[0]
 
 

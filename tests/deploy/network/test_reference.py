@@ -1,0 +1,68 @@
+"""The equations of the reference against NengoLoihi, in real numbers and in the chip's integers."""
+
+from dataclasses import replace
+
+import nengo_loihi
+import numpy as np
+import pytest
+
+from deploy.network.build import build
+from deploy.network.reference import (
+    delay_one_step,
+    make_input_spikes,
+    read_equations,
+    run_reference,
+)
+from deploy.network.responses import make_responses, show
+from deploy.targets.registry import run_target
+from tests.deploy.networks import events_spec, mixed_spec, random_checks, random_frames, small_spec
+
+
+def respond(spec, samples):
+    """Responses of the reference to one stream."""
+    flat = spec.flatten_samples(samples)
+    (output,) = run_reference(spec, [flat])
+    return make_responses(spec, output, len(flat), "reference")
+
+
+@pytest.mark.parametrize("make_spec", [small_spec, mixed_spec, events_spec])
+def test_the_reference_is_nengoloihi_before_rounding(make_spec):
+    """Both compute in real numbers, NengoLoihi in single precision."""
+    spec = make_spec(stream_length=3) if make_spec is not mixed_spec else mixed_spec()
+    samples = random_frames(spec, 3) if make_spec is events_spec else random_checks(spec, 3).inputs
+    ours = respond(spec, samples)
+    theirs = run_target(spec, samples, "simreal")
+    for name in spec.spiking_layers:
+        assert theirs.spikes[name].sum() > 0, name
+        np.testing.assert_allclose(ours.spikes[name], theirs.spikes[name], rtol=0.02, atol=1)
+    np.testing.assert_allclose(ours.scores, theirs.scores, atol=0.02 * np.abs(theirs.scores).max())
+
+
+@pytest.mark.parametrize("tau_ref", [0.0, 0.001, 0.003])
+@pytest.mark.parametrize("min_voltage", [0.0, -3.0])
+def test_the_equations_are_the_emulator_s_integers_spike_by_spike(tau_ref, min_voltage):
+    spec = small_spec()
+    neurons = replace(spec.layers[0].neurons, tau_ref=tau_ref, min_voltage=min_voltage)
+    layers = [replace(layer, neurons=neurons) for layer in spec.layers[:2]]
+    spec = replace(spec, layers=(*layers, spec.layers[2]))
+    samples = spec.flatten_samples(random_checks(spec, 3).inputs)
+    built = build(spec)
+    with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
+        blocks = list(sim.model.blocks)
+        shown = list(show(built, sim, samples))
+    theirs = {
+        name: np.concatenate([of_sample.spikes[name] for of_sample in shown])
+        for name in spec.spiking_layers
+    }
+    np.testing.assert_array_equal(make_input_spikes(spec, samples), theirs["input"])
+    sent = theirs["input"]
+    for layer, block in zip(spec.layers[:2], blocks, strict=True):
+        largest = np.abs(layer.weights).max()
+        unit = 2 * 64 * 2.0 ** block.compartment.discretize_info["w_exp"]
+        integers = replace(layer, weights=np.rint(layer.weights / largest * 127.5) * unit)
+        integers = replace(integers, weights=np.clip(integers.weights, -127 * unit, 127 * unit))
+        sums = integers.compute_sums(delay_one_step(sent))
+        found = read_equations(block.compartment).compute_spikes(sums)
+        assert found.sum() > 20
+        np.testing.assert_array_equal(found, theirs[layer.name])
+        sent = theirs[layer.name]

@@ -1,0 +1,124 @@
+"""The operations and targets of this package conform, and mistakes in new ones are found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.network.ops import DEPLOYED_OPERATIONS
+from deploy.network.reference import run_reference
+from deploy.network.responses import TargetOutput
+from deploy.targets.registry import TARGETS, Target
+from models.ops import OPERATIONS, Convolution, Dense
+from tests.network_conformance import assert_operation_conforms, assert_target_conforms
+from tests.test_extensions import DeployedOneToOne, OneToOne, run_first_class
+
+
+@pytest.fixture
+def one_to_one(monkeypatch):
+    monkeypatch.setitem(OPERATIONS, "own", OneToOne)
+    monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", DeployedOneToOne)
+
+
+@pytest.mark.parametrize(
+    ("operation", "input_shape"),
+    [
+        (Convolution(4, 3), (6, 5, 2)),
+        (Convolution(3, 2, 2, "same"), (5, 5, 1)),
+        (Dense(7), (4, 3, 2)),
+        (Dense(7), (9,)),
+        (OneToOne(), (4, 4, 2)),
+    ],
+    ids=str,
+)
+def test_operations_conform(operation, input_shape, one_to_one):
+    assert_operation_conforms(operation, input_shape)
+
+
+class Squared(DeployedOneToOne):
+    def compute_sums(self, weights, values):
+        return weights**2 * values.reshape(len(values), -1)
+
+
+class Affine(DeployedOneToOne):
+    def compute_sums(self, weights, values):
+        return weights * values.reshape(len(values), -1) + 1
+
+
+class TooFew(DeployedOneToOne):
+    def fan_out(self, read_shape):
+        return np.zeros(read_shape, int)
+
+
+class OtherTransform(DeployedOneToOne):
+    def transform(self, layer, chip):
+        import nengo
+
+        return nengo.Dense((layer.size, layer.size), init=np.ones((layer.size,) * 2)), None
+
+
+@pytest.mark.parametrize(
+    ("mistaken", "fact"),
+    [
+        (Squared, "one weight"),
+        (Affine, "not linear"),
+        (TooFew, "fan_out"),
+        (OtherTransform, "transform"),
+    ],
+)
+def test_mistakes_in_an_operation_are_found(mistaken, fact, one_to_one, monkeypatch):
+    monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", mistaken)
+    with pytest.raises((AssertionError, ValueError), match=fact):
+        assert_operation_conforms(mistaken(), (4, 4, 1))
+
+
+# A target without Nengo.
+REFERENCE = Target("reference", run_reference, "The equations in NumPy")
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        REFERENCE,
+        TARGETS["fast"],
+        TARGETS["emulator"],
+        Target("first", run_first_class, "The first"),
+    ],
+    ids=lambda target: target.name,
+)
+def test_targets_conform(target):
+    assert_target_conforms(target)
+
+
+def run_without_gaps(spec, streams, seed=0):
+    """Yield the readout of the gaps, too."""
+    for output in run_reference(spec, streams):
+        readout = np.pad(output.readout, ((0, 0), (spec.presentation.gap, 0), (0, 0)))
+        yield replace(output, readout=readout)
+
+
+def run_in_one_stream(spec, streams, seed=0):
+    """Present all streams to one network."""
+    (together,) = run_reference(spec, [np.concatenate(streams)])
+    begin = 0
+    for stream in streams:
+        end = begin + len(stream)
+        yield TargetOutput(together.readout[begin:end])
+        begin = end
+
+
+def run_only_first(spec, streams, seed=0):
+    return run_reference(spec, streams[:1])
+
+
+@pytest.mark.parametrize(
+    ("run", "fact"),
+    [
+        (run_without_gaps, "'mine': readout of shape"),
+        (run_in_one_stream, "streams before it"),
+        (run_only_first, "1 outputs of 2 streams"),
+    ],
+)
+def test_mistakes_in_a_target_are_found(run, fact):
+    with pytest.raises((AssertionError, ValueError), match=fact):
+        assert_target_conforms(Target("mine", run, "Mistaken"))
