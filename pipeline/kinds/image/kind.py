@@ -62,7 +62,7 @@ def _compute_logits(stage, inputs, samples, advance):
 # Maximum number of firing rates, of a neuron in a sample, that are compared with activations: they
 # are thinned for large networks, whose emulation takes long.  Networks such as the paper's, of some
 # thousand neurons, have fewer on all samples of a check.
-MAX_COMPARED_RATES = 2_000_000
+MAX_COMPARED_RATES = 1_000_000
 
 # Settings of the neurons, and those that have an effect in each recipe of the spiking network.
 NEURON_SETTINGS = ("snn.recipe", "snn.max_rates", "snn.tau_rc", "snn.tau_ref")
