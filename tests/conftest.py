@@ -10,6 +10,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # Every core has a worker already; what the worker starts inherits this.
     for library in ("OMP_NUM", "OPENBLAS_NUM", "TF_NUM_INTEROP"):
         os.environ.setdefault(f"{library}_THREADS", "1")
+# Otherwise each process that a test starts would compile all modules of this repository again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # A training takes less time with oneDNN, but to look into each new graph for what oneDNN could do
 # takes TensorFlow a fifth of the time of the tests that make one.
 os.environ["TF_ENABLE_ONEDNN_OPTS"] = "0"
