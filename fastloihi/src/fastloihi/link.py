@@ -144,6 +144,10 @@ class Link:
             *layout.network, *layout.learning, self.traces, self.pending, self.errors,
             *layout.noise, self.overflows, *self._make_scratch(n_blocks, most, dtype),
         )  # fmt: skip
+        self._arguments = (
+            self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
+            *self.fixed_arguments,
+        )  # fmt: skip
 
     def _copy_learning(self, synapses, dtype):
         """Take the traces, the pending spikes and the errors of the synapses that learn."""
@@ -173,10 +177,6 @@ class Link:
             np.zeros(most, dtype),
             np.zeros(self._n, dtype),
         )
-        self._arguments = (
-            self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
-            *self.fixed_arguments,
-        )  # fmt: skip
 
     def state_arrays(self):
         """The arrays of the compartments, by their names in NengoLoihi."""
