@@ -383,9 +383,15 @@ def _draw_check_samples(row, dataset, case):
     drawn = dataset.split.check_samples(number, case.seed).tolist()
     at = {sample: place for place, sample in enumerate(row["samples"])}
     places = [at[sample] for sample in drawn]
-    fewer = {name: [row[name][k] for k in places] for name in ("predictions", "right")}
-    accuracy = sum(fewer["right"]) / len(drawn)
-    return {**row, **fewer, "samples": drawn, "stage": case.stage, "accuracy": accuracy}
+    right = [row["right"][place] for place in places]
+    return {
+        **row,
+        "predictions": [row["predictions"][place] for place in places],
+        "right": right,
+        "samples": drawn,
+        "stage": case.stage,
+        "accuracy": sum(right) / len(drawn),
+    }
 
 
 def wanted_settings(experiment: Experiment, lines, settings: Settings) -> dict:
