@@ -95,7 +95,7 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
     slow = replace(recordings, events=slow)
     decider = decider_of(clocked, Sensor())
     spec = clocked.spec.with_presentation(steps=600, stream_length=1)
-    frames = EventTable.of(slow).frames(np.arange(len(slow)), 10.0, 600, SpikeLimits(1))
+    frames = EventTable.of(slow).make_frames(np.arange(len(slow)), 10.0, 600, SpikeLimits(1))
     expected = answers_of(spec, np.moveaxis(frames, 0, 1), "fast")
     longer = 0
     for index in range(0, len(slow), 3):
