@@ -44,7 +44,7 @@ def test_all_targets_read_the_same(spec):
 def test_the_readout_of_responses_gives_the_scores(spec):
     spec = spec.with_presentation(stream_length=1)
     images, readout = IMAGES, spec.layers[-1]
-    responses = Responder(spec).responses(images)
+    responses = Responder(spec).compute_responses(images)
     scores = responses @ readout.by_class.T + readout.bias
     np.testing.assert_allclose(scores, run_target(spec, images, "fast").scores, atol=1e-6)
 
