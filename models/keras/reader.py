@@ -134,9 +134,8 @@ def _take_maximum(values, pool):
 def _max_dense(layer, pool):
     """A dense layer of the maxima over windows of an image, with the kernel of the file."""
     from models.keras.keras2 import tf
-    from models.keras.operation_layer import OperationLayer
 
-    class MaxDense(OperationLayer):
+    class MaxDense(tf.keras.layers.Dense):
         def call(self, inputs):
             maxima = _take_maximum(tf.reshape(inputs, (-1, *pool.image)), pool)
             return tf.reshape(maxima, (-1, len(pool.kernel))) @ pool.kernel + self.bias
@@ -147,11 +146,10 @@ def _max_dense(layer, pool):
 def _padded_convolution(layer, padding):
     """A convolution of the same weights whose input is padded with a value for each channel."""
     from models.keras.keras2 import tf
-    from models.keras.operation_layer import OperationLayer
 
     padding = padding.astype(np.float32)
 
-    class PaddedConvolution(OperationLayer):
+    class PaddedConvolution(tf.keras.layers.Conv2D):
         def call(self, inputs):
             # Zeros that are padded around the difference are the value.
             inside = super().call(inputs - padding)

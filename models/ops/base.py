@@ -61,7 +61,8 @@ class Operation(DeployedOperation):
                                          weights
     `fan_in`, `tensor_sums`, `synapses`  for layers with many inputs
     `gather_inputs`                      if rounding to integers should compensate errors of weights
-    `keras_layer`                        for an operation without weights
+    `keras_layer`                        for an operation without weights, and where NengoDL should
+                                         convert a layer of Keras (the stage spiking-lif)
     ===================================  ===========================================================
 
     Attributes

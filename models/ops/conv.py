@@ -32,6 +32,15 @@ class Convolution(Operation, DeployedConvolution):
     def fan_in(self, input_shape):
         return self.kernel**2 * input_shape[2]
 
+    def keras_layer(self, name, gain=None):
+        from models.keras.keras2 import tf
+
+        if gain is not None:
+            return super().keras_layer(name, gain)
+        # NengoDL converts Keras's own layers.
+        size = self.filters, self.kernel
+        return tf.keras.layers.Conv2D(*size, self.stride, self.padding, name=name)
+
     def tensor_sums(self, kernel, frames):
         from models.keras.keras2 import tf
 

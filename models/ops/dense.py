@@ -46,6 +46,13 @@ class Dense(Operation, DeployedDense):
     def fan_in(self, input_shape):
         return math.prod(input_shape)
 
+    def keras_layer(self, name, gain=None):
+        from models.keras.keras2 import tf
+
+        if gain is not None:
+            return super().keras_layer(name, gain)
+        return tf.keras.layers.Dense(self.units, name=name)  # which NengoDL converts
+
     def tensor_sums(self, kernel, frames):
         from models.keras.keras2 import tf
 
