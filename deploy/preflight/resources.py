@@ -9,6 +9,7 @@ from typing import Dict
 
 import numpy as np
 
+from ..arithmetic import ceil_div
 from ..network.chip import Chip
 from ..network.ops.base import count_list_words
 
@@ -31,7 +32,7 @@ def count_used(block, chip: Chip, registers: int) -> Dict[str, int]:
         "input axons": int(sum(synapse.n_axons for synapse in block.synapses)),
         "output axons": int(sum(axon.axon_slots() for axon in block.axons)),
         "AxonCfg registers": registers,
-        "synapse words": int(sum(synapse_words(synapse, chip) for synapse in block.synapses)),
+        "synapse words": count_synapse_words(block, chip),
     }
 
 
@@ -85,11 +86,21 @@ def find_axons_with_targets(synapse) -> np.ndarray:
     return has_targets
 
 
+def count_synapse_words(block, chip: Chip) -> int:
+    """Number of words of synapse memory of a block: the chip's, or NengoLoihi's if it is larger.
+
+    NengoLoihi counts the synapses of all atoms of an axon as one sequence, and refuses blocks by
+    that count.
+    """
+    words = sum(synapse_words(synapse, chip) for synapse in block.synapses)
+    bits = sum(synapse.bits() for synapse in block.synapses)
+    return int(max(words, ceil_div(int(bits), chip.synapse_word_bits)))
+
+
 def synapse_words(synapse, chip: Chip) -> int:
     """Number of words of synapse memory, where each list of synapses starts with a new word.
 
     A list is what one spike reads: the weights of an axon, for one atom in a population.
-    NengoLoihi adds the bits of an axon's atoms before rounding up, which gives slightly less.
     """
     form = synapse.synapse_cfg
     bits = form.real_weight_bits + form.delay_bits + form.tag_bits

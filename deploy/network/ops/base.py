@@ -306,6 +306,27 @@ def count_input_words(synapses: int, bits: int, chip: Chip) -> int:
     return words + (count_list_words(rest, bits, chip) if rest else 0)
 
 
+def count_axon_words(atoms: int, synapses: int, bits: int, chip: Chip) -> int:
+    """Number of words of synapse memory for the lists of one axon whose spikes name an atom.
+
+    The chip starts the lists of each atom with a new word.  NengoLoihi counts the synapses of all
+    atoms as if they were those of one input, and refuses blocks by that count, which can be larger.
+
+    Parameters
+    ----------
+    atoms : int
+    synapses : int
+        Number of synapses of each atom.
+    bits : int
+        Bits of each synapse.
+    chip : Chip
+    """
+    return max(
+        atoms * count_input_words(synapses, bits, chip),
+        count_input_words(atoms * synapses, bits, chip),
+    )
+
+
 def count_list_words(synapses: int, bits: int, chip: Chip) -> int:
     """Number of words of synapse memory for one list, which starts with a new word.
 

@@ -20,7 +20,7 @@ from .base import (
     POPULATION_SLOTS,
     DeployedOperation,
     Resources,
-    count_input_words,
+    count_axon_words,
     find_index_bits,
     list_ranges,
 )
@@ -306,9 +306,10 @@ class _ConvolutionResources(Resources):
         highest = int(min(last_target.max(initial=1), rows * columns * filters))
         bits = self.chip.weight_bits + find_index_bits(highest)
         synapses = n_down * n_across * filters
-        words = sum(count_input_words(int(n), bits, self.chip) for n in synapses)
+        channels = self.layer.input_shape[2]
+        words = sum(count_axon_words(channels, int(n), bits, self.chip) for n in synapses)
         pixels = len(down.number) * len(across.number)
-        return pixels, words * self.layer.input_shape[2]
+        return pixels, words
 
     def receiver(self, block):
         row_blocks, column_blocks = (

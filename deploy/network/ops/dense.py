@@ -14,8 +14,8 @@ from .base import (
     POPULATION_SLOTS,
     DeployedOperation,
     Resources,
+    count_axon_words,
     count_blocks,
-    count_input_words,
     count_neurons,
     find_index_bits,
 )
@@ -125,8 +125,9 @@ class _PopulationResources(Resources):
         # In a divided layer, the pixels of a pooling window share their lists.
         is_divided = units < self.layer.size
         pixels_with_lists = math.prod(self.layer.read_shape[:2]) if is_divided else pixels
-        words = count_input_words(units, self.chip.weight_bits + find_index_bits(units), self.chip)
-        return pixels, pixels_with_lists * self.layer.input_shape[2] * words
+        bits = self.chip.weight_bits + find_index_bits(units)
+        words = count_axon_words(self.layer.input_shape[2], units, bits, self.chip)
+        return pixels, pixels_with_lists * words
 
     def receiver(self, block):
         blocks = count_blocks(self.layer.shape, block)

@@ -212,6 +212,14 @@ def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
     assert used["synapse words"] <= BlockNeeds(own).count([(0, block[0])])[1] <= 16384
 
 
+def test_blocks_fit_by_the_count_of_nengo_loihi_too():
+    """It counts the synapses of the 128 channels of a pixel as one sequence of lists."""
+    rng = np.random.default_rng(0)
+    shape = (10, 10, 128)
+    wide = away_from_zero(dense("dense1", shape, 44, rng, pool=2))
+    assert make_plan(spec_of(shape, wide)).problems == []
+
+
 def test_a_window_along_one_dimension_by_hand():
     assert windows(10, 3, 2, "valid") == (4, 0, 0)
     assert windows(10, 3, 2, "same") == (5, 0, 1)
