@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from deploy.errors import CheckFailed
+from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
 from deploy.tables import align_rows
 from experiments.studies import RESULTS, Store, name_processor
@@ -133,11 +133,13 @@ def text_of(found: dict) -> str:
 def main(
     out: Annotated[Path, typer.Option(help="Folder for caches and runs, some GB.")] = Path("runs"),
     size: Annotated[list[int] | None, typer.Option(help="Numbers of recordings.", min=100)] = None,
-    kind: Annotated[list[str] | None, typer.Option(help="image, events, or both.")] = None,
+    kind: Annotated[list[str] | None, typer.Option(help="image or events; repeatable.")] = None,
     store: Store = "",
     as_json: options.Json = False,
 ):
     """Measure time and memory of a training on 7,000, 30,000 and 100,000 recordings."""
+    if unknown := set(kind or ()) - set(EPOCHS):
+        raise UserError(f"--kind {min(unknown)}: it is one of {', '.join(EPOCHS)}")
     out.mkdir(parents=True, exist_ok=True)
     rows = measure(size or SIZES, kind or tuple(EPOCHS), out, options.say)
     found = {"experiment": "growth", "rows": rows, "measured": {"processor": name_processor()}}

@@ -353,7 +353,9 @@ def _measure_on(dataset, case, networks):
         predictions = classifiers.predict_test_samples(dataset, index, case.stage)
         return study.row_of(case, dataset, index, predictions)
     if case.stage == "fast-200":
-        return _draw_check_samples(measure(replace(case, stage="fast"), networks), dataset, case)
+        return _draw_check_samples(
+            study.measure(replace(case, stage="fast"), networks, dataset), dataset, case
+        )
     if case.stage in FAULTY_STAGES:
         return _measure_with_faults(dataset, case, networks)
     if case.stage not in ("slayer", "slayer-small"):

@@ -9,10 +9,12 @@ A test gives one file as the sensor's software writes it, and the events that ar
 The reader must be in :data:`pipeline.recordings.formats.READERS`.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from deploy.errors import UserError
 from pipeline.recordings.formats import READERS, read_file
 from pipeline.recordings.formats.recording import UNITS, BadRecording, EventRecording
 from pipeline.recordings.source import read_source
@@ -24,7 +26,9 @@ CUTS = (0.01, 0.25, 0.5, 0.9, 0.999)
 FOREIGN_CONTENTS = (b"\0", b"no recording", bytes(range(256)) * 40, b"\xff\xfe" * 500)
 
 
-def assert_format_conforms(ending: str, content: bytes, events: dict, folder: Path):
+def assert_format_conforms(
+    ending: str, content: bytes, events: dict, folder: Path, others: Sequence[bytes] = ()
+):
     """Find the usual mistakes of a reader of recordings; each is an error that names the mistake.
 
     Parameters
@@ -40,6 +44,10 @@ def assert_format_conforms(ending: str, content: bytes, events: dict, folder: Pa
         ``p``, 1 where pressure rises and -1 where it falls.
     folder : Path
         An empty folder.
+    others : sequence of bytes
+        More files of the same sensor, which must fit together with the first one.  Best are some
+        in which other taxels have events: a reader that infers the size of the sensor from one
+        file fails on them.
 
     Raises
     ------
@@ -55,7 +63,7 @@ def assert_format_conforms(ending: str, content: bytes, events: dict, folder: Pa
     _require_polarities(found, expected)
     _require_same_for_every_name(ending, content, found)
     _require_refusals(ending, content)
-    _require_source(ending, content, folder)
+    _require_source(ending, (content, *others), folder)
 
 
 def _require_entry(ending):
@@ -144,13 +152,18 @@ def _require_refusals(ending, content):
         assert len(found), f"a damaged file of {len(wrong)} bytes gives a recording without events"
 
 
-def _require_source(ending, content, folder):
+def _require_source(ending, contents, folder):
     """Folders of classes with such files are a source."""
     for label in ("a", "b"):
-        for number in range(2):
+        for number, content in enumerate(2 * contents):
             path = folder / label / f"{number}{ending}"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-    recordings = read_source(folder, jobs=1)
-    assert len(recordings) == 4, f"{len(recordings)} of 4 files were read from a folder of classes"
+    try:
+        recordings = read_source(folder, jobs=1)
+    except UserError as error:
+        raise AssertionError(f"files of one sensor do not fit together: {error}") from error
+    n = 4 * len(contents)
+    read = f"{len(recordings)} of {n} files were read from a folder of classes"
+    assert len(recordings) == n, read
     assert recordings.sensor.classes == ("a", "b")

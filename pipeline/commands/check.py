@@ -165,9 +165,9 @@ def _count_samples_of_fit(spec):
 def _loss_text(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
     from deploy.check.results import loss_text, read_result
-    from pipeline.kinds import COMPARED_WITH
+    from pipeline.kinds import list_compared_stages
 
-    for stage in COMPARED_WITH:
+    for stage in list_compared_stages():
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
             reference = read_result(checks_of(bundle.path) / f"{stage}.json")
             if reference["bundle"] == bundle.id:

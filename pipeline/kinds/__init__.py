@@ -23,14 +23,20 @@ from pipeline.sources import recordings_of
 # The first of them that the settings describe is the kind of a run.
 KINDS = [NirKind, EventsKind, ImageKind]
 
-# Title and note of the reference stages of all kinds.
-REFERENCES = {stage: texts for kind in KINDS for stage, texts in kind.references.items()}
 
-# The reference stages whose networks become bundles; later losses are caused by the conversion.
-TRAINED_STAGES = tuple(kind.deployed_stage for kind in KINDS)
+def list_references() -> dict:
+    """The :class:`pipeline.kinds.kind.Reference` stages of all kinds by their names."""
+    return {name: stage for kind in KINDS for name, stage in kind.references.items()}
 
-# The stages that a deployed network is compared with: the first of them that there is.
-COMPARED_WITH = ("cnn-matched", "trained", "nir", "cnn", "rate-lif")
+
+def list_trained_stages() -> tuple:
+    """The reference stages whose networks become bundles; conversion causes all later losses."""
+    return tuple(kind.deployed_stage for kind in KINDS)
+
+
+def list_compared_stages() -> tuple:
+    """The stages that a deployed network is compared with: the first of them that there is."""
+    return tuple(stage for kind in KINDS for stage in (*kind.compared_stages, kind.deployed_stage))
 
 
 def find_compared_stage(stages) -> str:
@@ -41,7 +47,7 @@ def find_compared_stage(stages) -> str:
     stages : sequence of str
         Stages in the order of the ladder.
     """
-    return next((stage for stage in COMPARED_WITH if stage in stages), next(iter(stages)))
+    return next((stage for stage in list_compared_stages() if stage in stages), next(iter(stages)))
 
 
 def kind_of_network(settings: Settings) -> NetworkKind:

@@ -44,6 +44,9 @@ class NetworkKind:
     # The reference stage of the network that becomes the bundle.  Conversion causes the losses from
     # this stage on.
     deployed_stage: ClassVar[str]
+    # The reference stages with which the deployed network is compared, before the deployed stage:
+    # the first of them that the ladder has.
+    compared_stages: ClassVar[tuple] = ()
     # Settings that the bundle depends on, besides those of presentation and check.
     placement: ClassVar[tuple] = ()
     # Section of the settings with the architecture; empty if the user's file determines it.

@@ -37,7 +37,7 @@ NO_SPLIT = "give other data, or another split.kind or split.test_fraction"
 
 # Version of the rules by which files become recordings; to be raised if they change, because files
 # that are read differently have the same hash.
-READING = "4"
+READING_RULES_VERSION = "4"
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def make_dataset_origin(
         reads += ["data.time_unit", "data.downsample", "data.bin", "data.rise"]
     contents = {"recordings": recordings_sha256, "split": split}
     if settings.data.source != SIMULATED:
-        contents["rules of reading files"] = READING
+        contents["rules of reading files"] = READING_RULES_VERSION
     return Origin.of(settings, reads, contents=contents)
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
 from pipeline.progress import progress
-from pipeline.recordings import source as sources
 from pipeline.recordings.cache import cache_folder, map_column, write_column
 from pipeline.recordings.events import (
     EVENT_DTYPES,
@@ -26,6 +25,14 @@ from pipeline.recordings.events import (
     TaxelMap,
 )
 from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
+from pipeline.recordings.source import (
+    Listing,
+    content_hash,
+    fingerprint,
+    list_source,
+    read_source,
+    reading_lines,
+)
 from pipeline.run.settings import Settings
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
@@ -76,7 +83,7 @@ def import_recordings(
     UserError
         The source cannot be read, or the cache is damaged.
     """
-    listing = sources.list_source(source)
+    listing = list_source(source)
     # An import without the bad files must not be used as a complete import later, and refused
     # files are not in the hash.
     refused = [list(entry) for entry in listing.refused]
@@ -84,22 +91,22 @@ def import_recordings(
     path = cache_file("imported", source.name, find_hash(listing), *options)
     recordings = load(path)
     if recordings is None:
-        read = sources.read_source(source, jobs, skip_bad, progress, reading)
+        read = read_source(source, jobs, skip_bad, progress, reading)
         recordings = store_and_load(path, read)
     if warn is not None:
-        for line in sources.reading_lines(source, recordings):
+        for line in reading_lines(source, recordings):
             warn(line)
     return recordings
 
 
-def find_hash(listing: sources.Listing) -> str:
+def find_hash(listing: Listing) -> str:
     """The content hash of a source, which is read again only if its files have changed."""
-    path = cache_folder() / f"source-{sources.fingerprint(listing)[:24]}.json"
+    path = cache_folder() / f"source-{fingerprint(listing)[:24]}.json"
     if path.exists():
         sha256 = read_json(path, DELETE).get("sha256")
         if isinstance(sha256, str) and re.fullmatch("[0-9a-f]{64}", sha256):
             return sha256
-    sha256 = sources.content_hash(listing)
+    sha256 = content_hash(listing)
     write_json(path, {"sha256": sha256})
     return sha256
 

@@ -308,12 +308,12 @@ def split_by_writers(writers: np.ndarray, seed: int, test_fraction: float = 0.2)
     names, sizes = np.unique(writers, return_counts=True)
     if len(names) < 2:
         raise ValueError("all recordings are of one writer")
-    n_test_writers = len(writers) * test_fraction
+    n_test = len(writers) * test_fraction
     chosen: list = []
     size = 0
     rng = np.random.default_rng([seed, 0x3217])
     for index in rng.permutation(len(names)):
-        nearer = abs(size + sizes[index] - n_test_writers) < abs(size - n_test_writers)
+        nearer = abs(size + sizes[index] - n_test) < abs(size - n_test)
         if (nearer or not chosen) and len(chosen) < len(names) - 1:
             chosen.append(names[index])
             size += sizes[index]

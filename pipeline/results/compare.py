@@ -17,7 +17,7 @@ from deploy.preflight.plan import make_plan
 from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, plural, star
 from deploy.targets.registry import TARGETS, rank_targets_by_spikes
 from deploy.terminal import command_text, printable
-from pipeline.kinds import REFERENCES, kind_of_network
+from pipeline.kinds import kind_of_network, list_references
 from pipeline.kinds.imported import IMPORT_SETTINGS
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.events import is_written
@@ -29,14 +29,16 @@ from pipeline.stages import settings_of_network
 
 SCHEMA = "stmnist-runs/1"
 
-# Order of the stages in a comparison.
-ORDER = (*REFERENCES, *TARGETS)
-
 # Short names of runs in the text, by their order.
 LETTERS = string.ascii_uppercase
 
 # Width of the text in columns.
 WIDTH = 80
+
+
+def list_stages() -> tuple:
+    """All stages that a result may have, in the order of the ladder."""
+    return (*list_references(), *TARGETS)
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def _read_run(path):
     if not folder.bundle.is_dir():
         raise UserError(f"{path}: has no bundle; make it with {command_text('convert', path)}")
     bundle = read_bundle(folder.bundle)
-    files = {stage: folder.check(stage) for stage in ORDER}
+    files = {stage: folder.check(stage) for stage in list_stages()}
     every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
     results = {stage: result for stage, result in every.items() if result["bundle"] == bundle.id}
     stale = [stage for stage in every if stage not in results]
@@ -139,7 +141,7 @@ def compare_runs(runs) -> dict:
         runs (see :func:`difference`), None for a run without it.
     """
     runs_with = Counter(stage for run in runs for stage in run.results)
-    shared = [stage for stage in ORDER if runs_with[stage] > 1]
+    shared = [stage for stage in list_stages() if runs_with[stage] > 1]
     return {
         "schema": SCHEMA,
         "runs": [

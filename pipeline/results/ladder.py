@@ -12,7 +12,7 @@ from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, align_rows, list_names, p_text, star
 from deploy.targets.registry import TARGETS, list_ladder_targets
 from deploy.terminal import WARNING
-from pipeline.kinds import TRAINED_STAGES, NetworkKind, find_compared_stage
+from pipeline.kinds import NetworkKind, find_compared_stage, list_trained_stages
 from pipeline.kinds.diagnosis import find_least_faithful, layers_text
 from pipeline.progress import progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
@@ -223,7 +223,7 @@ def _find_classes_without_samples(classes, result):
 def _test_against_trained(results):
     """The p-value of the deployed network against the trained one; None without a trained one."""
     for result in results:
-        if result["target"] in TRAINED_STAGES:
+        if result["target"] in list_trained_stages():
             return compare_results(result, select_deployed_result(results)).p_value
     return None
 
@@ -265,7 +265,9 @@ def find_losing_stages(ladder: dict) -> list:
     not significant (McNemar's test, p of :data:`SIGNIFICANCE` or more) do not count.
     """
     stages = [row["stage"] for row in ladder["rows"]]
-    trained = next((index for index, name in enumerate(stages) if name in TRAINED_STAGES), None)
+    trained = next(
+        (index for index, name in enumerate(stages) if name in list_trained_stages()), None
+    )
     if trained is None:
         return []
     rows = ladder["rows"][trained:]

@@ -250,6 +250,8 @@ def evaluate(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> d
         See :func:`row_of`; of a target also its ``costs``, see :func:`costs_of`.
     """
     if case.stage not in TARGETS:
+        if dataset is not None:
+            raise ValueError(f"other samples are for targets, not for the stage {case.stage!r}")
         index = opened.dataset.split.indices(case.part)
         return row_of(case, opened.dataset, index, _predict_before_chip(case, opened, index))
     dataset = dataset or opened.dataset

@@ -14,9 +14,9 @@ from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.chunks import chunk_events
 from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.simulation import aces, handwriting
-from pipeline.simulation import parameters as settings
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
 from pipeline.simulation.faults import draw_faults
+from pipeline.simulation.parameters import PEOPLE, load
 
 # Part of the hash of the recordings; increase it with any change of the simulation.
 VERSION = 8
@@ -112,7 +112,7 @@ def simulate(
     UserError
         A digit is requested that no trace has.
     """
-    parameters = parameters or settings.load()
+    parameters = parameters or load()
     counts = _check_counts(samples_per_digit)
     samples = list_samples(seed, counts, parameters.people, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
@@ -138,7 +138,7 @@ def describe_source(
     seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE
 ) -> Source:
     """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
-    parameters = parameters or settings.load()
+    parameters = parameters or load()
     content = [VERSION, int(seed), _check_counts(samples_per_digit), parameters.fingerprint()]
     if tuple(size) != SIZE:
         content.append(list(size))
@@ -150,7 +150,7 @@ def describe_source(
     name = f"simulated, seed {seed}" + (", recorded handwriting" if traces else "")
     if parameters.chunked:
         name += ", in chunks" if parameters.chunked == 1 else ", some in chunks"
-    if not traces and parameters.people != settings.PEOPLE:
+    if not traces and parameters.people != PEOPLE:
         name += f", {parameters.people} people"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)

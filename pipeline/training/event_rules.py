@@ -130,8 +130,8 @@ SIZES = {
 }
 
 
-class Reading(NamedTuple):
-    """How the events of recordings are read.
+class InputChoice(NamedTuple):
+    """How the events of recordings become input spikes, and how many sections the readout has.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ def dropout_for(size: NetworkSize, samples: int) -> float:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int) -> Reading:
+def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -> InputChoice:
     """Choose the refractory period and the number of sections on the training samples.
 
     The refractory period is the longest of those with nearly the highest accuracy of the linear
@@ -247,7 +247,7 @@ def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int)
     some = np.asarray(train)[np.diff(table.offsets)[train] > 0]
     some = np.random.default_rng(0x9EAD).permutation(some)[:MAX_COMPARED_SAMPLES]
     if len(some) < 2:
-        return Reading(0, 1, 0.0, 0.0, 0.0)
+        return InputChoice(0, 1, 0.0, 0.0, 0.0)
     target = np.asarray(labels)[some]
     lost = {}
     accuracy = {}
@@ -266,7 +266,7 @@ def choose_reading(table: EventTable, labels, train, step_ms: float, steps: int)
         each for each in mean if mean[each] >= max(mean.values()) - MAX_EQUAL_ACCURACY_GAP
     )
     sections = _choose_sections(accuracy[refractory], len(some))
-    return Reading(
+    return InputChoice(
         refractory=refractory,
         sections=sections,
         lost=lost[refractory],

@@ -28,8 +28,8 @@ from pipeline.training.event_rules import (
     TAIL_STEPS,
     USUAL_EVENTS,
     NetworkSize,
+    choose_input,
     choose_max_spikes,
-    choose_reading,
     choose_size,
     dropout_for,
     epochs_for,
@@ -80,7 +80,7 @@ class EventChoices:
         self._choose_augmentation()
         if not self.is_usual:
             self._choose_dropout()
-            self._choose_reading()
+            self._choose_input()
 
     @property
     def presented(self) -> Settings:
@@ -182,7 +182,7 @@ class EventChoices:
         reason = f"dropout of {dropout:g}, for {why} (another: --set events.dropout=...)"
         self._choose("events.dropout", dropout, reason)
 
-    def _choose_reading(self):
+    def _choose_input(self):
         """The refractory period, and the sections of the readout."""
         settings = self.settings
         presented = self.presented
@@ -191,11 +191,11 @@ class EventChoices:
         is_open = settings.is_open("input.refractory")
         reason = ""
         if is_open or not sections:  # what the user has set needs no estimate, which takes seconds
-            reading = self._estimate_reading(presented)
-            sections = sections or reading.sections
-            reason = reading.text(step_ms, sections)
+            chosen_input = self._estimate_input(presented)
+            sections = sections or chosen_input.sections
+            reason = chosen_input.text(step_ms, sections)
         if is_open:
-            self._choose("input.refractory", reading.refractory * step_ms, reason)
+            self._choose("input.refractory", chosen_input.refractory * step_ms, reason)
             reason = ""
         section_ms = settings.events.part or presented.steps * step_ms / sections
         self._choose("events.parts", sections, reason)
@@ -216,11 +216,13 @@ class EventChoices:
         )
         self._choose("input.max_spikes", max_spikes, reason)
 
-    def _estimate_reading(self, presented):
+    def _estimate_input(self, presented):
         step_ms = presented.input.step
         labels = self.recordings.labels
-        reading = choose_reading(self.table, labels, self.train, step_ms, presented.steps)
+        chosen_input = choose_input(self.table, labels, self.train, step_ms, presented.steps)
         if self.settings.is_open("input.refractory"):
-            return reading
+            return chosen_input
         chosen = presented.input.refractory_steps
-        return reading._replace(refractory=chosen, lost=self.table.measure_loss(step_ms, chosen))
+        return chosen_input._replace(
+            refractory=chosen, lost=self.table.measure_loss(step_ms, chosen)
+        )

@@ -267,17 +267,17 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
 def choose_confidence(settings: Settings, samples: EventSamples, trained, seed: int) -> Threshold:
     """Choose the confidence for early decisions on the held-out samples.
 
-    See :func:`require_enough_samples`.
+    See :func:`drop_unreliable_confidence`.
     """
     table, labels, _, held_out = samples
     if not len(held_out):
         return Threshold(1.0, 0.0, 1.0)
     loss = settings.presentation.early_loss
     chosen = trained.choose_threshold(table, labels, held_out, settings.steps, seed, loss)
-    return require_enough_samples(chosen, len(held_out))
+    return drop_unreliable_confidence(chosen, len(held_out))
 
 
-def require_enough_samples(chosen: Threshold, samples: int) -> Threshold:
+def drop_unreliable_confidence(chosen: Threshold, samples: int) -> Threshold:
     """A confidence for early decisions, or 1 if it was chosen on fewer samples than `MIN_HELD_OUT`.
 
     With a confidence of 1 the network decides at the end of each recording.

@@ -110,6 +110,7 @@ class ImageKind(NetworkKind):
     }
     deployed = "rate-lif"
     deployed_stage = "rate-lif"
+    compared_stages = ("cnn-matched", "cnn")
     placement = ("deployment",)
     section = "cnn"
     grid = (

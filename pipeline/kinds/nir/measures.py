@@ -15,7 +15,7 @@ from deploy.network.decision import choose_threshold, delay_outputs
 from deploy.network.stimulus import find_last_steps
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
-from pipeline.kinds.events.kind import require_enough_samples
+from pipeline.kinds.events.kind import drop_unreliable_confidence
 from pipeline.kinds.nir.conversion import conversion_notes, record_convention
 from pipeline.kinds.nir.importing import GRAPH, Stepped, graph_for, shape_of_inputs
 from pipeline.kinds.nir.simulation import NUMPY, predictions_of, simulate_samples
@@ -174,7 +174,10 @@ def choose_confidence(network, stepped, layers, settings, dataset):
     sums = delay_outputs(np.cumsum(outputs, 1), len(layers))
     loss = settings.presentation.early_loss
     threshold = choose_threshold(sums, dataset.labels[held_out], find_last_steps(inputs), loss)
-    return {**require_enough_samples(threshold, len(held_out))._asdict(), "samples": len(held_out)}
+    return {
+        **drop_unreliable_confidence(threshold, len(held_out))._asdict(),
+        "samples": len(held_out),
+    }
 
 
 def draw_held_out(split: Split, seed: int) -> np.ndarray:

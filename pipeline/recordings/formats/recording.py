@@ -169,17 +169,23 @@ def make_numbered_recording(
     polarity : ndarray of int8, shape (n,)
         1 where pressure rises (ON), -1 where it falls (OFF).
     n_taxels : int
-        Number of taxels of the sensor.
+        Number of taxels of the sensor, the same in all of its files.  A file that does not have it
+        is one for :func:`make_recording`, with the numbers as ``x`` and 0 as ``y``.
     columns : ndarray of int, shape (n,), optional
         See :attr:`EventRecording.columns`.
 
     Raises
     ------
     BadRecording
-        There are no events, they are not in order of time, or a taxel is not one of the sensor's.
+        There are no events, they are not in order of time, a taxel is not one of the sensor's, a
+        polarity is neither -1 nor 1, or the sensor has more taxels than events can address.
     """
     if len(taxel) == 0:
         raise BadRecording("is empty: no events")
+    if n_taxels > MAX_TAXELS:
+        raise BadRecording(f"has {n_taxels} taxels, more than {MAX_TAXELS}")
+    if not np.isin(polarity, (-1, 1)).all():
+        raise BadRecording("has a polarity that is neither -1 nor 1")
     if taxel.min() < 0 or taxel.max() >= n_taxels:
         raise BadRecording(f"has a taxel that is not from 0 to {n_taxels - 1}")
     if time_ns[0] < 0 or (np.diff(time_ns) < 0).any():

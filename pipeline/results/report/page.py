@@ -18,7 +18,7 @@ from deploy.network.responses import compute_seconds_per_sample
 from deploy.tables import SIGNIFICANCE, list_names, p_text, plural
 from deploy.targets.registry import TARGETS
 from pipeline import look
-from pipeline.kinds import COMPARED_WITH, REFERENCES
+from pipeline.kinds import list_compared_stages, list_references
 from pipeline.results.ladder import count_confusions, ladder_rows, select_deployed_result
 from pipeline.results.report import charts, prose
 from pipeline.run.settings import PATHS, Settings
@@ -156,7 +156,8 @@ def _settings(inputs):
 
 def title_of(stage: str) -> str:
     """The title of a network or target."""
-    return REFERENCES[stage].title if stage in REFERENCES else TARGETS[stage].title
+    described = list_references().get(stage) or TARGETS[stage]
+    return described.title
 
 
 def verdict(results: list, bundle: Bundle) -> dict:
@@ -178,7 +179,7 @@ def verdict(results: list, bundle: Bundle) -> dict:
     """
     deployed = select_deployed_result(results)
     by_stage = {result["target"]: result for result in results[:-1]}
-    wanted = [name for name in COMPARED_WITH if name in by_stage][:1]
+    wanted = [name for name in list_compared_stages() if name in by_stage][:1]
     wanted += [name for name in ("counts",) if name in by_stage]
     against = []
     for name in wanted:

@@ -4,7 +4,7 @@ from markupsafe import Markup, escape
 
 from deploy.tables import p_text
 from deploy.targets.registry import TARGETS
-from pipeline.kinds import REFERENCES
+from pipeline.kinds import list_references
 from pipeline.results.report.charts import percent
 
 # Highest probability that is printed: none is certain.
@@ -30,7 +30,7 @@ def interval(bounds) -> str:
 
 def stage_note(stage: str) -> str:
     """What a stage of the ladder is, in a few words."""
-    described = REFERENCES.get(stage) or TARGETS[stage]
+    described = list_references().get(stage) or TARGETS[stage]
     return described.note or described.title
 
 

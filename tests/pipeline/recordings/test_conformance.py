@@ -47,6 +47,18 @@ def read_well(content, name):
     return make_recording({"x": x, "y": y, "t_s": t, "p": p})
 
 
+def read_refusing(read):
+    """A reader that refuses what another one cannot read."""
+
+    def refuse(content, name):
+        try:
+            return read(content, name)
+        except (ValueError, IndexError) as error:
+            raise BadRecording("is not such a file") from error
+
+    return refuse
+
+
 def exchange(found):
     return replace(found, x=found.y, y=found.x)
 
@@ -88,6 +100,21 @@ def test_a_good_reader_conforms(tmp_path, monkeypatch):
     assert_format_conforms(".toy", CONTENT, EVENTS, tmp_path)
 
 
+def read_numbers(content, name):
+    taxel, time_ns = np.array(json.loads(content))
+    return make_numbered_recording(taxel, time_ns, np.ones(2, np.int8), 1 + taxel.max())
+
+
+def test_the_size_of_a_sensor_inferred_from_one_file_is_found(tmp_path, monkeypatch):
+    monkeypatch.setitem(READERS, ".toy", read_refusing(read_numbers))
+    events = {"x": [2, 0], "y": [0, 0], "t": [0.1, 0.25], "p": [1, 1]}
+    content = b"[[2, 0], [100000000, 250000000]]"
+    other = b"[[0, 1], [100000000, 250000000]]"
+    assert_format_conforms(".toy", content, events, tmp_path / "one")
+    with pytest.raises(AssertionError, match="fit together"):
+        assert_format_conforms(".toy", content, events, tmp_path / "two", [other])
+
+
 def test_an_ending_without_a_reader_is_named(tmp_path):
     with pytest.raises(AssertionError, match="has no reader"):
         assert_format_conforms(".none", CONTENT, EVENTS, tmp_path)
@@ -101,6 +128,14 @@ def test_numbered_taxels_that_cannot_be(taxels, times, fact):
     arrays = np.array(taxels, int), np.array(times, np.int64), np.ones(len(taxels), np.int8)
     with pytest.raises(BadRecording, match=fact):
         make_numbered_recording(*arrays, n_taxels=3)
+
+
+def test_numbered_taxels_that_no_array_of_events_can_hold():
+    taxel, time_ns, polarity = np.array([5]), np.array([1]), np.array([1], np.int8)
+    with pytest.raises(BadRecording, match="more than 65536"):
+        make_numbered_recording(taxel, time_ns, polarity, 70_000)
+    with pytest.raises(BadRecording, match="polarity"):
+        make_numbered_recording(taxel, time_ns, 0 * polarity, 100)
 
 
 def test_numbered_taxels_have_times_in_nanoseconds():

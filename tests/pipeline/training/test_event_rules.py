@@ -27,19 +27,19 @@ def test_what_only_time_tells_is_read_in_parts():
 
     table, labels = table_of(events)
     train = np.arange(len(labels))
-    reading = event_rules.choose_reading(table, labels, train, 10.0, 100)
+    reading = event_rules.choose_input(table, labels, train, 10.0, 100)
     assert reading.sections > 1
     assert reading.accuracy > 0.7
-    again = event_rules.choose_reading(table, labels, train, 10.0, 100)
+    again = event_rules.choose_input(table, labels, train, 10.0, 100)
     assert again == reading
-    assert event_rules.choose_reading(table, labels, train[:1], 10.0, 100).sections == 1
+    assert event_rules.choose_input(table, labels, train[:1], 10.0, 100).sections == 1
 
 
 def test_what_place_tells_needs_no_parts_and_the_longest_period():
     def events(rng, label):
         return rng.uniform(0, 990, 15), np.full(15, int(label))
 
-    reading = event_rules.choose_reading(*table_of(events), np.arange(120), 10.0, 100)
+    reading = event_rules.choose_input(*table_of(events), np.arange(120), 10.0, 100)
     assert (reading.sections, reading.refractory) == (1, max(event_rules.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
     assert "sections" not in reading.text(10.0, reading.sections)
@@ -50,7 +50,7 @@ def test_a_period_that_loses_most_events_is_not_chosen():
         return rng.uniform(0, 990, 60), np.full(60, int(label))
 
     table, labels = table_of(events)
-    reading = event_rules.choose_reading(table, labels, np.arange(120), 10.0, 100)
+    reading = event_rules.choose_input(table, labels, np.arange(120), 10.0, 100)
     longest = max(event_rules.REFRACTORY_STEPS)
     assert table.measure_loss(10.0, longest) > event_rules.MAX_LOST_EVENT_SHARE
     assert reading.lost <= event_rules.MAX_LOST_EVENT_SHARE
