@@ -1,4 +1,4 @@
-"""Outputs, loss and gradients of a network on events, without TensorFlow.
+"""Outputs, loss and gradients of a network on events, computed by Numba instead of TensorFlow.
 
 These are the equations of :mod:`models.spiking`, and the loss of
 :mod:`pipeline.training.events`, computed from spike to spike by :mod:`models.spiking_kernels`: a

@@ -2,7 +2,8 @@
 
 ``assert_operation_conforms(MyOperation(3), (6, 6, 2))`` and ``assert_target_conforms(my_target)``
 find the usual mistakes: wrong shapes and types, sums that Nengo or TensorFlow does not compute, too
-few resources counted, numbers that a bundle loses, samples or streams that disturb each other.
+few resources counted, numbers that a bundle loses, samples or streams that disturb each other, and
+outputs of a target that are not those of the equations.
 """
 
 import itertools
@@ -15,14 +16,14 @@ import numpy as np
 from deploy.network.blocks import BlockNeeds, choose_blocks
 from deploy.network.chip import LOIHI
 from deploy.network.ops import DEPLOYED_OPERATIONS
-from deploy.network.ops.base import list_ranges
+from deploy.network.ops.base import DeployedOperation, list_ranges
 from deploy.network.ops.dense import DeployedDense
-from deploy.network.reference import make_input_spikes
+from deploy.network.reference import make_input_spikes, run_reference
 from deploy.network.responses import make_responses
 from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
-from deploy.targets.registry import run_target
+from deploy.targets.registry import find_target, run_target
 from models.architecture import Architecture, parse
 from models.ops import OPERATIONS, Dense, Operation
 from tests.deploy.networks import events_spec, random_checks, random_frames, readout, small_spec
@@ -47,6 +48,7 @@ def assert_operation_conforms(operation, input_shape):
         weights=rng.normal(size=deployed.weight_shape(input_shape)),
         bias=np.ones(deployed.shape(input_shape)[-1]),
     )
+    _assert_layer_written(layer)
     _assert_built(layer, rng)
     if isinstance(operation, Operation):
         _assert_trained(operation, input_shape, rng)
@@ -74,6 +76,11 @@ def _assert_meaning(operation, input_shape, rng):
     matrix = operation.make_matrix(weights, input_shape)
     flat = values.reshape(SAMPLES, -1)
     np.testing.assert_allclose(flat @ matrix.T, sums.reshape(SAMPLES, -1), err_msg="make_matrix")
+    np.testing.assert_allclose(
+        operation.find_largest_weights(weights, input_shape),
+        DeployedOperation.find_largest_weights(operation, weights, input_shape),
+        err_msg="find_largest_weights",
+    )
 
 
 def _assert_written(operation, input_shape):
@@ -84,6 +91,13 @@ def _assert_written(operation, input_shape):
     assert read.to_file() == operation.to_file(), "to_file and from_file"
     assert read.shape(input_shape) == operation.shape(input_shape), "to_file loses a number"
     return read
+
+
+def _assert_layer_written(layer):
+    """A bundle has the layer, whose numbers beside the operation's are others."""
+    arrays = {f"{layer.name}.{name}": getattr(layer, name) for name in layer.arrays}
+    read = Layer.from_json(layer.to_json(), arrays, "layers[0]")
+    assert read.to_json() == layer.to_json(), "the layer is read differently from a bundle"
 
 
 def _assert_built(layer, rng):
@@ -156,19 +170,45 @@ def _assert_trained(operation, input_shape, rng):
     assert operation.fan_in(input_shape) >= reads >= 1, "fan_in"
 
 
-def assert_target_conforms(target):
+def assert_target_conforms(target, computes_network: bool = True):
     """Try a target on images, on events, and on a readout in sections.
 
-    It need not be entered in `TARGETS`.
+    It need not be entered in `TARGETS`.  Its readout and spikes must be those of the chip's
+    emulator if it is exact, and otherwise similar to those of
+    :func:`deploy.network.reference.run_reference`, unless it does not compute the network.
     """
     images = small_spec(stream_length=3)
-    _assert_streams(target, images, random_checks(images, 5).inputs)
+    samples = random_checks(images, 5).inputs
+    _assert_streams(target, images, samples)
+    if computes_network:
+        _assert_values(target, images, samples)
     on_chip = small_spec(on_chip_output=True, stream_length=2)
     _assert_streams(target, on_chip, random_checks(on_chip, 3).inputs)
     events = events_spec(stream_length=2)
     output = readout((5,), np.random.default_rng(0), classes=3, starts=(0, 12))
     for spec in (events, replace(events, layers=(*events.layers[:2], output))):
         _assert_streams(target, spec, random_frames(spec, 3))
+
+
+def _assert_values(target, spec, samples):
+    """Its outputs are those of the chip's integers, or about those of the equations."""
+    stream = spec.flatten_samples(samples)[: spec.presentation.stream_length]
+    run_expected = find_target("fast").run if target.is_exact else run_reference
+    (expected,) = run_expected(spec, [stream], 0)
+    (found,) = target.run(spec, [stream], 0)
+    ours = _sum_tenths(found.readout)
+    theirs = _sum_tenths(expected.readout)
+    error = np.abs(ours - theirs).max() / np.abs(theirs).max()
+    assert error < 0.1, f"the readout differs by {error:.0%} from the expected one"
+    for name, spikes in (found.spikes or {}).items():
+        total = np.sum(expected.spikes[name])
+        difference = abs(np.sum(spikes) - total) / total
+        assert difference < 0.1, f"{name} has {difference:.0%} more or fewer spikes"
+
+
+def _sum_tenths(readout):
+    """The readout summed over tenths of the presentation, shape (n_samples, 10, classes)."""
+    return np.stack([part.sum(1) for part in np.array_split(readout, 10, axis=1)], axis=1)
 
 
 def _assert_streams(target, spec, samples):

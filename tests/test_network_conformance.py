@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.errors import UserError
 from deploy.network.ops import DEPLOYED_OPERATIONS
 from deploy.network.reference import run_reference
 from deploy.network.responses import TargetOutput
@@ -57,6 +58,20 @@ class OtherTransform(DeployedOneToOne):
         return nengo.Dense((layer.size, layer.size), init=np.ones((layer.size,) * 2)), None
 
 
+class NameOfALayer(DeployedOneToOne):
+    def to_file(self):
+        return {"pool": 3}
+
+    @classmethod
+    def from_file(cls, numbers, shape):
+        return cls()
+
+
+class OtherLargest(DeployedOneToOne):
+    def find_largest_weights(self, weights, read_shape):
+        return np.abs(weights).max() * np.ones(len(weights))
+
+
 @pytest.mark.parametrize(
     ("mistaken", "fact"),
     [
@@ -64,11 +79,13 @@ class OtherTransform(DeployedOneToOne):
         (Affine, "not linear"),
         (TooFew, "fan_out"),
         (OtherTransform, "transform"),
+        (NameOfALayer, "names of a layer"),
+        (OtherLargest, "find_largest_weights"),
     ],
 )
 def test_mistakes_in_an_operation_are_found(mistaken, fact, one_to_one, monkeypatch):
     monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", mistaken)
-    with pytest.raises((AssertionError, ValueError), match=fact):
+    with pytest.raises((AssertionError, ValueError, UserError), match=fact):
         assert_operation_conforms(mistaken(), (4, 4, 1))
 
 
@@ -82,12 +99,19 @@ REFERENCE = Target("reference", run_reference, "The equations in NumPy")
         REFERENCE,
         TARGETS["fast"],
         TARGETS["emulator"],
-        Target("first", run_first_class, "The first"),
+        TARGETS["simreal"],
     ],
     ids=lambda target: target.name,
 )
 def test_targets_conform(target):
     assert_target_conforms(target)
+
+
+def test_a_target_without_the_network_conforms_in_its_form():
+    target = Target("first", run_first_class, "The first")
+    assert_target_conforms(target, computes_network=False)
+    with pytest.raises(AssertionError, match="differs"):
+        assert_target_conforms(target)
 
 
 def run_without_gaps(spec, streams, seed=0):
@@ -111,9 +135,30 @@ def run_only_first(spec, streams, seed=0):
     return run_reference(spec, streams[:1])
 
 
+def change_readout(change):
+    """A target whose readout is that of the reference, changed."""
+
+    def run(spec, streams, seed=0):
+        for output in run_reference(spec, streams):
+            yield replace(output, readout=change(output.readout))
+
+    return run
+
+
+def run_with_more_spikes(spec, streams, seed=0):
+    for output in run_reference(spec, streams):
+        more = {name: spikes + (name != "input") for name, spikes in output.spikes.items()}
+        yield replace(output, spikes=more)
+
+
 @pytest.mark.parametrize(
     ("run", "fact"),
     [
+        (change_readout(np.zeros_like), "differs"),
+        (change_readout(np.negative), "differs"),
+        (change_readout(lambda readout: readout[:, ::-1]), "differs"),
+        (change_readout(lambda readout: readout[:, :, ::-1]), "differs"),
+        (run_with_more_spikes, "more or fewer spikes"),
         (run_without_gaps, "'mine': readout of shape"),
         (run_in_one_stream, "streams before it"),
         (run_only_first, "1 outputs of 2 streams"),

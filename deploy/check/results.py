@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import platform
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Dict, List, Optional
 
-import nengo
 import numpy as np
 
 from .. import __version__
@@ -14,7 +14,6 @@ from ..errors import CheckFailed, UserError
 from ..files import read_json
 from ..loading import Limit, WrongValue, between, limited_field, load
 from ..network.decision import share_of_time
-from ..network.loihi_import import nengo_loihi
 from ..network.provenance import read_classes
 from ..network.stimulus import find_last_steps
 from ..terminal import WARNING
@@ -36,9 +35,16 @@ def versions() -> dict:
         "stmnist": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "nengo": nengo.__version__,
-        "nengo_loihi": nengo_loihi.__version__,
+        "nengo": _find_version("nengo"),
+        "nengo_loihi": _find_version("nengo-loihi"),
     }
+
+
+def _find_version(package):
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:  # a target need not use it
+        return "not installed"
 
 
 def make_result(bundle, target, seed, samples, wall_seconds, extra=None) -> dict:

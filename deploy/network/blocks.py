@@ -59,8 +59,7 @@ def find_rescaled_layers(layers) -> List[str]:
     for layer in layers:
         if layer.name not in shapes or layer.neurons is None:
             continue
-        sizes = np.abs(layer.operation.by_output(layer))
-        largest = sizes.reshape(layer.shape[-1], -1).max(1)
+        largest = layer.operation.find_largest_weights(layer.weights, layer.read_shape)
         if layer.recurrent is not None:
             largest = np.maximum(largest, np.abs(layer.recurrent).max(1))
         ranges = list_ranges(layer.shape[-1], shapes[layer.name][-1])

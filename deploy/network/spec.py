@@ -157,6 +157,8 @@ class Layer:
             self.recurrent is None or (self.operation.can_recur and has_neurons),
             f"{self.kind!r} cannot be recurrent, or has no neurons",
         )
+        taken = set(self.operation.to_file()) & LAYER_NAMES
+        self._require(not taken, f"its operation has numbers with names of a layer's: {taken}")
 
     def _check_shapes(self):
         """Compare the shapes with those of the operation."""
@@ -174,7 +176,9 @@ class Layer:
             self.block_shape is None or len(self.block_shape) == len(shape),
             f"block_shape {self.block_shape} and shape differ in length",
         )
-        first, *rest = self.operation.weight_shape(self.read_shape)
+        weight_shape = self.operation.weight_shape(self.read_shape)
+        self._require(len(weight_shape) >= 1, f"the operation {self.kind!r} needs a weight")
+        first, *rest = weight_shape
         expected = {
             "weights": (self.sections * first, *rest),
             "bias": shape[-1:],
@@ -379,6 +383,10 @@ class _LayerRecord:
             return record, operation.from_file(numbers, record.shape)
         except WrongValue as error:
             raise WrongValue(f"{where}.{error.name}", error.problem) from error
+
+
+# Names in a layer's description that no operation may have for its numbers.
+LAYER_NAMES = {entry.name for entry in fields(_LayerRecord)} - {"kernel", "stride", "padding"}
 
 
 @dataclass(frozen=True)

@@ -244,11 +244,12 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
     UserError
         There is no target of that name, or NengoLoihi cannot build the network.
     """
-    from ..network.build import build
+    if not find_target(target).must_fit_integers:
+        return
+    from ..network.build import build  # needs Nengo, which a target need not have
     from ..network.loihi_import import require_integers
 
-    if find_target(target).must_fit_integers:
-        require_integers(build(spec, seed).network)
+    require_integers(build(spec, seed).network)
 
 
 def respond_to_streams(

@@ -3,7 +3,7 @@
 To add an operation, write two classes and enter them by their kind:
 
 1. A :class:`~deploy.network.ops.base.DeployedOperation` in :mod:`deploy.network.ops` has what runs
-   a layer: shapes, synapses, and the transform in Nengo.  It needs no TensorFlow.
+   a layer: its shapes, and its sums in NumPy.  It needs no TensorFlow.
 2. A class here with the bases :class:`~models.ops.base.Operation` and that class adds the notation
    and the training.
 """

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import fields
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -89,8 +90,10 @@ class Operation(DeployedOperation):
 
     @classmethod
     def from_token(cls, match: re.Match) -> "Operation":
-        """The layer of a match of `token`, whose numbers are at least 1."""
-        return cls(*(int(digits) for digits in match.groups() if digits))
+        """The layer of a match of `token`, whose groups are the fields in order, at least 1."""
+        names = [field.name for field in fields(cls)]
+        numbers = zip(names, match.groups(), strict=False)
+        return cls(**{name: int(digits) for name, digits in numbers if digits})
 
     # --- weights ----------------------------------------------------------------------------------
 

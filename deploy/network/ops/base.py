@@ -36,8 +36,8 @@ class DeployedOperation:
 
     ===========================  ===================================================================
     `to_file`, `from_file`       if a number is already in the layer's shape
-    `fan_out`, `make_matrix`     if the sums of as many samples as there are inputs need much memory
-    `by_output`                  if the first axis of the weights is not that of the outputs
+    `fan_out`, `make_matrix`,    if the sums of as many samples as there are inputs need much memory
+    `find_largest_weights`
     `transform`, `resources`     if the chip needs no synapse from every input to every neuron
     `nir_nodes`                  for the export to NIR, which is refused without it
     ===========================  ===================================================================
@@ -180,9 +180,11 @@ class DeployedOperation:
         """
         return load(cls, numbers)
 
-    def by_output(self, layer) -> np.ndarray:
-        """The weights with a row for each channel or unit of the output, shape (outputs, ...)."""
-        return layer.weights
+    def find_largest_weights(self, weights: np.ndarray, read_shape) -> np.ndarray:
+        """The largest magnitude of a weight of each channel or unit, shape (channels,)."""
+        synapses = self.find_synapses(read_shape)
+        sizes = np.where(synapses < 0, 0, np.abs(weights.ravel())[synapses]).max(0)
+        return sizes.reshape(self.shape(read_shape)).reshape(-1, self.shape(read_shape)[-1]).max(0)
 
     def nir_nodes(self, layer, nir, area: float):
         """Names and nodes of the export to NIR, without the pooling and the neurons.
@@ -212,7 +214,7 @@ def _make_units(read_shape) -> np.ndarray:
     return np.eye(inputs).reshape(inputs, *read_shape)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def _find_synapses(operation: DeployedOperation, read_shape) -> np.ndarray:
     """As `DeployedOperation.find_synapses`: the sums of units show which weight they have."""
     weight_shape = operation.weight_shape(read_shape)
@@ -224,14 +226,16 @@ def _find_synapses(operation: DeployedOperation, read_shape) -> np.ndarray:
 
     numbered = sum_units(numbers).reshape(len(units), -1)
     found = np.clip(np.rint(numbered), 0, numbers[-1]).astype(np.int64)
-    other_weights = np.sqrt(numbers)
+    other_weights = np.where(numbers > 0, np.sqrt(numbers + 1), 0)  # none is its own square
     other_sums = sum_units(other_weights).reshape(len(units), -1)
     if not np.allclose(other_weights[found], other_sums):
         raise ValueError(
             f"operation {operation.kind!r}: 'compute_sums' adds something else than one weight "
             "times each value that a sum reads"
         )
-    return found - 1
+    synapses = found - 1
+    synapses.flags.writeable = False  # it is cached
+    return synapses
 
 
 class Resources:
