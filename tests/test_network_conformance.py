@@ -1,5 +1,8 @@
 """The operations and targets of this package conform, and mistakes in new ones are found."""
 
+import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +14,7 @@ from deploy.network.reference import run_reference
 from deploy.network.responses import TargetOutput
 from deploy.targets.registry import TARGETS, Target
 from models.ops import OPERATIONS, Convolution, Dense
+from tests.deploy.networks import bundle_at
 from tests.network_conformance import assert_operation_conforms, assert_target_conforms
 from tests.test_extensions import DeployedOneToOne, OneToOne, run_first_class
 
@@ -112,6 +116,35 @@ def test_a_target_without_the_network_conforms_in_its_form():
     assert_target_conforms(target, computes_network=False)
     with pytest.raises(AssertionError, match="differs"):
         assert_target_conforms(target)
+
+
+WITHOUT_NENGO = """
+import sys
+from pathlib import Path
+
+
+class Bar:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("nengo", "nengo_loihi", "nengo_dl", "tensorflow"):
+            raise ImportError(name)
+
+
+sys.meta_path.insert(0, Bar())
+from deploy.check.bundle import read_bundle
+from deploy.check.run import run_check
+from deploy.network.reference import run_reference
+from deploy.targets.registry import TARGETS, Target
+
+TARGETS["reference"] = Target("reference", run_reference, "The equations in NumPy")
+run_check(read_bundle(Path(sys.argv[1])), "reference", Path(sys.argv[2]))
+"""
+
+
+def test_a_check_on_a_target_without_nengo_needs_no_nengo(tmp_path):
+    bundle_at(tmp_path / "bundle")
+    command = [sys.executable, "-c", WITHOUT_NENGO, tmp_path / "bundle", tmp_path / "result.json"]
+    subprocess.run(command, check=True)
+    assert json.loads((tmp_path / "result.json").read_text())["target"] == "reference"
 
 
 def run_without_gaps(spec, streams, seed=0):
