@@ -96,7 +96,7 @@ class RandomKind(NetworkKind):
     name = "random"
     deployed = "random"
     deployed_stage = "random"
-    section = "cnn"
+    settings_group = "cnn"
     channels = 1
 
     @classmethod

@@ -33,7 +33,7 @@ class SharedNetwork:
     recorded: dict = field(default_factory=dict)
 
 
-class Presentation:
+class TouchPresentation:
     """One touch as the network sees it.
 
     Attributes
@@ -93,7 +93,7 @@ class PresentingNetwork:
             name: np.zeros((gap + self._steps, ceil_div(neurons, 8)), np.uint8)
             for name, neurons in self._recorded.items()
         }
-        self._next = Presentation(RunningReadout(self._spec, self._steps), spikes)
+        self._next = TouchPresentation(RunningReadout(self._spec, self._steps), spikes)
         self._ready = np.zeros(self._size, int)
         self._n_spikes = np.zeros(self._size, int)
         for first in range(0, gap, MAX_STEPS_AT_ONCE):
@@ -101,16 +101,16 @@ class PresentingNetwork:
             silence = np.zeros((steps, self._size), np.uint8)
             self._compute(silence, self._next, first)
 
-    def begin(self) -> Presentation:
+    def begin(self) -> TouchPresentation:
         """Begin the presentation that was prepared."""
         return self._next
 
-    def advance(self, presentation: Presentation, frames: np.ndarray):
+    def advance(self, presentation: TouchPresentation, frames: np.ndarray):
         """Advance the current presentation by some steps.
 
         Parameters
         ----------
-        presentation : Presentation
+        presentation : TouchPresentation
             From :meth:`begin`.
         frames : ndarray of uint8, shape (steps, size)
             1 where a taxel and polarity has an event; changed to what remains with the refractory

@@ -80,7 +80,7 @@ class Touch:
         Number of events in each step.
     end_ns : int or None
         Time at which the touch ended, by silence; None before.
-    presentation : Presentation
+    presentation : TouchPresentation
     decision : Decision or None
         None until the network has decided.
     """

@@ -2,8 +2,8 @@
 
 The chip has convolutions and dense layers of neurons with the curve of a ReLU, averaging between
 them, and a linear output.  Between two layers with weights, Keras's layers are linear: they scale
-(normalisation), move values (flatten, reshape, permute, pad) or average.  :class:`Chain` keeps this
-linear function as a sparse matrix and an offset,
+(normalisation), move values (flatten, reshape, permute, pad) or average.
+:class:`LayerConverter` keeps this linear function as a sparse matrix and an offset,
 
     signal = map @ built + offset,
 
@@ -91,10 +91,10 @@ def convert_layers(input_shape, layers, retrain: bool = False, grid=None) -> Ker
         A layer is not supported.
     """
     order = _input_order(input_shape, layers, grid)
-    chain = Chain(order, retrain)
+    converter = LayerConverter(order, retrain)
     for layer in layers:
-        chain.add(layer)
-    return chain.finish()
+        converter.add(layer)
+    return converter.finish()
 
 
 def _input_order(input_shape, layers, grid):
@@ -136,7 +136,7 @@ def _image_of_vector(length, first, grid):
     )
 
 
-class Chain:
+class LayerConverter:
     """The layers converted so far, and the linear function from their signal to the model's.
 
     Parameters
@@ -713,27 +713,27 @@ def _is_monotone(curve) -> bool:
 
 
 HANDLERS = {
-    "Conv2D": Chain.convolve,
-    "DepthwiseConv2D": Chain.convolve,
-    "SeparableConv2D": Chain.convolve,
-    "Dense": Chain.connect,
-    "Activation": Chain.activate,
-    "ReLU": Chain.rectify,
-    "LeakyReLU": Chain.leak,
-    "ELU": Chain.rise_exponentially,
+    "Conv2D": LayerConverter.convolve,
+    "DepthwiseConv2D": LayerConverter.convolve,
+    "SeparableConv2D": LayerConverter.convolve,
+    "Dense": LayerConverter.connect,
+    "Activation": LayerConverter.activate,
+    "ReLU": LayerConverter.rectify,
+    "LeakyReLU": LayerConverter.leak,
+    "ELU": LayerConverter.rise_exponentially,
     "Softmax": lambda chain, layer: chain.use_activation(layer, "softmax"),
-    "BatchNormalization": Chain.normalise,
-    "Rescaling": Chain.rescale,
-    "Normalization": Chain.standardise,
-    "Flatten": Chain.flatten,
-    "Reshape": Chain.reshape,
-    "Permute": Chain.permute,
-    "ZeroPadding2D": Chain.pad,
-    "Cropping2D": Chain.crop,
-    "AveragePooling2D": Chain.average,
-    "GlobalAveragePooling2D": Chain.average_all,
-    "MaxPooling2D": Chain.maximise,
-    "GlobalMaxPooling2D": Chain.maximise_all,
+    "BatchNormalization": LayerConverter.normalise,
+    "Rescaling": LayerConverter.rescale,
+    "Normalization": LayerConverter.standardise,
+    "Flatten": LayerConverter.flatten,
+    "Reshape": LayerConverter.reshape,
+    "Permute": LayerConverter.permute,
+    "ZeroPadding2D": LayerConverter.pad,
+    "Cropping2D": LayerConverter.crop,
+    "AveragePooling2D": LayerConverter.average,
+    "GlobalAveragePooling2D": LayerConverter.average_all,
+    "MaxPooling2D": LayerConverter.maximise,
+    "GlobalMaxPooling2D": LayerConverter.maximise_all,
 }
 # Layers that read windows of an image.
 WITH_WINDOWS = (

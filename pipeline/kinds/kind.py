@@ -49,8 +49,8 @@ class NetworkKind:
     compared_stages: ClassVar[tuple] = ()
     # Settings that the bundle depends on, besides those of presentation and check.
     placement: ClassVar[tuple] = ()
-    # Section of the settings with the architecture; empty if the user's file determines it.
-    section: ClassVar[str] = ""
+    # Group of settings with the architecture; empty if the user's file determines it.
+    settings_group: ClassVar[str] = ""
     # Number of channels of the input.
     channels: ClassVar[int]
     # What to try if the network is less accurate than ``counts``.
@@ -69,7 +69,9 @@ class NetworkKind:
     @property
     def architecture(self) -> str:
         """The architecture in the paper's notation; empty if the user's file determines it."""
-        return getattr(self.settings, self.section).architecture if self.section else ""
+        if not self.settings_group:
+            return ""
+        return getattr(self.settings, self.settings_group).architecture
 
     @property
     def reference_stages(self) -> tuple:
@@ -217,8 +219,8 @@ class NetworkKind:
             )
         like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(
-            f"{self.settings.data.source}: '{self.section}.architecture' must be for an input of "
-            f"{size} and {classes} classes, such as {like}, not {self.architecture}"
+            f"{self.settings.data.source}: '{self.settings_group}.architecture' must be for an "
+            f"input of {size} and {classes} classes, such as {like}, not {self.architecture}"
         )
 
     def chip_problems(self) -> tuple:
@@ -227,7 +229,7 @@ class NetworkKind:
         A user's network is examined when it is read.
         """
         usual = type(self)(Settings())
-        if not self.section or (self.architecture, self.settings.deployment) == (
+        if not self.settings_group or (self.architecture, self.settings.deployment) == (
             usual.architecture,
             usual.settings.deployment,
         ):

@@ -148,12 +148,12 @@ def list_source(path) -> Listing:
     path = Path(path)
     files, folders, refused = _members(path)
     members, tables = _sort_files(path, files)
-    recordings, others = _choose_kind(path, members)
+    recordings, others = _choose_format(path, members)
     refused += others
-    layout = _find_layout(path, recordings)
+    class_folders = _find_class_folders(path, recordings)
     entries = []
     for member in recordings:
-        part, of_class, problem = _place(member, layout)
+        part, of_class, problem = _place(member, class_folders)
         if problem:
             refused.append((str(member), problem))
         else:
@@ -183,7 +183,7 @@ def _sort_files(path, files):
     return members, [str(found[0]) if found else None for found in tables.values()]
 
 
-def _choose_kind(path, members):
+def _choose_format(path, members):
     """The recordings, which have one suffix, and the files that are none, with the reason."""
     examples = {member.suffix.lower(): member for member in reversed(members)}
     examples = {suffix: examples[suffix] for suffix in READERS if suffix in examples}
@@ -221,7 +221,7 @@ def _choose_kind(path, members):
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _ClassFolders:
     """Where the classes of a source are.
 
     Attributes
@@ -239,7 +239,7 @@ class _Layout:
     has_numbers: bool
 
 
-def _find_layout(path, recordings):
+def _find_class_folders(path, recordings):
     _require_one_data_set(path, recordings)
     around = _find_folders_around(recordings)
     inside = [m.relative_to(around) for m in recordings if m.is_relative_to(around)]
@@ -252,7 +252,7 @@ def _find_layout(path, recordings):
         )
     labels = [label for label in map(_label_in_name, recordings) if label is not None]
     number = sum(label.isdecimal() for label in labels)
-    return _Layout(around, is_published, 2 * number > len(labels))
+    return _ClassFolders(around, is_published, 2 * number > len(labels))
 
 
 def _label_in_name(member):
@@ -375,13 +375,13 @@ def _find_folders_around(recordings) -> PurePosixPath:
         around /= top
 
 
-def _place(member, layout):
+def _place(member, class_folders):
     """Subset and class of a recording, and empty; or the reason why it has none."""
-    if not member.is_relative_to(layout.around):
-        return "", "", f"is not in {layout.around}, as the others are; move it"
-    folders = member.relative_to(layout.around).parts[:-1]
+    if not member.is_relative_to(class_folders.around):
+        return "", "", f"is not in {class_folders.around}, as the others are; move it"
+    folders = member.relative_to(class_folders.around).parts[:-1]
     part = ""
-    if layout.is_published:
+    if class_folders.is_published:
         part = PART_OF_FOLDER.get(folders[0].lower() if folders else "")
         if part is None:
             return "", "", "is neither in train nor in test, as the others are; move it away"
@@ -389,7 +389,7 @@ def _place(member, layout):
     if len(folders) > 1:
         return "", "", "is in a folder inside that of a class; move it"
     label = _label_in_name(member)
-    if label is not None and (problem := _examine_label(label, folders, layout)):
+    if label is not None and (problem := _examine_label(label, folders, class_folders)):
         return "", "", problem
     if not folders and label is None:
         return (
@@ -400,9 +400,9 @@ def _place(member, layout):
     return part, (folders[0] if folders else label), ""
 
 
-def _examine_label(label, folders, layout):
+def _examine_label(label, folders, class_folders):
     """The reason to refuse a label in a file's name; empty if it is a class."""
-    if not label.strip() or (layout.has_numbers and not label.isdecimal()):
+    if not label.strip() or (class_folders.has_numbers and not label.isdecimal()):
         return f"has the label {label!r} in its name, which is no class; correct the name"
     if not folders or label == folders[0]:
         return ""

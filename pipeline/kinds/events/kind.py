@@ -105,7 +105,7 @@ class EventsKind(NetworkKind):
     }
     deployed = "threshold"
     deployed_stage = "trained"
-    section = "events"
+    settings_group = "events"
     channels = 2
     grid = ("events.budget=0.6,0.9", "events.early=0.3,1")
 

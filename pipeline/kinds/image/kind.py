@@ -112,7 +112,7 @@ class ImageKind(NetworkKind):
     deployed_stage = "rate-lif"
     compared_stages = ("cnn-matched", "cnn")
     placement = ("deployment",)
-    section = "cnn"
+    settings_group = "cnn"
     grid = (
         "presentation.steps=50,100",
         "deployment.synapse=0.005,0.01",

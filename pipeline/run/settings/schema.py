@@ -40,7 +40,7 @@ class UndeclaredSetting(Exception):
 
 
 class _Access(enum.Enum):
-    """Stands in a section for a value that may not be read; the same object after pickling."""
+    """Stands for a setting that may not be read; the same object after pickling."""
 
     DENIED = 0
 
@@ -72,8 +72,8 @@ class _DeclaredProvenance(dict):
         return self[name]
 
 
-class Section:
-    """Base of the settings and their sections; see :meth:`Settings.only`."""
+class SettingsGroup:
+    """Base of the settings and their groups; see :meth:`Settings.only`."""
 
     def __getattribute__(self, name):
         value = object.__getattribute__(self, name)
@@ -111,7 +111,7 @@ SIDE = between(0, 256)
 
 
 @dataclass(frozen=True)
-class Data(Section):
+class Data(SettingsGroup):
     """The recordings."""
 
     #: ``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's.
@@ -140,7 +140,7 @@ class Data(Section):
 
 
 @dataclass(frozen=True)
-class Input(Section):
+class Input(SettingsGroup):
     """The input of the network on the chip."""
 
     #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``slices``:
@@ -164,7 +164,7 @@ class Input(Section):
 
 
 @dataclass(frozen=True)
-class SkinSize(Section):
+class SkinSize(SettingsGroup):
     """The array of taxels."""
 
     #: Rows of taxels; 0: ten for the simulated sensor, and for recordings the number in their
@@ -175,7 +175,7 @@ class SkinSize(Section):
 
 
 @dataclass(frozen=True)
-class Image(Section):
+class Image(SettingsGroup):
     """Conversion of events to a tactile image; see :mod:`pipeline.recordings.images`."""
 
     #: Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
@@ -207,7 +207,7 @@ class Image(Section):
 
 
 @dataclass(frozen=True)
-class SplitShares(Section):
+class SplitShares(SettingsGroup):
     """The test and validation samples."""
 
     #: ``published``, the split of a source with the folders ``train`` and ``test``; ``random``,
@@ -223,7 +223,7 @@ class SplitShares(Section):
 
 
 @dataclass(frozen=True)
-class CNN(Section):
+class CNN(SettingsGroup):
     """The convolutional network and its training (paper, Section 3.2.1)."""
 
     #: Input, convolutions (``6c4``: six filters of 4x4) and outputs.
@@ -248,7 +248,7 @@ class CNN(Section):
 
 
 @dataclass(frozen=True)
-class SNN(Section):
+class SNN(SettingsGroup):
     """Training with rate-LIF neurons (paper, Section 3.2.2)."""
 
     #: ``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
@@ -289,7 +289,7 @@ class SNN(Section):
 
 
 @dataclass(frozen=True)
-class NIR(Section):
+class NIR(SettingsGroup):
     """A NIR graph that replaces the trained network; see :mod:`pipeline.kinds.nir.kind`."""
 
     #: A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for
@@ -312,7 +312,7 @@ class NIR(Section):
 
 
 @dataclass(frozen=True)
-class EventTraining(Section):
+class EventTraining(SettingsGroup):
     """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
 
     #: Capacity of a network whose architecture and budget follow from the recordings: ``small``,
@@ -356,7 +356,7 @@ class EventTraining(Section):
 
 
 @dataclass(frozen=True)
-class Deployment(Section):
+class Deployment(SettingsGroup):
     """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
 
     #: ``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
@@ -372,7 +372,7 @@ class Deployment(Section):
 
 
 @dataclass(frozen=True)
-class PresentationSettings(Section):
+class PresentationSettings(SettingsGroup):
     """Presentation of the samples; see :class:`deploy.network.spec.Presentation`."""
 
     #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
@@ -393,7 +393,7 @@ class PresentationSettings(Section):
 
 
 @dataclass(frozen=True)
-class Check(Section):
+class Check(SettingsGroup):
     """The check that is run on every target."""
 
     #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. If it
@@ -414,7 +414,7 @@ class Check(Section):
 
 
 @dataclass(frozen=True)
-class Settings(Section):
+class Settings(SettingsGroup):
     """All settings of an experiment."""
 
     #: Seed of the split, the training and the choice of the check's samples.
@@ -645,7 +645,7 @@ def _restrict(section, kept, prefix):
     """A copy of a section in which only the values in ``kept`` may be read."""
     view = object.__new__(type(section))
     for name, value in object.__getattribute__(section, "__dict__").items():
-        if isinstance(value, Section):
+        if isinstance(value, SettingsGroup):
             value = _restrict(value, kept, f"{prefix}{name}.")
         elif prefix + name not in kept:
             value = _Access.DENIED
@@ -656,7 +656,7 @@ def _restrict(section, kept, prefix):
 def names_in(section: str) -> tuple:
     """Dotted names of the settings of a section, or the name itself if it is a setting's."""
     value = functools.reduce(getattr, section.split("."), Settings())
-    if not isinstance(value, Section):
+    if not isinstance(value, SettingsGroup):
         return (section,)
     return tuple(name for name, _, _ in entries_of(value, f"{section}."))
 

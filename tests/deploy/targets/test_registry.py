@@ -21,7 +21,7 @@ from deploy.targets.simulators import _loihi_simulator
 from tests.deploy.fast_networks import loud_spec, random_spec
 from tests.deploy.networks import conv, random_checks, readout, small_spec
 
-EXACT = ("nengo", "simreal", "emulator")
+EQUAL_TARGETS = ("nengo", "simreal", "emulator")
 
 
 def assert_same(a, b, part=slice(None)):
@@ -37,7 +37,7 @@ def images():
     return random_checks(small_spec(), 6).inputs
 
 
-@pytest.mark.parametrize("target", EXACT)
+@pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_in_a_stream_of_one_every_sample_is_fresh(target, images):
     fresh = small_spec(stream_length=1)
     together = run_target(fresh, images[:3], target)
@@ -45,7 +45,7 @@ def test_in_a_stream_of_one_every_sample_is_fresh(target, images):
     assert_same(together, backwards, slice(None, None, -1))
 
 
-@pytest.mark.parametrize("target", EXACT)
+@pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_a_stream_goes_on_from_the_state_that_it_is_in(target, images):
     fresh = run_target(small_spec(stream_length=1), images[:3], target)
     stream = run_target(small_spec(), images[:3], target)
@@ -53,7 +53,7 @@ def test_a_stream_goes_on_from_the_state_that_it_is_in(target, images):
     assert (stream.scores[1:] != fresh.scores[1:]).any()
 
 
-@pytest.mark.parametrize("target", EXACT)
+@pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
     spec = small_spec(gap=4)
     built = build(spec)
@@ -86,7 +86,7 @@ def test_the_encoder_makes_the_rounded_number_of_spikes():
     assert 25 + 12 + 6 + 2 <= counts[0] <= 25 + 13 + 6 + 3
 
 
-@pytest.mark.parametrize("target", EXACT)
+@pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_more_than_a_spike_a_step_is_refused_and_no_less(target):
     spec = small_spec(steps=30)  # 500 Hz: a pixel of 2 spikes in each of the 30 steps
     image = np.zeros((1, 6, 6, 1))
@@ -114,7 +114,7 @@ def linear_network(steps, readout_start=0, synapse=None):
     return NetworkSpec("test", (2, 2, 1), ImageSpikes(), (first, output), presentation)
 
 
-@pytest.mark.parametrize("target", EXACT)
+@pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_a_neuron_fires_at_the_rate_of_its_bias_current(target):
     responses = run_target(linear_network(2000), np.zeros((1, 2, 2, 1)), target)
     rate = 1 / (0.001 * np.ceil((0.001 + 0.02 * np.log1p(1 / 0.6)) / 0.001))
@@ -124,7 +124,7 @@ def test_a_neuron_fires_at_the_rate_of_its_bias_current(target):
 
 def test_a_readout_on_the_chip(images):
     spec = small_spec(on_chip_output=True)
-    for target in EXACT:
+    for target in EQUAL_TARGETS:
         responses = run_target(spec, images[:2], target)
         assert responses.spikes["output"].sum() > 0
         assert np.isfinite(responses.scores).all()
