@@ -206,6 +206,19 @@ def test_probability_is_none_if_nothing_reached_the_readout(stream):
     assert decision.to_dict()["label"] == decision.label
 
 
+def test_times_in_another_unit_are_doubted(bundle, network, caplog):
+    """Microseconds that are read as seconds make a touch of each event."""
+    stream = Stream(bundle, unit="s", network=network)
+    for time in range(0, 10 * STEP_US, STEP_US):
+        stream.push(time, 0, 0, 1)
+    stream.finish()
+    assert [record.getMessage() for record in caplog.records if "unit" in record.getMessage()]
+    caplog.clear()
+    stream = Stream(bundle, unit="us", network=network)
+    replay(stream, bundle.checks.inputs[:6])
+    assert not caplog.records
+
+
 def test_faulty_events_are_counted_and_change_nothing(bundle, network):
     clean = replay(Stream(bundle, "us", network=network), bundle.checks.inputs)
     stream, decisions = Stream(bundle, "us", network=network), []

@@ -17,7 +17,7 @@ from ..network.stimulus import EventFrames
 from ..targets.fast import Emulation
 from ..terminal import command_text
 from .clock import MAX_TIME_NS, UNIT_NS, SensorClock
-from .faults import Faults
+from .faults import LOG, Faults
 from .presentation import PresentingNetwork, SharedNetwork
 
 NANOSECONDS_PER_MS = 1e6
@@ -26,6 +26,9 @@ NUMBERS = (int, float, np.number)
 
 # Share of a step near its end in which the rounding of single precision decides.
 STEP_ROUNDING = 1e-6
+
+# Touches of one event each, after each other, from which the unit of the times is doubted.
+SINGLE_EVENTS = 5
 
 
 @dataclass(frozen=True)
@@ -165,6 +168,7 @@ class Stream:
             if math.isinf(longest):
                 raise UserError("longest: must be finite; leave it out for that of the bundle")
         self._spec = spec = bundle.spec
+        self._unit = unit
         self._tick_ns = UNIT_NS[unit]
         self._set_steps(longest)
         self._rows, self._columns = spec.input_shape[:2]
@@ -184,6 +188,8 @@ class Stream:
         self._frame = np.zeros(int(np.prod(spec.input_shape)), np.uint8)
         self._touch: Optional[Touch] = None
         self._touching = False
+        self._single_events = 0  # touches of one event each, after each other
+        self._has_warned_of_unit = False
         self._due: List[Decision] = []  # decisions that have not been returned
         # Time of the last event on the sensor's clock, and when it arrived on this machine's.
         self._last_ns: Optional[int] = None
@@ -591,6 +597,19 @@ class Stream:
             self._decide_at_end(touch, time_ns)
         self._touching = False
         self._network.prepare()
+        self._warn_of_single_events(touch)
+
+    def _warn_of_single_events(self, touch):
+        """Warn once if touch after touch has one event, as with times in another unit."""
+        self._single_events = self._single_events + 1 if touch.start_ns == touch.last_ns else 0
+        if self._single_events == SINGLE_EVENTS and not self._has_warned_of_unit:
+            self._has_warned_of_unit = True
+            LOG.warning(
+                "stream: %d touches after each other have one event each; if the times are not in "
+                "%r, give their unit (unit='us')",
+                SINGLE_EVENTS,
+                self._unit,
+            )
 
 
 def _numbers(values):
