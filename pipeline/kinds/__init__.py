@@ -25,7 +25,7 @@ KINDS = [NirKind, EventsKind, ImageKind]
 
 
 def list_references() -> dict:
-    """The :class:`pipeline.kinds.kind.Reference` stages of all kinds by their names."""
+    """The :class:`pipeline.kinds.reference.Reference` stages of all kinds by their names."""
     return {name: stage for kind in KINDS for name, stage in kind.references.items()}
 
 
