@@ -57,7 +57,7 @@ def read(path) -> tuple:
 
 
 class _Reader:
-    """What was read so far of a file, and the segment that is being read."""
+    """The strokes found in a file so far, and the segment that is being read."""
 
     def __init__(self, path):
         self.path = path

@@ -1,4 +1,4 @@
-"""What every format of recordings must do, for the test of a new one.
+"""Checks that every format of recordings must pass; the test of a new one calls them.
 
 A test gives one file as the sensor's software writes it, and the events that are in it::
 

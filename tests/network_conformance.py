@@ -1,4 +1,4 @@
-"""What every operation and every target must do, for a new one to be tried with.
+"""Checks that every operation and every target must pass; tests of new ones call them.
 
 ``assert_operation_conforms(MyOperation(3), (6, 6, 2))`` and ``assert_target_conforms(my_target)``
 find the usual mistakes: wrong shapes and types, sums that Nengo or TensorFlow does not compute, too

@@ -1,4 +1,4 @@
-"""What a target computes, in NumPy: the equations of input neurons, layers and readout.
+"""The equations of the chip in NumPy, which every target computes.
 
 In each time step a layer of neurons computes (Davies et al. 2018, Section "Neuron model";
 NengoLoihi 1.1, ``emulator/interface.py``, ``CompartmentState.update``)::
@@ -256,7 +256,7 @@ def delay_one_step(values: np.ndarray) -> np.ndarray:
 
 
 def run_reference(spec: NetworkSpec, streams, seed=0) -> Iterator[TargetOutput]:
-    """Run a network in real numbers, as a target without Nengo: what all others are measured by.
+    """Run a network in real numbers: a target without Nengo, with which the others must agree.
 
     Parameters
     ----------

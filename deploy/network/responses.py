@@ -65,7 +65,7 @@ class Responses:
 
 @dataclass(frozen=True)
 class TargetOutput:
-    """What a target yields for the samples of a stream.
+    """The output of a target for the samples of a stream.
 
     Attributes
     ----------

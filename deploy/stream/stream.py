@@ -287,8 +287,7 @@ class Stream:
         time_ns, cell = self._readable(t, x, y, p)
         if not len(time_ns):
             return []
-        self._last_ns = int(time_ns[-1])
-        self._arrived_s = time.monotonic()
+        self._note_arrival(int(time_ns[-1]))
         self._take(*self._clock.order(time_ns, cell))
         return self._take_due()
 
@@ -336,6 +335,11 @@ class Stream:
         self._faults.report()
         return self._take_due()
 
+    def _note_arrival(self, sensor_ns):
+        """Note the time of the last event on the sensor's clock, and on this machine's."""
+        self._last_ns = sensor_ns
+        self._arrived_s = time.monotonic()
+
     def _take_in_present_step(self, t, x, y, p):
         """Take a single event in the shortest time, if it is in the step that is not over yet.
 
@@ -365,8 +369,7 @@ class Stream:
         touch.events[steps] += 1
         touch.last_ns = time_ns
         self._clock.note(time_ns)
-        self._last_ns = sensor_ns
-        self._arrived_s = time.monotonic()
+        self._note_arrival(sensor_ns)
         self.n_events += 1
         return True
 

@@ -184,7 +184,7 @@ class Operation(DeployedOperation):
     # --- rounding to integers ---------------------------------------------------------------------
 
     def gather_inputs(self, values: np.ndarray) -> np.ndarray | None:
-        """What each neuron reads, in the order of the kernel's axes but the last.
+        """The inputs of each neuron, in the order of the kernel's axes without the last one.
 
         Parameters
         ----------

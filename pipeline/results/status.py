@@ -189,7 +189,7 @@ def status_text(run: RunFolder, statuses) -> str:
 
 
 def _training_lines(run, status):
-    """What is said about a training that has not ended."""
+    """The text of the status about a training that has not ended."""
     done = plural(status.epochs, "epoch")
     text = (
         f"{status.state.name}: a training has finished {done}; unless it is still running, "

@@ -82,7 +82,7 @@ class DeployedConvolution(DeployedOperation):
         return np.tensordot(self.view_windows(values), weights, axes)
 
     def view_windows(self, values) -> np.ndarray:
-        """What each window reads, zeros of the padding included.
+        """The values that each window reads, including the zeros of the padding.
 
         Parameters
         ----------
