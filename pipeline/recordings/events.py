@@ -131,6 +131,8 @@ class Source:
         Channel of such arrays that was read as the rise of pressure.
     remarks : tuple of str
         What the user should know about how the files were read.
+    warnings : tuple of str
+        What may be wrong with them, such as a file that alone decides how large the sensor is.
     """
 
     name: str
@@ -142,6 +144,7 @@ class Source:
     bin_ms: float = 0.0
     rise: int = 0
     remarks: tuple = ()
+    warnings: tuple = ()
 
 
 @dataclass(frozen=True)

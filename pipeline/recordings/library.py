@@ -36,7 +36,7 @@ from pipeline.recordings.source import (
 from pipeline.run.settings import Settings
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
-FORMAT = 8
+FORMAT = 9
 
 # Maximum number of bytes of a set of recordings, a hundred times that of the published one.
 MAX_CACHE_BYTES = 1 << 34
@@ -75,7 +75,7 @@ def import_recordings(
     jobs : int
         Processes.
     warn : callable, optional
-        Called with one line for each file that was left out.
+        Called with one line for each remark, warning, and file that was left out.
     reading : ReadingOptions
 
     Raises
@@ -144,6 +144,7 @@ def store(path, recordings: Recordings):
         source=np.array([source.name, source.sha256, source.time_unit]),
         bins=np.array([source.bin_ms, source.rise]),
         remarks=np.array(source.remarks, dtype=str),
+        warnings=np.array(source.warnings, dtype=str),
         simulated=np.array(source.simulated),
         written=np.array(source.written),
         left_out=np.array(source.left_out, dtype=str),
@@ -198,6 +199,7 @@ def load(path) -> Recordings | None:
                 bin_ms=bin_ms,
                 rise=int(rise),
                 remarks=tuple(arrays["remarks"].tolist()),
+                warnings=tuple(arrays["warnings"].tolist()),
             ),
             taxels=TaxelMap(arrays["row"], arrays["column"], positions if len(positions) else None),
             sensor=Sensor(

@@ -14,9 +14,11 @@ import numpy as np
 
 from deploy.arithmetic import ceil_div
 from deploy.errors import UserError
+from deploy.tables import plural
 from pipeline.recordings import times
 from pipeline.recordings.events import DIGITS, GRID, N_TAXELS, UNIT_NAMES, Sensor, TaxelMap
 from pipeline.recordings.formats.recording import MAX_DURATION_S, MAX_SIDE, UNITS
+from pipeline.recordings.strays import find_strays
 from pipeline.recordings.taxels import add_positions, size_from_lookup
 from pipeline.recordings.times import GIVE_UNIT
 
@@ -96,6 +98,8 @@ class Interpretation:
         Channel of rising pressure of arrays of counts.
     remarks : tuple of str
         What the user should know about how the files were read.
+    doubts : tuple of (tuple of int, str)
+        Indices of recordings that may be damaged, and what follows from them.
     """
 
     kept: list
@@ -109,6 +113,7 @@ class Interpretation:
     bin_ms: float = 0.0
     rise: int = 0
     remarks: tuple = ()
+    doubts: tuple = ()
 
     def make_sensor(self, classes) -> Sensor:
         """The sensor, with ST-MNIST's classes and duration if the recordings are of its format."""
@@ -180,7 +185,8 @@ def interpret(
     }
     refused = {same[index]: reason for index, reason in found.refused.items()}
     kept = [same[index] for index in found.kept]
-    found = replace(found, kept=kept, refused=refused | others)
+    doubts = tuple((tuple(same[i] for i in indices), text) for indices, text in found.doubts)
+    found = replace(found, kept=kept, refused=refused | others, doubts=doubts)
     if positions is None:
         return found
     taxels = add_positions(path, found.taxels, found.rows, found.columns, positions)
@@ -350,12 +356,21 @@ def _interpret_places(path, recordings, parts, lookup, is_strip, options):
             )
     kept = [index for index in range(len(recordings)) if index not in refused]
     fitting = [recordings[index] for index in kept]
+    doubts = ()
     if lookup is not None:
         rows, columns = size_from_lookup(path, lookup, options.rows, options.columns)
         rows_in_files = 1
         taxels = lookup
     else:
-        rows, columns = _find_size(path, fitting, side, options)
+        rows, columns = _find_size(fitting, side, options)
+        doubts = _doubt_size(fitting, (rows, columns), options)
+        if max(rows, columns) > MAX_SIDE and doubts:  # no sensor is as large as they make it
+            refused |= {kept[i]: f"has {text}" for indices, text in doubts for i in indices}
+            kept = [index for index in kept if index not in refused]
+            fitting = [recordings[index] for index in kept]
+            rows, columns = _find_size(fitting, side, options)
+            doubts = _doubt_size(fitting, (rows, columns), options)
+        _require_small(path, rows, columns, side)
         rows_in_files = rows
         taxels = TaxelMap.grid(rows, columns)
     from_first = times.is_clock([recording.time for recording in fitting], unit)
@@ -369,6 +384,7 @@ def _interpret_places(path, recordings, parts, lookup, is_strip, options):
         columns,
         time_unit=unit,
         remarks=remarks,
+        doubts=tuple((tuple(kept[i] for i in indices), text) for indices, text in doubts),
     )
 
 
@@ -416,12 +432,15 @@ def _find_outside(path, recordings, extents, options):
             f"{' x '.join(stated)} of skin.rows and skin.columns; give recordings of a sensor of "
             "that size"
         )
-    return {
-        int(index): "has an event at y = {}, x = {}, outside {} rows and {} columns".format(
-            *(extents[index] - 1), *stated
+    reasons = {}
+    for index in np.flatnonzero(outside).tolist():
+        recording = recordings[index]
+        first = int(np.argmax((recording.y >= limits[0]) | (recording.x >= limits[1])))
+        reasons[index] = (
+            f"has an event at x = {recording.x[first]}, y = {recording.y[first]}, outside the "
+            f"sensor (skin.rows: {stated[0]}, skin.columns: {stated[1]}; x and y count from 0)"
         )
-        for index in np.flatnonzero(outside)
-    }
+    return reasons
 
 
 def _compare_parts(path, recordings, extents, parts, options):
@@ -464,21 +483,62 @@ def _refuse_parts(path, values, remedy=""):
     )
 
 
-def _find_size(path, recordings, side, options):
+def _find_size(recordings, side, options):
     """Rows and columns of files of events."""
     size = []
     for axis, stated in ((0, options.rows), (1, options.columns)):
-        found = 1
-        for recording in recordings:
-            places = (recording.y, recording.x)[axis]
-            found = max(found, int(places.max()) + 1)
-            if recording.size:
-                found = max(found, ceil_div(recording.size[axis], side))
-        size.append(stated or found)
-    if max(size) > MAX_SIDE:
-        needed = ceil_div(max(size), MAX_SIDE) * side
+        reached = [int(places.max()) + 1 for places in _places_along(recordings, axis)]
+        size.append(stated or max([1, *reached, _size_in_files(recordings, axis, side)]))
+    return size
+
+
+def _places_along(recordings, axis):
+    """The rows (axis 0) or columns (axis 1) of the events of each recording."""
+    return [(recording.y, recording.x)[axis] for recording in recordings]
+
+
+def _size_in_files(recordings, axis, side):
+    """Rows or columns of the sensor that the files state; 0 if they do not."""
+    return max((ceil_div(r.size[axis], side) for r in recordings if r.size), default=0)
+
+
+def _doubt_size(recordings, size, options):
+    """Recordings that alone make the sensor as large as it is read, and what the user can do.
+
+    Returns
+    -------
+    tuple of (tuple of int, str)
+    """
+    doubts = []
+    side = options.downsample
+    axes = (
+        ("y", "rows", "skin.rows", options.rows),
+        ("x", "columns", "skin.columns", options.columns),
+    )
+    for axis, (letter, noun, setting, stated) in enumerate(axes):
+        if stated:
+            continue
+        in_files = _size_in_files(recordings, axis, side)
+        strays = find_strays(_places_along(recordings, axis), in_files)
+        if strays is None:
+            continue
+        combined = " after data.downsample" if side > 1 else ""
+        up_to = "" if strays.n_events == 1 else "up to "
+        text = (
+            f"{plural(strays.n_events, 'event')} at {letter} = {up_to}{strays.place}{combined}, and "
+            f"all others have {letter} from 0 to {strays.size - 1}; the sensor is read as {size[0]} "
+            f"rows x {size[1]} columns: correct this, or give the number of {noun}, such as --set "
+            f"{setting}={strays.size}"
+        )
+        doubts.append((strays.recordings, text))
+    return tuple(doubts)
+
+
+def _require_small(path, rows, columns, side):
+    """Refuse a sensor with more rows or columns than any has."""
+    if max(rows, columns) > MAX_SIDE:
+        needed = ceil_div(max(rows, columns), MAX_SIDE) * side
         raise UserError(
-            f"{path}: the sensor has {size[0]} rows and {size[1]} columns, more than {MAX_SIDE}; "
+            f"{path}: the sensor has {rows} rows and {columns} columns, more than {MAX_SIDE}; "
             f"combine squares of pixels: --set data.downsample={needed}"
         )
-    return size

@@ -23,7 +23,7 @@ import re
 import zipfile
 import zlib
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path, PurePosixPath
 
@@ -69,6 +69,9 @@ CHUNK = 32
 
 # Number of reasons, and of files that were left out, that are listed individually.
 MAX_LISTED = 10
+
+# Number of files that are named in one line.
+MAX_NAMED = 3
 
 # Errors that reading a member of a damaged zip raises.
 READ_ERRORS = (
@@ -466,6 +469,7 @@ def read_source(
     read, order = _settle_orders(path, read)
     interpretation = sensor.interpret(path, read, parts, lookup, positions, reading)
     refused += [(entries[index].member, why) for index, why in interpretation.refused.items()]
+    warnings = _describe_doubts(interpretation.doubts, [entry.member for entry in entries])
     if refused and not skip_bad:
         raise SeveralErrors(_refusals(path, refused, listing.total))
     entries = [entries[index] for index in interpretation.kept]
@@ -479,12 +483,13 @@ def read_source(
     the_sensor = interpretation.make_sensor(classes)
     ids = [entry.id for entry in entries]
     left_out = tuple(f"{_shorten(name)}: {reason}" for name, reason in refused)
+    source = _describe_source(listing, read, interpretation, left_out, order)
     return collect(
         samples=interpretation.events,
         labels=[the_sensor.classes.index(entry.of_class) for entry in entries],
         ids=ids if len(set(ids)) == len(ids) else [entry.member for entry in entries],
         writers=[recording.writer for recording in read],
-        source=_describe_source(listing, read, interpretation, left_out, order),
+        source=replace(source, warnings=warnings),
         taxels=interpretation.taxels,
         sensor=the_sensor,
         parts=[entry.part for entry in entries],
@@ -539,6 +544,24 @@ def _describe_source(listing, read, found, left_out, order):
     )
 
 
+def _describe_doubts(doubts, members) -> tuple:
+    """A line for each of :attr:`pipeline.recordings.sensor.Interpretation.doubts`."""
+    lines = []
+    for indices, text in doubts:
+        names = [members[index] for index in indices]
+        have = "alone has" if len(names) == 1 else "alone have"
+        lines.append(f"{_list_some(names)} {have} {text}")
+    return tuple(lines)
+
+
+def _list_some(names):
+    """The first names, and the number of the others."""
+    listed = [_shorten(name) for name in names[:MAX_NAMED]]
+    if len(names) > MAX_NAMED:
+        listed.append(f"{len(names) - MAX_NAMED} more files")
+    return ", ".join(listed)
+
+
 def _settle_orders(path, read):
     """Recordings with columns in one order, and that order if they have no names."""
     try:
@@ -580,6 +603,7 @@ def reading_lines(path, recordings: Recordings) -> list:
     """
     left_out = recordings.source.left_out
     lines = [f"{path}: {remark}" for remark in recordings.source.remarks]
+    lines += [f"{WARNING}{path}: {text}" for text in recordings.source.warnings]
     lines += [f"{WARNING}{path}: left out {line}" for line in left_out[:MAX_LISTED]]
     if len(left_out) > MAX_LISTED:
         lines.append(f"{WARNING}{path}: left out {len(left_out) - MAX_LISTED} more")

@@ -6,10 +6,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
+from deploy.terminal import WARNING
 from pipeline.recordings.events import Sensor, reading_text
 from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.sensor import ReadingOptions, class_order
-from pipeline.recordings.source import read_source
+from pipeline.recordings.source import read_source, reading_lines
+from pipeline.recordings.strays import find_strays
 from pipeline.run.settings import Image
 from pipeline.sources import SimulatedSource, load_recordings
 from tests.command import missing
@@ -125,6 +127,43 @@ def test_a_sensor_with_too_many_pixels_is_downsampled(tmp_path):
     assert "data.downsample=5" in line
     read = read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(downsample=40))
     assert (read.sensor.rows, read.sensor.columns) == (ROWS, 28)
+
+
+@pytest.mark.parametrize(("axis", "place", "rows", "columns"), [
+    ("x", 200, ROWS, 201), ("y", 60, 61, COLUMNS), ("x", COLUMNS + 1, ROWS, COLUMNS + 2),
+])  # fmt: skip
+def test_one_event_that_enlarges_the_sensor_is_said_with_its_file(
+    tmp_path, axis, place, rows, columns
+):
+    members = own()
+    name = min(members)
+    arrays = dict(zip("xytp", gestures(1)[0][0], strict=True))
+    arrays["t"] = np.rint(arrays["t"] * 1e6).astype(np.int64)
+    arrays[axis] = np.append(arrays[axis][:-1], place)
+    archive(tmp_path / "own.zip", {**members, name: npz(**arrays)})
+    read = read_source(tmp_path / "own.zip", jobs=1)
+    assert (read.sensor.rows, read.sensor.columns) == (rows, columns)
+    (line,) = read.source.warnings
+    setting = {"x": f"skin.columns={COLUMNS}", "y": f"skin.rows={ROWS}"}[axis]
+    facts = (name, "1 event", f"{axis} = {place}", f"{rows} rows x {columns} columns", setting)
+    assert missing(line, *facts) == []
+    assert f"{WARNING}own.zip: {line}" in reading_lines("own.zip", read)
+    stated = read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(rows, columns))
+    assert stated.source.warnings == ()
+
+
+def test_a_place_that_no_sensor_has_is_the_fault_of_its_file(tmp_path):
+    members = own()
+    name = min(members)
+    content = npz(x=[1, 5000], y=[1, 1], t=[0, 400_000], p=[1, 0])
+    (line,) = refused(tmp_path, {**members, name: content})
+    assert missing(line, "1 of 16", name, "x = 5000") == []
+
+
+@given(st.lists(st.integers(1, 9), min_size=3, max_size=30))
+def test_recordings_that_reach_similarly_far_have_no_strays(reach):
+    everywhere = np.repeat(np.arange(9), 5)
+    assert find_strays([np.arange(n) for n in reach] + [everywhere] * 4) is None
 
 
 def test_coordinates_come_out_where_they_went_in(tmp_path):
