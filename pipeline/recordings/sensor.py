@@ -525,10 +525,10 @@ def _doubt_size(recordings, size, options):
         combined = " after data.downsample" if side > 1 else ""
         up_to = "" if strays.n_events == 1 else "up to "
         text = (
-            f"{plural(strays.n_events, 'event')} at {letter} = {up_to}{strays.place}{combined}, and "
-            f"all others have {letter} from 0 to {strays.size - 1}; the sensor is read as {size[0]} "
-            f"rows x {size[1]} columns: correct this, or give the number of {noun}, such as --set "
-            f"{setting}={strays.size}"
+            f"{plural(strays.n_events, 'event')} at {letter} = {up_to}{strays.place}{combined}, "
+            f"and all others have {letter} from 0 to {strays.size - 1}; the sensor is read as "
+            f"{size[0]} rows x {size[1]} columns: correct this, or give the number of {noun}, such "
+            f"as --set {setting}={strays.size}"
         )
         doubts.append((strays.recordings, text))
     return tuple(doubts)

@@ -1,7 +1,7 @@
 """Events that alone decide how large a sensor is: a hot pixel, or a damaged line of one file.
 
-The size of a sensor that no file states is that of its events' places, so one wrong coordinate makes
-the sensor of all recordings larger.
+A size that no file states is that of the events' places, so one wrong coordinate makes the sensor
+of all recordings larger.
 """
 
 from dataclasses import dataclass
