@@ -483,7 +483,7 @@ def facts_of(recordings: Recordings) -> dict:
 
 
 def reading_text(recordings: Recordings) -> str:
-    """Summary of a source in one line: numbers, sizes, durations and the unit of times."""
+    """Summary of a source in one line: numbers, sizes, durations, unit of times, polarities."""
     time_ns = recordings.events.time_ns
     offsets = recordings.offsets
     sensor = recordings.sensor
@@ -498,6 +498,8 @@ def reading_text(recordings: Recordings) -> str:
     ]
     if recordings.source.time_unit:
         parts.append(f"times read as {UNIT_NAMES[recordings.source.time_unit]}")
+    if sensor.polarities == 1:
+        parts.append("ON events only")
     if recordings.source.bin_ms:
         parts.append(f"bins of {recordings.source.bin_ms:g} ms")
     return ", ".join(parts)

@@ -70,6 +70,11 @@ CHUNK = 32
 # Number of reasons, and of files that were left out, that are listed individually.
 MAX_LISTED = 10
 
+ALL_OFF = (
+    "all events are OFF, since their polarity is 0 or -1; write 1 if the sensor does not tell ON "
+    "and OFF apart, and name the columns if the polarity is another one"
+)
+
 # Number of files that are named in one line.
 MAX_NAMED = 3
 
@@ -469,7 +474,7 @@ def read_source(
     read, order = _settle_orders(path, read)
     interpretation = sensor.interpret(path, read, parts, lookup, positions, reading)
     refused += [(entries[index].member, why) for index, why in interpretation.refused.items()]
-    warnings = _describe_doubts(interpretation.doubts, [entry.member for entry in entries])
+    warnings = _describe_doubts(interpretation, [entry.member for entry in entries])
     if refused and not skip_bad:
         raise SeveralErrors(_refusals(path, refused, listing.total))
     entries = [entries[index] for index in interpretation.kept]
@@ -544,13 +549,15 @@ def _describe_source(listing, read, found, left_out, order):
     )
 
 
-def _describe_doubts(doubts, members) -> tuple:
-    """A line for each of :attr:`pipeline.recordings.sensor.Interpretation.doubts`."""
+def _describe_doubts(found, members) -> tuple:
+    """Lines on what may be wrong with recordings, with the names of the files."""
     lines = []
-    for indices, text in doubts:
+    for indices, text in found.doubts:
         names = [members[index] for index in indices]
         have = "alone has" if len(names) == 1 else "alone have"
         lines.append(f"{_list_some(names)} {have} {text}")
+    if found.time_unit and all((events.polarity < 0).all() for events in found.events):
+        lines.append(ALL_OFF)
     return tuple(lines)
 
 

@@ -1,7 +1,8 @@
 """The order of columns without names: x, y, t, p; or t, x, y, p; or x, y, p, t.
 
 Times rise from line to line, coordinates are whole numbers, and polarities have two values.  In a
-short recording the numbers may fit several orders; then the other recordings of the source decide.
+short recording the numbers may fit several orders; then the other recordings of the source decide,
+and then the times, which have more values than coordinates that rise, too.
 """
 
 from dataclasses import replace
@@ -47,7 +48,8 @@ def make_array_recording(array: np.ndarray) -> EventRecording:
         try:
             make_recording(array)  # refuses values that are wrong in the documented order
         except BadRecording as error:
-            raise BadRecording(f"{error}; or, as columns have no names, {NAME_THEM}") from error
+            reason = f"{error}; or, as columns have no names, {NAME_THEM}"
+            raise BadRecording(reason, error.event) from error
         raise BadRecording(
             "has four columns without names, and times that rise in none of the orders "
             f"{', '.join(ORDERS)}; {NAME_THEM}"
@@ -83,8 +85,18 @@ def settle_orders(recordings) -> tuple:
         raise BadRecording(
             f"recordings have four columns without names, and not all in one order; {NAME_THEM}"
         )
-    order = common[0]
+    order = max(common, key=lambda order: _count_times(tables, order))  # the first of equal ones
     return [_in_order(recording, order) for recording in recordings], order
+
+
+def _count_times(recordings, order):
+    """Number of different times that recordings have in an order; 0 if it is their only one."""
+    tables = [recording.table for recording in recordings if recording.table is not None]
+    return sum(_count_times_in(table, order) for table in tables)
+
+
+def _count_times_in(table, order):
+    return len(np.unique(table[:, order.index("t")]))
 
 
 def _in_order(recording, order):
@@ -100,14 +112,15 @@ def _make_table_recording(table, order):
 
 
 def _find_orders(table) -> tuple:
-    """The orders that a table of four columns can have."""
+    """The orders that a table of four columns can have, that with the most times first."""
     if not np.isfinite(table).all():
         return ()
     is_time = (np.diff(table, axis=0) >= 0).all(axis=0)
     is_place = ((table >= 0) & (table <= MAX_PLACE) & (table == np.floor(table))).all(axis=0)
     is_polarity = np.isin(table, (-1, 0, 1)).all(axis=0)
     fits = {"t": is_time, "x": is_place, "y": is_place, "p": is_polarity}
-    return tuple(order for order in ORDERS if _fits_all_columns(order, fits))
+    possible = [order for order in ORDERS if _fits_all_columns(order, fits)]
+    return tuple(sorted(possible, key=lambda order: -_count_times_in(table, order)))
 
 
 def _fits_all_columns(order, fits):

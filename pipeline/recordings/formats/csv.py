@@ -1,4 +1,8 @@
-"""Text with a line for each event: four columns, with or without their names in the first line."""
+"""Text with a line for each event: four columns, with or without their names in the first line.
+
+Columns are separated by commas, semicolons, tabs or blanks; beside semicolons, a comma is the mark
+of decimals.  A polarity may be a word or a sign.
+"""
 
 import re
 from typing import NamedTuple
@@ -21,7 +25,10 @@ SUFFIXES = (".csv", ".txt")
 # Characters with which a remark begins: NumPy's, and Metavision's.
 REMARKS = "#%"
 
-_BOOLEAN = re.compile(r"\b(true|false)\b", re.IGNORECASE)
+# Words and signs for polarities, and their numbers.
+POLARITIES = {"true": "1", "false": "0", "on": "1", "off": "0", "+": "1", "-": "-1"}
+
+_POLARITY = re.compile(r"(?<![^\s,;])(true|false|on|off|[+-])(?![^\s,;#])", re.IGNORECASE)
 
 
 def read_csv(content: bytes, name: str = "") -> EventRecording:
@@ -30,9 +37,17 @@ def read_csv(content: bytes, name: str = "") -> EventRecording:
     Raises
     ------
     BadRecording
+        The reason has the number of the line, if one is wrong.
     """
-    columns = _read_columns(content)
-    return make_recording(columns) if isinstance(columns, dict) else make_array_recording(columns)
+    columns, body = _read_columns(content)
+    try:
+        if isinstance(columns, dict):
+            return make_recording(columns)
+        return make_array_recording(columns)
+    except BadRecording as error:
+        if error.event is None:
+            raise
+        raise BadRecording(f"line {body[error.event].number} {error}", error.event) from error
 
 
 class _Line(NamedTuple):
@@ -43,7 +58,13 @@ class _Line(NamedTuple):
 
 
 def _read_columns(content):
-    """The columns by their names, or a table without names, shape (events, columns)."""
+    """The columns by their names, or a table without names, and the lines that have them.
+
+    Returns
+    -------
+    columns : dict of str to ndarray, or ndarray of shape (n_events, n_columns)
+    body : list of _Line
+    """
     lines = _read_lines(content)
     body = [line for line in lines if line.text[0] not in REMARKS]
     if not body:
@@ -57,21 +78,21 @@ def _read_columns(content):
         names = _find_names_in_remark(above[-1].text) if above else []
     if not body:
         raise BadRecording("is empty: no events")
+    body = _write_numbers(body, separator)
     if not names:
-        return _load_table(body, separator)
+        return _load_table(body, separator), body
     wanted = list(find_columns(names).values())
     _require_columns(body, separator, len(names))
     table = _load_table(body, separator, [names.index(name) for name in wanted])
-    return dict(zip(wanted, table.T, strict=True))
+    return dict(zip(wanted, table.T, strict=True)), body
 
 
 def _read_lines(content):
-    """The lines that have more than the mark of a remark, with truth values as numbers."""
+    """The lines that have more than the mark of a remark."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadRecording("is not text in UTF-8") from error
-    text = _BOOLEAN.sub(lambda found: str(int(found[0].lower() == "true")), text)
     return [
         _Line(number, line.strip())
         for number, line in enumerate(text.splitlines(), 1)
@@ -82,7 +103,18 @@ def _read_lines(content):
 def _find_separator(line):
     """The mark between the values of a line; None for spaces."""
     values = line.partition("#")[0]  # a remark may have commas
-    return next((mark for mark in ",;\t" if mark in values), None)
+    return next((mark for mark in ";,\t" if mark in values), None)
+
+
+def _write_numbers(body, separator):
+    """The lines with words and signs of polarities as numbers, and with points in decimals."""
+    text = "\n".join(line.text for line in body)
+    if separator == ";":
+        text = text.replace(",", ".")
+    text = text.replace("\u2212", "-")
+    text = _POLARITY.sub(lambda found: POLARITIES[found[0].lower()], text)
+    lines = zip(body, text.split("\n"), strict=True)
+    return [_Line(line.number, changed) for line, changed in lines]
 
 
 def _split_names(line, separator):

@@ -55,7 +55,17 @@ MAX_FILE_BYTES = 170_000_000
 
 
 class BadRecording(ValueError):
-    """Raised for a file that is not a recording; the message has the reason."""
+    """Raised for a file that is not a recording; the message has the reason.
+
+    Attributes
+    ----------
+    event : int or None
+        Index of the event that is wrong, in the order of the file.
+    """
+
+    def __init__(self, reason: str, event: int | None = None):
+        super().__init__(reason)
+        self.event = event
 
 
 def read_limited(file) -> bytes:
@@ -235,8 +245,9 @@ def make_recording(events) -> EventRecording:
     for name, places in (("x", x), ("y", y)):
         outside = ~((places >= 0) & (places <= MAX_PLACE) & (places == np.floor(places)))
         if outside.any():
+            event = int(np.argmax(outside))
             raise BadRecording(
-                f"has {name} {places[outside][0]:g}, not a whole number from 0 to {MAX_PLACE}"
+                f"has {name} {places[event]:g}, not a whole number from 0 to {MAX_PLACE}", event
             )
     order = np.argsort(t, kind="stable")
     return EventRecording(
@@ -250,25 +261,27 @@ def make_recording(events) -> EventRecording:
 
 def _check_times(t):
     """Convert values to integers if all are whole numbers, else to floating point."""
-    if not np.isfinite(t).all():
-        raise BadRecording("has a time that is NaN or infinite")
-    if t.max() >= 2.0**62:
-        raise BadRecording("has a time that no clock can have")
-    if t.min() < 0:
-        raise BadRecording("has a negative time")
+    for is_wrong, reason in (
+        (~np.isfinite(t), "has a time that is NaN or infinite"),
+        (t >= 2.0**62, "has a time that no clock can have"),
+        (t < 0, "has a negative time"),
+    ):
+        if is_wrong.any():
+            raise BadRecording(reason, int(np.argmax(is_wrong)))
     is_whole = t.dtype.kind in "iub" or ((t == np.rint(t)).all() and t.max() > 0)
     return t.astype(np.int64 if is_whole else float)
 
 
 def _check_polarities(p):
-    values = set(np.unique(p).tolist())
-    if p.dtype.kind == "b" or values <= {0, 1}:
+    values, first = np.unique(p, return_index=True)
+    if p.dtype.kind == "b" or np.isin(values, (0, 1)).all():
         return np.where(p > 0, 1, -1).astype(np.int8)
-    if values <= {-1, 1}:
+    if np.isin(values, (-1, 1)).all():
         return p.astype(np.int8)
-    wrong = values - {-1, 0, 1}
-    which = f"{min(wrong):g}" if wrong else "-1, 0 and 1 together"
-    raise BadRecording(f"p has {which}, not 1 (ON) and -1 (OFF), 1 and 0, or true and false")
+    is_wrong = ~np.isin(values, (-1, 0, 1))
+    event = int(first[is_wrong].min() if is_wrong.any() else first.max())
+    which = f"{p[event]:g}" if is_wrong.any() else "-1, 0 and 1 together"
+    raise BadRecording(f"has p {which}, not 1 (ON) and -1 (OFF), 1 and 0, or true and false", event)
 
 
 def _split_columns(events):
@@ -287,6 +300,9 @@ def _split_columns(events):
     if is_four and all(np.ndim(array) == 1 for array in events):
         return dict(zip(ARRAYS, events, strict=True)), ""
     rows = np.asarray(events)
+    is_three = isinstance(events, (tuple, list)) and len(events) == 3
+    if is_three and all(isinstance(array, np.ndarray) for array in events):
+        raise BadRecording(f"is three arrays; if these are x, y and t, {NO_POLARITY}")
     if rows.ndim == 2 and rows.shape[1] == 3:
         raise BadRecording(f"has rows of three numbers; if these are x, y and t, {NO_POLARITY}")
     if rows.ndim == 2 and rows.shape[1] == 4:

@@ -55,21 +55,40 @@ def test_a_recording_that_fits_several_orders_follows_the_others(tmp_path):
     """A touch that moves to the right has x in order, too."""
     swipe = lines("txyp", x=[0, 1, 2, 3], y=[5, 5, 6, 6])
     files = {f"{of_class}/{n}.csv": lines("txyp") for of_class in "ab" for n in (1, 2)}
-    recordings = read_source(write_source(tmp_path, {**files, "a/0.csv": swipe}))
+    recordings = read_source(write_source(tmp_path, {**files, "a/0.csv": swipe}), jobs=1)
     assert (recordings.sensor.rows, recordings.sensor.columns) == (7, 10)
     assert recordings.source.remarks == ("columns without names are read as t, x, y, p",)
+
+
+@pytest.mark.parametrize("order", ["txyp", "xytp"])
+def test_coordinates_that_rise_in_all_recordings_are_not_times(tmp_path, order):
+    """A strip has y = 0 everywhere; times in milliseconds could be coordinates."""
+    strip = lines(order, x=[2, 3, 3, 4], y=[0, 0, 0, 0])
+    files = {f"{of_class}/{n}.csv": strip for of_class in "ab" for n in (1, 2)}
+    recordings = read_source(write_source(tmp_path, files), jobs=1)
+    assert (recordings.sensor.rows, recordings.sensor.columns) == (1, 5)
+    assert read_file(strip, "a/1.csv").time.tolist() == T
+
+
+def test_recordings_with_off_events_alone_are_said(tmp_path):
+    """The polarity may be in another column, or the sensor tells none."""
+    files = {f"{of_class}/{n}.csv": lines("xytp", p=[0] * 4) for of_class in "ab" for n in (1, 2)}
+    (warning,) = read_source(write_source(tmp_path / "off", files), jobs=1).source.warnings
+    assert "OFF" in warning
+    files = {**files, "a/1.csv": lines("xytp")}
+    assert read_source(write_source(tmp_path / "both", files), jobs=1).source.warnings == ()
 
 
 def test_files_in_two_orders_are_refused(tmp_path):
     files = {"a/1.csv": lines("txyp"), "a/2.csv": lines("xytp"), "b/1.csv": lines("txyp")}
     with pytest.raises(UserError, match="not all in one order"):
-        read_source(write_source(tmp_path, files))
+        read_source(write_source(tmp_path, files), jobs=1)
 
 
 def test_text_files_are_recordings_where_nothing_else_is(tmp_path):
     """A line for each event, t x y p, as in the event camera data sets of Zurich."""
     files = {f"{of_class}/{n}.txt": lines("txyp", " ") for of_class in "ab" for n in (1, 2)}
     folder = write_source(tmp_path / "text", {**files, "README.txt": b"about"})
-    assert len(read_source(folder)) == 4
+    assert len(read_source(folder, jobs=1)) == 4
     files = {**files, "a/1.csv": lines("txyp"), "b/1.csv": lines("txyp")}
-    assert len(read_source(write_source(tmp_path / "both", files))) == 2
+    assert len(read_source(write_source(tmp_path / "both", files), jobs=1)) == 2

@@ -61,6 +61,14 @@ FILES = {
     "remarks after blanks.csv": CSV.replace(",", " ").encode() + b" # moved, twice\n",
     "a column of text.csv": b"x,note,y,t,p\n"
     + "\n".join(f"{x},up,{y},{t},{p}" for x, y, t, p in zip(X, Y, T, P, strict=True)).encode(),
+    "semicolons and decimal commas.csv": b"x;y;t;p\n"
+    + "\n".join(f"{x};{y};{t},0;{p}" for x, y, t, p in zip(X, Y, T, P, strict=True)).encode(),
+    "signs.csv": NAMED_CSV.replace(";1;", ";+;").replace(";0;", ";-;").encode(),
+    "a typographic minus.csv": NAMED_CSV.replace(";0;", ";\u22121;").encode(),
+    "on and off.csv": b"x,y,t,on\n"
+    + "\n".join(
+        f"{x},{y},{t},{'ON' if p else 'OFF'}" for x, y, t, p in zip(X, Y, T, P, strict=True)
+    ).encode(),
     "truth values.csv": NAMED_CSV.replace(";1;", ";True;").replace(";0;", ";false;").encode(),
 }
 
@@ -98,6 +106,10 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
     ("a.csv", b"1,2,3,4\n1,2,3", "line 2 has 3 values"),
     ("a.csv", b"# of a sensor\n\nx,y,t,p\n1,2,3,1\n\n1,2,3.5s,1", "line 6: '3.5s' is not a number"),
     ("a.csv", b"1 2 3 1\n1 2 4 1\n1 ? 3 1", "line 3: '\\?' is not a number"),
+    ("a.csv", b"x,y,t,p\n1,2,3,1\n\n1.5,2,4,1", "line 4 has x 1.5"),
+    ("a.csv", b"x,y,t,p\n1,2,3,1\n1,2,nan,1", "line 3 has a time that is NaN"),
+    ("a.csv", b"1,2,3,1\n1,2,4,5", "line 2 has p 5"),
+    ("a.csv", b"x,y,t,p\n1,2,3,-1\n1,2,3,1\n1,2,4,0", "line 4 has p -1, 0 and 1"),
     ("a.csv", b"\xff", "UTF-8"),
     ("a.csv", b"x,y,t,p\n", "empty"),
     ("a.csv", b"x,y,t\n1,2,3", "'p'"),
@@ -105,7 +117,7 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
     ("a.npy", npy(np.zeros((2, 5))), r"\(2, 5\)"),
     ("a.npy", npy(X)[:-1], "damaged"),
     ("a.npz", npz(x=X, y=Y, t=T), "'p'"),
-    ("a.npz", npz(x=X, y=Y, t=T, p=[-1, 0, 1, 0]), "p has -1, 0 and 1"),
+    ("a.npz", npz(x=X, y=Y, t=T, p=[-1, 0, 1, 0]), "has p -1, 0 and 1"),
 ])  # fmt: skip
 def test_a_damaged_file_is_refused(name, content, fact):
     with pytest.raises(BadRecording, match=fact):
@@ -159,7 +171,7 @@ GOOD = {"x": [0, 1], "y": [0, 2], "t": [0.1, 0.2], "p": [1, -1]}
         ({"x": [0, 16384]}, "x 16384, .* 0 to 16383"),
         ({"t": [0.1, np.nan]}, "NaN"),
         ({"t": [-0.1, 0.2]}, "negative"),
-        ({"p": [1, 2]}, r"p has 2, .* 1 \(ON\) and -1 \(OFF\)"),
+        ({"p": [1, 2]}, r"has p 2, .* 1 \(ON\) and -1 \(OFF\)"),
         ({"p": [1]}, "x 2, y 2, t 2, p 1"),
         ({"x": [], "y": [], "t": [], "p": []}, "empty"),
         ({"x": ["a", "b"]}, "'x'"),
@@ -200,6 +212,8 @@ def test_arrays_of_many_forms():
         np.testing.assert_array_equal(read.time, T)
     with pytest.raises(BadRecording, match="shape"):
         make_recording(np.zeros((3, 5)))
+    with pytest.raises(BadRecording, match="polarity p"):
+        make_recording((X, Y, T))
 
 
 class LikeTonic:
