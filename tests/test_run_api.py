@@ -64,6 +64,28 @@ def test_arrays_that_are_no_events_are_refused_in_one_line():
         Recordings.from_arrays(events, labels)
 
 
+def test_the_size_of_the_sensor_is_kept_in_files(tmp_path):
+    """Also of some of the recordings, which may have no events at the edge."""
+    events, labels = arrays(4)
+    recordings = Recordings.from_arrays(events, labels, time_unit="s", rows=16, columns=20)
+    assert (recordings.sensor.rows, recordings.sensor.columns) == (16, 20)
+    again = Recordings.read(recordings.subset([0, 1]).write(tmp_path / "some.zip"))
+    assert (again.sensor.rows, again.sensor.columns) == (16, 20)
+
+
+@pytest.mark.parametrize(("change", "remedy"), [
+    ({"t": lambda t: t + 1e12 * (t > 0.2)}, "time_unit="), ({"x": lambda x: 50 * x}, "downsample="),
+])  # fmt: skip
+def test_errors_in_arrays_name_arguments_of_python(change, remedy):
+    events, labels = arrays(4)
+    ((name, alter),) = change.items()
+    changed = [{**each, name: alter(each[name])} for each in events]
+    with pytest.raises(UserError) as caught:
+        Recordings.from_arrays(changed, labels)
+    assert remedy in str(caught.value)
+    assert "--" not in str(caught.value)
+
+
 def test_the_ladder_has_the_commands_values(run):
     ladder = run.ladder(["counts", "trained", "emulator"])
     assert ladder.to_dict() == json.loads((run.path / "ladder.json").read_text())

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import tempfile
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.errors import SeveralErrors, UserError
 from deploy.tables import plural
+from deploy.terminal import remark
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.library import import_recordings
 from pipeline.recordings.sensor import ReadingOptions
@@ -19,6 +22,12 @@ NAME = "arrays"
 
 # Class of recordings without labels.
 UNLABELLED = "unlabelled"
+
+# How messages name the settings of reading: as options of the command line, or alone.
+_OPTION = re.compile(r"(?:--set )?(?:data|skin)\.(\w+)")
+
+# The remedy for files that cannot be read, which arrays are not.
+_LEAVE_OUT = re.compile(r", or leave them out: .*--skip-bad\)")
 
 
 @contextlib.contextmanager
@@ -32,12 +41,32 @@ def errors_naming(name: str, path: Path):
         raise UserError(str(error).replace(str(path), name)) from error
 
 
-def read_recordings(path, time_unit: str = "") -> Recordings:
+@contextlib.contextmanager
+def errors_with_arguments():
+    """Errors in the block name arguments of Python instead of options of the command line."""
+    try:
+        yield
+    except SeveralErrors as error:
+        raise SeveralErrors(list(map(_name_arguments, error.lines))) from error
+    except UserError as error:
+        raise UserError(_name_arguments(str(error))) from error
+
+
+def _name_arguments(line):
+    return _OPTION.sub(r"\1", _LEAVE_OUT.sub("", line))
+
+
+def read_recordings(path, **reading) -> Recordings:
     """See :meth:`pipeline.recordings.events.Recordings.read`."""
-    return import_recordings(Path(path), reading=ReadingOptions(time_unit=time_unit))
+    with errors_with_arguments():
+        return import_recordings(
+            Path(path),
+            warn=lambda line: remark(_name_arguments(line)),
+            reading=ReadingOptions(**reading),
+        )
 
 
-def recordings_from_arrays(events, labels=None, **more) -> Recordings:
+def recordings_from_arrays(events, labels=None, rows=0, columns=0, **more) -> Recordings:
     """See :meth:`pipeline.recordings.events.Recordings.from_arrays`."""
     events = list(events)
     labels = [UNLABELLED] * len(events) if labels is None else list(labels)
@@ -48,10 +77,26 @@ def recordings_from_arrays(events, labels=None, **more) -> Recordings:
         )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{NAME}.zip"
-        with errors_naming(NAME, path):
+
+        def warn(line):
+            remark(_name_arguments(line.replace(str(path), NAME)))
+
+        with errors_naming(NAME, path), errors_with_arguments():
             write_recordings(path, zip(events, labels, strict=True), **more)
-            recordings = import_recordings(path)
+            size = ReadingOptions(rows, columns)
+            recordings = import_recordings(path, warn=warn, reading=size)
     return replace(recordings, source=replace(recordings.source, name=NAME))
+
+
+@dataclass(frozen=True)
+class _OfOneSensor:
+    """Pairs of events and label, and the size of the sensor as data sets of Tonic have it."""
+
+    pairs: Iterable
+    sensor_size: tuple
+
+    def __iter__(self):
+        return iter(self.pairs)
 
 
 def write_zip(recordings: Recordings, path) -> Path:
@@ -70,9 +115,11 @@ def write_zip(recordings: Recordings, path) -> Path:
 
     labels = [names[label] for label in recordings.labels]
     known_writers = bool((recordings.writers >= 0).all())
+    pairs = zip(map(events_of, range(len(recordings))), labels, strict=True)
+    sensor = recordings.sensor
     return write_recordings(
         path,
-        zip(map(events_of, range(len(recordings))), labels, strict=True),
+        _OfOneSensor(pairs, (sensor.columns, sensor.rows)),
         classes=list(names),
         time_unit="ns",
         writers=recordings.writers.tolist() if known_writers else None,

@@ -216,14 +216,16 @@ class Recordings:
             object.__setattr__(self, "parts", ("",) * len(self.labels))
 
     @classmethod
-    def read(cls, path, time_unit: str = "") -> Recordings:
+    def read(cls, path, **reading) -> Recordings:
         """Read the recordings of a zip or folder, as ``--data`` does.
 
         Parameters
         ----------
         path : path-like
-        time_unit : str
-            Unit of the times of files of events; empty: inferred from the durations.
+        **reading
+            Properties of the files that you state: ``time_unit``, ``rows``, ``columns``,
+            ``downsample``, ``bin_ms`` and ``rise``, as in
+            :class:`pipeline.recordings.sensor.ReadingOptions`.
 
         Raises
         ------
@@ -232,10 +234,10 @@ class Recordings:
         """
         from pipeline.recordings.arrays import read_recordings  # imports this module
 
-        return read_recordings(path, time_unit)
+        return read_recordings(path, **reading)
 
     @classmethod
-    def from_arrays(cls, events, labels=None, **more) -> Recordings:
+    def from_arrays(cls, events, labels=None, rows=0, columns=0, **more) -> Recordings:
         """Make recordings of events in memory.
 
         Parameters
@@ -245,6 +247,8 @@ class Recordings:
             array of shape (n, 4).  ``x`` is the column from the left, ``y`` the row from the top.
         labels : iterable, optional
             Class of each recording: a number from 0, or a name; default: not known.
+        rows, columns : int
+            Size of the sensor; default: that of the events' places.
         **more
             ``classes``, ``time_unit``, ``writers``, ``simulated`` and ``parts``, as in
             :func:`pipeline.recordings.writing.write_recordings`.
@@ -256,7 +260,7 @@ class Recordings:
         """
         from pipeline.recordings.arrays import recordings_from_arrays  # imports this module
 
-        return recordings_from_arrays(events, labels, **more)
+        return recordings_from_arrays(events, labels, rows, columns, **more)
 
     def write(self, path):
         """Write the recordings as a zip that every command accepts.

@@ -3,6 +3,7 @@
 import io
 import zipfile
 from collections.abc import Iterable, Sequence, Set
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -40,7 +41,8 @@ def write_recordings(
     recordings : iterable of (events, label)
         For example a data set of Tonic, or ``zip(events, labels)``.  Events have any of the forms
         of :func:`pipeline.recordings.formats.recording.make_recording`: x is the column from the
-        left, y the row from the top.  A label is a number from 0, or the name of a class.
+        left, y the row from the top.  A label is a number from 0, or the name of a class.  An
+        attribute ``sensor_size`` (columns, rows, ...), as Tonic's, is the size of the sensor.
     classes : sequence of str, optional
         Names of the labels 0, 1, ...; default: the ``classes`` of ``recordings`` if it has this
         attribute, else the labels themselves.
@@ -72,6 +74,7 @@ def write_recordings(
     written = 0
     problems: dict = {}
     index = -1
+    size = _find_sensor_size(recordings)
     sizes = {len(values) for values in (writers, parts) if values is not None}
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
         for index, (events, label) in enumerate(recordings):
@@ -80,7 +83,8 @@ def write_recordings(
             try:
                 name = _class_of(label, names, is_fixed)
                 writer = -1 if writers is None else int(writers[index])
-                content = _npz_bytes(make_recording(events), time_unit, writer, simulated)
+                recording = replace(make_recording(events), size=size, writer=writer)
+                content = _npz_bytes(recording, time_unit, simulated)
             except BadRecording as error:
                 problems.setdefault(str(error), []).append(index)
                 continue
@@ -147,13 +151,25 @@ def _class_of(label, names, is_fixed):
     return name
 
 
-def _npz_bytes(recording, time_unit, writer, simulated) -> bytes:
+def _find_sensor_size(recordings):
+    """Rows and columns of the sensor of a data set of Tonic's; None if it has none."""
+    size = getattr(recordings, "sensor_size", None)
+    if not isinstance(size, tuple) or len(size) < 2:
+        return None
+    columns, rows = size[:2]
+    is_size = all(isinstance(side, (int, np.integer)) and side > 0 for side in (rows, columns))
+    return (int(rows), int(columns)) if is_size else None
+
+
+def _npz_bytes(recording, time_unit, simulated) -> bytes:
     arrays = {"x": recording.x.astype(np.uint16), "y": recording.y.astype(np.uint16)}
     unit = recording.unit or time_unit
     arrays[f"t_{unit}" if unit else "t"] = recording.time
     arrays["p"] = recording.polarity
-    if writer >= 0:
-        arrays["writer"] = np.array(writer)
+    if recording.writer >= 0:
+        arrays["writer"] = np.array(recording.writer)
+    if recording.size is not None:
+        arrays["rows"], arrays["columns"] = map(np.array, recording.size)
     if simulated:
         arrays["simulated"] = np.array(True)
     buffer = io.BytesIO()

@@ -1,5 +1,8 @@
 """NumPy's files: ``.npz`` with arrays x, y, t, p or one array, ``.npy`` with one array.
 
+A ``.npz`` may also have ``rows`` and ``columns`` of the sensor, the number of a ``writer``, and
+``simulated``.
+
 Nothing in a file is executed: only plain arrays of numbers are read, and no more than a recording
 can have.
 """
@@ -14,6 +17,7 @@ from pipeline.recordings.formats.bins import make_binned_recording
 from pipeline.recordings.formats.column_order import make_array_recording
 from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
+    MAX_PLACE,
     BadRecording,
     EventRecording,
     find_columns,
@@ -23,6 +27,9 @@ from pipeline.recordings.formats.recording import (
 
 # Bytes of an event in an array: eight fields of eight bytes.
 MAX_EVENT_BYTES = 64
+
+# Names of arrays that are not events.
+ABOUT = ("simulated", "writer", "rows", "columns")
 
 
 def read_npz(content: bytes, name: str = "") -> EventRecording:
@@ -39,7 +46,7 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
                 for info in archive.infolist()
                 if info.filename.endswith(".npy")
             }
-            about = [name for name in ("simulated", "writer") if name in sizes]
+            about = [name for name in ABOUT if name in sizes]
             events = [name for name in sizes if name not in about]
             wanted = events if len(events) == 1 else list(find_columns(events).values())
             if sum(sizes[name] for name in wanted + about) > MAX_EVENT_BYTES * MAX_EVENTS + 4096:
@@ -54,12 +61,25 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
     except Exception as error:  # damaged lists and unsupported compressions fail in many ways
         raise BadRecording("is not a .npz file, or damaged") from error
     facts = {name: arrays.pop(name) for name in about}
-    writer = facts.get("writer", np.empty(0))
+    size = [_find_side(facts.get(name)) for name in ("rows", "columns")]
     return replace(
         make_recording(arrays) if len(arrays) > 1 else make_array_recording(*arrays.values()),
         simulated=bool(np.any(facts.get("simulated", False))),
-        writer=parse_writer(writer.item() if writer.size == 1 else None),
+        writer=parse_writer(_single_number(facts.get("writer"))),
+        size=None if None in size else tuple(size),
     )
+
+
+def _single_number(array):
+    """The number in an array of one; None for other arrays, and for None."""
+    return array.item() if array is not None and array.size == 1 else None
+
+
+def _find_side(array):
+    """Rows or columns in an array of one; None if it is not a size."""
+    number = _single_number(array)
+    is_size = number is not None and 0 < number <= MAX_PLACE + 1 and number == int(number)
+    return int(number) if is_size else None
 
 
 def read_npy(content: bytes, name: str = "") -> EventRecording:
