@@ -25,7 +25,7 @@ BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons lint check-code setup-inrc test-inrc setup-nir test-nir check-nir setup-peers test-peers audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons test-tutorials lint check-code setup-inrc test-inrc setup-nir test-nir check-nir setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Install the versions pinned in constraints.txt into .venv (3 GB)
@@ -82,6 +82,9 @@ test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine
 	  sh setup.sh .venv-$$version "$$python" && echo "Python $$version:" && \
 	  .venv-$$version/bin/python -m pytest $(ON_ALL_CORES) $(TESTS) || exit; \
 	done
+
+test-tutorials: setup  ## Test that the tutorials teach what they say, at their full size (minutes)
+	@TEST_TUTORIALS=1 $(BIN)/python -m pytest tests/test_tutorials.py -k "lessons_hold or real_touch" $(ON_ALL_CORES)
 
 lint: setup  ## Check style
 	@$(BIN)/ruff check .

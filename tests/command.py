@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -38,6 +39,23 @@ def call(*arguments, main=None) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     raise AssertionError("the command ended without an exit status")
+
+
+@contextlib.contextmanager
+def hurry_emulator():
+    """Within, the target ``emulator`` computes as ``fast`` does.
+
+    Every spike is the same, which tests/deploy/targets/test_fast.py shows, in a tenth of the time.
+    It is for tests of what is done with a run's results, and not for processes that they start.
+    """
+    from deploy.targets.registry import TARGETS
+
+    emulator = TARGETS["emulator"]
+    TARGETS["emulator"] = replace(emulator, run=TARGETS["fast"].run)
+    try:
+        yield
+    finally:
+        TARGETS["emulator"] = emulator
 
 
 def missing(text: str, *facts) -> list:

@@ -2,37 +2,88 @@
 
 import itertools
 import json
+import os
+import re
 import shutil
 
 import numpy as np
 import pytest
 
+import stmnist
 from experiments.tutorials import FOLDER, execute
 from pipeline.recordings.writing import write_recordings
-from tests.command import ROOT, printed_by, users_environment
+from tests.command import ROOT, hurry_emulator, printed_by, users_environment
 
 # The published training part of ST-MNIST, which is not in the repository.
 REAL = ROOT.parent / "shared" / "data" / "stmnist-train.zip"
 
-CODE = """
+EXECUTE = """
 import json, sys
 from experiments.tutorials import FOLDER, execute
-text = (FOLDER / f"{sys.argv[1]}.ipynb").read_text(encoding="utf-8")
-for change in sys.argv[2:]:
-    before, after = change.split(" -> ")
-    assert before in text
-    text = text.replace(before, after)
-execute(json.loads(text), ".")
+execute(json.loads((FOLDER / f"{sys.argv[1]}.ipynb").read_text(encoding="utf-8")), ".")
 """
+
+# Settings with which a run of a tutorial takes seconds instead of minutes.
+BRIEF = {"cnn.epochs": 2, "snn.epochs": 2, "events.epochs": 2}
+
+
+class BriefRun(stmnist.Run):
+    """A run that trains for two epochs, whatever it is told, in the process of the test."""
+
+    def __init__(self, path, **given):
+        super().__init__(path, **{**given, **BRIEF, "jobs": 1})
+
+    def ladder(self, asked=None):
+        with hurry_emulator():
+            return super().ladder(asked)
 
 
 def notebooks():
     return {path.stem: json.loads(path.read_text("utf-8")) for path in FOLDER.glob("*.ipynb")}
 
 
-def accuracies(run):
+def read_accuracies(run):
     ladder = json.loads((run / "ladder.json").read_text(encoding="utf-8"))
     return {row["stage"]: row["accuracy"] for row in ladder["rows"]}
+
+
+def read_stored_ladders(name):
+    """The accuracy of each stage, for each ladder that a notebook has among its outputs."""
+    cells = [cell for cell in notebooks()[name]["cells"] if cell["cell_type"] == "code"]
+    texts = ["".join(output.get("text", ())) for cell in cells for output in cell["outputs"]]
+    return [
+        {
+            stage: float(accuracy)
+            for stage, accuracy in re.findall(r"^(\S+) +(0\.\d{3}) ", text, re.M)
+        }
+        for text in texts
+        if text.startswith("Loss ladder")
+    ]
+
+
+def check_the_first_network(images, events):
+    assert 0.65 < images["emulator"] < 0.9
+    assert 0.65 < events["emulator"] < 0.9
+    assert abs(images["emulator"] - images["rate-lif"]) < 0.08  # 120 recordings
+    assert abs(events["emulator"] - events["trained"]) < 0.03
+
+
+def check_your_own_sensor(events, images):
+    assert 0.75 < events["emulator"] < 1  # noisy gestures, so that there is something to learn
+    assert max(events["counts"], images["emulator"]) < events["emulator"]
+
+
+def check_a_network_from_pytorch(of_torch):
+    assert of_torch["nir"] > 0.75
+    assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.04
+
+
+# For each tutorial that needs no other data: its lessons, and its runs in their order.
+LESSONS = {
+    "1-first-network": (check_the_first_network, ("image", "events")),
+    "2-own-sensor": (check_your_own_sensor, ("gestures", "gestures-image")),
+    "3-from-pytorch": (check_a_network_from_pytorch, ("torch",)),
+}
 
 
 @pytest.mark.parametrize("name", sorted(notebooks()))
@@ -42,6 +93,14 @@ def test_outputs_are_stored_and_small(name):
     assert [c["execution_count"] for c in cells] == list(range(1, len(cells) + 1))
     outputs = [output for cell in cells for output in cell["outputs"]]
     assert {"stream", "display_data"} <= {output["output_type"] for output in outputs}
+
+
+@pytest.mark.parametrize("name", LESSONS)
+def test_stored_outputs_show_the_lessons(name):
+    check, runs = LESSONS[name]
+    ladders = read_stored_ladders(name)
+    assert len(ladders) == len(runs)
+    check(*ladders)
 
 
 def test_a_notebook_gets_the_outputs_of_its_cells(tmp_path):
@@ -59,32 +118,33 @@ def test_a_notebook_gets_the_outputs_of_its_cells(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_first_network(tmp_path):
-    printed_by(CODE, "1-first-network", env=users_environment(), cwd=tmp_path)
-    images, events = (accuracies(tmp_path / "runs" / name) for name in ("image", "events"))
-    assert 0.65 < images["emulator"] < 0.9
-    assert 0.65 < events["emulator"] < 0.9
-    assert abs(images["emulator"] - images["rate-lif"]) < 0.08  # 120 recordings
-    assert abs(events["emulator"] - events["trained"]) < 0.03
-
-
-@pytest.mark.slow
-def test_your_own_sensor(tmp_path):
-    printed_by(CODE, "2-own-sensor", env=users_environment(), cwd=tmp_path)
-    events = accuracies(tmp_path / "runs" / "gestures")
-    images = accuracies(tmp_path / "runs" / "gestures-image")
-    assert 0.75 < events["emulator"] < 1  # noisy gestures, so that there is something to learn
-    assert max(events["counts"], images["emulator"]) < events["emulator"]
-    assert (tmp_path / "runs" / "gestures" / "report.html").is_file()
-
-
-@pytest.mark.slow
-def test_a_network_from_pytorch(tmp_path):
+@pytest.mark.parametrize("name", LESSONS)
+def test_every_cell_runs(tmp_path, monkeypatch, name):
+    """With networks that learn little, so that no lesson is looked for."""
+    monkeypatch.setattr(stmnist, "Run", BriefRun)
     shutil.copy(FOLDER / "network.nir", tmp_path)
-    printed_by(CODE, "3-from-pytorch", env=users_environment(), cwd=tmp_path)
-    of_torch = accuracies(tmp_path / "runs" / "torch")
-    assert of_torch["nir"] > 0.75
-    assert abs(of_torch["emulator"] - of_torch["nir"]) < 0.04
+    notebook, _ = execute(notebooks()[name], tmp_path)
+    kinds = [
+        [[output["output_type"] for output in cell.get("outputs", ())] for cell in each["cells"]]
+        for each in (notebook, notebooks()[name])
+    ]
+    assert kinds[0] == kinds[1]
+    _, runs = LESSONS[name]
+    for run, stored in zip(runs, read_stored_ladders(name), strict=True):
+        assert read_accuracies(tmp_path / "runs" / run).keys() == stored.keys()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not os.environ.get("TEST_TUTORIALS"), reason="trains for minutes; 'make test-tutorials'"
+)
+@pytest.mark.parametrize("name", LESSONS)
+def test_lessons_hold(tmp_path, name):
+    """As a user executes it, in a process of its own."""
+    shutil.copy(FOLDER / "network.nir", tmp_path)
+    printed_by(EXECUTE, name, env=users_environment(), cwd=tmp_path)
+    check, runs = LESSONS[name]
+    check(*(read_accuracies(tmp_path / "runs" / run) for run in runs))
 
 
 def write_objects(folder):
@@ -113,18 +173,17 @@ def write_digits(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_real", [False, True])
-def test_real_touch(tmp_path, is_real):
-    """On objects that stand in, with two epochs; on digits that stand in, and on the real ones."""
+def test_real_touch(tmp_path, monkeypatch, is_real):
+    """On objects that stand in; on digits that stand in, and on the real ones."""
     if is_real and not REAL.exists():
         pytest.skip(f"{REAL.name}, real recordings, is not here")
-    quick = (
-        r"data=OBJECTS, input=\"events\", quiet=True -> "
-        r"data=OBJECTS, input=\"events\", quiet=True, **{\"events.epochs\": 2}"
-    )
-    digits = REAL if is_real else write_digits(tmp_path)
-    env = {**users_environment(), "TOUCH": str(write_objects(tmp_path)), "DIGITS": str(digits)}
-    printed_by(CODE, "4-real-touch", quick, env=env, cwd=tmp_path)
+    if is_real and not os.environ.get("TEST_TUTORIALS"):
+        pytest.skip("reads thousands of recordings; 'make test-tutorials'")
+    monkeypatch.setattr(stmnist, "Run", BriefRun)
+    monkeypatch.setenv("TOUCH", str(write_objects(tmp_path)))
+    monkeypatch.setenv("DIGITS", str(REAL if is_real else write_digits(tmp_path)))
+    execute(notebooks()["4-real-touch"], tmp_path)
     run = tmp_path / "runs" / "objects"
-    assert accuracies(run).keys() == {"counts", "trained", "emulator"}
-    assert accuracies(run)["counts"] > 0.5
+    assert read_accuracies(run).keys() == {"counts", "trained", "emulator"}
+    assert read_accuracies(run)["counts"] > 0.5
     assert (run / "report.html").is_file()
