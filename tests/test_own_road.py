@@ -14,7 +14,7 @@ from deploy.check.results import read_result
 from deploy.files import read_json
 from pipeline.recordings.writing import write_recordings
 from pipeline.results import other_recordings
-from tests.command import call, missing, users_environment
+from tests.command import call, hurry_emulator, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
 
 # What a user need not give: the test would take minutes without it.
@@ -35,8 +35,9 @@ def make(folder):
         folder / "people.zip", gestures(6, seed=7), CLASSES, "s", writers=[i % 3 for i in range(24)]
     )
     assert people.exists()
-    for kind, quick in QUICK.items():
-        assert call("ladder", folder / kind, "--data", folder / "own", *quick) == 0
+    with hurry_emulator():
+        for kind, quick in QUICK.items():
+            assert call("ladder", folder / kind, "--data", folder / "own", *quick) == 0
 
 
 @pytest.mark.parametrize("kind", QUICK)

@@ -10,7 +10,7 @@ from comparison import NUMPY_1, Outcome, assert_same, state_of
 from nengo_loihi.emulator.interface import EmulatorInterface
 from parts import as_it_is, floating, learns, made, mapped, noisy, together
 
-from fastloihi import FastEmulator, NotAccelerated, emulator
+from fastloihi import FastEmulator, NotAccelerated, emulator, kernel
 
 LEARNS_IN_FLOATING_POINT = together(floating, learns)
 CHANGES = {
@@ -169,3 +169,12 @@ def test_indices_and_maps_are_read_only():
     fast = both(mapped(np.arange(6)))[1]
     (synapse,), (axon,) = fast.synapses.slices, fast.inputs[0].axons
     assert not any(a.flags.writeable for a in (synapse.indices[0], axon.compartment_map))
+
+
+def test_functions_of_an_archive_are_compiled_although_nothing_is_cached():
+    """As in a bundle's ``deploy.pyz``."""
+    archived, names = "bundle/deploy.pyz/fastloihi/kernel.py", {}
+    exec(compile("def twice(value):\n    return 2 * value\n", archived, "exec"), names)
+    twice = kernel._jit(from_python=True)(names["twice"])
+    assert twice(3) == 6
+    assert len(twice.signatures) == 1

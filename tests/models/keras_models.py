@@ -406,8 +406,8 @@ def randomise(model, seed):
         layer.set_weights(arrays)
 
 
-def write(keras, folder):
-    """Write NAME.keras, NAME.h5 and, of the good ones, NAME.npz with inputs and predictions."""
+def write(keras, folder, suffix):
+    """Write NAME.suffix and, of the good ones, NAME.npz with inputs and predictions."""
     import tensorflow as tf
 
     keras.utils.set_random_seed(0)
@@ -419,7 +419,7 @@ def write(keras, folder):
         compute = tf.function(model, jit_compile=True) if name == "channels_first" else model
         outputs = np.asarray(compute(inputs.astype(np.float32), training=False))
         np.savez(folder / f"{name}.npz", inputs=inputs, outputs=outputs)
-        save(model, folder / name)
+        save(model, folder / name, suffix)
     for name, model in bad(keras).items():
         if name in ("not_a_number", "infinite_variance", "normalised_flat"):
             randomise(model, 0)
@@ -430,21 +430,24 @@ def write(keras, folder):
         if name == "infinite_variance":
             *others, variance = model.layers[1].get_weights()
             model.layers[1].set_weights([*others, np.full_like(variance, np.inf)])
-        save(model, folder / name)
+        save(model, folder / name, suffix)
     model.save_weights(folder / "only.weights.h5")
 
 
-def save(model, path):
-    """In both formats."""
+def save(model, path, suffix):
+    """In the format of this ending; of two networks in both formats."""
+    suffixes = (".keras", ".h5") if path.name in ("paper", "functional") else (suffix,)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        model.save(f"{path}.keras")
-        model.save(f"{path}.h5")
+        for suffix in suffixes:
+            model.save(path.with_suffix(suffix))
 
 
 if __name__ == "__main__":
     import keras
     import tf_keras
 
-    for version, folder in zip((tf_keras, keras), sys.argv[1:], strict=True):
-        write(version, Path(folder))
+    # Each Keras in the format that it writes by default.
+    versions = (tf_keras, ".h5"), (keras, ".keras")
+    for (version, suffix), folder in zip(versions, sys.argv[1:], strict=True):
+        write(version, Path(folder), suffix)

@@ -33,9 +33,13 @@ def socket_of(url):
     return sync_client.connect(url.replace("http", "ws") + "pen", proxy=None)
 
 
+def messages_of(page):
+    return iter(lambda: json.loads(page.recv(timeout=300)), None)
+
+
 def write_and_label(page, digit):
     """Write a line, say what it was, and return the answer to that."""
-    messages = iter(lambda: json.loads(page.recv(timeout=300)), None)
+    messages = messages_of(page)
     next(message for message in messages if message["type"] == "ready")
     for message in stroke():
         page.send(json.dumps(message))
@@ -44,14 +48,14 @@ def write_and_label(page, digit):
 
 
 @pytest.fixture
-def live(tiny_run, tmp_path):
+def live(tmp_path):
     """Starts the command in a group of its own, which Ctrl-C reaches from a background too."""
     processes = []
 
-    def begin(run=tiny_run, *options):
+    def begin(run):
         kept = tmp_path / "kept"
         named = () if run is None else (run,)
-        arguments = ("live", *named, "--port", 0, "--no-browser", "--record", kept, *options)
+        arguments = ("live", *named, "--port", 0, "--no-browser", "--record", kept)
         process = subprocess.Popen(
             [sys.executable, "-m", "pipeline", *map(str, arguments)],
             env=environment(),
@@ -72,8 +76,11 @@ def live(tiny_run, tmp_path):
 
 
 def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, capsys):
-    process, kept = live()
+    """Without a run: the network is that of the package."""
+    process, kept = live(None)
     with socket_of(address(process)) as page:
+        hello = next(message for message in messages_of(page) if message["type"] == "hello")
+        assert hello["architecture"] == read_bundle(SHIPPED).spec.architecture
         assert write_and_label(page, 4)["type"] == "saved"
         os.kill(process.pid, signal.SIGINT)
         _, error = process.communicate(timeout=300)
@@ -91,32 +98,20 @@ def test_ctrl_c_ends_it_cleanly_and_what_was_kept_works_as_data(live, tmp_path, 
     assert (facts["source"], facts["simulated"], facts["writer"]) == ("written", True, 1)
 
 
-def test_without_a_run_it_has_the_network_of_the_package(live):
-    process, _ = live(run=None)
-    with socket_of(address(process)) as page:
-        messages = iter(lambda: json.loads(page.recv(timeout=300)), None)
-        hello = next(message for message in messages if message["type"] == "hello")
-        assert hello["architecture"] == read_bundle(SHIPPED).spec.architecture
-        assert write_and_label(page, 4)["type"] == "saved"
-
-
-def test_a_killed_server_has_lost_nothing(live):
-    process, kept = live()
+def test_a_killed_server_has_lost_nothing(live, tiny_run, tmp_path, capsys):
+    """Its folder is free for another, of a bundle copied from elsewhere, but not for two."""
+    process, kept = live(tiny_run)
     with socket_of(address(process)) as page:
         name = write_and_label(page, 4)["name"]
         os.killpg(process.pid, signal.SIGKILL)
         process.wait(300)
     assert read_source(kept, jobs=1).ids == (name.removesuffix(".mat"),)
-    again, _ = live()
+    shutil.copytree(tiny_run / "bundle", tmp_path / "elsewhere")
+    again, _ = live(tmp_path / "elsewhere")
     with socket_of(address(again)) as page:
         assert write_and_label(page, 5)["name"] == "5/w001-0002.mat"
-
-
-def test_a_bundle_copied_from_elsewhere_will_do(live, tiny_run, tmp_path):
-    shutil.copytree(tiny_run / "bundle", tmp_path / "elsewhere")
-    process, _ = live(run=tmp_path / "elsewhere")
-    with socket_of(address(process)) as page:
-        assert write_and_label(page, 4)["type"] == "saved"
+        assert call("live", tiny_run, "--port", 0, "--record", kept, "--no-browser") == 2
+    assert "--record" in capsys.readouterr().err
 
 
 def test_a_run_without_a_network_is_one_line(tmp_path, capsys):
@@ -133,13 +128,6 @@ def test_a_port_in_use_is_one_line(tiny_run, tmp_path, capsys):
     error = capsys.readouterr().err
     assert f"port {port}" in error
     assert "--port" in error
-
-
-def test_a_folder_in_use_is_one_line(live, tiny_run, capsys):
-    process, kept = live()
-    address(process)
-    assert call("live", tiny_run, "--port", 0, "--record", kept, "--no-browser") == 2
-    assert "--record" in capsys.readouterr().err
 
 
 def test_without_the_extra_it_says_what_to_install(tmp_path):

@@ -16,7 +16,7 @@ from models.cnn import set_weights
 from pipeline.kinds.image.kind import describe_network, to_spec
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.results.other_recordings import find_trained_on
-from pipeline.results.report.figures.animation import animate
+from pipeline.results.report.figures import animation
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
 from pipeline.training import nengodl
@@ -162,8 +162,9 @@ def test_training_with_strides_pooling_and_dense_layers():
     assert set(single.compute_activations(images())) == {"conv1", "dense1"}
 
 
-def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
+def test_other_recordings_are_seen_as_those_of_the_training(tmp_path, monkeypatch):
     """A network that was made without a run has what a run's has to read other recordings."""
+    monkeypatch.setattr(animation, "FRAMES", 4)
     image = {"aggregation": "on", "normalisation": "sqrt-max", "duration": 500.0}
     chosen = settings_of("10x10-4c3s3-10o", steps=20, readout_start=4).with_values(
         {"data": {"source": "simulated", "samples_per_digit": 4}, "image": image}
@@ -174,6 +175,6 @@ def test_other_recordings_are_seen_as_those_of_the_training(tmp_path):
         np.testing.assert_array_equal(make_inputs_for(spec, dataset.recordings), dataset.inputs)
         checks = CheckSet(dataset.inputs[:2], dataset.labels[:2], ("a", "b"), 0)
         bundle = write_bundle(tmp_path / f"b{len(provenance)}", spec, checks)
-        animate(tmp_path / "a.gif", bundle, 0)
+        animation.animate(tmp_path / "a.gif", bundle, 0)
     assert read_classes(spec) == tuple("0123456789")
     assert find_trained_on(bundle, dataset.recordings).sum() == len(dataset.split.train)
