@@ -9,10 +9,10 @@ import shutil
 import numpy as np
 import pytest
 
-import stmnist
 from experiments.tutorials import FOLDER, execute
 from pipeline.recordings.writing import write_recordings
-from tests.command import ROOT, hurry_emulator, printed_by, users_environment
+from tests.brief import hurry_runs
+from tests.command import ROOT, printed_by, users_environment
 
 # The published training part of ST-MNIST, which is not in the repository.
 REAL = ROOT.parent / "shared" / "data" / "stmnist-train.zip"
@@ -22,20 +22,6 @@ import json, sys
 from experiments.tutorials import FOLDER, execute
 execute(json.loads((FOLDER / f"{sys.argv[1]}.ipynb").read_text(encoding="utf-8")), ".")
 """
-
-# Settings with which a run of a tutorial takes seconds instead of minutes.
-BRIEF = {"cnn.epochs": 2, "snn.epochs": 2, "events.epochs": 2}
-
-
-class BriefRun(stmnist.Run):
-    """A run that trains for two epochs, whatever it is told, in the process of the test."""
-
-    def __init__(self, path, **given):
-        super().__init__(path, **{**given, **BRIEF, "jobs": 1})
-
-    def ladder(self, asked=None):
-        with hurry_emulator():
-            return super().ladder(asked)
 
 
 def notebooks():
@@ -119,11 +105,11 @@ def test_a_notebook_gets_the_outputs_of_its_cells(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LESSONS)
-def test_every_cell_runs(tmp_path, monkeypatch, name):
+def test_every_cell_runs(tmp_path, name):
     """With networks that learn little, so that no lesson is looked for."""
-    monkeypatch.setattr(stmnist, "Run", BriefRun)
     shutil.copy(FOLDER / "network.nir", tmp_path)
-    notebook, _ = execute(notebooks()[name], tmp_path)
+    with hurry_runs():
+        notebook, _ = execute(notebooks()[name], tmp_path)
     kinds = [
         [[output["output_type"] for output in cell.get("outputs", ())] for cell in each["cells"]]
         for each in (notebook, notebooks()[name])
@@ -179,10 +165,10 @@ def test_real_touch(tmp_path, monkeypatch, is_real):
         pytest.skip(f"{REAL.name}, real recordings, is not here")
     if is_real and not os.environ.get("TEST_TUTORIALS"):
         pytest.skip("reads thousands of recordings; 'make test-tutorials'")
-    monkeypatch.setattr(stmnist, "Run", BriefRun)
     monkeypatch.setenv("TOUCH", str(write_objects(tmp_path)))
     monkeypatch.setenv("DIGITS", str(REAL if is_real else write_digits(tmp_path)))
-    execute(notebooks()["4-real-touch"], tmp_path)
+    with hurry_runs():
+        execute(notebooks()["4-real-touch"], tmp_path)
     run = tmp_path / "runs" / "objects"
     assert read_accuracies(run).keys() == {"counts", "trained", "emulator"}
     assert read_accuracies(run)["counts"] > 0.5

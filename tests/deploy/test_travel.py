@@ -31,7 +31,7 @@ OLD_PYTHON = ROOT / ".venv-inrc" / "bin" / "python"
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     """A bundle and the emulator's result at home: ``(bundle, result)``."""
-    spec = small_spec(steps=20, gap=3, readout_start=4)
+    spec = small_spec(steps=10, gap=3, readout_start=4)
     bundle, result = at_home(tmp_path_factory.mktemp("home"), spec)
     assert all(result["spikes"].values())
     assert len({sample["spike_hash"] for sample in result["samples"]}) == 7
@@ -222,7 +222,7 @@ def test_job_submitted_again_goes_on(home, far_away, tmp_path):
     checks = shutil.copytree(home[0].path, tmp_path / "bundle") / "checks"
     partial = checks / ".loihi.json.partial"
     shutil.copy(INRC / "check.sbatch", tmp_path)
-    for faults, state in (({"kill_at_step": 100}, "FAILED 137"), ({}, "COMPLETED")):
+    for faults, state in (({"kill_at_step": 60}, "FAILED 137"), ({}, "COMPLETED")):
         if not faults:
             assert len(partial.read_text().splitlines()) == 2  # a header and the first stream
             assert not (checks / "loihi.json").exists()

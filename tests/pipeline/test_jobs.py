@@ -168,8 +168,13 @@ def record_some(seed):
     return os.getpid(), simulate(seed, [1] * 10, jobs=1).hashes
 
 
+def die(job):
+    os._exit(1)
+
+
 @pytest.mark.parametrize("cluster", [{"n_workers": 2, "processes": True}], indirect=True)
 def test_two_workers_make_the_recordings_that_one_process_makes(cluster):
+    """And a job that kills them is a failure."""
     seeds = [0, 1, 2, 3]
     results = dict(run_jobs(record_some, seeds, scheduler=cluster.scheduler_address))
     processes = {process for process, _ in results.values()}
@@ -178,13 +183,6 @@ def test_two_workers_make_the_recordings_that_one_process_makes(cluster):
     assert results[1][1] == record_some(1)[1]
     assert len({hashes for _, hashes in results.values()}) == len(seeds)
 
-
-def die(job):
-    os._exit(1)
-
-
-@pytest.mark.parametrize("cluster", [{"n_workers": 1, "processes": True}], indirect=True)
-def test_a_job_that_kills_its_workers_is_a_failure(cluster):
     cluster.scheduler.allowed_failures = 0
     ((job, failure),) = run_jobs(die, [1], scheduler=cluster.scheduler_address)
     assert job == 1

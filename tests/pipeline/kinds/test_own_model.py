@@ -166,13 +166,13 @@ def test_a_later_version_and_another_split_are_reported(run, files, tmp_path, ca
         path.write_bytes(content)
     assert call("status", copy) == 0
     assert str(path) not in capsys.readouterr().err
-    assert call("convert", copy, "--seed", 1) == 0
+    assert call("train", copy, "--seed", 1) == 0
     assert "this split" in capsys.readouterr().err
     assert call("convert", copy, "--set", "snn.max_rates=[150]") == 0
     assert "this split" not in capsys.readouterr().err
     path.rename(tmp_path / "away")  # as on another machine
     try:
-        assert call("convert", copy, "--seed", 2) == 0
+        assert call("train", copy, "--seed", 2) == 0
     finally:
         (tmp_path / "away").rename(path)
 

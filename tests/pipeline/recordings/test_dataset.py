@@ -35,13 +35,13 @@ def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, 
 
 
 def test_other_simulated_people_are_other_recordings():
-    more = SMALL.with_values({"data": {"writers": 31, "samples_per_digit": 31}}, "test")
+    more = SMALL.with_values({"data": {"writers": 5, "samples_per_digit": 5}}, "test")
     recordings = recordings_of(more)
-    assert set(recordings.writers) == set(range(31))
+    assert set(recordings.writers) == set(range(5))
     assert recordings.source.sha256 == identity_of(more)[0]
-    assert recordings.source.name == "simulated, seed 0, 31 people"
-    fewer = more.with_values({"data": {"writers": 23}}, "test")
-    assert set(recordings_of(fewer).writers) == set(range(23))
+    assert recordings.source.name == "simulated, seed 0, 5 people"
+    fewer = more.with_values({"data": {"writers": 3}}, "test")
+    assert set(recordings_of(fewer).writers) == set(range(3))
     assert identity_of(fewer)[0] != identity_of(more)[0]
 
 

@@ -66,8 +66,8 @@ def test_what_ran_before_in_the_process_makes_no_difference(images, weights):
         for before in (1, 2):
             np.random.seed(before)  # noqa: NPY002 - the global state is what is tested
             tf.random.set_seed(before)
-            outputs.append(nengodl.run(settings, weights, images, 12, batch=4))
-        other = nengodl.run(replace(settings, seed=1), weights, images, 12, batch=4)
+            outputs.append(nengodl.run(settings, weights, images, 6, batch=N))
+        other = nengodl.run(replace(settings, seed=1), weights, images, 6, batch=N)
     np.testing.assert_array_equal(*outputs)
     assert np.any(other != outputs[0])  # the neurons' first voltages are the seed's
 

@@ -1,0 +1,25 @@
+"""The code of documents, executed within seconds instead of minutes."""
+
+import contextlib
+
+import pytest
+
+import stmnist
+from tests.command import hurry_emulator
+
+
+@contextlib.contextmanager
+def hurry_runs(epochs=2):
+    """Within, each `stmnist.Run` trains for so many epochs, whatever it is told.
+
+    It starts no other processes, and lets ``fast`` compute what it emulates.
+    """
+    brief = {f"{network}.epochs": epochs for network in ("cnn", "snn", "events")}
+
+    class BriefRun(stmnist.Run):
+        def __init__(self, path, **given):
+            super().__init__(path, **{**given, **brief, "jobs": 1})
+
+    with pytest.MonkeyPatch.context() as patch, hurry_emulator():
+        patch.setattr(stmnist, "Run", BriefRun)
+        yield
