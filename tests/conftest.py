@@ -129,7 +129,7 @@ def tiny_run(made_once):
     """A finished run; tests copy it before they change it."""
 
     def make(folder):
-        made = call("ladder", folder / "run", *TINY, "--jobs", 2)
+        made = call("ladder", folder / "run", *TINY)
         assert made == 0, "the small run of the main job failed"
 
     return made_once("tiny", make) / "run"

@@ -10,7 +10,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
 from pipeline.sources import load_recordings
-from tests.command import call
+from tests.command import call, hurry_emulator
 from tests.pipeline.handmade import archive, npz
 
 NAMES = ("circle", "line 2", "line 10", "wave", "zig-zag")
@@ -42,11 +42,12 @@ def make(folder):
     members = {f"{name}/{i:02d}.npz": gesture(name, rng) for name in NAMES for i in range(30)}
     archive(folder / "gestures.zip", members)
     architecture = "cnn.architecture=16x12-4c4s2-5o"
-    status = call(
-        *("ladder", folder / "run", "--data", folder / "gestures.zip", "--set", architecture),
-        *("--set", "cnn.epochs=15", "--set", "snn.epochs=5"),
-        *("--samples", "20", "--steps", "40"),
-    )
+    with hurry_emulator():
+        status = call(
+            *("ladder", folder / "run", "--data", folder / "gestures.zip", "--set", architecture),
+            *("--set", "cnn.epochs=15", "--set", "snn.epochs=5"),
+            *("--samples", "20", "--steps", "40"),
+        )
     assert status == 0
 
 

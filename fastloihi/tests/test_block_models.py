@@ -73,7 +73,7 @@ def run_both(plain, fast, seed, each_step, n_calls=3):
     return False, said
 
 
-@settings(max_examples=25, **PROFILE)
+@settings(max_examples=20, **PROFILE)
 @given(seed=SEEDS)
 def test_every_step_is_that_of_the_emulator(seed):
     emulators = two_emulators(seed) or reject()

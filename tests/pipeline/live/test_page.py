@@ -38,11 +38,25 @@ def browser():
         pytest.skip(str(error))
 
 
+# A clock of the page that can be put forward: `putForward(ms)`.
+CLOCK = """
+let ahead = 0;
+const now = performance.now.bind(performance);
+performance.now = () => now() + ahead;
+const { get } = Object.getOwnPropertyDescriptor(Event.prototype, "timeStamp");
+Object.defineProperty(Event.prototype, "timeStamp", { get() { return get.call(this) + ahead; } });
+window.putForward = (ms) => { ahead += ms; };
+"""
+# From the pen's last point to the time when the skin is at rest, at the most.
+REST_MS = 1500
+
+
 @contextmanager
 def page_of(browser, server, **options):
     """A page that is ready; what it complains of fails the test."""
     options = {"viewport": {"width": 1280, "height": 1000}, **options}
     context = browser.new_context(**options)
+    context.add_init_script(CLOCK)
     page = context.new_page()
     page.complaints = []
     page.on("console", lambda message: page.complaints.append(message.text))
@@ -87,16 +101,19 @@ def until(page, condition, seconds=120):
         page.wait_for_timeout(20)
 
 
+ALL_IS_ANSWERED = (
+    "document.querySelector('#race').dataset.events > 0 &&"
+    " document.querySelector('#announce').textContent.includes("
+    "document.querySelector('#decision').textContent) &&"
+    " document.querySelector('#race').dataset.events =="
+    " document.querySelector('#decision').dataset.events"
+)
+
+
 def settled(page):
-    """Wait until the skin has come to rest and the network has answered to it all."""
-    until(
-        page,
-        "document.querySelector('#race').dataset.events > 0 &&"
-        " document.querySelector('#announce').textContent.includes("
-        "document.querySelector('#decision').textContent) &&"
-        " document.querySelector('#race').dataset.events =="
-        " document.querySelector('#decision').dataset.events",
-    )
+    """Let the skin come to rest, and wait until the network has answered to it all."""
+    page.evaluate(f"putForward({REST_MS})")
+    until(page, ALL_IS_ANSWERED)
 
 
 def label(page, number):
@@ -319,7 +336,7 @@ def test_an_example_is_played_at_its_own_pace_and_kept_no_second_time(browser, t
         page.select_option("#example-class", "4")
         begun = page.evaluate("performance.now()")
         page.click("#example")
-        settled(page)
+        until(page, ALL_IS_ANSWERED)
         assert page.evaluate("performance.now()") - begun > 780
         assert page.locator("#shown").get_attribute("data-label") == "4"
         assert page.get_attribute("#race", "data-events") == "40"
@@ -360,6 +377,7 @@ window.WebSocket = class extends Real {
 
 def with_sockets(browser, refused=0):
     page = browser.new_page()
+    page.add_init_script(CLOCK)
     page.add_init_script(SOCKETS.replace("REFUSED", str(refused)))
     return page
 
