@@ -68,7 +68,7 @@ def test_hot_taxels_are_found_with_their_sessions():
     fit = changed_fit(down=4.5, right=4.5, height=6.0)
     sessions = [[0.4, [[8, 1], [2, 0]]], [0.4, [[9, 8]]]]
     fit["sections"]["faults"]["sessions"] = sessions
-    found = find_sessions(*simulate_fit(fit, SHAPES, 60, 5, 1))
+    found = find_sessions(*simulate_fit(fit, SHAPES, 30, 5, 1))
     assert {frozenset(map(tuple, taxels)) for _, taxels in found} == {
         frozenset({(8, 1), (2, 0)}),
         frozenset({(9, 8)}),
