@@ -72,7 +72,9 @@ class _Means:
     map: object  # of the signal, which tells if anything else followed
 
 
-def convert_layers(input_shape, layers, retrain: bool = False, grid=None) -> KerasModel:
+def convert_layers(
+    input_shape, layers, retrain: bool = False, grid=None, pixels: bool = True
+) -> KerasModel:
     """Turn a chain of layers into an architecture and its weights.
 
     Parameters
@@ -84,6 +86,8 @@ def convert_layers(input_shape, layers, retrain: bool = False, grid=None) -> Ker
         Replace what cannot be converted exactly, where training makes up for it.
     grid : tuple of int, optional
         (rows, columns, channels) of an image, for a model whose input is a vector.
+    pixels : bool
+        Multiply images by 255 for a model that begins with the scaling of pixels.
 
     Raises
     ------
@@ -91,7 +95,7 @@ def convert_layers(input_shape, layers, retrain: bool = False, grid=None) -> Ker
         A layer is not supported.
     """
     order = _input_order(input_shape, layers, grid)
-    converter = LayerConverter(order, retrain)
+    converter = LayerConverter(order, retrain, pixels)
     for layer in layers:
         converter.add(layer)
     return converter.finish()
@@ -143,12 +147,14 @@ class LayerConverter:
     ----------
     order : (ndarray, tuple)
         From `_input_order`.
-    retrain : bool
+    retrain, pixels : bool
+        As for `convert_layers`.
     """
 
-    def __init__(self, order, retrain):
+    def __init__(self, order, retrain, pixels=True):
         self.input_order, self.input_shape = order
         self.retrain = retrain
+        self.pixels = pixels
         self.layers = []
         self.sums = []
         self.max_pools = {}  # by the index of their layer
@@ -629,6 +635,9 @@ class LayerConverter:
     def take_pixels(self, layer, has_pixels):
         """Multiply images, whose values end at 1, for a first layer whose input ends at 255."""
         if not has_pixels or self.layers or self.input_scale != 1:
+            return
+        if not self.pixels:
+            self.notes.append(f"{layer}: scales pixels up to 255, and images here end at 1")
             return
         self.input_scale = MAX_PIXEL
         self.signal.scale(np.full(len(self.signal.offset), MAX_PIXEL), 0.0)

@@ -22,7 +22,7 @@ N_COMPARED = 8
 MAX_DIFFERENCE = 1e-3
 
 
-def read_keras(path, retrain: bool = False, grid=None) -> KerasModel:
+def read_keras(path, retrain: bool = False, grid=None, pixels: bool = True) -> KerasModel:
     """Read a file of a Keras model; a file is read once in a process.
 
     Parameters
@@ -32,6 +32,9 @@ def read_keras(path, retrain: bool = False, grid=None) -> KerasModel:
         Replace maxima by averages and other activations by ReLUs, since training goes on.
     grid : tuple of int, optional
         (rows, columns, channels) of an image, for a model whose input is a vector.
+    pixels : bool
+        Multiply images, which end at 1, by 255 for a model that begins with the scaling of pixels;
+        False for one that was trained on images as they are.
 
     Raises
     ------
@@ -49,7 +52,7 @@ def read_keras(path, retrain: bool = False, grid=None) -> KerasModel:
             sha256 = sha256_of(path)
             # A model of images has rows and columns of its own.
             is_of_vectors = len(_load(path, sha256).inputs[0].shape) == 2
-            return _convert(path, sha256, retrain, grid if is_of_vectors else None)
+            return _convert(path, sha256, retrain, grid if is_of_vectors else None, pixels)
     except ModelFileError as error:
         raise ModelFileError(f"{path}: {error}") from error
 
@@ -64,11 +67,11 @@ def _load(path, sha256):
 
 
 @functools.lru_cache(maxsize=2)
-def _convert(path, sha256, retrain, grid) -> KerasModel:
+def _convert(path, sha256, retrain, grid, pixels) -> KerasModel:
     """Convert the model of a file whose content has a hash."""
     model = _load(path, sha256)
     layers = [_layer(layer) for layer in _flat_layers(model)]
-    model_read = convert_layers(tuple(model.inputs[0].shape[1:]), layers, retrain, grid)
+    model_read = convert_layers(tuple(model.inputs[0].shape[1:]), layers, retrain, grid, pixels)
     if not model_read.architecture.spiking:
         raise ModelFileError("has no layer of neurons before its output; add one with a ReLU")
     _compare(model, model_read)

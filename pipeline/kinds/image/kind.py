@@ -1,6 +1,6 @@
 """The kind of networks on tactile images: the paper's CNN, or a user's Keras model in its place."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -454,7 +454,7 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
         The model cannot be read or has changed, and the run has no copy; or it is not better than
         chance.
     """
-    path, model = _read_model(folder, settings)
+    path, model = _read_model(folder, settings, dataset)
     from models.cnn import predict
 
     images, labels = dataset.subset("train")
@@ -470,21 +470,55 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
     return path, model
 
 
-def _read_model(folder, settings):
+def _read_model(folder, settings, dataset):
     """The file of the user's model, or its copy, and the model."""
     copy = copy_of_model(folder, settings)
     path = find_imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
     retrain = settings.snn.recipe == "loihi"
-    model = read_keras(path, retrain, parse(settings.cnn.architecture).input_shape)
+    shape = parse(settings.cnn.architecture).input_shape
+    model = read_keras(path, retrain, shape)
+    if model.input_scale != 1:
+        without = read_keras(path, retrain, shape, pixels=False)
+        model = _choose_scale(model, without, dataset)
     imported = settings.cnn.model_sha256, settings.cnn.architecture
     if (sha256_of(path), str(model.architecture)) != imported:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
     return path, model
 
 
+def _choose_scale(of_pixels, without, dataset):
+    """A model that begins with the scaling of pixels, for the images that it was trained on.
+
+    Nothing in a file tells if these ended at 255, or at 1 as the images of this project do, so that
+    the training samples decide.
+
+    Parameters
+    ----------
+    of_pixels, without : KerasModel
+        The model that multiplies images, and the one that takes them as they are.
+    dataset : Dataset
+    """
+    from models.cnn import predict
+
+    images, labels = dataset.subset("train")
+    images, labels = thin(images, MAX_COMPARED_SAMPLES), thin(labels, MAX_COMPARED_SAMPLES)
+    accuracies = [
+        float((predict(make_original_network(model), images).argmax(1) == labels).mean())
+        for model in (of_pixels, without)
+    ]
+    if accuracies[1] <= accuracies[0]:
+        return of_pixels
+    note = (
+        f"its first layer scales pixels, but it was trained on images that end at 1: accuracy "
+        f"{accuracies[1]:.3f} on {len(labels)} training samples, and {accuracies[0]:.3f} if they "
+        "are multiplied by 255"
+    )
+    return replace(without, notes=(*without.notes, note))
+
+
 def _require_images_of_model(folder, settings, dataset):
     """Refuse images that are normalised in another way than those that the model was trained on."""
-    path, model = _read_model(folder, settings)
+    path, model = _read_model(folder, settings, dataset)
     from models.cnn import predict
 
     network = make_original_network(model)
