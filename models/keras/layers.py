@@ -325,11 +325,16 @@ class LayerConverter:
         if affine is not None:
             return Window(kernel, strides, before), counts, affine
         means = self.means
-        is_padded = any(zeros or after for _, zeros, after in along)
-        if means is None or means.map is not self.signal.map or is_padded:
+        if means is None or means.map is not self.signal.map:
             layer.refuse(
-                "its input is averaged over windows that overlap, or is in another order than "
-                "rows, columns and channels; use AveragePooling2D(2), or a Dense after it"
+                "its input is averaged over windows that overlap or are cut off, or is in another "
+                "order than rows, columns and channels; use AveragePooling2D(2), or a Dense after "
+                "it"
+            )
+        if any(zeros or after for _, zeros, after in along):
+            layer.refuse(
+                "pads zeros around averages over windows that overlap or are not square; use "
+                "padding='valid', AveragePooling2D(2), or a Dense after the averages"
             )
         kernel = spread_kernel(kernel, 1, means.strides)
         kernel = sum_shifted(kernel, means.size, (1, 1)) / math.prod(means.size)
@@ -655,8 +660,19 @@ class LayerConverter:
             if self.is_linear and self.fold_back(scale, offset):
                 self.notes.append(f"{layer}: folded into {self.sums[-1].layer}")
                 return
+            has_means = self.means is not None and self.means.map is self.signal.map
             self.signal.scale(scale, offset)
+            if has_means:
+                self.scale_means(scale, offset)
         self.notes.append(f"{layer}: folded into the next layer")
+
+    def scale_means(self, scale, offset):
+        """Scale averages that a convolution may take in, if each channel is scaled as a whole."""
+        scales, offsets = (a.reshape(-1, self.signal.shape[2]) for a in (scale, offset))
+        if (scales == scales[0]).all() and (offsets == offsets[0]).all():
+            before, constant = self.means.affine
+            affine = (scales[0] * before, scales[0] * constant + offsets[0])
+            self.means = replace(self.means, affine=affine, map=self.signal.map)
 
     def fold_back(self, scale, offset) -> bool:
         """Fold an affine function into the last weighted sums, if it is one for each channel."""

@@ -231,6 +231,7 @@ def exact(keras):
             layers.Conv2D(4, 3, activation="relu"),
             layers.AveragePooling2D(3, strides=2),
             layers.Dropout(0.1),
+            layers.BatchNormalization(),
             layers.Conv2D(3, 2, activation="relu"),
             layers.Flatten(),
             layers.Dense(3),

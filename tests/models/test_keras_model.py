@@ -73,7 +73,7 @@ REPLACED = {
     "no_activation": "12x12-4c3-4c3-3o",
 }
 BAD = {
-    "overlapping_means": ("'d'", "AveragePooling2D(2)"),
+    "overlapping_means": ("'d'", "pads zeros", "padding='valid'", "AveragePooling2D(2)"),
     "other_padding": ("'c'", "padding='same'"),
     "not_square": ("'c'", "3x2"),
     "function": ("activation", "activation='relu'"),
