@@ -106,11 +106,22 @@ def operations_of_input(architecture: str) -> float:
 
 
 @functools.lru_cache(maxsize=8)
+def plan_untrained(architecture: str, on_events: bool, deployment: Deployment):
+    """The plan of an untrained network, on any number of chips; arguments as :func:`chip_problems`.
+
+    The resources that a network needs do not depend on the values of its weights.
+
+    Returns
+    -------
+    deploy.preflight.plan.Plan
+    """
+    from deploy.preflight.plan import make_plan  # imports NengoLoihi, which takes seconds
+
+    return make_plan(make_untrained_network(architecture, on_events, deployment), ANY_NUMBER)
+
+
 def chip_problems(architecture: str, on_events: bool, deployment: Deployment) -> tuple:
     """Reasons why a network of an architecture does not fit the cores of the chip.
-
-    They are those of the plan of an untrained network of the same architecture; the resources that
-    it needs do not depend on the values of the weights.
 
     Parameters
     ----------
@@ -124,9 +135,7 @@ def chip_problems(architecture: str, on_events: bool, deployment: Deployment) ->
     tuple of str
         One line for each layer and limit, with the excess and a remedy.
     """
-    from deploy.preflight.plan import make_plan  # imports NengoLoihi, which takes seconds
-
-    plan = make_plan(make_untrained_network(architecture, on_events, deployment), ANY_NUMBER)
+    plan = plan_untrained(architecture, on_events, deployment)
     return tuple(f"{architecture}: {problem}" for problem in plan.problems)
 
 

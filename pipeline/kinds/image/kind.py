@@ -10,11 +10,13 @@ from deploy.check.intervals import wilson_interval
 from deploy.errors import UserError
 from deploy.files import copy_file, sha256_of
 from deploy.network.spec import NetworkSpec
+from deploy.tables import plural
 from deploy.targets.fast import measure_firing_rates
 from models import chain
 from models.architecture import parse
 from models.keras.reader import make_original_network, read_keras
 from pipeline.kinds import counts
+from pipeline.kinds.architectures import plan_untrained
 from pipeline.kinds.diagnosis import (
     compare_rates,
     compute_fastest_rate,
@@ -261,6 +263,7 @@ class ImageKind(NetworkKind):
             if self.settings.is_open("image.normalisation"):
                 _require_images_of_model(artifact.folder, self.settings, inputs.dataset)
             read_usable_model(artifact.folder, self.settings, inputs.dataset)
+            inputs.say(f"cnn: its spiking network needs {_describe_need(self.settings)}")
 
 
 def describe_network(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
@@ -300,6 +303,13 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
     return chain.build_network_spec(
         links, settings.stimulus, settings.make_presentation(), provenance
     )
+
+
+def _describe_need(settings):
+    """The cores and chips that the spiking network will need."""
+    plan = plan_untrained(settings.cnn.architecture, False, settings.deployment)
+    cores = plural(len(plan.cores), "core")
+    return f"{cores} on {plural(plan.chips, 'chip')}, see 'stmnist deploy plan' for each layer"
 
 
 def _train_cnn(settings, dataset, weights=None):

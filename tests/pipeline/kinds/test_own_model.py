@@ -195,6 +195,7 @@ def test_a_maximum_becomes_an_average_and_is_trained_further(files, tmp_path, ca
     options = ("--set", "snn.epochs=1", "--set", "cnn.epochs=12", "--retrain")
     assert call("convert", folder, "--model", path, *SMALL, *options) == 0
     said = capsys.readouterr()
+    assert re.search(r"needs \d+ cores? on \d+ chip", said.err)
     said = said.err + said.out
     line = next(line for line in said.splitlines() if "as in the file" in line)
     before, replaced, after = (float(number) for number in re.findall(r"[01]\.\d{3}", line))
