@@ -12,8 +12,10 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
+from pipeline.api.results import Predictions
 from pipeline.recordings.writing import write_recordings
 from pipeline.results import other_recordings
+from pipeline.results.check_on_others import OtherRecordings
 from tests.command import call, hurry_emulator, missing, users_environment
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -85,18 +87,35 @@ def test_other_recordings_are_answered_by_the_same_network(folder, kind, capsys)
 
 
 @pytest.mark.parametrize("kind", QUICK)
-def test_recordings_without_labels_are_classified(folder, kind, tmp_path):
+def test_recordings_without_labels_are_classified(folder, kind, tmp_path, capsys):
     bundle = read_bundle(folder / kind / "bundle")
     for name in CLASSES[:2]:
         (tmp_path / "known" / name).mkdir(parents=True)
         shutil.copy(folder / "own" / name / "003.npz", tmp_path / "known" / name)
-    known = other_recordings.predict(bundle, tmp_path / "known")
+    known = Predictions(other_recordings.predict(bundle, OtherRecordings(tmp_path / "known")))
     assert set(known) == {f"{name}/003" for name in CLASSES[:2]}
     (tmp_path / "new" / "today").mkdir(parents=True)
     for name in CLASSES[:2]:
         shutil.copy(folder / "own" / name / "003.npz", tmp_path / "new" / "today" / f"{name}.npz")
-    unknown = other_recordings.predict(bundle, tmp_path / "new")
-    assert unknown == {f"today/{name}": known[f"{name}/003"] for name in CLASSES[:2]}
+    expected = {f"today/{name}": known[f"{name}/003"] for name in CLASSES[:2]}
+    assert predict_by_command(folder / kind, tmp_path / "new", capsys) == expected
+    # The same files without a folder around them, and one of them alone.
+    flat = {name: known[f"{name}/003"] for name in CLASSES[:2]}
+    assert predict_by_command(folder / kind, tmp_path / "new" / "today", capsys) == flat
+    one = CLASSES[0]
+    single = tmp_path / "new" / "today" / f"{one}.npz"
+    assert predict_by_command(folder / kind, single, capsys) == {one: flat[one]}
+    assert call("predict", folder / kind, single) == 0
+    assert missing(capsys.readouterr().out, one, "probability") == []
+
+
+def predict_by_command(run, path, capsys):
+    """The predictions of the command line, by recording."""
+    capsys.readouterr()
+    assert call("predict", run, path, "--jobs", 1, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["predictions"]
+    assert all(row["probability"] is None or 0 < row["probability"] < 1 for row in rows)
+    return {row["recording"]: row["class"] for row in rows}
 
 
 def test_where_such_results_are_kept(folder):

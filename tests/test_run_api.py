@@ -115,10 +115,14 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
     predictions = run.predict(recordings)
     assert predictions.ids == list(recordings.ids)
     assert set(predictions.names) <= set(CLASSES)
-    assert predictions.to_dict()[recordings.ids[0]] == predictions.names[0]
+    assert predictions[recordings.ids[0]] == predictions.names[0]
+    assert all(0 < probability < 1 for probability in predictions.probabilities)
     assert is_one_line(predictions)
     backwards = recordings.subset(range(7, -1, -1))
-    assert run.predict(backwards).to_dict() == predictions.to_dict()
+    again = run.predict(backwards)
+    assert {name: again[name] for name in recordings.ids} == dict(
+        zip(predictions.ids, predictions.names, strict=True)
+    )
     unlabelled = Recordings.from_arrays(events, time_unit="s")
     by_press = [recordings.ids.index(name) for name in sorted(recordings.ids, key=_number)]
     assert run.predict(unlabelled).names == [predictions.names[index] for index in by_press]

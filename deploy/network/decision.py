@@ -270,10 +270,11 @@ def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, fir
         Index in ``outputs``; the last one if the confidence never reaches the threshold.
     classes : ndarray of int, shape (n_samples,)
     """
-    return _find_decisions(np.asarray(outputs), confidence(outputs, estimator, first), threshold)
+    return find_decisions(np.asarray(outputs), confidence(outputs, estimator, first), threshold)
 
 
-def _find_decisions(outputs, sure, threshold):
+def find_decisions(outputs, sure, threshold: float):
+    """As :func:`decide`, of outputs whose confidence ``sure`` at each step is known."""
     reached = sure >= threshold
     reached[:, -1] = True
     steps = reached.argmax(1)
@@ -326,7 +327,7 @@ def choose_threshold(
     sure = confidence(outputs, estimator)
     best = Threshold(1.0, at_the_end, 1.0)
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
-        steps, classes = _find_decisions(outputs, sure, level)
+        steps, classes = find_decisions(outputs, sure, level)
         threshold = Threshold(
             float(level), mean(classes == labels), mean(share_of_time(steps, last_step))
         )

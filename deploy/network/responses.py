@@ -16,7 +16,7 @@ from typing import Dict, Iterator, NamedTuple, Optional
 import numpy as np
 
 from .chip import LOIHI
-from .decision import continue_confidence, decide
+from .decision import confidence, continue_confidence, find_decisions
 from .spec import NetworkSpec
 
 
@@ -37,6 +37,10 @@ class Responses:
     stopped_at : ndarray of int, shape (n_samples,), or None
         Step (from 1) at which the confidence was first reached, or the last one; None if the
         presentation has no confidence.
+    probabilities : ndarray of float, shape (n_samples,), or None
+        Estimated probability that the class at the last step is right: that of the confidence, or
+        without one the softmax of the scores.  NaN where no spike has reached the readout; None if
+        the readout counts spikes of output neurons, which are no logits.
     spike_hashes : ndarray of str, shape (n_samples,), or None
         Hash of every spike of every layer and step of each sample, including its gap; None from a
         target that does not record single spikes.
@@ -49,6 +53,7 @@ class Responses:
     spikes: Dict[str, np.ndarray]
     operations: Dict[str, np.ndarray]
     stopped_at: Optional[np.ndarray] = None
+    probabilities: Optional[np.ndarray] = None
     spike_hashes: Optional[np.ndarray] = None
     notes: dict = field(default_factory=dict)
 
@@ -336,14 +341,23 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: Optional[dict]) -
     empty = ~np.logical_or.accumulate((output[:, start:] != 0).any(2), axis=1)
     decisions[:, start:] = np.where(empty, -1, best)
     stopped = None
+    sure = None
     if limit is not None:
-        stopped = start + 1 + decide(_sums(spec, scores), limit, spec.estimator, start)[0]
+        sums = _sums(spec, scores)
+        confidences = confidence(sums, spec.estimator, start)
+        stopped = start + 1 + find_decisions(sums, confidences, limit)[0]
+        sure = confidences[:, -1]
+    elif spec.layers[-1].neurons is None:
+        sure = confidence(scores[:, -1])
+    if sure is not None:
+        sure = np.where(empty[:, -1] | (sure == 0), np.nan, sure)
     return Responses(
         scores=round_scores(scores[:, -1], find_score_unit(spec)),
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
         operations=spec.synaptic_operations(spikes) if spikes else {},
         stopped_at=stopped,
+        probabilities=sure,
     )
 
 
@@ -506,7 +520,7 @@ def join(by_stream) -> Responses:
         return np.concatenate(values)
 
     names = [entry.name for entry in fields(Responses) if entry.name != "notes"]
-    for name in ("stopped_at", "spike_hashes"):
+    for name in ("stopped_at", "probabilities", "spike_hashes"):
         if any(getattr(responses, name) is None for responses in by_stream):
             names.remove(name)
     return Responses(**{name: concatenate(name) for name in names})

@@ -41,8 +41,8 @@ class Decision:
         Name of the class.
     number : int
         The class, from 0.
-    probability : float
-        Estimated probability that the class is right, from 0 to 1; 0 if there is no estimate: no
+    probability : float or None
+        Estimated probability that the class is right, from 0 to 1; None without an estimate: no
         spike has reached the readout, so that the class means nothing, or the touch has lasted
         longer than the samples of the training, on which probabilities are estimated.
     time : float
@@ -60,7 +60,7 @@ class Decision:
 
     label: str
     number: int
-    probability: float
+    probability: Optional[float]
     time: float
     start: float
     early: bool
@@ -566,7 +566,7 @@ class Stream:
             touch,
             steps,
             number=int(readout.scores_at(steps).argmax()),
-            probability=float(readout.confidences[row]) if is_estimated else 0.0,
+            probability=float(readout.confidences[row]) if is_estimated else None,
             time=time_ns,
             early=False,
         )

@@ -14,7 +14,7 @@ import numpy as np
 from deploy.check.energy import EnergyEstimate, estimate_text, joules_text
 from deploy.check.text import others_text, summary
 from deploy.preflight.plan import Plan, plan_text
-from deploy.tables import plural
+from deploy.tables import align_rows, plural
 from pipeline.results.compare import runs_text
 from pipeline.results.ladder import ladder_text
 
@@ -211,21 +211,32 @@ class Predictions(Result):
     ids : list of str
     names : list of str
         Name of the predicted class of each recording, in the order of the recordings.
+    probabilities : list of (float or None)
+        Estimated probability of each that the class is right; None without an estimate.
     """
 
-    def __init__(self, values: dict):
-        super().__init__(values)
-        self.ids = list(values)
-        self.names = list(values.values())
+    def __init__(self, predictions):
+        rows = [
+            {"recording": each.recording, "class": each.label, "probability": each.probability}
+            for each in predictions
+        ]
+        super().__init__({"predictions": rows})
+        self.ids = [row["recording"] for row in rows]
+        self.names = [row["class"] for row in rows]
+        self.probabilities = [row["probability"] for row in rows]
+        self._name_of = dict(zip(self.ids, self.names, strict=True))
 
     def __getitem__(self, name: str) -> str:
-        return self.values[name]
+        return self._name_of[name]
 
     def __iter__(self):
         return iter(self.ids)
 
     def __len__(self):
         return len(self.ids)
+
+    def __str__(self):
+        return "\n".join(align_rows(self.table()))
 
     def line(self) -> str:
         """See :meth:`Result.line`."""
@@ -234,7 +245,10 @@ class Predictions(Result):
 
     def table(self) -> list:
         """See :meth:`Result.table`."""
-        return [["recording", "prediction"], *(list(pair) for pair in self.values.items())]
+        rows = [["recording", "class", "probability"]]
+        for name, label, probability in zip(self.ids, self.names, self.probabilities, strict=True):
+            rows.append([name, label, "-" if probability is None else f"{probability:.3f}"])
+        return rows
 
 
 class Training(Result):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+from dataclasses import replace
 from functools import partial
 from numbers import Integral
 from os import PathLike
@@ -218,15 +219,20 @@ class Run:
         Parameters
         ----------
         recordings : path-like or Recordings
-            Those in memory are named by their ``ids``.
+            A zip or folder, also without folders of classes, or one file.  Those in memory are
+            named by their ``ids``.
         target : str
         """
         with self._noting(), self._on_disk(recordings) as path:
-            values = other_recordings.predict(self.bundle, path, target, warn=self._say)
+            others = OtherRecordings(str(path), jobs=self._jobs)
+            predictions = other_recordings.predict(self.bundle, others, target, self._say)
         if isinstance(recordings, Recordings):  # whose files have their numbers as names
-            numbered = {int(PurePath(name).name): label for name, label in values.items()}
-            values = {recordings.ids[number]: numbered[number] for number in sorted(numbered)}
-        return Predictions(values)
+            numbered = {int(PurePath(each.recording).name): each for each in predictions}
+            predictions = [
+                replace(numbered[number], recording=recordings.ids[number])
+                for number in sorted(numbered)
+            ]
+        return Predictions(predictions)
 
     def plan(self) -> ChipPlan:
         """The resources of the chip that the network needs."""

@@ -52,6 +52,10 @@ VERBS = {
         "Run the missing stages up to the emulator, and print the loss of each stage.",
         "stages.ladder",
     ),
+    "predict": (
+        "Classify recordings, with or without labels: a file, a zip or a folder.",
+        "predict.predict",
+    ),
     "status": (
         "Show each artifact of a run: current, outdated and why, or missing.",
         "results.status",
@@ -87,7 +91,7 @@ VERBS = {
 PANELS = {
     "Start here": ("data", "train", "convert", "ladder"),
     "Look": ("report", "live", "animate", "status", "settings"),
-    "Measure": ("check", "compare", "sweep"),
+    "Measure": ("check", "predict", "compare", "sweep"),
     "Deploy": ("deploy", "adapt"),
 }
 

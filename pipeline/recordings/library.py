@@ -83,7 +83,7 @@ def import_recordings(
     UserError
         The source cannot be read, or the cache is damaged.
     """
-    listing = list_source(source)
+    listing = list_source(source, reading.labelled)
     # An import without the bad files must not be used as a complete import later, and refused
     # files are not in the hash.
     refused = [list(entry) for entry in listing.refused]

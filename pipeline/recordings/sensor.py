@@ -60,6 +60,8 @@ class ReadingOptions:
         Width of a bin in arrays of counts, in milliseconds.
     rise : int
         Channel of rising pressure in arrays of counts; -1: 1 on ST-MNIST's grid, else 0.
+    labelled : bool
+        False if recordings need not be in folders of classes; the source may be one file then.
     """
 
     rows: int = 0
@@ -69,6 +71,7 @@ class ReadingOptions:
     usual_unit: str = ""
     bin_ms: float = 20.0
     rise: int = AUTOMATIC_RISE
+    labelled: bool = True
 
 
 AS_FOUND = ReadingOptions()

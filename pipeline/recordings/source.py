@@ -144,8 +144,15 @@ class Listing:
         return tables + [entry.member for entry in self.entries]
 
 
-def list_source(path) -> Listing:
+def list_source(path, labelled: bool = True) -> Listing:
     """Find the recordings in a zip or folder.
+
+    Parameters
+    ----------
+    path : path-like
+    labelled : bool
+        False if recordings need not be in folders of classes, so that a class may have an empty
+        name; the path may be that of one recording then.
 
     Raises
     ------
@@ -154,6 +161,8 @@ def list_source(path) -> Listing:
         of several formats or a folder of validation samples.
     """
     path = Path(path)
+    if not labelled and path.suffix.lower() in READERS and path.is_file():
+        return _list_file(path)
     files, folders, refused = _members(path)
     members, tables = _sort_files(path, files)
     recordings, others = _choose_format(path, members)
@@ -161,7 +170,7 @@ def list_source(path) -> Listing:
     class_folders = _find_class_folders(path, recordings)
     entries = []
     for member in recordings:
-        part, of_class, problem = _place(member, class_folders)
+        part, of_class, problem = _place(member, class_folders, labelled)
         if problem:
             refused.append((str(member), problem))
         else:
@@ -172,6 +181,13 @@ def list_source(path) -> Listing:
     entries.sort(key=lambda e: (e.part != "train", sensor.class_order(e.of_class), e.member))
     lookup_table, positions = tables
     return Listing(path, tuple(entries), lookup_table, positions, tuple(sorted(refused)))
+
+
+def _list_file(path):
+    """The listing of one recording, with the tables beside it."""
+    beside = {entry.name.lower(): entry.name for entry in path.parent.iterdir() if entry.is_file()}
+    tables = [beside.get(name) for name in (LOOKUP_TABLE, POSITIONS)]
+    return Listing(path.parent, (Entry(path.name, "", ""),), *tables, ())
 
 
 def _sort_files(path, files):
@@ -307,7 +323,10 @@ def _members(path):
     if path.suffix.lower() == OLD_SUFFIX:
         raise UserError(f"{path}: cannot be read; {CONVERT_OLD}")
     if path.suffix.lower() in READERS:
-        raise UserError(f"{path}: is one recording; give the zip or folder of all of them")
+        raise UserError(
+            f"{path}: is one recording; give the zip or folder of all of them "
+            "('stmnist predict' takes one)"
+        )
     try:
         with open_regular(path) as file, _archive(file) as archive:
             members = archive.infolist()
@@ -383,7 +402,7 @@ def _find_folders_around(recordings) -> PurePosixPath:
         around /= top
 
 
-def _place(member, class_folders):
+def _place(member, class_folders, labelled=True):
     """Subset and class of a recording, and empty; or the reason why it has none."""
     if not member.is_relative_to(class_folders.around):
         return "", "", f"is not in {class_folders.around}, as the others are; move it"
@@ -400,11 +419,8 @@ def _place(member, class_folders):
     if label is not None and (problem := _examine_label(label, folders, class_folders)):
         return "", "", problem
     if not folders and label is None:
-        return (
-            "",
-            "",
-            ("is not in a folder of a class; give the folder above, or make a folder for it"),
-        )
+        problem = "is not in a folder of a class; give the folder above, or make a folder for it"
+        return part, "", problem if labelled else ""
     return part, (folders[0] if folders else label), ""
 
 
@@ -464,7 +480,7 @@ def read_source(
         published split; or files are refused, with a line for each reason, or with ``skip_bad``
         all files of a class.
     """
-    listing = list_source(path)
+    listing = list_source(path, reading.labelled)
     entries, read, bad = _read_entries(listing, jobs, progress)
     refused = [*listing.refused, *bad]
     lookup, positions = _tables_of(listing)
@@ -480,7 +496,7 @@ def read_source(
     entries = [entries[index] for index in interpretation.kept]
     read = [read[index] for index in interpretation.kept]
     classes = {entry.of_class for entry in entries}
-    unread = sorted({entry.of_class for entry in listing.entries} - classes)
+    unread = reading.labelled and sorted({entry.of_class for entry in listing.entries} - classes)
     if unread:
         name = printable(unread[0])
         head = f"{path}: no recording of {name!r} can be read; correct or remove them"
@@ -636,7 +652,8 @@ def _refusals(path, refused, total, can_skip=True):
     if len(by_reason) > MAX_LISTED:
         lines.append(f"and files refused for {len(by_reason) - MAX_LISTED} more reasons")
     remedy = "correct them" + can_skip * (
-        ", or leave them out: --set data.skip_bad=true (of 'adapt' and 'check run' --skip-bad)"
+        ", or leave them out: --set data.skip_bad=true (of 'adapt', 'check run' and 'predict' "
+        "--skip-bad)"
     )
     if len(lines) == 1:
         return [f"{path}: {lines[0]}; {remedy}"]

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OtherRecordings:
-    """Recordings on which a bundle is checked instead of its own samples.
+    """Recordings that a bundle is checked on instead of its own samples, or that it classifies.
 
     Attributes
     ----------
     data : str or None
-        Zip or folder; None for the bundle's own samples.
+        Zip or folder, for predictions also one file; None for the bundle's own samples.
     samples : int or None
         Number of recordings drawn at random; 0 for all, None for at most 200.
     skip_bad : bool

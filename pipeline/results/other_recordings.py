@@ -1,7 +1,7 @@
 """A network's results on recordings that were not used in its training, such as other people's."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from pipeline.recordings.formats.recording import UNITS
 from pipeline.recordings.sensor import ReadingOptions
 from pipeline.recordings.splits import draw_check_samples
 from pipeline.recordings.times import MIN_DURATION_S
+from pipeline.results.check_on_others import OtherRecordings
 from pipeline.results.ladder import count_confusions
 from pipeline.run.folder import checks_of, run_around
 from pipeline.run.settings import Image, Settings, read_settings
@@ -83,7 +84,8 @@ def read_recordings_for(
     warn : callable, optional
         Called with a line for each file that was left out.
     labelled : bool
-        False if the names of the folders need not be classes of the network; the label is -1 then.
+        False if the names of the folders need not be classes of the network, or if there are none;
+        the label is -1 then.
 
     Raises
     ------
@@ -104,6 +106,7 @@ def read_recordings_for(
         usual_unit=usual if usual in UNITS else "",
         bin_ms=recorded.get("bin_ms", data.bin),
         rise=recorded.get("rise", data.rise),
+        labelled=labelled,
     )
     recordings = load_recordings(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
@@ -130,47 +133,68 @@ def read_recordings_for(
     return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
 
 
-def predict(
-    bundle: Bundle, source, target="fast", skip_bad=False, warn=remark, time_unit=""
-) -> dict:
+@dataclass(frozen=True)
+class Prediction:
+    """The prediction for a recording.
+
+    Attributes
+    ----------
+    recording : str
+        Its id: its folder, if there is one, and its name.
+    label : str
+        Name of the predicted class.
+    probability : float or None
+        Estimated probability that the class is right; None without an estimate, as where no spike
+        has reached the readout.
+    """
+
+    recording: str
+    label: str
+    probability: float | None
+
+
+def predict(bundle: Bundle, others: OtherRecordings, target: str = "fast", warn=remark) -> list:
     """Classify recordings, with or without labels, each with the network at rest before it.
 
     Parameters
     ----------
     bundle : Bundle
-    source : path-like
-        A zip or folder with recordings of the network's sensor, in folders of any names.
+    others : OtherRecordings
+        A zip or folder with recordings of the network's sensor, also without folders or in folders
+        of any names; or one recording.
     target : str
         See :data:`deploy.targets.registry.TARGETS`.
-    skip_bad : bool
-        True to leave out files that cannot be read.
     warn : callable
         Called with each warning; default: printed on standard error.
-    time_unit : str
-        Unit of the times, ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; default: the files' own, or
-        that of the recordings that the network was trained on.
 
     Returns
     -------
-    dict of str to str
-        For each recording's id (its folder and name), the name of the predicted class.
+    list of Prediction
 
     Raises
     ------
     UserError
         The recordings cannot be read, or are from another sensor.
     """
-    settings = find_settings_around(bundle, skip_bad, time_unit)
-    recordings = read_recordings_for(bundle, str(source), settings, warn=warn, labelled=False)
+    settings = find_settings_around(bundle, others.skip_bad, others.time_unit)
+    recordings = read_recordings_for(
+        bundle, str(others.data), settings, others.jobs, warn, labelled=False
+    )
     for line in list_warnings(bundle, recordings):
         warn(line)
     spec = bundle.spec.with_presentation(stream_length=1)
     names = recordings.sensor.classes
-    responses = run_target(
-        spec, make_inputs_for(spec, recordings, settings.image), target, bundle.seed
-    )
-    pairs = zip(recordings.ids, responses.predictions, strict=True)
-    return {name: names[prediction] for name, prediction in pairs}
+    inputs = make_inputs_for(spec, recordings, settings.image)
+    responses = run_target(spec, inputs, target, bundle.seed)
+    probabilities = responses.probabilities
+    if probabilities is None:
+        probabilities = np.full(len(recordings), np.nan)
+    return [
+        Prediction(name, names[number], None if np.isnan(probability) else float(probability))
+        for name, number, probability in zip(
+            recordings.ids, responses.predictions, probabilities, strict=True
+        )
+    ]
 
 
 def find_trained_on(bundle: Bundle, recordings: Recordings) -> np.ndarray:

@@ -1,0 +1,41 @@
+"""``stmnist predict``: the classes of recordings, with or without labels."""
+
+from typing import Annotated
+
+import typer
+
+from pipeline.commands import options
+
+
+def predict(
+    bundle: options.Bundle,
+    data: Annotated[
+        str,
+        typer.Argument(
+            help="Recordings of the network's sensor: one file, or a zip or folder, also without "
+            "folders of classes.",
+        ),
+    ],
+    target: Annotated[str, typer.Option(help="As of 'check run', such as nengo.")] = "fast",
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
+    ] = False,
+    time_unit: options.TimeUnit = "",
+    jobs: options.Jobs = 2,
+    as_json: options.Json = False,
+):
+    """Print the class of each recording and the estimated probability that it is right.
+
+    Each recording is presented to the network at rest.
+    """
+    from deploy.check.bundle import read_bundle
+    from pipeline.api.results import Predictions
+    from pipeline.results.check_on_others import OtherRecordings
+    from pipeline.results.other_recordings import predict as predict_recordings
+
+    folder = options.bundle_in(bundle)
+    opened = read_bundle(folder)
+    options.warn_if_outdated(folder)
+    others = OtherRecordings(data, skip_bad=skip_bad, time_unit=time_unit, jobs=jobs)
+    predictions = Predictions(predict_recordings(opened, others, target, options.say))
+    options.tell(predictions.to_dict(), lambda _: str(predictions), as_json)
