@@ -11,6 +11,7 @@ from pipeline.recordings.events import Recordings
 from pipeline.results.status import status_of
 from pipeline.run.folder import RunFolder
 from stmnist import Run, compare_runs
+from tests.command import missing
 
 CLASSES = ["left", "right"]
 
@@ -192,6 +193,35 @@ def test_an_existing_run_keeps_its_settings_and_trains_nothing_again(run):
     assert "events" in repr(again)
     assert len(again.recordings) == 60
     assert len(again.dataset.split.test) >= 10
+
+
+@pytest.mark.parametrize(("changes", "fact"), [
+    ({"input": "image"}, "input.kind from 'events' to 'image'"),
+    ({"events.epochs": 9}, "events.epochs from 6 to 9"),
+    ({"data": "simulated"}, "data.source"),
+])  # fmt: skip
+def test_changes_of_an_existing_run_are_said_at_once_and_by_its_old_bundle(run, changes, fact):
+    changed = Run(run.path, quiet=True, **changes)
+    assert missing(changed.notes[0], fact, str(run.path), "another path") == []
+    changed.plan()
+    assert missing(changed.notes[-1], fact, "convert()") == []
+    assert Run(run.path, quiet=True, input="events").notes == []
+
+
+def test_other_recordings_in_memory_are_said(run, tmp_path):
+    copied = tmp_path / "run"
+    copied.mkdir()
+    for name in ("experiment.toml", "dataset.json"):
+        (copied / name).write_bytes((run.path / name).read_bytes())
+    (copied / "bundle").mkdir()
+    events, labels = arrays(60)
+    recordings = Recordings.from_arrays(events, labels, classes=CLASSES, time_unit="s")
+    text = (copied / "experiment.toml").read_text()
+    text = text.replace(str(run.path.parent), str(tmp_path))
+    (copied / "experiment.toml").write_text(text)
+    assert Run(copied, data=recordings, quiet=True).notes == []
+    other = Run(copied, data=recordings.subset(range(50)), quiet=True)
+    assert "recordings in memory" in other.notes[0]
 
 
 def test_runs_side_by_side(run):

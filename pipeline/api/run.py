@@ -13,10 +13,11 @@ from pathlib import Path, PurePath
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.check.energy import estimate_energy
 from deploy.errors import UserError
+from deploy.files import read_json, sha256_of
 from deploy.network.provenance import read_classes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
-from deploy.terminal import command_text, remark
+from deploy.terminal import WARNING, command_text, remark
 from pipeline import stages
 from pipeline.api.results import (
     CheckResult,
@@ -109,8 +110,14 @@ class Run:
             put(changes, name, value, ORIGIN)
         before = self._folder.resolve_settings(None, {})
         self._given = before.with_values(changes, ORIGIN)
+        self._asked = tuple(_list_names(changes))
         if isinstance(data, Recordings):
             data.write(self._source(data))
+        if line := self._describe_changes():
+            self._say(
+                f"{WARNING}{self.path}: {line}: its networks are replaced as soon as others are "
+                "trained; to keep them, give another path"
+            )
 
     def __repr__(self):
         settings = self._given
@@ -145,7 +152,37 @@ class Run:
                 f"{self.path}: has no bundle yet; make it with run.convert(), or "
                 f"{command_text('convert', self.path)}"
             )
+        if line := self._describe_changes():
+            self._say(
+                f"{WARNING}{self.path}: {line}: its bundle is the former one; run.convert() makes "
+                "that of the present settings"
+            )
         return read_bundle(self._folder.bundle)
+
+    def _describe_changes(self):
+        """The settings that differ from those of the networks of the run, in a line."""
+        folder = self._folder
+        networks = (folder.cnn / "metrics.json", folder.snn / "metrics.json", folder.bundle)
+        if not folder.experiment.exists() or not any(path.exists() for path in networks):
+            return ""
+        before = read_settings(folder.experiment).flat()
+        now = self._given.flat()
+        changes = [
+            f"{name} from {before[name]!r} to {now[name]!r}"
+            for name in self._asked
+            if before[name] != now[name]
+        ]
+        if not changes and self._has_other_recordings():
+            changes = ["the recordings in memory"]
+        return f"changed {', '.join(changes)}" if changes else ""
+
+    def _has_other_recordings(self):
+        """True if recordings in memory differ from those that the run was made on."""
+        source = Path(self._given.data.source)
+        if not source.name.endswith(RECORDINGS_ENDING) or not self._folder.dataset.exists():
+            return False
+        known = read_json(self._folder.dataset, "").get("sha256")
+        return source.is_file() and known != sha256_of(source)
 
     def train(self) -> Training:
         """Train the networks; on images the CNN, on events the spiking network."""
@@ -315,6 +352,15 @@ class Run:
             others = OtherRecordings(str(path), samples, jobs=self._jobs)
             result, _ = check_on_others(bundle, others, check, self._say)
         return CheckResult(result, read_classes(bundle.spec))
+
+
+def _list_names(changes, section=""):
+    """Yield the dotted names of nested settings."""
+    for name, value in changes.items():
+        if isinstance(value, dict):
+            yield from _list_names(value, f"{section}{name}.")
+        else:
+            yield f"{section}{name}"
 
 
 def _require_jobs(jobs):

@@ -24,9 +24,10 @@ def predict(
     jobs: options.Jobs = 2,
     as_json: options.Json = False,
 ):
-    """Print the class of each recording and the estimated probability that it is right.
+    """Classify recordings, with or without labels: a file, a zip or a folder.
 
-    Each recording is presented to the network at rest.
+    Prints the class of each recording and the estimated probability that it is right.  Each
+    recording is presented to the network at rest.
     """
     from deploy.check.bundle import read_bundle
     from pipeline.api.results import Predictions

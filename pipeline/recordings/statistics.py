@@ -247,6 +247,9 @@ OWN_LABELS = {
     if name not in ("on", "off")
 }
 
+# Measures of places, which the paper counts from 1.
+PLACES = ("x_mean", "y_mean")
+
 # Names of the measures in JSON, where X is the row and Y the column.
 JSON_NAMES = {
     "x_mean": "row_mean",
@@ -260,11 +263,17 @@ MAX_HEAD_CHARACTERS = 20
 
 
 def statistics_json(recordings) -> dict:
-    """The table by class, the order of the polarities and the activity of the taxels."""
+    """The table by class, the order of the polarities and the activity of the taxels.
+
+    Rows and columns count from 0.
+    """
     names = recordings.sensor.classes
+    facts = facts_of(recordings)
     return {
         "simulated": recordings.source.simulated,
         "samples": len(recordings),
+        "sensor": facts["sensor"],
+        "time_unit": recordings.source.time_unit or None,
         "classes": {
             names[label]: _plain(row) for label, row in measure_classes(recordings).items()
         },
@@ -274,9 +283,10 @@ def statistics_json(recordings) -> dict:
 
 
 def statistics_text(recordings) -> str:
-    """The table, the order of the polarities and the activity of the taxels as text."""
+    """The source, the table, the order of the polarities and the activity of the taxels."""
     return "\n".join(
         [
+            f"{printable(recordings.source.name)}: {reading_text(recordings)}",
             table1_text(recordings),
             polarity_text(measure_polarity_order(recordings)),
             activity_text(recordings),
@@ -293,16 +303,32 @@ def table1_text(recordings) -> str:
     sensor = recordings.sensor
     written = is_written(sensor.rows, sensor.columns, sensor.classes)
     rows = [["", *shorten_apart([sensor.classes[digit] for digit in ours], MAX_HEAD_CHARACTERS)]]
-    has_bursts = bool((recordings.events.columns > 1).any())
-    for measure, label in (LABELS if written and has_bursts else OWN_LABELS).items():
+    is_paper = written and bool((recordings.events.columns > 1).any())
+    for measure, label in (LABELS if is_paper else OWN_LABELS).items():
         form = ("{:.2f} ({:.2f})" if measure[0] in "xy" else "{:.0f} ({:.0f})").format
-        rows.append([label, *(form(*row[measure]) for row in ours.values())])
+        values = (row[measure] for row in ours.values())
+        if not is_paper:
+            values = (_count_from_0(measure, value) for value in values)
+        rows.append([label, *(form(*value) for value in values)])
     rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
-    return "\n".join([f"{name}, {len(recordings)} samples: mean (SD)", *in_blocks(rows)])
+    places = "X and Y from 1, as in the paper" if is_paper else "rows and columns from 0"
+    title = f"{name}, {len(recordings)} samples: mean (SD); {places}"
+    return "\n".join([title, *in_blocks(rows)])
+
+
+def _count_from_0(measure, value):
+    """A mean and its deviation, of places as the user's x and y count them."""
+    if measure not in PLACES:
+        return value
+    mean, deviation = value
+    return mean - 1, deviation
 
 
 def _plain(row):
-    return {JSON_NAMES.get(name, name): _without_nan(value) for name, value in row.items()}
+    return {
+        JSON_NAMES.get(name, name): _without_nan(_count_from_0(name, value))
+        for name, value in row.items()
+    }
 
 
 def _without_nan(value):

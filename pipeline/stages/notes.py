@@ -47,16 +47,19 @@ def list_notes(opened, choices) -> Iterator[str]:
 
 
 def _list_replacements(run, before, settings):
-    """A warning if the trained networks of a run are going to be replaced by those of a kind."""
+    """A warning if a run's networks are going to be replaced by those of another kind or source."""
     was = kind_of_network(before).name
     now = kind_of_network(settings).name
-    if (was, before.input.kind) == (now, settings.input.kind):
+    if (was, before.input.kind) != (now, settings.input.kind):
+        what = f"is a run of the kind {was!r} with the input {before.input.kind!r}"
+    elif before.data.source != settings.data.source:
+        what = f"is a run on the recordings {before.data.source}"
+    else:
         return
     if any((folder / "metrics.json").exists() for folder in (run.cnn, run.snn)):
         yield (
-            f"{WARNING}{run.path}: is a run of the kind {was!r} with the input "
-            f"{before.input.kind!r}; its networks and bundle are replaced as soon as others are "
-            "trained.  To keep them, stop now (Ctrl-C) and give another RUN; with its former "
+            f"{WARNING}{run.path}: {what}; its networks and bundle are replaced as soon as others "
+            "are trained.  To keep them, stop now (Ctrl-C) and give another RUN; with its former "
             "options this one is as it was"
         )
 

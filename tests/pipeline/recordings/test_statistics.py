@@ -7,8 +7,9 @@ import pytest
 from scipy.io import loadmat
 
 from pipeline.recordings import statistics
-from pipeline.recordings.events import Events, Source, TaxelMap, collect
+from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.recordings.formats.mat import read_recording
+from tests.command import missing
 
 SOURCE = Source("by hand", "", False)
 
@@ -33,6 +34,18 @@ def test_by_hand():
     assert row["y_mean"] == pytest.approx(((8 / 6 + 10) / 2, (10 - 8 / 6) / np.sqrt(2)))
     assert row["x_range"] == pytest.approx((1.0, np.sqrt(2)))
     assert row["y_range"] == pytest.approx((0.5, np.sqrt(0.5)))
+
+
+def test_places_of_own_recordings_count_from_0_as_their_x_and_y():
+    source = replace(SOURCE, time_unit="ms")
+    own = replace(by_hand(), source=source, sensor=Sensor(12, 10, classes=tuple("0123456789")))
+    values = statistics.statistics_json(own)
+    mean = (10 / 6 + 10) / 2 - 1
+    assert values["classes"]["4"]["row_mean"][0] == pytest.approx(mean)
+    assert (values["sensor"]["rows"], values["time_unit"]) == (12, "ms")
+    text = statistics.statistics_text(own)
+    facts = ("12 rows x 10 columns", "milliseconds", "columns from 0", f"{mean:.2f}")
+    assert missing(text, *facts) == []
 
 
 def test_another_lookup_table():
