@@ -238,8 +238,15 @@ def test_a_broken_check_result(refused, run, stage, how):
     line = refused("ladder", run)
     assert str(path) in line
     assert content(run) == before
+
+
+def test_a_broken_check_result_is_made_anew_once_it_is_removed(refused, run):
+    path = run / "checks" / "nengo.json"
+    path.write_bytes(BROKEN["text"])
+    refused("ladder", run)
     path.unlink()
     assert call("ladder", run) == 0
+    assert read_result(path)["target"] == "nengo"
 
 
 @pytest.mark.parametrize("network", ["cnn", "snn"])

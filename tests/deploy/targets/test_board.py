@@ -209,9 +209,9 @@ FAULTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("stream", [0, 1, 2])
+@pytest.mark.parametrize("stream", [0, 1])  # of three: nothing has been kept yet, or something
 @pytest.mark.parametrize(("faults", "survived"), FAULTS.values(), ids=FAULTS)
-def test_a_fault_at_any_stream(
+def test_a_fault_at_a_stream(
     nxsdk, shortest, shortest_emulated, tmp_path, stream, faults, survived
 ):
     """Either the result is that of a run without faults, or it is one line; then it goes on."""
