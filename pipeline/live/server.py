@@ -24,7 +24,7 @@ import segno
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -63,6 +63,18 @@ _KINDS = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
+# The page for addresses that are not those of the page.
+MISSING = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>No page here</title>
+<h1>No page here</h1>
+<p>Open the address that <code>stmnist live</code> printed in the terminal, with its token.</p>
+</html>
+"""
+
 _HEADERS = {
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -298,8 +310,8 @@ async def _say(socket, messages):
 
 
 def _missing():
-    text = "not here: open the address that 'stmnist live' printed, with its token\n"
-    return PlainTextResponse(text, 404)
+    """The page for other addresses than those of the page."""
+    return HTMLResponse(MISSING, 404, headers=_HEADERS)
 
 
 def listen(port: int, host: str = HOST) -> socket.socket:

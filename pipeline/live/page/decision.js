@@ -23,7 +23,7 @@ export function isTap(strokes) {
 // message: an answer of the server, or null.  page: { classes, digits, pauseS, threshold, truth (the class of an
 // example or of a saved recording, or null), settled, writes, drawn (strokes), canDraw, named (of a class) }.
 // Returns { text (the class, or ""), confidence, said, open, mark ("right", "wrong" or ""), retracted, seconds }.
-// `confidence` and the beginning of `said` are one statement: "97 %" and "sure, decided after 0.52 s", or "Not sure".
+// `confidence` and the beginning of `said` are one statement: "97 %" and "sure at the end, decided after 0.52 s", or "Not sure".
 export function describeDecision(message, page) {
   if (page.settled && isTap(page.drawn))
     return open("", "Too short", `a tap is no ${page.digits ? "digit" : "drawing"}: draw a line`);
@@ -91,7 +91,8 @@ function verdictText({ exceeds_training, verdict }, guess, retracted, { threshol
   if (exceeds_training) return SLOW;
   const time = verdict.early ? `decided after ${verdict.seconds.toFixed(2)} s` : "at the end";
   if (guess || retracted) return time;
-  return threshold === null ? `${SOFTMAX} ${time}` : `sure, ${time}`;
+  if (threshold === null) return `${SOFTMAX} ${time}`;
+  return verdict.early ? `sure at the end, ${time}` : `sure ${time}`;
 }
 
 function truthText(label, guess, { classes, truth, named }) {

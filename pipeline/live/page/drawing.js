@@ -140,13 +140,16 @@ const FONT = "13px system-ui, sans-serif"; // of a page whose text has 16 pixels
 // race: { events, time, layers: [{name, neurons, packed}], steps, firstStep, windowS, usualS, seconds, chances,
 //         threshold, classes, verdict }
 // A network on images is presented the image so far again and again: its spikes have an axis of their own.
-export function drawRace(canvas, race) {
+export function drawRace(canvas, drawn) {
   const { context, width: wide, height: tall } = fitted(canvas);
   const scale = parseFloat(getComputedStyle(document.body).fontSize) / 16;
   context.scale(scale, scale);
   const [width, height] = [wide / scale, tall / scale];
-  const onEvents = race.windowS !== null;
-  const start = race.events.s[0] ?? 0; // the network's time begins with the first event
+  const onEvents = drawn.windowS !== null;
+  const start = drawn.events.s[0] ?? 0; // the network's time begins with the first event
+  const isSlow = onEvents && drawn.events.s.at(-1) > start + drawn.usualS; // slower than the recordings of the training
+  const known = isSlow ? drawn.seconds.filter((at) => at <= start + drawn.usualS) : drawn.seconds;
+  const race = { ...drawn, seconds: known }; // confidence has no meaning after that
   const window = onEvents ? start + race.windowS : Infinity;
   const end = onEvents ? Math.max(start + race.usualS, race.time) : spanOf(Math.max(race.time, 1));
   context.font = FONT;
@@ -188,7 +191,7 @@ export function drawRace(canvas, race) {
     context.fillStyle = colour("--line");
     context.fillRect(x(tick), bottom, 1, 4);
   }
-  if (onEvents && race.events.s.at(-1) > start + race.usualS) { // slower than the recordings of the training
+  if (isSlow) {
     context.strokeStyle = context.fillStyle = colour("--soft");
     context.lineWidth = 1;
     context.setLineDash([4, 4]);
@@ -244,7 +247,8 @@ function caption(context, y, lane, ...texts) {
   context.fillText(texts.find((text) => context.measureText(text).width <= lane) ?? texts.at(-1), LEFT, y - 5);
 }
 
-const many = (number) => number.toLocaleString("en");
+// A number with its noun.
+export const count = (number, noun) => `${number.toLocaleString("en")} ${noun}${number === 1 ? "" : "s"}`;
 
 // The place of a share in a panel, in which those near 1 are seen.
 const rise = (share, high) => high * (1 - share / 1.06);
@@ -262,7 +266,7 @@ function explain(context, part, lane, y) {
 function drawEvents(context, { events }, x, y, high, lane) {
   const taxels = rows * columns;
   const order = rows > 1 && columns > 1 ? " row by row" : "";
-  caption(context, y, lane, `the touch: ${taxels} taxels${order}, ${many(events.s.length)} events`, `${taxels} taxels, ${many(events.s.length)} events`, `${taxels} taxels`);
+  caption(context, y, lane, `the touch: ${taxels} taxels${order}, ${count(events.s.length, "event")}`, `${taxels} taxels, ${count(events.s.length, "event")}`, `${taxels} taxels`);
   const tall = Math.max(high / taxels, 1.5);
   for (const [polarity, name] of [[-1, "--off"], [1, "--on"]]) {
     context.fillStyle = colour(name);
@@ -295,7 +299,7 @@ function drawSpikes(context, { name, neurons, packed }, race, x, y, high, lane) 
     }
   const axis = x === null ? `; across: the ${shownSteps} steps of the last presentation` : "";
   const unit = name === "input" ? "lines" : "neurons";
-  caption(context, y, lane, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes${axis}`, `${name}: ${neurons} ${unit}, ${many(spikes)} spikes`, `${name}: ${neurons} ${unit}`, name);
+  caption(context, y, lane, `${name}: ${neurons} ${unit}, ${count(spikes, "spike")}${axis}`, `${name}: ${neurons} ${unit}, ${count(spikes, "spike")}`, `${name}: ${neurons} ${unit}`, name);
 }
 
 // The decided class and its strongest rivals, at the decision and then at any time; before, the likeliest ones now.
@@ -330,7 +334,7 @@ function drawSureness(context, race, curves, x, y, high, lane) {
     context.stroke();
     context.setLineDash([]);
   });
-  if (verdict) {
+  if (verdict && verdict.seconds <= seconds.at(-1) + 1e-3) {
     context.fillStyle = lineOf(verdict.label);
     context.beginPath();
     context.arc(x(verdict.seconds), y + rise(verdict.confidence, high), 5, 0, 7);

@@ -1,7 +1,7 @@
 // The page: messages of the server, input of the user, and what is displayed.
 
 import { describeDecision } from "./decision.js";
-import { drawRace, drawSkin, onColours, setSensor } from "./drawing.js";
+import { count, drawRace, drawSkin, onColours, setSensor } from "./drawing.js";
 import { Link } from "./link.js";
 import { Pen } from "./pen.js";
 
@@ -329,7 +329,7 @@ link.on("saved", (message) => {
   $("shown").dataset.label = message.label; // right or wrong
   showDecision(shown);
   unmark();
-  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${message.events} events. Undo takes that back.`;
+  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${count(message.events, "event")}. Undo takes that back.`;
   $(`label-${message.label}`).setAttribute("aria-pressed", "true");
   complain(null);
 });

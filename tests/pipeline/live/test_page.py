@@ -486,18 +486,29 @@ def test_the_page_is_sure_only_of_what_has_ended_within_the_times_of_the_trainin
     assert (view["text"], view["confidence"], view["open"]) == (text, confidence, is_open)
 
 
-def test_a_message_covers_neither_the_title_nor_what_is_pressed(browser, server):
+def test_a_page_speaks_of_one_event_and_of_the_time_of_its_confidence(page):
+    count = """async (number) => {
+      const { count } = await import(new URL("drawing.js", location.href));
+      return count(number, "event");
+    }"""
+    assert [page.evaluate(count, n) for n in (0, 1, 2)] == ["0 events", "1 event", "2 events"]
+    verdict = {"label": 6, "confidence": 0.93, "seconds": 0.79, "early": True}
+    message = {"decision": 6, "confidence": 0.99, "exceeds_training": False, "verdict": verdict}
+    assert "at the end" in page.evaluate(DESCRIBE, [message, True])["said"]
+
+
+def test_a_message_covers_neither_the_title_nor_what_is_pressed_or_drawn(browser, server):
     with page_of(browser, server, viewport={"width": 1280, "height": 800}) as page:
         page.evaluate("document.querySelector('#problem').hidden = false")
         page.evaluate(
             "document.querySelector('#problem-text').textContent = 'a message '.repeat(12)"
         )
         message = page.locator("#problem").bounding_box()
-        for name in ("#title", "#skin", "#undo", "#writer", "#decision"):
+        for name in ("#title", "#skin", "#undo", "#writer", "#decision", "#race"):
             box = page.locator(name).bounding_box()
             is_beside = box["x"] + box["width"] <= message["x"]
-            is_above = box["y"] + box["height"] <= message["y"]
-            assert is_beside or is_above, name
+            is_below = box["y"] >= message["y"] + message["height"]
+            assert is_beside or is_below, name
 
 
 def test_all_buttons_of_digits_are_whole_on_a_phone(browser, server):

@@ -81,8 +81,8 @@ def test_the_page_and_its_parts_are_there_with_what_browsers_heed(server):
 
 @pytest.mark.parametrize("path", ["/", "/main.js", "/wrong/", "/wrong/main.js", "/wrong/pen", "//"])
 def test_without_the_token_there_is_nothing(server, path):
-    status, _, body = get(server, path)
-    assert status == 404
+    status, headers, body = get(server, path)
+    assert (status, "html" in headers["content-type"]) == (404, True)
     assert "token" in body
 
 
