@@ -3,11 +3,11 @@
 import os
 import sys
 
-from .requirements import complaint
+from .requirements import describe_missing
 from .terminal import INTERRUPTED, INTERRUPTION, remark
 
 if __name__ == "__main__":
-    problem = complaint()
+    problem = describe_missing()
     if problem is not None:
         remark("deploy: " + problem)
         sys.exit(2)

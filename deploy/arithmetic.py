@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-def ceil_div(number, divisor):
+def divide_up(number, divisor):
     """The quotient, rounded up; of integers, or of an array of integers."""
     return -(-number // divisor)
 
@@ -16,4 +16,4 @@ def thin(values, at_most: int):
     values : sequence or ndarray
     at_most : int
     """
-    return values[:: max(ceil_div(len(values), at_most), 1)]
+    return values[:: max(divide_up(len(values), at_most), 1)]

@@ -7,13 +7,13 @@ import sys
 from pathlib import Path
 
 from . import __version__
-from .check.bundle import read_bundle, result_beside
+from .check.bundle import find_result_path, read_bundle
 from .check.run import run_check
-from .check.text import summary
-from .errors import CheckFailed, UserError, line_of, one_line
-from .preflight.plan import make_plan, plan_text
+from .check.text import format_result
+from .errors import CheckFailed, UserError, describe_error, format_as_line
+from .preflight.plan import format_plan, make_plan
 from .progress import ProgressLines
-from .targets.board import nxsdk_version
+from .targets.board import find_nxsdk_version
 from .targets.registry import TARGETS, list_options, select_options
 from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 
@@ -28,27 +28,27 @@ def main(arguments=None) -> int:
     """
     prepare()
     try:
-        options = _parser().parse_args(arguments)
+        options = _make_parser().parse_args(arguments)
         options.run(options)
         sys.stdout.flush()  # errors could not be reported when Python exits
         return 0
     except CheckFailed as error:
-        return _say(line_of(error), 1)
+        return _say(describe_error(error), 1)
     except BrokenPipeError:  # the reader, such as head, has closed the pipe
         drop_output()
         return 0
     except (UserError, MemoryError, OSError) as error:
-        return _say(line_of(error), 2)
+        return _say(describe_error(error), 2)
     except KeyboardInterrupt:
         return _say(INTERRUPTION, INTERRUPTED)
 
 
 def _say(message, status):
-    remark("deploy: " + one_line(message))
+    remark("deploy: " + format_as_line(message))
     return status
 
 
-def _parser():
+def _make_parser():
     parser = argparse.ArgumentParser(
         prog="deploy.pyz", description="Run a bundle's check where only NengoLoihi is installed."
     )
@@ -69,7 +69,9 @@ def _parser():
     plan.add_argument("--chips", type=int, default=1, metavar="N", help="number of chips")
     plan.set_defaults(run=_plan)
     board = verbs.add_parser("board", help="report whether this host can use a board")
-    board.set_defaults(run=lambda _: show(f"NxSDK {nxsdk_version()}: target loihi can be used"))
+    board.set_defaults(
+        run=lambda _: show(f"NxSDK {find_nxsdk_version()}: target loihi can be used")
+    )
     return parser
 
 
@@ -91,7 +93,7 @@ def _check(options):
     values = {name: getattr(options, name) for name in list_options()}
     chosen = select_options(options.target, **values)
     bundle = read_bundle(options.bundle)
-    out = options.out or result_beside(options.bundle, options.target)
+    out = options.out or find_result_path(options.bundle, options.target)
     total = len(bundle.checks)
     lines = ProgressLines(f"check {options.target}", total)
     done = 0
@@ -107,12 +109,12 @@ def _check(options):
     result = run_check(bundle, options.target, out, options.seed, advance, chosen)
     if sys.stderr.isatty():
         print(file=sys.stderr)
-    show(summary(result))
+    show(format_result(result))
     show(f"written to {out}")
 
 
 def _plan(options):
     plan = make_plan(read_bundle(options.bundle).spec, options.chips)
-    show(plan_text(plan))
+    show(format_plan(plan))
     if plan.problems:
         raise UserError("the network does not fit: " + plan.problems[0])

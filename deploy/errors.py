@@ -1,6 +1,6 @@
 """Errors that end a command, each with a message of one line."""
 
-from .terminal import printable
+from .terminal import escape_control
 
 # Maximum number of characters of an error message, which may quote the content of a file.
 MAX_LINE_LENGTH = 2400
@@ -9,13 +9,13 @@ MAX_LINE_LENGTH = 2400
 KILLED = "a process was killed, perhaps for lack of memory; use fewer --jobs"
 
 
-def one_line(message) -> str:
+def format_as_line(message) -> str:
     """Format a message as one line that is safe to print.
 
     The name or content of a file may contain line ends and control sequences of terminals.  The
     middle of a message that is too long is left out, because the remedy is at the end.
     """
-    line = printable(" ".join(str(message).split()))
+    line = escape_control(" ".join(str(message).split()))
     if len(line) > MAX_LINE_LENGTH:
         line = line[: MAX_LINE_LENGTH * 3 // 4] + " ... " + line[-MAX_LINE_LENGTH // 4 :]
     return line
@@ -46,7 +46,7 @@ class CheckFailed(Exception):
     """A check was carried out and did not pass: exit status 1."""
 
 
-def line_of(error) -> str:
+def describe_error(error) -> str:
     """The line for an exception: its message, with a remedy for errors that no module handles.
 
     Parameters

@@ -240,7 +240,7 @@ def read_json(path, remedy):
     if len(content) > limits.TEXT_BYTES:
         raise UserError(f"{path}: larger than any file of this kind; {remedy}")
     try:
-        value = json.loads(content.decode("utf-8"), parse_constant=_no_number)
+        value = json.loads(content.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid JSON ({error}); {remedy}") from error
     if not isinstance(value, dict):
@@ -248,7 +248,7 @@ def read_json(path, remedy):
     return value
 
 
-def _no_number(name):
+def _refuse_constant(name):
     raise ValueError(f"{name} is not a JSON number")
 
 
@@ -329,7 +329,7 @@ def copy_file(source, to):
         shutil.copyfileobj(content, file)
 
 
-def sha256_of(path):
+def hash_file(path):
     """Hexadecimal SHA-256 of a file's content."""
     digest = hashlib.sha256()
     with open_regular(path) as file:

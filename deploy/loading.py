@@ -40,6 +40,11 @@ def one_of(*values) -> Limit:
     return Limit(lambda value: value in values, text)
 
 
+def key_of(table: dict) -> Limit:
+    """The limit of a value that is a key of a table, to which others may be added."""
+    return Limit(table.__contains__, f"one of {', '.join(table)}")
+
+
 def limited_field(limit: Limit, default=MISSING):
     """A field of a dataclass with a limit; its value may be None if the hint allows it."""
     return field(default=default, metadata={"limit": limit})
@@ -86,7 +91,7 @@ def load(kind, values, name: str = "", extra: bool = False):
         An entry is missing, unknown, of another type or beyond its limit.
     """
     if not isinstance(values, dict):
-        raise WrongValue(name, f"must be a table of values, not {_short(values)}")
+        raise WrongValue(name, f"must be a table of values, not {_shorten(values)}")
     known = {entry.name: entry for entry in fields(kind) if entry.init}
     built = {}
     unknown = sorted(str(each)[:40] for each in set(values) - set(known))
@@ -95,7 +100,7 @@ def load(kind, values, name: str = "", extra: bool = False):
     for each, entry in known.items():
         where = _join_names(name, each)
         if each in values:
-            built[each] = _build_value(_hints(kind)[each], values[each], where, extra)
+            built[each] = _build_value(_read_hints(kind)[each], values[each], where, extra)
             _require_limit(entry.metadata.get("limit"), built[each], where)
         elif entry.default is MISSING and entry.default_factory is MISSING:
             raise WrongValue(where, "is missing")
@@ -114,12 +119,12 @@ def check(instance):
     """
     for entry in fields(instance):
         value = getattr(instance, entry.name)
-        _build_value(_hints(type(instance))[entry.name], value, entry.name, False)
+        _build_value(_read_hints(type(instance))[entry.name], value, entry.name, False)
         _require_limit(entry.metadata.get("limit"), value, entry.name)
 
 
 @functools.lru_cache(maxsize=None)
-def _hints(kind):
+def _read_hints(kind):
     try:
         return get_type_hints(kind, include_extras=True)
     except TypeError:  # Python 3.8
@@ -179,15 +184,15 @@ def _is_text(value):
 
 def _require_limit(limit, value, name):
     if limit is not None and value is not None and not limit.holds(value):
-        raise WrongValue(name, f"must be {limit.expected}, not {_short(value)}")
+        raise WrongValue(name, f"must be {limit.expected}, not {_shorten(value)}")
 
 
 def _require(condition, name, expected, value):
     if not condition:
-        raise WrongValue(name, f"must be {expected}, not {_short(value)}")
+        raise WrongValue(name, f"must be {expected}, not {_shorten(value)}")
 
 
-def _short(value):
+def _shorten(value):
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 

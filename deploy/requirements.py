@@ -24,7 +24,7 @@ PACKAGES = {
 }
 
 
-def complaint():
+def describe_missing():
     """The problem of this host in one line.
 
     Returns
@@ -37,7 +37,7 @@ def complaint():
         return f"Python {installed} is too old; use Python 3.8 or later"
     found_numbers = {}
     for package, (oldest, first_not, reason) in PACKAGES.items():
-        wanted = f"{package}>={_version_text(oldest)},<{_version_text(first_not)}"
+        wanted = f"{package}>={_format_version(oldest)},<{_format_version(first_not)}"
         remedy = f"pip install '{wanted}'" + (f" ({reason})" if reason else "")
         try:
             installed = version(package)
@@ -54,5 +54,5 @@ def complaint():
     return None
 
 
-def _version_text(number):
+def _format_version(number):
     return ".".join(str(n) for n in number)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import List, Sequence
 
-from .terminal import SIGNIFICANT, printable
+from .terminal import SIGNIFICANT, escape_control
 
 
 def align_rows(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
@@ -17,7 +17,7 @@ def align_rows(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
     left : int
         Number of columns that are flush left; the others are flush right.
     """
-    rows = [[printable(cell) for cell in row] for row in rows]
+    rows = [[escape_control(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows)]
     lines = []
     for row in rows:
@@ -31,7 +31,7 @@ def align_rows(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
 WIDTH = 80
 
 
-def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
+def align_in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
     """Align a table as :func:`align_rows` does, and divide a wide one into blocks of columns.
 
     Each block begins with the columns that are flush left; blocks are separated by an empty line.
@@ -50,7 +50,7 @@ def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) 
     lines = align_rows([row[:fitting] for row in rows], left)
     if fitting < len(rows[0]):
         rest = [[*row[:left], *row[fitting:]] for row in rows]
-        lines += ["", *in_blocks(rest, left, width)]
+        lines += ["", *align_in_blocks(rest, left, width)]
     return lines
 
 
@@ -58,28 +58,28 @@ def in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) 
 SIGNIFICANCE = 0.05
 
 
-def star(p_value: float) -> str:
+def mark_significance(p_value: float) -> str:
     """The last cell of a row: a star if the difference is significant."""
     return SIGNIFICANT.strip() if p_value < SIGNIFICANCE else ""
 
 
-def p_text(p_value: float) -> str:
+def format_p(p_value: float) -> str:
     """A p-value with three decimals; smaller values are "< 0.001"."""
     return "< 0.001" if p_value < 0.001 else f"{p_value:.3f}"
 
 
-def plain(value) -> str:
+def format_value(value) -> str:
     """A setting's value for a table."""
     if value is None:
         return ""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (list, tuple)):
-        return ", ".join(map(plain, value))
+        return ", ".join(map(format_value, value))
     return str(value) if value != "" else "-"
 
 
-def plural(number: int, noun: str, nouns: str = "") -> str:
+def format_count(number: int, noun: str, nouns: str = "") -> str:
     """A number and its noun, such as ``"3 cores"``.
 
     Parameters

@@ -19,7 +19,7 @@ INTERRUPTED = 130
 INTERRUPTION = "interrupted; what is finished is kept, and the same command goes on"
 
 
-def printable(text) -> str:
+def escape_control(text) -> str:
     """Text as one line, in which control sequences of terminals and line ends are escaped."""
     text = str(text)
     if text.isprintable():  # fast for the usual text
@@ -27,7 +27,7 @@ def printable(text) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def command_text(*words) -> str:
+def format_command(*words) -> str:
     """A command of ``stmnist`` for a message; in quotation marks, unless it has its own."""
     command = shlex.join(["stmnist", *map(str, words)])
     return command if "'" in command else f"'{command}'"
@@ -41,7 +41,7 @@ SIGNIFICANT = " *"
 
 
 def show(text="", flush=False, marked=""):
-    """Print a result on standard output, with :func:`printable` for each line.
+    """Print a result on standard output, with :func:`escape_control` for each line.
 
     Parameters
     ----------
@@ -50,19 +50,19 @@ def show(text="", flush=False, marked=""):
     marked : str
         A word that a terminal shows in colour, unless ``NO_COLOR`` is set.
     """
-    text = _lines(text)
+    text = _escape_lines(text)
     if marked and sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
         text = text.replace(marked, f"\x1b[33m{marked}\x1b[0m")
     print(text, flush=flush)
 
 
 def remark(text):
-    """Print a message on standard error, with :func:`printable` for each line."""
-    print(_lines(text), file=sys.stderr)
+    """Print a message on standard error, with :func:`escape_control` for each line."""
+    print(_escape_lines(text), file=sys.stderr)
 
 
-def _lines(text):
-    return "\n".join(map(printable, str(text).split("\n")))
+def _escape_lines(text):
+    return "\n".join(map(escape_control, str(text).split("\n")))
 
 
 def prepare():

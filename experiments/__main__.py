@@ -25,7 +25,7 @@ OTHERS = {
 
 def main(arguments=None):
     """Run an experiment, or list all of them; exit status as that of ``stmnist``."""
-    from experiments.studies import EXPERIMENTS, command_of
+    from experiments.studies import EXPERIMENTS, make_command
     from pipeline.commands.main import run_alone
 
     name, *words = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
@@ -36,7 +36,7 @@ def main(arguments=None):
         show("\n".join(align_rows(rows, left=3)))
         return
     if name in studies:
-        verb = command_of(studies[name])
+        verb = make_command(studies[name])
     elif name in OTHERS:
         verb = import_module(f"experiments.{OTHERS[name][0]}").main
     else:

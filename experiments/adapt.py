@@ -17,21 +17,21 @@ import typer
 from scipy import stats as statistics
 
 from deploy.errors import UserError
-from deploy.files import sha256_of, write_json
+from deploy.files import hash_file, write_json
 from deploy.tables import align_rows
 from experiments import handwriting, unipen
 from experiments.studies import RESULTS, Store, describe_machine
-from experiments.tables import interval_text
+from experiments.tables import format_interval
 from pipeline.commands import options
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hide_progress
 from pipeline.recordings.dataset import Dataset, make_dataset_origin, split_of
-from pipeline.results.study import Case, study
+from pipeline.results.study import Case, run_study
 from pipeline.run.settings import SIMULATED
 from pipeline.simulation import parameters
 from pipeline.sources import load_simulated
-from pipeline.stages import open_experiment
 from pipeline.training.adaptation import Person, Responder, add_rehearsal, refit, require_fit
+from pipeline.workflow import open_experiment
 
 FOLDS = 3
 # Numbers of recordings of each class to which a network is fitted.
@@ -48,7 +48,7 @@ class People:
     parameters: parameters.Parameters
 
 
-def people_of(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> People:
+def select_people(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> People:
     """Every third person of a file.
 
     Parameters
@@ -75,10 +75,10 @@ def people_of(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> People:
 
 
 def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
-    """Train the network of a fold and fit it to each of the fold's people; for :func:`study`."""
+    """Train the network of a fold and fit it to each of its people; for :func:`run_study`."""
     settings = case.resolved
     fold = int(case.alter.partition(" ")[2])
-    people = people_of(pen, fold, settings.data.writers)
+    people = select_people(pen, fold, settings.data.writers)
     seed = settings.data.simulation_seed
     each = settings.data.samples_per_digit
     counts = [each] * 10 if each else list(SAMPLES_PER_DIGIT)
@@ -91,15 +91,15 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     with hide_progress():
         opened = open_experiment(networks, settings, dataset, lambda line: None)
         opened.make_all()
-    spec = opened.spec()
+    spec = opened.make_spec()
     spec = add_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
     counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
     own = load_simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
-    cases = list(fitted_to_people(spec, dataset.subset("test"), own, draws, case.seed))
-    return {"recordings": sha256_of(pen), "simulated": True, "people": cases}
+    cases = list(measure_fits_to_people(spec, dataset.subset("test"), own, draws, case.seed))
+    return {"recordings": hash_file(pen), "simulated": True, "people": cases}
 
 
-def fitted_to_people(spec, others, recordings, draws: int, seed: int):
+def measure_fits_to_people(spec, others, recordings, draws: int, seed: int):
     """Fit a network's readout to each person, some of whose recordings it is tested on.
 
     Parameters
@@ -142,8 +142,11 @@ def fitted_to_people(spec, others, recordings, draws: int, seed: int):
                 tested = responses[rest], mine.labels[rest]
                 results[each].append(
                     [
-                        *(_accuracy(readout, w, tested) for w in (readout.by_class, new)),
-                        *(_accuracy(readout, w, elsewhere) for w in (readout.by_class, new)),
+                        *(_measure_accuracy(readout, w, tested) for w in (readout.by_class, new)),
+                        *(
+                            _measure_accuracy(readout, w, elsewhere)
+                            for w in (readout.by_class, new)
+                        ),
                         float(fit.helps),
                     ]
                 )
@@ -160,7 +163,7 @@ def split_recordings(labels, seed) -> tuple:
     return first, np.concatenate([of_class[max(EACH) :] for of_class in order])
 
 
-def _accuracy(readout, weights, samples):
+def _measure_accuracy(readout, weights, samples):
     responses, labels = samples
     return float(np.mean((responses @ weights.T + readout.bias).argmax(1) == labels))
 
@@ -171,7 +174,7 @@ def summarise(people) -> list:
     Parameters
     ----------
     people : sequence of dict
-        From :func:`fitted_to_people`.
+        From :func:`measure_fits_to_people`.
 
     Returns
     -------
@@ -197,7 +200,7 @@ def summarise(people) -> list:
     return rows
 
 
-def cells(found: dict) -> list:
+def make_cells(found: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     heads = ["of each digit", "people", "before", "after", "gain, points", "95 % over people"]
     lines = [[*heads, "worst person", "on others", "changed"]]
@@ -209,7 +212,7 @@ def cells(found: dict) -> list:
             [
                 *(str(row["each"]), str(row["people"])),
                 *(f"{row[key]:.3f}" for key in ("before", "after")),
-                *(gain, interval_text(row["ci95"], 100, 1, "+"), worst),
+                *(gain, format_interval(row["ci95"], 100, 1, "+"), worst),
                 *(f"{lost:+z.1f}", f"{row['used']:.0%}"),
             ]
         )
@@ -217,8 +220,10 @@ def cells(found: dict) -> list:
 
 
 Given = Annotated[
-    options.Requested,
-    options.group(options.Requested, seed=options.Seed, input=options.Input, **options.CHANGES),
+    options.RequestedSettings,
+    options.group(
+        options.RequestedSettings, seed=options.Seed, input=options.Input, **options.CHANGES
+    ),
 ]
 
 
@@ -240,21 +245,21 @@ def main(
             raise UserError("the networks are trained on simulated recordings; omit data.source")
         pen = pen.absolute()
         name = f"adapt-{settings.input.kind}"
-        people_of(pen, 0)  # a wrong file is reported now
+        select_people(pen, 0)  # a wrong file is reported now
         folder.save_settings(settings)
         cases = [
             Case(name, settings, "adapted", settings.seed, alter=f"fold {fold}")
             for fold in range(FOLDS)
         ]
         by = partial(measure_fold, pen, draws)
-        rows, failed = study(cases, folder.path, sha256_of(pen), workers, options.say, by)
+        rows, failed = run_study(cases, folder.path, hash_file(pen), workers, options.say, by)
     people = [person for row in rows for person in row["people"]]
-    found = {"experiment": name, "simulated": True, "pen": sha256_of(pen), "draws": draws}
+    found = {"experiment": name, "simulated": True, "pen": hash_file(pen), "draws": draws}
     found |= {"rows": summarise(people), "measured": describe_machine()}
     write_json(out / f"{name}.json", found)
     if store and not failed:
         write_json(RESULTS / f"{store}.json", found)
     title = "real pen trajectories pressed on the simulated sensor, people nobody trained on"
     errors = "; ".join(f"{case.alter}: {error}" for case, error in failed.items())
-    text = "\n".join([title, *align_rows(cells(found))])
+    text = "\n".join([title, *align_rows(make_cells(found))])
     options.conclude(found, errors, lambda value: text, as_json)

@@ -221,7 +221,7 @@ def place_forms(fit: dict, traces) -> dict:
     """Set usual place and height of each digit, and their covariance, to those of the paths."""
     fit = copy.deepcopy(fit)
     for digit, form in enumerate(fit["digits"]):
-        boxes = np.array([_box(trace.strokes) for trace in traces if trace.digit == digit])
+        boxes = np.array([_measure_box(trace.strokes) for trace in traces if trace.digit == digit])
         down, right, log_height = boxes.mean(0)
         form["down"] = round(float(down), 3)
         form["right"] = round(float(right), 3)
@@ -230,7 +230,7 @@ def place_forms(fit: dict, traces) -> dict:
     return fit
 
 
-def _box(strokes):
+def _measure_box(strokes):
     """Centre, and logarithm of the height, of a digit's box."""
     points = np.concatenate(strokes)
     low = points.min(0)
@@ -294,8 +294,8 @@ def fit_sections(fit: dict, shapes: ShapeModel, target: Target, seed: int, jobs:
 def step_gain(fit: dict, target: Target, bits, damping: float = 0.5) -> dict:
     """Move the gain of each taxel towards the real mean number of its bits when it is active."""
     fit = copy.deepcopy(fit)
-    real = _usual_bits(target.bits)
-    mine = _usual_bits(bits)
+    real = _measure_usual_bits(target.bits)
+    mine = _measure_usual_bits(bits)
     change = np.log(real / mine)
     change[target.hot] = 0
     gain = np.array(fit["sections"]["skin"]["gain"]) + damping * (change - change.mean())
@@ -303,7 +303,7 @@ def step_gain(fit: dict, target: Target, bits, damping: float = 0.5) -> dict:
     return fit
 
 
-def _usual_bits(bits):
+def _measure_usual_bits(bits):
     """Mean of the square root of the bits of each taxel when it is active, squared."""
     total = bits.sum((2, 3))
     roots = np.sqrt(total).sum(0) / np.maximum((total > 0).sum(0), 1)

@@ -38,7 +38,7 @@ def predict_test_samples(dataset: Dataset, index, stage: str) -> np.ndarray:
     -------
     ndarray of int, shape (n,)
     """
-    features = root_counts(dataset)
+    features = compute_root_counts(dataset)
     labels = dataset.labels
     train = dataset.split.train
     if stage == "nearest":
@@ -56,8 +56,8 @@ def predict_test_samples(dataset: Dataset, index, stage: str) -> np.ndarray:
     return (model.predict(features[index]) + mean).argmax(1)
 
 
-def root_counts(dataset: Dataset) -> np.ndarray:
+def compute_root_counts(dataset: Dataset) -> np.ndarray:
     """Square roots of counts, float32, shape (n_samples, slices x taxels x polarities)."""
     table = dataset.recordings.table
-    counts = table.count_in_slices(SLICES, table.typical_duration_of(dataset.split.train))
+    counts = table.count_in_slices(SLICES, table.measure_typical_duration(dataset.split.train))
     return np.sqrt(counts).reshape(len(table), -1)

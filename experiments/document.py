@@ -35,7 +35,7 @@ from experiments import (
     tables,
     transfer,
 )
-from pipeline.results.sweep import sweep_text
+from pipeline.results.sweep import format_sweep
 from pipeline.run.settings import Settings, describe
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -71,19 +71,19 @@ COLUMNS = {
 }
 
 
-def result(name: str) -> dict:
+def read_result(name: str) -> dict:
     """The content of a file in ``results/``, by its name without ``.json``."""
     return read_json(studies.RESULTS / f"{name}.json", "it is a file of the repository: restore it")
 
 
-def commands() -> str:
+def describe_commands() -> str:
     """Every command with its arguments and options, as Markdown."""
     from pipeline.commands.main import with_every_verb
 
     command = with_every_verb()
     groups = {}  # the first word of each command that has a parameter of this name and meaning
-    for group, parameter in _parameters(command):
-        groups.setdefault(_help_of(parameter), []).append(group)
+    for group, parameter in _list_parameters(command):
+        groups.setdefault(_find_help(parameter), []).append(group)
     common = [one for one, own in groups.items() if len(own) > 3]
     names = Counter(name for name, _ in common)
     lines = ["\n## Options of several commands\n"]
@@ -91,15 +91,18 @@ def commands() -> str:
         own = set(groups[name, text])
         where = f" of `stmnist {own.pop()}`" if names[name] > 1 and len(own) == 1 else ""
         lines.append(f"- `{name}`{where}: {text}")
-    return "\n".join([*lines, *_sections(command, "stmnist", 2, common)])
+    return "\n".join([*lines, *_list_sections(command, "stmnist", 2, common)])
 
 
-def settings() -> str:
+def describe_settings() -> str:
     """Every setting with its default and meaning, as Markdown, a heading for each section."""
     lines = []
     for section, rows in groupby(describe(Settings()), lambda row: row["name"].rpartition(".")[0]):
         about = getattr(Settings(), section) if section else Settings()
-        lines += [f"\n## {section or 'The experiment'}\n", f"{_plain(inspect.getdoc(about))}\n"]
+        lines += [
+            f"\n## {section or 'The experiment'}\n",
+            f"{_strip_markup(inspect.getdoc(about))}\n",
+        ]
         for row in rows:
             default = json.dumps(row["default"], ensure_ascii=False)
             # A heading of its own, so that a search of the site finds a setting by its name.
@@ -107,7 +110,7 @@ def settings() -> str:
     return "\n".join(lines)
 
 
-def part(name: str) -> str:
+def make_part(name: str) -> str:
     """The content between the marks of a name, as Markdown.
 
     Raises
@@ -116,55 +119,59 @@ def part(name: str) -> str:
         There is no such result.
     """
     if name == "licences":
-        return markdown(licences.cells())
-    if name in ("commands", "settings"):
-        return globals()[name]()
+        return make_markdown(licences.make_cells())
+    if name == "commands":
+        return describe_commands()
+    if name == "settings":
+        return describe_settings()
     if name == "brief":
-        return brief(COLUMNS)
-    content = result(name)
+        return make_brief_table(COLUMNS)
+    content = read_result(name)
     kind = content.get("experiment", "sweep")
     if kind == "sweep":
-        return f"```\n{sweep_text(content).partition(chr(10) + '* on')[0]}\n```"
+        return f"```\n{format_sweep(content).partition(chr(10) + '* on')[0]}\n```"
     if kind.startswith("adapt"):
-        return markdown(adapt.cells(content))
+        return make_markdown(adapt.make_cells(content))
     if kind == "fidelity":
-        return markdown(fidelity.cells(content))
+        return make_markdown(fidelity.make_cells(content))
     if kind == "transfer":
-        return markdown(transfer.cells(content))
+        return make_markdown(transfer.make_cells(content))
     if kind == "speed":
-        return markdown(speed.cells(content))
+        return make_markdown(speed.make_cells(content))
     if kind == "stream":
-        return markdown(stream.cells(content))
+        return make_markdown(stream.make_cells(content))
     if kind == "growth":
-        return markdown(growth.cells(content))
+        return make_markdown(growth.make_cells(content))
     experiment = next(one for one in studies.EXPERIMENTS if one.name == kind)
     splits = dict.fromkeys(row["split"] for row in content["rows"])
-    parts = [markdown(studies.make_cells(experiment, content, split)) for split in splits]
+    parts = [make_markdown(studies.make_cells(experiment, content, split)) for split in splits]
     if content["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
-        parts.append(markdown(tables.comparisons_cells(content, titles)))
+        parts.append(make_markdown(tables.make_comparison_cells(content, titles)))
     return "\n\n".join([*parts, experiment.note])
 
 
-def brief(columns: dict) -> str:
+def make_brief_table(columns: dict) -> str:
     """Accuracies, a column for each result and split; empty where a network was not measured."""
     lines = [["accuracy, mean (SD)", *columns]]
     for title, names in BRIEF.items():
         line = []
         for file, split in columns.values():
-            rows = [r for r in result(file)["rows"] if r["name"] in names and r["split"] == split]
-            line.append("".join(map(_mean_text, rows)))
+            rows = [
+                r for r in read_result(file)["rows"] if r["name"] in names and r["split"] == split
+            ]
+            line.append("".join(map(_format_mean, rows)))
         lines += [[title, *line]] if any(line) else []
-    return markdown(lines)
+    return make_markdown(lines)
 
 
-def _mean_text(row):
+def _format_mean(row):
     """The mean of a row over its splits, with the SD where there are enough of them."""
     sd = "" if row["sd"] is None else f" ({row['sd']:.3f})"
     return f"{row['mean']:.3f}{sd}"
 
 
-def markdown(cells) -> str:
+def make_markdown(cells) -> str:
     """A table of text, the heads first, without empty columns."""
     columns = [column for column in zip(*cells, strict=True) if any(column[1:])]
     heads, *rows = zip(*columns, strict=True)
@@ -187,15 +194,15 @@ def with_parts(text: str) -> str:
         _, closed, after = rest.partition(end)
         if not closed:
             raise ValueError(f"no mark {end!r} in the text")
-        text = f"{before}{begin}\n{part(name)}\n{end}{after}"
+        text = f"{before}{begin}\n{make_part(name)}\n{end}{after}"
 
     def write(found):
-        return f"<!-- figure: {found[1]} -->{figure(found[1])}<!-- /figure -->"
+        return f"<!-- figure: {found[1]} -->{read_figure(found[1])}<!-- /figure -->"
 
     return re.sub(r"<!-- figure: ([^>]*?) -->.*?<!-- /figure -->", write, text, flags=re.DOTALL)
 
 
-def figure(address: str) -> str:
+def read_figure(address: str) -> str:
     """One value, as text.
 
     Parameters
@@ -210,14 +217,14 @@ def figure(address: str) -> str:
     """
     name, *path, layout = shlex.split(address)
     try:
-        value = reduce(_entry, path, result(name))
+        value = reduce(_find_entry, path, read_result(name))
         points = 100 if layout.startswith("100*") else 1
         return format(points * value, layout.removeprefix("100*"))
     except (KeyError, IndexError, StopIteration, TypeError, ValueError, UserError) as error:
         raise ValueError(f"figure {address!r}: {error!r}") from error
 
 
-def _entry(value, word):
+def _find_entry(value, word):
     if isinstance(value, dict):
         return value[word]
     if word.isdigit():
@@ -225,16 +232,16 @@ def _entry(value, word):
     return next(e for e in value if word in (e.get("name"), e.get("a"), e.get("network")))
 
 
-def _parameters(command, group=""):
+def _list_parameters(command, group=""):
     """The first word of each command, and each of its parameters."""
     if hasattr(command, "commands"):
         for name, below in command.commands.items():
-            yield from _parameters(below, group or name)
+            yield from _list_parameters(below, group or name)
     else:
         yield from ((group, parameter) for parameter in command.params)
 
 
-def _help_of(parameter):
+def _find_help(parameter):
     """Name and meaning of an argument or an option."""
     if parameter.param_type_name == "argument":
         name = parameter.name.upper()
@@ -243,18 +250,18 @@ def _help_of(parameter):
     return name, " ".join((parameter.help or "").split())
 
 
-def _sections(command, words, depth, common):
-    summary = _plain(command.help)
+def _list_sections(command, words, depth, common):
+    summary = _strip_markup(command.help)
     if hasattr(command, "commands"):
         if depth > 2:  # the top command has its own title
             yield f"\n{'#' * (depth - 1)} {words}\n\n{summary}"
         for name, below in command.commands.items():
-            yield from _sections(below, f"{words} {name}", depth + 1, common)
+            yield from _list_sections(below, f"{words} {name}", depth + 1, common)
         return
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     usage = " ".join([words, *(p.name.upper() for p in arguments)])
     yield f"\n{'#' * (depth - 1)} {usage}\n\n{summary}\n"
-    parameters = [_help_of(p) for p in command.params]
+    parameters = [_find_help(p) for p in command.params]
     for name, text in parameters:
         if (name, text) not in common:
             yield f"- `{name}`: {text}"
@@ -263,7 +270,7 @@ def _sections(command, words, depth, common):
         yield f"- also: {', '.join(also)}"
 
 
-def _plain(text):
+def _strip_markup(text):
     """The text of a docstring in one line, without markup."""
     return re.sub(r":\w+:`~?([^`]*)`", r"`\1`", " ".join(text.split())).replace("``", "`")
 

@@ -102,7 +102,7 @@ def summarise_recordings(bits) -> dict:
     last = CHUNKS - 1 - any_bit[..., ::-1].argmax(-1)
     starts = any_bit & ~np.pad(any_bit, ((0, 0), (0, 0), (1, 0)))[..., :-1]
     runs = starts.sum((1, 2))
-    height, width = _size_of_largest(total >= FEWEST_BITS)
+    height, width = _measure_largest(total >= FEWEST_BITS)
     median = [np.median(row[row > 0]) if row.any() else 0.0 for row in total]
     return {
         "bits": some,
@@ -132,7 +132,7 @@ def count_neighbours(active):
     return around.reshape(len(active), N_TAXELS)
 
 
-def _size_of_largest(active):
+def _measure_largest(active):
     """Rows and columns of the largest connected component of each recording."""
     sizes = np.zeros((len(active), 2))
     for index, grid in enumerate(active.reshape(-1, GRID, GRID)):
@@ -173,13 +173,13 @@ def classify(train, labels, test) -> np.ndarray:
     """
     known = describe_counts(train, SLICES)
     new = describe_counts(test, SLICES)
-    kernel = _kernel(known, known)
+    kernel = _compute_gaussian(known, known)
     kernel[np.diag_indices_from(kernel)] += RIDGE
     weights = solve(kernel, 2.0 * np.eye(10)[labels] - 1.0, assume_a="pos", overwrite_a=True)
-    return (_kernel(new, known) @ weights).argmax(1)
+    return (_compute_gaussian(new, known) @ weights).argmax(1)
 
 
-def _kernel(one, other):
+def _compute_gaussian(one, other):
     """Gaussian kernel whose width is the mean squared length of the features."""
     squares = (one**2).sum(1)[:, None] + (other**2).sum(1) - 2 * one @ other.T
     return np.exp(-2 * squares / (other**2).sum(1).mean())
@@ -247,7 +247,7 @@ def map_activity(bits, labels) -> list:
     return [np.round(active[labels == digit].mean(0), 2).tolist() for digit in range(10)]
 
 
-def cells(result: dict) -> list:
+def make_cells(result: dict) -> list:
     """The table of a result: accuracies of the classifier, and means of the summaries."""
     rows = [["", "real", "simulated", "digits within 10 % or 0.3 taxel"]]
     accuracy = result["accuracy"]
@@ -310,5 +310,5 @@ def main(
         },
     }
     write_json(out, result)
-    show("\n".join(align_rows(cells(result), left=1)))
+    show("\n".join(align_rows(make_cells(result), left=1)))
     show(f"area under the curve, real against simulated: {result['auc']:.3f}")

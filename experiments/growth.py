@@ -66,10 +66,10 @@ def repeat_recordings(recordings: Recordings, samples_per_digit: int) -> Recordi
 def store_repeated(cache: Path, recordings: Recordings, samples_per_digit: int):
     """Store repeated recordings where a run looks for as many simulated ones."""
     settings = Settings().with_values({"data": {"samples_per_digit": samples_per_digit}})
-    sha256, _ = sources.identity_of(settings)
+    sha256, _ = sources.find_identity(settings)
     repeated = repeat_recordings(recordings, samples_per_digit)
     repeated = replace(repeated, source=replace(recordings.source, sha256=sha256))
-    library.store(cache / sources.path_of_simulated(sha256).name, repeated)
+    library.store(cache / sources.find_path_of_simulated(sha256).name, repeated)
 
 
 def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:
@@ -109,7 +109,7 @@ def measure(sizes, kinds, out: Path, say=print) -> list:
     return rows
 
 
-def cells(found: dict) -> list:
+def make_cells(found: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     lines = [["network", "recordings", "processor time", "peak of resident memory"]]
     for row in found["rows"]:
@@ -124,10 +124,10 @@ def cells(found: dict) -> list:
     return lines
 
 
-def text_of(found: dict) -> str:
+def format_result(found: dict) -> str:
     """The result as a table."""
     title = "One epoch of training, recordings in the cache"
-    return "\n".join([title, *align_rows(cells(found), left=1)])
+    return "\n".join([title, *align_rows(make_cells(found), left=1)])
 
 
 def main(
@@ -145,4 +145,4 @@ def main(
     found = {"experiment": "growth", "rows": rows, "measured": {"processor": name_processor()}}
     if store:
         write_json(RESULTS / f"{store}.json", found)
-    options.tell(found, text_of, as_json)
+    options.tell(found, format_result, as_json)

@@ -10,7 +10,7 @@ import typer
 from scipy.cluster.vq import kmeans2
 
 from deploy.errors import UserError
-from deploy.files import sha256_of
+from deploy.files import hash_file
 from deploy.terminal import show
 from experiments import unipen
 from pipeline.simulation import shape_model
@@ -80,12 +80,12 @@ def estimate(
     loyalty = []
     for digit in range(DIGITS):
         mine = [trace for trace in traces if trace.digit == digit]
-        ways, share = _ways_of(mine, seed, most)
+        ways, share = _find_allographs(mine, seed, most)
         if not ways:
             raise ValueError(f"too few people wrote a {digit} in any one way")
         allographs.append(ways)
         loyalty.append(share)
-    tempo, trial_tempo = _tempo(traces, digits, writers)
+    tempo, trial_tempo = _measure_tempo(traces, digits, writers)
     known = {"digits": len(traces), **(about or {})}
     if len(set(writers.tolist())) < len(traces):
         known["writers"] = len(set(writers.tolist()))
@@ -111,7 +111,7 @@ def add_straight_one(model: ShapeModel) -> ShapeModel:
     return replace(model, allographs=tuple(ways))
 
 
-def _tempo(traces, digits, writers):
+def _measure_tempo(traces, digits, writers):
     """Spreads of the logarithm of the speed between persons and within one.
 
     A tablet's points are evenly spaced in time.  A digit's mean speed is therefore its length (in
@@ -131,7 +131,7 @@ def _measure_log_speed(trace):
     return np.log(length / sum(len(stroke) - 1 for stroke in trace.strokes))
 
 
-def _ways_of(traces, seed, most):
+def _find_allographs(traces, seed, most):
     """The allographs of a digit, and the share of digits in a person's habitual one."""
     used = 0
     ways = []
@@ -139,20 +139,20 @@ def _ways_of(traces, seed, most):
     writers = sorted({trace.writer for trace in traces})
     for count in sorted({len(trace.strokes) for trace in traces}):
         mine = [trace for trace in traces if len(trace.strokes) == count]
-        points = _points_of(mine, count)
-        vectors = np.array([vector(trace, points) for trace in mine])
+        points = _count_points(mine, count)
+        vectors = np.array([make_vector(trace, points) for trace in mine])
         who = np.array([trace.writer for trace in mine])
-        for members in _clusters(vectors, who, seed, most):
+        for members in _find_clusters(vectors, who, seed, most):
             ways.append((len(members), points, vectors[members], who[members]))
             usage.append(
                 np.bincount(np.searchsorted(writers, who[members]), minlength=len(writers))
             )
             used += len(members)
-    allographs = tuple(_allograph(n / used, *rest) for n, *rest in ways)
-    return allographs, _loyalty(np.array(usage).T) if ways else 0.0
+    allographs = tuple(_make_allograph(n / used, *rest) for n, *rest in ways)
+    return allographs, _estimate_loyalty(np.array(usage).T) if ways else 0.0
 
 
-def _points_of(traces, count):
+def _count_points(traces, count):
     """Number of positions of each stroke: proportional to its share of the time, at least four."""
     steps = np.array([len(stroke) - 1 for trace in traces for stroke in trace.strokes])
     shares = np.mean(steps.reshape(len(traces), count), axis=0)
@@ -161,20 +161,20 @@ def _points_of(traces, count):
     return tuple(int(n) for n in points)
 
 
-def vector(trace: Trace, points) -> np.ndarray:
+def make_vector(trace: Trace, points) -> np.ndarray:
     """A trajectory as the vector that :class:`.Allograph` describes."""
     places = [resample(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
     last = np.log([len(stroke) - 1 for stroke in trace.strokes])
     return np.concatenate([*places, last[1:] - last[0]])
 
 
-def _clusters(vectors, writers, seed, most):
+def _find_clusters(vectors, writers, seed, most):
     """Indices of each allograph's trajectories (k-means), without those of rare allographs.
 
     An allograph that is too rare is removed, and its trajectories are assigned to the nearest other
     one, until no allograph is too rare.  If none remains, the trajectories are left out.
     """
-    if not _common(np.arange(len(vectors)), writers):
+    if not _is_common(np.arange(len(vectors)), writers):
         return []
     count = min(most, len(vectors) // LEAST_DIGITS)
     with warnings.catch_warnings():
@@ -183,18 +183,18 @@ def _clusters(vectors, writers, seed, most):
     while True:
         nearest = ((vectors[:, None] - centres[None]) ** 2).sum(-1).argmin(1)
         members = [np.flatnonzero(nearest == number) for number in range(len(centres))]
-        rare = [number for number, mine in enumerate(members) if not _common(mine, writers)]
+        rare = [number for number, mine in enumerate(members) if not _is_common(mine, writers)]
         if not rare:
             return members
         rarest = min(rare, key=lambda number: len(members[number]))
         centres = np.delete(centres, rarest, axis=0)
 
 
-def _common(members, writers):
+def _is_common(members, writers):
     return len(members) >= LEAST_DIGITS and len(set(writers[members])) >= LEAST_WRITERS
 
 
-def _allograph(share, points, vectors, writers):
+def _make_allograph(share, points, vectors, writers):
     mean = vectors.mean(axis=0)
     _, size, rows = np.linalg.svd(vectors - mean, full_matrices=False)
     rows = rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
@@ -202,11 +202,11 @@ def _allograph(share, points, vectors, writers):
     count = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST_COMPONENTS)
     components = rows[:count] * (size[:count, None] / np.sqrt(len(vectors)))
     scores = (vectors - mean) @ rows[:count].T / size[:count] * np.sqrt(len(vectors))
-    between, within = _covariances(scores, writers)
-    return Allograph(share, points, mean, components, _root(between), _root(within))
+    between, within = _estimate_covariances(scores, writers)
+    return Allograph(share, points, mean, components, _compute_root(between), _compute_root(within))
 
 
-def _covariances(scores, writers):
+def _estimate_covariances(scores, writers):
     """Covariances between and within persons, by the moments of a one-way analysis of variance."""
     people, index = np.unique(writers, return_inverse=True)
     if len(people) == len(scores):
@@ -222,13 +222,13 @@ def _covariances(scores, writers):
     return between, within
 
 
-def _root(covariance):
+def _compute_root(covariance):
     """A square root of a covariance; negative eigenvalues are replaced by 0."""
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
     return vectors * np.sqrt(np.maximum(values, 0))
 
 
-def _loyalty(usage):
+def _estimate_loyalty(usage):
     """Estimate the share of a person's digits that are written in the habitual way.
 
     Let a share ``q`` of a person's digits be written in one habitual way, which is drawn with the
@@ -264,7 +264,7 @@ def main(
     trajectory; the simulation reads the file that is written by default.
     """
     traces = unipen.read(file)
-    content = sha256_of(file)
+    content = hash_file(file)
     about = {"sha256": content, **KNOWN_HANDWRITING.get(content, {"source": file.name})}
     try:
         model = add_straight_one(estimate(traces, seed, about))

@@ -92,7 +92,7 @@ def _normalise(name):
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def cells() -> list:
+def make_cells() -> list:
     """The table of the packages that the project asks for, and of those that have conditions."""
     direct = list(map(_normalise, list_users_packages()))
     indirect = [name for name in list_restricted_packages() if name not in direct]

@@ -21,7 +21,7 @@ from deploy.files import read_json, write_json
 from deploy.targets.registry import run_target
 from deploy.terminal import show
 from pipeline.live.network import SHIPPED
-from pipeline.look import colour
+from pipeline.look import find_colour
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.events import GRID
 from pipeline.results.report import figures
@@ -54,7 +54,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 MAX_WRITERS = 12  # simulated people who write the digit of the picture until it is recognised
 
 
-def stamps() -> dict:
+def compute_stamps() -> dict:
     """The hash of the files that determine how each picture looks, by its name."""
     hashes = {}
     for name, patterns in SHOWN.items():
@@ -105,7 +105,7 @@ def _write_until_right(page):
     raise UserError("the page has not recognised an 8; leave the machine to it and try again")
 
 
-def _live(path):
+def _picture_live_page(path):
     """The live page after an 8."""
     from playwright.sync_api import sync_playwright
 
@@ -129,7 +129,7 @@ def _live(path):
             server.wait()
 
 
-def _touch(path):
+def _animate_touch(path):
     """An animation of the first 8 of the included network's check that it recognises."""
     bundle = read_bundle(SHIPPED)
     found = run_target(bundle.spec, bundle.checks.inputs, "fast", bundle.seed)
@@ -161,7 +161,7 @@ def draw_operations(rows: list) -> Figure:
     Parameters
     ----------
     rows : list of dict
-        Of one split, by :func:`experiments.tables.table`.
+        Of one split, by :func:`experiments.tables.make_table`.
     """
     by_name = {row["name"]: row for row in rows}
     figure = Figure(figsize=(7, 3.6), layout="constrained")
@@ -169,14 +169,24 @@ def draw_operations(rows: list) -> Figure:
     for name, title in NETWORKS.items():
         row = by_name[name]
         operations = row["costs"]["per_cnn"]
-        axes.errorbar(operations, row["mean"], row["sd"], fmt="o", color=colour("on"), capsize=3)
+        axes.errorbar(
+            operations, row["mean"], row["sd"], fmt="o", color=find_colour("on"), capsize=3
+        )
         place = (operations, row["mean"])
         axes.annotate(title, place, (8, -4), textcoords="offset points", fontsize=9)
     for name, title in BASELINES.items():
         accuracy = by_name[name]["mean"]
-        axes.axhline(accuracy, color=colour("soft"), linestyle="--", linewidth=1, zorder=0)
-        axes.annotate(title, (0.98, accuracy), (0, 3), ha="right", fontsize=9, color=colour("soft"),
-                      textcoords="offset points", xycoords=("axes fraction", "data"))  # fmt: skip
+        axes.axhline(accuracy, color=find_colour("soft"), linestyle="--", linewidth=1, zorder=0)
+        axes.annotate(
+            title,
+            (0.98, accuracy),
+            (0, 3),
+            ha="right",
+            fontsize=9,
+            color=find_colour("soft"),
+            textcoords="offset points",
+            xycoords=("axes fraction", "data"),
+        )
     axes.set(
         xlim=(0, 9.5),
         ylim=(0.88, 0.99),
@@ -201,7 +211,7 @@ def main():
     figures.save(draw_maps(maps), docs / "fidelity.png")
     table = read_json(ROOT / "results" / "table2-stmnist-published.json", "run table2")
     figures.save(draw_operations(table["rows"]), docs / "operations.png")
-    _live(docs / "live.png")
-    _touch(docs / "touch.gif")
-    write_json(ROOT / "docs" / "pictures.json", stamps())
+    _picture_live_page(docs / "live.png")
+    _animate_touch(docs / "touch.gif")
+    write_json(ROOT / "docs" / "pictures.json", compute_stamps())
     show("\n".join(f"docs/{name}" for name in SHOWN))

@@ -57,24 +57,24 @@ def _divide(images, divisors):
     return images / np.where(divisors > 0, divisors, 1)
 
 
-def _by_largest(images, training):
+def _divide_by_largest(images, training):
     return _divide(images, np.abs(images).max(IMAGE_AXES, keepdims=True))
 
 
-def _by_sum(images, training):
+def _divide_by_sum(images, training):
     return _divide(images, np.abs(images).sum(IMAGE_AXES, keepdims=True))
 
 
-def _by_length(images, training):
+def _divide_by_length(images, training):
     return _divide(images, np.sqrt(np.square(images).sum(IMAGE_AXES, keepdims=True)))
 
 
-def _by_length_of_columns(images, training):
+def _divide_by_length_of_columns(images, training):
     """As ``tf.keras.utils.normalize(images, axis=1)``, known from tutorials on MNIST."""
     return _divide(images, np.sqrt(np.square(images).sum(1, keepdims=True)))
 
 
-def _by_largest_of_all(images, training):
+def _divide_by_largest_of_all(images, training):
     return images / np.abs(training).max()
 
 
@@ -87,22 +87,28 @@ def _standardise_taxels(images, training):
     return _divide(images - training.mean(0), training.std(0)[None])
 
 
-def _root_by_largest(images, training):
-    return _by_largest(np.sign(images) * np.sqrt(np.abs(images)), training)
+def _divide_root_by_largest(images, training):
+    return _divide_by_largest(np.sign(images) * np.sqrt(np.abs(images)), training)
 
 
 READINGS = {
-    "max": Reading("all events, by the largest taxel", _add, _by_largest),
-    "max-signed": Reading("rises minus falls, by the largest taxel", _subtract, _by_largest),
-    "max-rises": Reading("rises, by the largest taxel", _take_rises, _by_largest),
-    "max-falls": Reading("falls, by the largest taxel", _take_falls, _by_largest),
-    "sum": Reading("all events, by their number", _add, _by_sum),
-    "l2": Reading("all events, by the image's Euclidean length", _add, _by_length),
-    "l2-columns": Reading("all events, by each column's length", _add, _by_length_of_columns),
-    "max-of-all": Reading("all events, by the largest of all images", _add, _by_largest_of_all),
+    "max": Reading("all events, by the largest taxel", _add, _divide_by_largest),
+    "max-signed": Reading("rises minus falls, by the largest taxel", _subtract, _divide_by_largest),
+    "max-rises": Reading("rises, by the largest taxel", _take_rises, _divide_by_largest),
+    "max-falls": Reading("falls, by the largest taxel", _take_falls, _divide_by_largest),
+    "sum": Reading("all events, by their number", _add, _divide_by_sum),
+    "l2": Reading("all events, by the image's Euclidean length", _add, _divide_by_length),
+    "l2-columns": Reading(
+        "all events, by each column's length", _add, _divide_by_length_of_columns
+    ),
+    "max-of-all": Reading(
+        "all events, by the largest of all images", _add, _divide_by_largest_of_all
+    ),
     "images": Reading("all events, images of mean 0 and SD 1", _add, _standardise_images),
     "taxels": Reading("all events, taxels of mean 0 and SD 1", _add, _standardise_taxels),
-    "sqrt-max": Reading("square roots of all events, by the largest", _add, _root_by_largest),
+    "sqrt-max": Reading(
+        "square roots of all events, by the largest", _add, _divide_root_by_largest
+    ),
 }
 
 
@@ -133,4 +139,4 @@ def predict_test_samples(dataset: Dataset, index, name: str, settings: Settings)
     images = reading.normalise(images, images[train])[..., None].astype(np.float32)
     samples = TrainingSamples(images[train], dataset.labels[train])
     network = train_cnn(settings, samples, settings.seed)
-    return network.logits(images[index]).argmax(1)
+    return network.compute_logits(images[index]).argmax(1)

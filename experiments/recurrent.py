@@ -18,9 +18,9 @@ from deploy.targets.registry import run_target
 from deploy.terminal import show
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
-from pipeline.kinds.nir.conversion import spec_of_nir
-from pipeline.kinds.nir.importing import Stepped
-from pipeline.kinds.nir.simulation import graph_inputs
+from pipeline.kinds.nir.conversion import make_nir_spec
+from pipeline.kinds.nir.importing import Stepping
+from pipeline.kinds.nir.simulation import make_graph_inputs
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
 
@@ -64,13 +64,13 @@ def compare_with_torch(graph, answers, settings, dataset, target) -> tuple:
     """The columns of a network: accuracies, and what snnTorch, graph and chip have in common."""
     network = read_nir(graph)
     theirs = read_arrays(answers, "train again")
-    stepped = Stepped.of(settings, network)
+    stepping = Stepping.of(settings, network)
     shown = settings.make_presentation()
     samples = dataset.inputs[np.sort(dataset.split.train)[:: len(dataset.split.train) // 48]]
-    spec = spec_of_nir(network, stepped, settings.stimulus, shown, samples, {})
+    spec = make_nir_spec(network, stepping, settings.stimulus, shown, samples, {})
     inputs, labels = (x[dataset.split.test] for x in (dataset.inputs, dataset.labels))
-    held = graph_inputs(network, inputs, settings.steps)
-    outputs = simulate(network, held, stepped.seconds, stepped.method).outputs
+    held = make_graph_inputs(network, inputs, settings.steps)
+    outputs = simulate(network, held, stepping.seconds, stepping.method).outputs
     same = (outputs == np.moveaxis(theirs["outputs"], 0, 1)).mean()
     chip = run_target(spec, inputs, target).predictions
     torch = theirs["predictions"]

@@ -18,19 +18,19 @@ from snntorch.export_nir import export_to_nir
 UNITS = 100
 
 
-def network_of(inputs, classes):
+def make_network(inputs, classes):
     grad = surrogate.fast_sigmoid(slope=10)
 
-    def per_neuron(n, value):  # the exporter takes shapes from the parameters
+    def repeat_for_neurons(n, value):  # the exporter takes shapes from the parameters
         return torch.full((n,), value)
 
     recurrent = snn.RSynaptic(
-        alpha=per_neuron(UNITS, 0.6), beta=per_neuron(UNITS, 0.9), all_to_all=True,
+        alpha=repeat_for_neurons(UNITS, 0.6), beta=repeat_for_neurons(UNITS, 0.9), all_to_all=True,
         linear_features=UNITS, reset_mechanism="none", spike_grad=grad, init_hidden=True,
     )  # fmt: skip
     recurrent.recurrent = torch.nn.Linear(UNITS, UNITS, bias=False)
     output = snn.Leaky(
-        beta=per_neuron(classes, 0.95), threshold=per_neuron(classes, 1.0),
+        beta=repeat_for_neurons(classes, 0.95), threshold=repeat_for_neurons(classes, 1.0),
         reset_mechanism="zero", spike_grad=grad, init_hidden=True,
     )  # fmt: skip
     first = torch.nn.Linear(inputs, UNITS, bias=False)
@@ -81,7 +81,7 @@ def main(given, graph, answers, seed, epochs):
     with np.load(given, allow_pickle=False) as file:
         parts = {name: torch.from_numpy(file[name]) for name in file.files}
     classes = int(parts["labels"].max()) + 1
-    network = network_of(parts["train"].shape[2], classes)
+    network = make_network(parts["train"].shape[2], classes)
     with torch.no_grad():  # neurons spike before they are trained
         network[0].weight *= 3
         network[2].weight *= 2

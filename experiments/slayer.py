@@ -101,7 +101,7 @@ class Slayer:
     dense_scale: float = 10.0
 
 
-def _filter(tau):
+def _compute_filter(tau):
     """Decay per step, and factor of q, of a kernel of unit peak with a time constant in steps."""
     return float(np.exp(-1 / tau)), float(np.e / tau)
 
@@ -135,7 +135,7 @@ class SlayerNetwork:
                 reach = scale / np.sqrt(np.prod(shape[:-1]))
                 self.kernels.append(tf.Variable(rng.uniform(-reach, reach, shape).astype("f4")))
 
-    def layers(self, frames) -> list:
+    def compute_layers(self, frames) -> list:
         """Potentials and spikes of every layer with weights, in order.
 
         Parameters
@@ -162,13 +162,13 @@ class SlayerNetwork:
                 signal = layers[-1][1]
         return layers
 
-    def gradients(self, frames, desired) -> tuple:
+    def compute_gradients(self, frames, desired) -> tuple:
         """The spike count loss E = 1/2 sum over all t of e(t)^2, e(t) = (count - desired)/T.
 
         Parameters
         ----------
         frames : tensor, shape (steps, samples, rows, columns, channels)
-            As in :meth:`layers`.
+            As in :meth:`compute_layers`.
         desired : tensor, shape (samples, outputs)
             Desired spike counts.
 
@@ -181,12 +181,12 @@ class SlayerNetwork:
             Of the loss with respect to each of `kernels`.
         """
         steps, samples = frames.shape[:2]
-        decay, gain = _filter(self.recipe.tau_s)
+        decay, gain = _compute_filter(self.recipe.tau_s)
         t = np.arange(steps)
         # The correlation eps (x) 1 with the error, which is constant.
         constant = np.cumsum(gain * t * decay**t)[::-1].astype(np.float32)[:, None, None]
         with tf.GradientTape() as tape:
-            spikes = self.layers(frames)[-1][1]
+            spikes = self.compute_layers(frames)[-1][1]
             counts = tf.reduce_sum(spikes, 0)
             error = tf.stop_gradient(counts - desired) / steps
             credited = tf.reduce_sum(constant * error * spikes) / samples
@@ -218,7 +218,7 @@ def fire(drive, recipe: Slayer) -> tuple:
 
     @tf.custom_gradient
     def spiking(drive):
-        potential = _potential(tf.stop_gradient(drive), recipe)
+        potential = _compute_potential(tf.stop_gradient(drive), recipe)
         spikes = tf.cast(potential >= recipe.theta, tf.float32)
         return (potential, spikes), lambda _, error: _credit(error, potential, recipe)
 
@@ -226,9 +226,9 @@ def fire(drive, recipe: Slayer) -> tuple:
 
 
 @_compiled
-def _potential(drive, recipe):
-    decay, gain = _filter(recipe.tau_s)
-    after, back = _filter(recipe.tau_r)
+def _compute_potential(drive, recipe):
+    decay, gain = _compute_filter(recipe.tau_s)
+    after, back = _compute_filter(recipe.tau_r)
     back *= -recipe.scale_ref * recipe.theta
 
     def step(t, state):
@@ -246,7 +246,7 @@ def _potential(drive, recipe):
 @_compiled
 def _credit(error, potential, recipe):
     """The gradient eps (x) (rho . error) of the drive, for that of the spikes, eps (x) e."""
-    decay, gain = _filter(recipe.tau_s)
+    decay, gain = _compute_filter(recipe.tau_s)
     tau = recipe.tau_rho * recipe.theta
     delta = error * recipe.scale_rho / tau * tf.exp(-tf.abs(potential - recipe.theta) / tau)
 
@@ -303,12 +303,12 @@ def train_slayer(
 
     @tf.function(autograph=False)
     def update(frames, desired):
-        loss, counts, gradients = network.gradients(frames, desired)
+        loss, counts, gradients = network.compute_gradients(frames, desired)
         optimizer.apply_gradients(zip(gradients, network.kernels, strict=True))
         return loss, counts
 
     counted = tf.function(
-        lambda frames: tf.reduce_sum(network.layers(frames)[-1][1], 0), autograph=False
+        lambda frames: tf.reduce_sum(network.compute_layers(frames)[-1][1], 0), autograph=False
     )
 
     def count(indices):
@@ -366,7 +366,7 @@ def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
     return make_spike_frames(columns, 1.0, len(recordings), bins, (sensor.rows, sensor.columns))
 
 
-def predictions_of(dataset, index, seed: int, conv_scale: float, checkpoint: Path) -> tuple:
+def train_and_predict(dataset, index, seed: int, conv_scale: float, checkpoint: Path) -> tuple:
     """Train on the events of a data set, and predict the classes of some of its samples.
 
     Parameters

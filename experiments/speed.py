@@ -41,7 +41,7 @@ def _time_call(function, *arguments):
     return time.process_time() - begun, result
 
 
-def of_bundle(bundle, samples: int | None = None) -> dict:
+def measure_on_bundle(bundle, samples: int | None = None) -> dict:
     """Run NengoLoihi's emulator and ``fast`` in turns, a stream of a bundle's samples in each.
 
     Parameters
@@ -58,7 +58,7 @@ def of_bundle(bundle, samples: int | None = None) -> dict:
     """
     spec = bundle.spec
     inputs = bundle.checks.inputs[:samples]
-    parts = spec.presentation.streams(len(inputs))
+    parts = spec.presentation.list_streams(len(inputs))
     found = run_target(spec, inputs, "fast", SEED)
     emulation = Emulation(spec, SEED)
     whole = [part for part in parts if part.stop - part.start == parts[0].stop]
@@ -90,7 +90,7 @@ def of_bundle(bundle, samples: int | None = None) -> dict:
     }
 
 
-def channel(n=1000):
+def build_channel(n=1000):
     """Two ensembles of n neurons; the first is connected to the second."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
@@ -101,7 +101,7 @@ def channel(n=1000):
         return network, nengo.Probe(second, synapse=0.01)
 
 
-def integrator(n=1000):
+def build_integrator(n=1000):
     """An ensemble of n neurons that is connected to itself."""
     with nengo.Network(seed=1) as network:
         pulse = nengo.Node(lambda t: float(t < 0.1))
@@ -111,7 +111,7 @@ def integrator(n=1000):
         return network, nengo.Probe(ensemble, synapse=0.01)
 
 
-def recurrent(n=1000):
+def build_recurrent(n=1000):
     """n neurons with all-to-all connections."""
     weights = np.random.RandomState(3).normal(size=(n, n), scale=1e-3)
     with nengo.Network(seed=1) as network:
@@ -122,7 +122,7 @@ def recurrent(n=1000):
         return network, nengo.Probe(neurons)
 
 
-def learning(n=1000):
+def build_learning(n=1000):
     """PES on the chip from n neurons; the host computes the error at every step."""
     with nengo.Network(seed=1) as network:
         wave = nengo.Node(lambda t: np.sin(2 * np.pi * t))
@@ -139,7 +139,7 @@ def learning(n=1000):
         return network, nengo.Probe(result, synapse=0.02)
 
 
-def convolutions(size=28):
+def build_convolutions(size=28):
     """Three convolutions on the chip, 3,488 compartments, after one on the host."""
     image = np.random.RandomState(0).uniform(-1, 1, size=size * size)
     with nengo.Network(seed=1) as network:
@@ -171,16 +171,16 @@ def convolutions(size=28):
 
 # Title, function that makes the network and its probe, and steps of each network to measure.
 CASES = (
-    ("channel, 2 ensembles of 1,000", channel, 4000),
-    ("integrator of 1,000", integrator, 4000),
-    ("recurrent, 1,000 x 1,000", recurrent, 1000),
-    ("PES, 1,000 neurons", learning, 400),
-    ("PES, 100 neurons", lambda: learning(100), 1000),
-    ("3 convolutions, 3,488 neurons", convolutions, 400),
+    ("channel, 2 ensembles of 1,000", build_channel, 4000),
+    ("integrator of 1,000", build_integrator, 4000),
+    ("recurrent, 1,000 x 1,000", build_recurrent, 1000),
+    ("PES, 1,000 neurons", build_learning, 400),
+    ("PES, 100 neurons", lambda: build_learning(100), 1000),
+    ("3 convolutions, 3,488 neurons", build_convolutions, 400),
 )
 
 
-class _Timed:
+class _TimedSimulator:
     """A simulator, and the processor time of its emulator."""
 
     def __init__(self, kind, make):
@@ -211,15 +211,15 @@ class _Timed:
         self.simulator.run_steps(steps)
         return self.seconds, self.simulator.data[self.probe]
 
-    def state(self):
+    def find_state(self):
         """Voltages, currents and spike counts of all compartments."""
         compartments = self.emulator.compartment
         return [compartments.voltage, compartments.current, compartments.spike_count]
 
 
-def of_network(title, make, steps) -> dict:
+def measure_on_network(title, make, steps) -> dict:
     """Run NengoLoihi's simulator and FastSimulator on a network in turns."""
-    pair = [_Timed(kind, make) for kind in (nengo_loihi.Simulator, FastSimulator)]
+    pair = [_TimedSimulator(kind, make) for kind in (nengo_loihi.Simulator, FastSimulator)]
     ratios = []
     identical = True
     for simulator in pair:
@@ -228,7 +228,7 @@ def of_network(title, make, steps) -> dict:
         (slow, expected), (quick, values) = (one.run(steps // TURNS) for one in pair)
         identical &= np.array_equal(expected, values)
         ratios.append(slow / quick)
-    identical &= all(map(np.array_equal, *(one.state() for one in pair)))
+    identical &= all(map(np.array_equal, *(one.find_state() for one in pair)))
     for one in pair:
         one.simulator.close()
     return {
@@ -238,7 +238,7 @@ def of_network(title, make, steps) -> dict:
     }
 
 
-def cells(found: dict) -> list:
+def make_cells(found: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     lines = [["", "times as fast", "identical", "samples a second"]]
     for name, row in found["bundles"].items():
@@ -267,15 +267,15 @@ def main(
     """Measure how many times as fast as NengoLoihi's emulator fast and FastSimulator are."""
     found = {"experiment": "speed", "bundles": {}, "measured": {"processor": name_processor()}}
     for path in bundles or ():
-        bundle = read_bundle(options.bundle_in(path))
+        bundle = read_bundle(options.find_bundle(path))
         kind = "image" if bundle.spec.stimulus.static else "events"
-        found["bundles"][kind] = of_bundle(bundle, samples)
+        found["bundles"][kind] = measure_on_bundle(bundle, samples)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found["networks"] = [of_network(*case) for case in CASES]
+        found["networks"] = [measure_on_network(*case) for case in CASES]
     if store:
         write_json(RESULTS / f"{store}.json", found)
     title = "Processor time relative to NengoLoihi's emulator, medians of turns"
-    options.tell(found, lambda value: "\n".join([title, *align_rows(cells(value))]), as_json)
+    options.tell(found, lambda value: "\n".join([title, *align_rows(make_cells(value))]), as_json)
     if not all(row["identical"] for row in (*found["bundles"].values(), *found["networks"])):
         raise CheckFailed("the predictions differ from those of NengoLoihi's emulator")

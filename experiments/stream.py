@@ -55,7 +55,7 @@ WAYS = {
 MAX_EXTRAPOLATION = 3
 
 
-def events_at(bundle, rate: float, samples: int, pause_s: float):
+def make_events_at(bundle, rate: float, samples: int, pause_s: float):
     """Events of samples one after the other, at a rate while each lasts.
 
     Parameters
@@ -107,7 +107,7 @@ def play(stream, columns, one_by_one: bool) -> dict:
     stream : Stream
         With times in nanoseconds.
     columns : tuple of ndarray
-        From :func:`events_at`.
+        From :func:`make_events_at`.
     one_by_one : bool
         True to push single events, False to push arrays, once a millisecond.
 
@@ -150,7 +150,7 @@ def play(stream, columns, one_by_one: bool) -> dict:
             pushed_ns = now_ns
     busy = (time.thread_time() - processor_s) / (passed_ns() * 1e-9)
     last = stream.finish()  # at no time of its own
-    latency = [now_ns - _moment(decision, times, stream.step_ns) for decision, now_ns in said]
+    latency = [now_ns - _find_moment(decision, times, stream.step_ns) for decision, now_ns in said]
     return {
         "latency_ms": np.array(latency) / 1e6,
         "busy": busy,
@@ -158,7 +158,7 @@ def play(stream, columns, one_by_one: bool) -> dict:
     }
 
 
-def _moment(decision, times, step_ns):
+def _find_moment(decision, times, step_ns):
     """Time of the last event in the step of an early decision, or at which the decision is due.
 
     Without events in its step, a decision comes from spikes that were on their way to the readout.
@@ -169,7 +169,7 @@ def _moment(decision, times, step_ns):
     return decision.time
 
 
-def busy_at_once(stream, columns, one_by_one: bool) -> float:
+def measure_pushing_at_once(stream, columns, one_by_one: bool) -> float:
     """Processor time as a share of the events' time, if they are pushed without waiting."""
     time_ns = columns[0]
     begun = time.thread_time()
@@ -193,16 +193,16 @@ def measure(bundle, rate: float, samples: int) -> dict:
         return Stream(bundle, "ns", network=network)
 
     pause_s = open_stream().silence + PAUSE_S
-    columns = events_at(bundle, rate, samples, pause_s)
-    expected = [decision.number for decision in _at_once(open_stream(), columns)]
+    columns = make_events_at(bundle, rate, samples, pause_s)
+    expected = [decision.number for decision in _push_at_once(open_stream(), columns)]
     rows = []
     for name, (one_by_one, rates) in WAYS.items():
         played = play(open_stream(), columns, one_by_one)
         latency = played["latency_ms"]
         loads = []
         for load in rates:
-            events = events_at(bundle, load, LOAD_SAMPLES, TOUCHING_S)
-            loads.append(busy_at_once(open_stream(), events, one_by_one))
+            events = make_events_at(bundle, load, LOAD_SAMPLES, TOUCHING_S)
+            loads.append(measure_pushing_at_once(open_stream(), events, one_by_one))
         slope, rest = np.polyfit(rates, loads, 1)
         highest = float((1 - rest) / slope) if slope > 0 else np.inf
         rows.append(
@@ -231,11 +231,11 @@ def measure(bundle, rate: float, samples: int) -> dict:
     }
 
 
-def _at_once(stream, columns):
+def _push_at_once(stream, columns):
     return stream.push(*columns) + stream.finish()
 
 
-def cells(found: dict) -> list:
+def make_cells(found: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     lines = [["pushed", "median", "99 %", "largest", "within 20 ms", "busy", "highest rate"]]
     for row in found["rows"]:
@@ -254,13 +254,13 @@ def cells(found: dict) -> list:
     return lines
 
 
-def text_of(found: dict) -> str:
+def format_result(found: dict) -> str:
     """The result as a table."""
     title = (
         f"Latency of the decisions on {found['samples']} touches, {found['rate']:,.0f} events per "
         f"second, {found['architecture']}, steps of {found['step_ms']:g} ms, one core"
     )
-    return "\n".join([title, *align_rows(cells(found))])
+    return "\n".join([title, *align_rows(make_cells(found))])
 
 
 def main(
@@ -271,10 +271,10 @@ def main(
     as_json: options.Json = False,
 ):
     """Measure the latency of a stream's decisions, and the highest rate of events."""
-    found = measure(read_bundle(options.bundle_in(bundle)), rate, samples)
+    found = measure(read_bundle(options.find_bundle(bundle)), rate, samples)
     if store:
         write_json(RESULTS / f"{store}.json", found)
-    options.tell(found, text_of, as_json)
+    options.tell(found, format_result, as_json)
     for row in found["rows"]:
         if not row["same_decisions"]:
             raise CheckFailed("the decisions in real time differ from those at once")

@@ -30,7 +30,7 @@ from pipeline.results import study
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Provenance, Settings
-from pipeline.sources import recordings_of
+from pipeline.sources import load_named_recordings
 
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"
@@ -115,7 +115,7 @@ EMULATED_NOTE = (
 )
 
 
-def _chip(name, title, changes=None, **more):
+def _make_chip_line(name, title, changes=None, **more):
     """A network on the emulated chip, with the readout on the host and on the chip."""
     changes = changes or {}
     return (
@@ -135,7 +135,7 @@ def _with_faults(name, title, changes=None, **more):
     )
 
 
-def _on_events(trained, chip, **more):
+def _make_event_lines(trained, chip, **more):
     """A network on events as trained, and on the emulated chip."""
     title = "SNN on events"
     more = {"input": "events", **more}
@@ -145,7 +145,7 @@ def _on_events(trained, chip, **more):
     )
 
 
-def _line_of_presentation(name, stage, steps, rate=150.0, **sections):
+def _make_presentation_line(name, stage, steps, rate=150.0, **sections):
     """The paper's network with choices that the paper leaves open."""
     title = f"{'NengoDL' if stage == 'spiking-lif' else 'emulated Loihi'}, {name}"
     shown = {"steps": steps, "readout_start": steps // 5, **sections.pop("presentation", {})}
@@ -156,12 +156,14 @@ def _line_of_presentation(name, stage, steps, rate=150.0, **sections):
 
 CHOICES = (
     Line("rate-lif", "rate-LIF, 150 Hz", "rate-lif", PAPER),
-    *(_line_of_presentation(f"{n} steps", "spiking-lif", n) for n in (100, 50, 40, 30, 20)),
-    _line_of_presentation("100 steps at 100 Hz", "spiking-lif", 100, 100.0),
-    _line_of_presentation("100 steps, no synapse", "spiking-lif", 100, deployment={"synapse": 0.0}),
-    *(_line_of_presentation(f"{n} steps", "fast", n) for n in (100, 50, 40, 30)),
+    *(_make_presentation_line(f"{n} steps", "spiking-lif", n) for n in (100, 50, 40, 30, 20)),
+    _make_presentation_line("100 steps at 100 Hz", "spiking-lif", 100, 100.0),
+    _make_presentation_line(
+        "100 steps, no synapse", "spiking-lif", 100, deployment={"synapse": 0.0}
+    ),
+    *(_make_presentation_line(f"{n} steps", "fast", n) for n in (100, 50, 40, 30)),
     *(
-        _line_of_presentation(f"{n} steps, no gap", "fast", n, presentation={"gap": 0})
+        _make_presentation_line(f"{n} steps, no gap", "fast", n, presentation={"gap": 0})
         for n in (100, 50)
     ),
 )
@@ -198,7 +200,7 @@ EXPERIMENTS = (
             Line("nearest", "nearest training sample", "nearest", styles=True),
             PAPER_CNN,
             Line("ann-snn", "ANN-SNN (NengoDL)", "spiking-lif", PAPER),
-            *_chip("loihi", "ANN-SNN", PAPER),
+            *_make_chip_line("loihi", "ANN-SNN", PAPER),
             Line(
                 "loihi-200",
                 "ANN-SNN, the paper's 200 samples, emulated Loihi, readout on host",
@@ -215,9 +217,9 @@ EXPERIMENTS = (
             Line("cnn-matched", "CNN, longer training", "cnn-matched"),
             CNN_AUGMENTED,
             Line("own-ann-snn", "ANN-SNN (NengoDL), longer training", "spiking-lif", OWN),
-            *_chip("own-loihi", "ANN-SNN, longer training", OWN, styles=True),
-            *_chip("slices", "SNN on slices of time", input="slices", styles=True),
-            *_on_events("events", "events-loihi", styles=True),
+            *_make_chip_line("own-loihi", "ANN-SNN, longer training", OWN, styles=True),
+            *_make_chip_line("slices", "SNN on slices of time", input="slices", styles=True),
+            *_make_event_lines("events", "events-loihi", styles=True),
             Line(
                 "events-small-loihi",
                 "small SNN on events, emulated Loihi, readout on host",
@@ -258,9 +260,11 @@ EXPERIMENTS = (
             *(
                 line
                 for n in (100, 50)
-                for line in _chip(f"chip-{n}", f"{n} steps", {"presentation": {"steps": n}})
+                for line in _make_chip_line(
+                    f"chip-{n}", f"{n} steps", {"presentation": {"steps": n}}
+                )
             ),
-            *_on_events("trained", "events-chip", on_request=True),
+            *_make_event_lines("trained", "events-chip", on_request=True),
         ),
         (
             *((name, "cnn-matched") for name in ("cnn", "rate-lif", "spiking-lif")),
@@ -308,7 +312,7 @@ EXPERIMENTS = (
             Line("cnn", "CNN on images", "cnn"),
             Line("rate-lif", "rate-LIF on images", "rate-lif"),
             Line("chip", "ANN-SNN, emulated Loihi, readout on host", "fast", OWN),
-            *_on_events("trained", "events-chip"),
+            *_make_event_lines("trained", "events-chip"),
         ),
         (
             *(("chip", "rate-lif"), ("events-chip", "trained"), ("chip", "counts")),
@@ -337,21 +341,21 @@ def measure(case: Case, networks: Library) -> dict:
     """
     if case.split == STYLES:
         case = replace(case, split="random")
-        row = _measure_on(hold_out_styles(study.dataset_of(case), case.seed), case, networks)
+        row = _measure_on(hold_out_styles(study.make_dataset(case), case.seed), case, networks)
         return {**row, "split": STYLES}
-    return _measure_on(study.dataset_of(case), case, networks)
+    return _measure_on(study.make_dataset(case), case, networks)
 
 
 def _measure_on(dataset, case, networks):
     if case.alter in VARIANTS:
         dataset = vary_dataset(dataset, case.alter, case.seed)
-    index = dataset.split.indices(case.part)
+    index = dataset.split.get_indices(case.part)
     if case.stage == readings.STAGE:
         predictions = readings.predict_test_samples(dataset, index, case.alter, case.resolved)
-        return study.row_of(case, dataset, index, predictions)
+        return study.make_row(case, dataset, index, predictions)
     if case.stage in classifiers.STAGES:
         predictions = classifiers.predict_test_samples(dataset, index, case.stage)
-        return study.row_of(case, dataset, index, predictions)
+        return study.make_row(case, dataset, index, predictions)
     if case.stage == "fast-200":
         return _draw_check_samples(
             study.measure(replace(case, stage="fast"), networks, dataset), dataset, case
@@ -360,12 +364,12 @@ def _measure_on(dataset, case, networks):
         return _measure_with_faults(dataset, case, networks)
     if case.stage not in ("slayer", "slayer-small"):
         return study.measure(case, networks, dataset)
-    from experiments.slayer import predictions_of
+    from experiments.slayer import train_and_predict
 
     scale = 10.0 if case.stage == "slayer-small" else 100.0
     checkpoint = networks.path / case.stage / f"{case.split}-{case.seed:02d}.npz"
-    predictions, history = predictions_of(dataset, index, case.seed, scale, checkpoint)
-    return study.row_of(case, dataset, index, predictions, history=history)
+    predictions, history = train_and_predict(dataset, index, case.seed, scale, checkpoint)
+    return study.make_row(case, dataset, index, predictions, history=history)
 
 
 def _measure_with_faults(dataset, case, networks):
@@ -396,7 +400,7 @@ def _draw_check_samples(row, dataset, case):
     }
 
 
-def wanted_settings(experiment: Experiment, lines, settings: Settings) -> dict:
+def list_settings(experiment: Experiment, lines, settings: Settings) -> dict:
     """The settings of each line by its name, without what is chosen for the recordings."""
     always = {"split": {"validation_fraction": experiment.validation}}
     wanted = {}
@@ -426,14 +430,14 @@ def fit_settings(wanted: dict, recordings, say) -> dict:
             say(text)
 
     for name, settings in wanted.items():
-        key = settings, settings.names_of(Provenance.USER)
+        key = settings, settings.list_names(Provenance.USER)
         if key not in complete:
             complete[key] = choose_settings(settings, recordings, say=say_once)
         by_line[name] = complete[key]
     return by_line
 
 
-def cases_of(experiment: Experiment, lines, settings: dict, seeds, splits) -> list:
+def list_cases(experiment: Experiment, lines, settings: dict, seeds, splits) -> list:
     """The cases of an experiment.
 
     Parameters
@@ -469,15 +473,15 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
         There is no such row, or the recordings cannot be read or do not fit.
     """
     lines = select_lines(experiment, only)
-    recordings = recordings_of(settings, workers.processes, say)
-    of_lines = fit_settings(wanted_settings(experiment, lines, settings), recordings, say)
-    splits = splits_of(experiment, settings, recordings)
+    recordings = load_named_recordings(settings, workers.processes, say)
+    of_lines = fit_settings(list_settings(experiment, lines, settings), recordings, say)
+    splits = list_splits(experiment, settings, recordings)
     folder.save_settings(settings)
     seeds = range(settings.seed, settings.seed + seeds)
-    cases = cases_of(experiment, lines, of_lines, seeds, splits)
+    cases = list_cases(experiment, lines, of_lines, seeds, splits)
     sha256 = recordings.source.sha256
-    rows, failed = study.study(cases, folder.path, sha256, workers, say, measure)
-    result = {"experiment": experiment.name, **tables.table(rows, against=experiment.pairs)}
+    rows, failed = study.run_study(cases, folder.path, sha256, workers, say, measure)
+    result = {"experiment": experiment.name, **tables.make_table(rows, against=experiment.pairs)}
     result["measured"] = describe_machine()
     write_json(folder.path / f"{experiment.name}.json", result)
     return result, "; ".join(f"{c.name}, {c.split} {c.seed}: {e}" for c, e in failed.items())
@@ -493,7 +497,7 @@ def describe_machine() -> dict:
     }
 
 
-def splits_of(experiment: Experiment, settings, recordings) -> tuple:
+def list_splits(experiment: Experiment, settings, recordings) -> tuple:
     """The kinds of splits: those of the settings, or random and, where it is asked, by writer."""
     kind = settings.split.kind
     if kind == "auto":
@@ -533,7 +537,7 @@ def make_cells(experiment: Experiment, found: dict, split: str) -> list:
         if row["split"] != split:
             continue
         sd = "" if row["sd"] is None else f" ({row['sd']:.3f})"
-        interval = tables.interval_text([min(max(b, 0.0), 1.0) for b in row["ci95"] or ()])
+        interval = tables.format_interval([min(max(b, 0.0), 1.0) for b in row["ci95"] or ()])
         line = [titles[row["name"]], f"{row['mean']:.3f}{sd}", interval, str(len(row["seeds"]))]
         costs = row.get("costs", {})
         shown = COSTS if early else COSTS[:3]
@@ -573,7 +577,7 @@ def format_result(experiment: Experiment, found: dict) -> str:
             lines.append("the intervals are over trainings on this one split")
     if found["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
-        lines += ["", *align_rows(tables.comparisons_cells(found, titles))]
+        lines += ["", *align_rows(tables.make_comparison_cells(found, titles))]
     lines += ["", experiment.note]
     lines.append(
         "operations: synaptic, readout included, relative to the multiply-accumulates of the "
@@ -588,7 +592,7 @@ def name_processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
-        name = platform.name_processor()
+        name = platform.processor()
     return f"{name}, {os.cpu_count()} cores"
 
 
@@ -596,12 +600,14 @@ Out = Annotated[Path, typer.Option(help="Folder of the rows, which are not measu
 Store = Annotated[str, typer.Option(help="Name of a file in results/ for the result.")]
 
 Given = Annotated[
-    options.Requested,
-    options.group(options.Requested, data=options.Data, seed=options.Seed, **options.CHANGES),
+    options.RequestedSettings,
+    options.group(
+        options.RequestedSettings, data=options.Data, seed=options.Seed, **options.CHANGES
+    ),
 ]
 
 
-def command_of(experiment: Experiment) -> Callable:
+def make_command(experiment: Experiment) -> Callable:
     """The command of an experiment."""
 
     def command(

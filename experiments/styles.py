@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from experiments.classifiers import root_counts
+from experiments.classifiers import compute_root_counts
 from pipeline.paper import WRITERS
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.splits import Split
@@ -35,7 +35,7 @@ def hold_out_styles(dataset: Dataset, seed: int) -> Dataset:
         Of the assignment of clusters to folds, of which the first is held out.
     """
     everything = np.sort(np.concatenate([dataset.split.train, dataset.split.test]))
-    features = root_counts(dataset)[everything]
+    features = compute_root_counts(dataset)[everything]
     labels = dataset.labels[everything]
     rng = np.random.default_rng([seed, 0x57E])
     is_test = np.zeros(len(everything), bool)

@@ -9,20 +9,20 @@ n_train) s^2.
 import numpy as np
 from scipy import stats
 
-from deploy.check.intervals import mcnemar, wilson_interval
-from deploy.tables import p_text
+from deploy.check.intervals import compute_mcnemar_p, compute_wilson_interval
+from deploy.tables import format_p
 
 # Fewest splits for an interval.
 FEWEST = 3
 
 
-def table(rows, by=("split", "name"), against=()) -> dict:
+def make_table(rows, by=("split", "name"), against=()) -> dict:
     """Means over splits, and differences on the same samples of the same splits.
 
     Parameters
     ----------
     rows : sequence of dict
-        From :func:`pipeline.results.study.study`.
+        From :func:`pipeline.results.study.run_study`.
     by : sequence of str
         Rows with equal entries of these names are averaged; the last one names the row.
     against : sequence of (str, str)
@@ -44,15 +44,15 @@ def table(rows, by=("split", "name"), against=()) -> dict:
         runs = list(of_seed.values())
         values = [row["accuracy"] for row in runs]
         entry = {**dict(zip(by, key, strict=True)), "seeds": list(of_seed), "values": values}
-        entry |= {size: _mean(runs, size) for size in ("n_train", "n_test")}
+        entry |= {size: _compute_mean(runs, size) for size in ("n_train", "n_test")}
         entry |= estimate(values, entry["n_train"], entry["n_test"], runs[0]["split"])
         if len(runs) == 1:
             right = runs[0]["right"]
-            entry["ci95"] = list(wilson_interval(sum(right), len(right)))
+            entry["ci95"] = list(compute_wilson_interval(sum(right), len(right)))
         costs = [row["costs"] for row in runs if "costs" in row]
         if len(costs) == len(runs):
             names = [name for name, value in costs[0].items() if not isinstance(value, dict)]
-            entry["costs"] = {name: _mean(costs, name) for name in names}
+            entry["costs"] = {name: _compute_mean(costs, name) for name in names}
         entries.append(entry)
     comparisons = [
         {**dict(zip(by, key, strict=True)), "a": key[-1], "b": b, **found}
@@ -60,7 +60,9 @@ def table(rows, by=("split", "name"), against=()) -> dict:
         for key in groups
         if key[-1] == a and (found := _compare_rows(groups[key], groups.get((*key[:-1], b), {})))
     ]
-    for comparison, p in zip(comparisons, holm([c["p"] for c in comparisons]), strict=True):
+    for comparison, p in zip(
+        comparisons, correct_by_holm([c["p"] for c in comparisons]), strict=True
+    ):
         comparison["p_holm"] = p
     return {
         "simulated": any(row["simulated"] for row in rows),
@@ -70,7 +72,7 @@ def table(rows, by=("split", "name"), against=()) -> dict:
     }
 
 
-def _mean(rows, name):
+def _compute_mean(rows, name):
     return float(np.mean([row[name] for row in rows]))
 
 
@@ -80,17 +82,17 @@ def _compare_rows(ones, others):
     if not seeds:
         return None
     pairs = [(ones[seed], others[seed]) for seed in seeds]
-    differences = [float(np.subtract(*_common(*pair)).mean()) for pair in pairs]
+    differences = [float(np.subtract(*_pair_common(*pair)).mean()) for pair in pairs]
     shared = [one for one, _ in pairs]
-    sizes = [_mean(shared, name) for name in ("n_train", "n_test")]
+    sizes = [_compute_mean(shared, name) for name in ("n_train", "n_test")]
     found = estimate(differences, *sizes, pairs[0][0]["split"])
     if len(pairs) == 1:
-        found["p"] = mcnemar(*_common(*pairs[0]))
-    agree = [np.mean(np.equal(*_common(*pair, "predictions"))) for pair in pairs]
+        found["p"] = compute_mcnemar_p(*_pair_common(*pairs[0]))
+    agree = [np.mean(np.equal(*_pair_common(*pair, "predictions"))) for pair in pairs]
     return {**found, "values": differences, "agreement": float(np.mean(agree))}
 
 
-def _common(one, other, what="right"):
+def _pair_common(one, other, what="right"):
     """An entry of two rows for each sample that both have."""
     ours = dict(zip(one["samples"], one[what], strict=True))
     theirs = dict(zip(other["samples"], other[what], strict=True))
@@ -134,7 +136,7 @@ def estimate(values, n_train: float, n_test: float, split: str = "random") -> di
     return {"mean": mean, "sd": sd, "ci95": [mean - reach, mean + reach], "p": p}
 
 
-def holm(p_values) -> list:
+def correct_by_holm(p_values) -> list:
     """p values corrected for their number (Holm 1979); None stays None and is not counted."""
     order = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
     corrected = [None] * len(p_values)
@@ -145,25 +147,25 @@ def holm(p_values) -> list:
     return corrected
 
 
-def interval_text(ci95, scale: float = 1.0, digits: int = 3, sign: str = "") -> str:
+def format_interval(ci95, scale: float = 1.0, digits: int = 3, sign: str = "") -> str:
     """An interval as "0.870 to 0.912"; empty without one."""
     return " to ".join(f"{scale * bound:{sign}.{digits}f}" for bound in ci95 or ())
 
 
-def comparisons_cells(found: dict, titles: dict) -> list:
+def make_comparison_cells(found: dict, titles: dict) -> list:
     """The comparisons of a table as lists of text, the heads first; a loss is negative.
 
     Parameters
     ----------
     found : dict
-        From :func:`table`.
+        From :func:`make_table`.
     titles : dict of str to str
         What each name of a row is called.
     """
     rows = []
     for entry in found["comparisons"]:
-        p = "" if entry["p_holm"] is None else p_text(entry["p_holm"])
-        interval = interval_text(entry["ci95"], 100, 2, "+")
+        p = "" if entry["p_holm"] is None else format_p(entry["p_holm"])
+        interval = format_interval(entry["ci95"], 100, 2, "+")
         agreement = f"{entry['agreement']:.1%}" if "agreement" in entry else ""
         pair = titles[entry["a"]], titles[entry["b"]], entry["split"]
         rows.append([*pair, f"{100 * entry['mean']:+.2f}", interval, p, agreement])

@@ -52,7 +52,7 @@ def measure_input(kind: str, folder: Path, real, seed: int, jobs: int) -> dict:
     }
 
 
-def cells(result: dict) -> list:
+def make_cells(result: dict) -> list:
     """The table of a result."""
     heads = ["network, emulated Loihi", "on simulated recordings", "on real recordings"]
     rows = [
@@ -85,4 +85,4 @@ def main(
         "rows": rows,
     }
     write_json(out, result)
-    show("\n".join(align_rows(cells(result), left=1)))
+    show("\n".join(align_rows(make_cells(result), left=1)))

@@ -60,14 +60,14 @@ def execute(notebook: dict, folder) -> tuple:
                 lines = text.getvalue().splitlines(keepends=True)
                 printed = {"name": "stdout", "output_type": "stream", "text": lines}
                 figures = [*shown, *map(plt.figure, plt.get_fignums())]
-                outputs = [printed] * bool(lines) + list(map(_picture, figures))
+                outputs = [printed] * bool(lines) + list(map(_encode_picture, figures))
                 plt.close("all")
                 cell = {**cell, "execution_count": count, "outputs": outputs}
             cells.append(cell)
     return {**notebook, "cells": cells}, names
 
 
-def _picture(figure) -> dict:
+def _encode_picture(figure) -> dict:
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=90, metadata={"Software": None})
     picture = base64.b64encode(data.getvalue()).decode()

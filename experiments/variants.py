@@ -31,14 +31,14 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
     seed : int
         Seed of the shuffling.
     lasts_ns : float
-        Duration of each recording, see :func:`only_counts`.
+        Duration of each recording, see :func:`keep_only_counts`.
     """
     made = {
         "as-is": lambda: recordings,
         "no-polarity": lambda: without_polarity(recordings),
         "even": lambda: even(recordings),
         "shuffled": lambda: shuffle_events(recordings, seed),
-        "counts": lambda: only_counts(recordings, lasts_ns),
+        "counts": lambda: keep_only_counts(recordings, lasts_ns),
     }
     return made[variant]()
 
@@ -48,15 +48,15 @@ def vary_dataset(dataset: Dataset, variant: str, seed: int) -> Dataset:
 
     Recordings that are reduced to counts last as long as the median training sample.
     """
-    lasts = float(np.median(durations_ns(dataset.recordings)[dataset.split.train]))
+    lasts = float(np.median(measure_durations_ns(dataset.recordings)[dataset.split.train]))
     recordings = vary(dataset.recordings, variant, seed, lasts)
     origin = dataset.origin.with_content("variant", variant)
     return Dataset(recordings, dataset.split, origin, dataset.settings)
 
 
-def durations_ns(recordings: Recordings) -> np.ndarray:
+def measure_durations_ns(recordings: Recordings) -> np.ndarray:
     """Time from each recording's first event to its last, 0 without events, shape (n_samples,)."""
-    first, last = _ends(recordings)
+    first, last = _find_ends(recordings)
     return last - first
 
 
@@ -69,7 +69,7 @@ def without_polarity(recordings: Recordings) -> Recordings:
 def even(recordings: Recordings) -> Recordings:
     """Evenly spaced times from the first event to the last, in the original order."""
     sample = recordings.sample_of_event
-    first, last = _ends(recordings)
+    first, last = _find_ends(recordings)
     counts = np.diff(recordings.offsets)
     rank = np.arange(len(sample)) - recordings.offsets[sample]
     share = rank / np.maximum(counts - 1, 1)[sample]
@@ -91,7 +91,7 @@ def shuffle_events(recordings: Recordings, seed: int) -> Recordings:
     return replace(recordings, events=Events(time_ns=events.time_ns, **columns))
 
 
-def only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
+def keep_only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
     """The n events of a taxel and polarity are evenly spaced over the same time for all recordings.
 
     Event k is at (k + 1/2)/n of this time.  The times of events and the duration of recordings are
@@ -119,7 +119,7 @@ def only_counts(recordings: Recordings, lasts_ns: float) -> Recordings:
     return replace(recordings, events=Events(time_ns=time_ns[order], **columns))
 
 
-def _ends(recordings):
+def _find_ends(recordings):
     """Time of each recording's first and last event, 0 without events."""
     time_ns = recordings.events.time_ns
     offsets = recordings.offsets

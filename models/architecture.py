@@ -67,7 +67,7 @@ class Architecture:
         shape = self.input_shape
         for layer in self.layers:
             _check_place(layer, shape, layer is self.layers[-1])
-            shape = layer.shape(shape)
+            shape = layer.compute_shape(shape)
 
     @property
     def shapes(self) -> tuple:
@@ -77,7 +77,7 @@ class Architecture:
         """
         shapes = [self.input_shape]
         for layer in self.layers:
-            shapes.append(layer.shape(shapes[-1]))
+            shapes.append(layer.compute_shape(shapes[-1]))
         return tuple(shapes)
 
     @property
@@ -110,10 +110,10 @@ class Architecture:
         return {
             f"{name}.{array}": shape
             for name, layer, before in zip(self.names, self.layers, self.shapes, strict=False)
-            for array, shape in layer.array_shapes(before).items()
+            for array, shape in layer.list_array_shapes(before).items()
         }
 
-    def event_weight_shapes(self, sections: int = 1) -> dict:
+    def list_event_weight_shapes(self, sections: int = 1) -> dict:
         """Shapes of the trained arrays of a spiking network on events (:mod:`models.spiking`).
 
         In addition to `weight_shapes`, each layer with neurons has two time constants; the output
@@ -142,7 +142,7 @@ class Architecture:
     def fan_out(self) -> dict:
         """Synapses that leave each position of a layer's input, by the name of that layer."""
         return {
-            name: layer.fan_out(before)
+            name: layer.count_fan_out(before)
             for name, layer, before in zip(self.names, self.layers, self.shapes, strict=False)
         }
 
@@ -208,7 +208,7 @@ def parse(text: str) -> Architecture:
             layer = _parse_layer(token, shape, position == last)
         except ValueError as error:
             fail(position, str(error))
-        shape = layer.shape(shape)
+        shape = layer.compute_shape(shape)
         layers.append(layer)
     return Architecture(input_shape, tuple(layers))
 
@@ -225,8 +225,8 @@ def _parse_layer(token: str, shape: tuple, is_last: bool):
     if layer is None:
         raise ValueError(f"must be a layer: {_list_operations()}")
     _check_place(layer, shape, is_last)
-    weights = [math.prod(s) for s in layer.array_shapes(shape).values()]
-    shape = layer.shape(shape)
+    weights = [math.prod(s) for s in layer.list_array_shapes(shape).values()]
+    shape = layer.compute_shape(shape)
     if is_last and math.prod(shape) < 2:
         raise ValueError("must have at least 2 output neurons")
     if math.prod(shape) > MAX_VALUES:

@@ -28,7 +28,7 @@ from models.ops import Operation, Pooling
 
 
 @dataclass(frozen=True)
-class Decays:
+class NeuronDecays:
     """Neurons by what remains after a step: u <- keep_u u + W s, v <- keep_v v + u + bias.
 
     A neuron spikes where v exceeds 1, and v is 0 there.
@@ -59,7 +59,7 @@ class Link:
         Weights of the values after average pooling, in the order of the trained kernel; for neurons
         in units of their threshold.
     bias : ndarray, shape (filters,) or (units,)
-    neurons : Neurons, Decays or None
+    neurons : Neurons, NeuronDecays or None
         Neurons as they are deployed, in seconds; neurons by what remains after a step, before they
         are rounded to integers; None for a linear readout on the host.
     synapse : float or None
@@ -80,7 +80,7 @@ class Link:
     input_shape: tuple
     weights: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
-    neurons: Neurons | Decays | None = None
+    neurons: Neurons | NeuronDecays | None = None
     synapse: float | None = None
     pool: int = 1
     recurrent: np.ndarray | None = field(default=None, repr=False)
@@ -92,9 +92,9 @@ class Link:
         return f"layer {self.name}{nodes}"
 
     @property
-    def decays(self) -> Decays:
+    def decays(self) -> NeuronDecays:
         """Its neurons, of a link whose neurons are not rounded to integers yet."""
-        assert isinstance(self.neurons, Decays), f"{self}: has no decays"
+        assert isinstance(self.neurons, NeuronDecays), f"{self}: has no decays"
         return self.neurons
 
     @property
@@ -105,7 +105,7 @@ class Link:
     @property
     def shape(self) -> tuple:
         """Shape of its outputs, (rows, columns, channels) or (values,)."""
-        return self.operation.shape(self.read_shape)
+        return self.operation.compute_shape(self.read_shape)
 
     @property
     def size(self) -> int:
@@ -115,7 +115,7 @@ class Link:
     @property
     def fan_out(self) -> np.ndarray:
         """Synapses that leave each input position, int64, of shape ``input_shape``."""
-        return self.operation.input_fan_out(self.input_shape, self.pool)
+        return self.operation.count_input_fan_out(self.input_shape, self.pool)
 
     @property
     def read_shape(self) -> tuple:
@@ -156,7 +156,7 @@ def make_links(architecture: Architecture, weights: dict | None = None) -> tuple
             continue
         arrays = {
             array: _take_array(weights, f"{name}.{array}", shape)
-            for array, shape in layer.array_shapes(read_shape).items()
+            for array, shape in layer.list_array_shapes(read_shape).items()
         }
         link = Link(name, layer, before, arrays["kernel"], arrays["bias"], pool=pool)
         links.append(link)
@@ -217,7 +217,7 @@ def from_rates(
     *hidden, output = make_links(architecture, weights)
     chain = []
     for index, link in enumerate(hidden):
-        rate = snn.max_rate(index)
+        rate = snn.get_max_rate(index)
         gain = find_gain(rate, snn.tau_rc, snn.tau_ref)
         kernel = gain * link.weights
         bias = 1 + gain * link.bias
@@ -280,7 +280,7 @@ def _deploy(link: Link) -> Layer:
     in TensorFlow, and those of a layer the order of Nengo; a link's operation has its training,
     too.
     """
-    assert not isinstance(link.neurons, Decays), f"{link}: its neurons are not integers yet"
+    assert not isinstance(link.neurons, NeuronDecays), f"{link}: its neurons are not integers yet"
     return Layer(
         name=link.name,
         operation=link.operation.to_layer_operation(link.shape),

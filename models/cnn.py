@@ -106,13 +106,13 @@ class RateLIF(tf.keras.layers.Layer):
 
     def call(self, inputs, training=None):
         """Rates relative to ``max_rate``; in training the spike penalty is added to the loss."""
-        rates = self.rates(inputs)
+        rates = self.compute_rates(inputs)
         if training and self.spike_costs is not None:
-            self.add_loss(tf.reduce_mean(self.cost(rates)))
+            self.add_loss(tf.reduce_mean(self.compute_cost(rates)))
         return rates
 
     @as_written
-    def rates(self, inputs):
+    def compute_rates(self, inputs):
         """Rates relative to ``max_rate``, with the gradient of the smoothed rate.
 
         With the smoothed excess x = smoothing * softplus(gain z / smoothing) and the interval
@@ -126,13 +126,15 @@ class RateLIF(tf.keras.layers.Layer):
 
         @tf.custom_gradient
         def rates(z):
-            exact = tf.where(z > 0, 1 / (self._interval(self.gain * z) * self.max_rate), 0.0)
+            exact = tf.where(
+                z > 0, 1 / (self._compute_interval(self.gain * z) * self.max_rate), 0.0
+            )
 
             def gradient(upstream):
                 scaled = self.gain * z / self.smoothing
                 excess = tf.maximum(self.smoothing * tf.math.softplus(scaled), MIN_EXCESS)
                 steepness = self.gain * self.tau_rc / self.max_rate * tf.sigmoid(scaled)
-                interval = self._interval(excess)
+                interval = self._compute_interval(excess)
                 return upstream * steepness / (excess * (excess + 1) * tf.square(interval))
 
             return exact, gradient
@@ -140,12 +142,12 @@ class RateLIF(tf.keras.layers.Layer):
         return rates(inputs)
 
     @as_written
-    def cost(self, rates):
+    def compute_cost(self, rates):
         """Spike penalty of each sample; the last dimensions of ``rates`` match ``spike_costs``."""
         dimensions = len(self.spike_costs.shape)
         return tf.reduce_sum(rates * self.spike_costs, axis=tuple(range(-dimensions, 0)))
 
-    def _interval(self, excess):
+    def _compute_interval(self, excess):
         """Interspike interval in seconds at a current ``excess`` above the threshold."""
         rise = tf.math.log1p(1 / tf.maximum(excess, MIN_EXCESS))
         return self.shortest_interval + self.tau_rc * rise
@@ -183,7 +185,7 @@ def build_cnn(architecture: Architecture, activation=None, gain=None) -> tf.kera
         if not layer.is_spatial and len(signal.shape) > 2:
             signal = tf.keras.layers.Flatten(name="flatten")(signal)
         has_neurons = layer.has_neurons and not layer.output
-        signal = layer.keras_layer(name, gain(index) if gain and has_neurons else None)(signal)
+        signal = layer.make_keras_layer(name, gain(index) if gain and has_neurons else None)(signal)
         if has_neurons:
             neurons = activation(index)
             neurons._name = f"{name}_neurons"
@@ -202,8 +204,8 @@ def _require_declared_arrays(model, architecture):
         raise ValueError(
             f"{architecture}: the Keras layers have the variables "
             f"{', '.join(sorted(present - declared)) or 'no others'}, where the operations declare "
-            f"{', '.join(sorted(declared - present)) or 'no others'} in 'array_shapes'; name the "
-            "variables in 'Operation.keras_layer' as the arrays"
+            f"{', '.join(sorted(declared - present)) or 'no others'} in 'list_array_shapes'; "
+            "name the variables in 'Operation.make_keras_layer' as the arrays"
         )
 
 
@@ -287,7 +289,7 @@ def list_dropped_layers(model: tf.keras.Model) -> list:
 
 def predict(model: tf.keras.Model, images) -> np.ndarray:
     """Logits of images (n_samples, rows, columns, channels), shape (n_samples, outputs)."""
-    return np.concatenate([model(batch, training=False) for batch in _batches(images)])
+    return np.concatenate([model(batch, training=False) for batch in _split_into_batches(images)])
 
 
 def compute_activations(model: tf.keras.Model, images) -> dict:
@@ -301,7 +303,7 @@ def compute_activations(model: tf.keras.Model, images) -> dict:
     suffix = "_neurons"
     layers = [layer for layer in model.layers if layer.name.endswith(suffix)]
     probe = tf.keras.Model(model.input, {layer.name: layer.output for layer in layers})
-    by_batch = [probe(batch, training=False) for batch in _batches(images)]
+    by_batch = [probe(batch, training=False) for batch in _split_into_batches(images)]
     outputs = {}
     for layer in layers:
         values = np.concatenate([batch[layer.name] for batch in by_batch])
@@ -309,7 +311,7 @@ def compute_activations(model: tf.keras.Model, images) -> dict:
     return outputs
 
 
-def _batches(images):
+def _split_into_batches(images):
     """Split images into batches of 512.
 
     Calling the model on them is faster than Keras's ``predict``, which traces a graph for one use.

@@ -2,7 +2,7 @@
 
 The equations of the chip's step are in :mod:`deploy.network.reference`; the rounding is that of
 NengoLoihi 1.1, ``builder/discretize.py``.  Networks on events are trained in integers; the links of
-other networks whose neurons are given by :class:`models.chain.Decays` are rounded by
+other networks whose neurons are given by :class:`models.chain.NeuronDecays` are rounded by
 :func:`round_chain`.
 """
 
@@ -197,7 +197,7 @@ def simulate_spikes(
     Parameters
     ----------
     link : Link
-        Neurons are given by their `Decays`, unless there are integers.
+        Neurons are given by their `NeuronDecays`, unless there are integers.
     spikes : ndarray, shape (n_samples, steps, inputs)
         In the chip's order.
     integers : Integers, optional
@@ -323,7 +323,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
         Threshold and bias do not fit with any exponent of the weights.
     """
     levels = chip.weight_levels
-    real = _weights_of_sums(link)
+    real = _spread_weights(link)
     scale = _choose_scale(link, float(np.abs(real).max()) * clip, levels)
     if moments is None:
         weights = np.clip(np.rint(real / scale), -levels, levels)
@@ -343,7 +343,7 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     )
 
 
-def _weights_of_sums(link):
+def _spread_weights(link):
     """The link's weights for sums over the squares that it averages, its own spikes' last.
 
     Raises
@@ -394,7 +394,7 @@ def _choose_threshold(link, scale, chip) -> tuple:
     UserError
         They fit with no exponent.
     """
-    largest_bias = _mantissa(chip) * MAX_BIAS_FACTOR
+    largest_bias = _find_max_mantissa(chip) * MAX_BIAS_FACTOR
     for lowered in range(WEIGHT_EXPONENTS):
         per_threshold = WEIGHT_UNIT * 2.0**-lowered / scale
         threshold = THRESHOLD_UNIT * round(per_threshold / THRESHOLD_UNIT)
@@ -468,11 +468,11 @@ def measure_moments(link: Link, spikes) -> np.ndarray | None:
 
 def _round_bias(bias, chip):
     """Round to the bits of a mantissa times a power of two, as NengoLoihi does."""
-    share = np.maximum(np.abs(np.rint(bias)) / _mantissa(chip), 1)
+    share = np.maximum(np.abs(np.rint(bias)) / _find_max_mantissa(chip), 1)
     unit = 2.0 ** np.ceil(np.log2(share))
     return (np.rint(np.rint(bias) / unit) * unit).astype(np.int32)
 
 
-def _mantissa(chip):
+def _find_max_mantissa(chip):
     """Largest mantissa of a bias."""
     return 2**chip.bias_bits - 1

@@ -6,7 +6,7 @@ from deploy.network.chip import LOIHI, Chip
 from models.keras.keras2 import as_written, tf
 
 
-def straight_through(rounding, values):
+def pass_gradient_through(rounding, values):
     """Apply a rounding function with a straight-through gradient."""
     return values + tf.stop_gradient(rounding(values) - values)
 
@@ -23,7 +23,7 @@ def find_weight_scale(weights, chip: Chip = LOIHI):
 def quantise_weights(weights, chip: Chip = LOIHI):
     """Round weights to the chip's bits with a common scale; the gradient is straight-through."""
     scale = find_weight_scale(weights, chip)
-    return straight_through(lambda values: tf.round(values / scale) * scale, weights)
+    return pass_gradient_through(lambda values: tf.round(values / scale) * scale, weights)
 
 
 def quantise_bias(bias, chip: Chip = LOIHI):
@@ -33,7 +33,7 @@ def quantise_bias(bias, chip: Chip = LOIHI):
     """
     magnitude = tf.maximum(tf.abs(bias), 1e-12)
     unit = tf.pow(2.0, tf.math.ceil(tf.math.log(magnitude) / np.log(2.0)) - chip.bias_bits)
-    return straight_through(lambda values: tf.round(values / unit) * unit, bias)
+    return pass_gradient_through(lambda values: tf.round(values / unit) * unit, bias)
 
 
 @as_written

@@ -57,7 +57,7 @@ from models.integers import (
     Integers,
 )
 from models.keras.keras2 import quiet_compiler, tf
-from models.quantised import find_weight_scale, straight_through
+from models.quantised import find_weight_scale, pass_gradient_through
 
 BIAS_EXPONENTS = 7
 
@@ -136,8 +136,8 @@ class SpikingNetwork(tf.Module):
         self.variables_by_name: dict[str, tf.Variable] = {}
         layers = zip(architecture.names, architecture.layers, architecture.shapes, strict=False)
         for index, (name, layer, input_shape) in enumerate(layers):
-            shapes = layer.array_shapes(input_shape)
-            scale = 1 / np.sqrt(layer.fan_in(input_shape))
+            shapes = layer.list_array_shapes(input_shape)
+            scale = 1 / np.sqrt(layer.count_fan_in(input_shape))
             kernel = rng.normal(0, scale, shapes["kernel"])
             if name == "output":
                 self._add("output.kernel", np.tile(kernel, (len(self.starts), 1)))
@@ -146,7 +146,7 @@ class SpikingNetwork(tf.Module):
             self._add(f"{name}.bias", np.zeros(shapes["bias"]))
             for tau in ("tau_u", "tau_v"):
                 values = getattr(self.neuron, tau)
-                self._add(f"{name}.{tau}", _logit(values[min(index, len(values) - 1)]))
+                self._add(f"{name}.{tau}", _compute_logit(values[min(index, len(values) - 1)]))
 
     def _add(self, name, value):
         variable = tf.Variable(np.asarray(value, np.float32), name=name.replace(".", "_"))
@@ -171,7 +171,7 @@ class SpikingNetwork(tf.Module):
         weights = {}
         for name, value in zip(self.variables_by_name, arrays, strict=True):
             tau = name.endswith((".tau_u", ".tau_v"))
-            weights[name] = _steps(value) if tau else np.array(value)
+            weights[name] = _compute_steps(value) if tau else np.array(value)
             if name == "output.kernel":
                 weights[name] = weights[name] * OUTPUT_SCALE
         return weights
@@ -189,7 +189,7 @@ class SpikingNetwork(tf.Module):
                 raise ValueError(f"no array {name!r} of shape {tuple(variable.shape)}")
             value = np.asarray(weights[name], np.float32)
             if name.endswith((".tau_u", ".tau_v")):
-                value = _logit(value)
+                value = _compute_logit(value)
             variable.assign(value / OUTPUT_SCALE if name == "output.kernel" else value)
 
     def __call__(self, frames, keep=None, dtype=tf.float32, values=None):
@@ -221,13 +221,13 @@ class SpikingNetwork(tf.Module):
         spikes = []
         layers = zip(self.names, self.architecture.layers, self.architecture.shapes, strict=False)
         for index, (name, layer, before) in enumerate(layers):
-            parameters = self._on_chip(name, values, dtype)
+            parameters = self._round_to_chip(name, values, dtype)
             current = compute_weighted_sums(layer, parameters["kernel"], signal)
             current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
             parameters = _spread(parameters, current.shape[2])
             spikes.append(fire(current, parameters, self.neuron.beta))
             signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
-            signal = tf.reshape(signal, (steps, samples, *layer.shape(before)))
+            signal = tf.reshape(signal, (steps, samples, *layer.compute_shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
         kernels = tf.split(kernel, len(self.starts))
         ends = (*self.starts[1:], None)
@@ -238,7 +238,7 @@ class SpikingNetwork(tf.Module):
         added = tf.reshape(tf.concat(added, 0), (steps, samples, kernel.shape[1]))
         return tf.cumsum(added), spikes
 
-    def _on_chip(self, name, values, dtype):
+    def _round_to_chip(self, name, values, dtype):
         """The chip's integers as tensors, with gradients to the trained variables."""
         kernel, bias, tau_u, tau_v = (
             tf.cast(values[f"{name}.{array}"], dtype)
@@ -249,22 +249,22 @@ class SpikingNetwork(tf.Module):
         threshold = tf.clip_by_value(threshold, THRESHOLD_UNIT, MAX_THRESHOLD)
         keep_u, keep_v = (
             tf.clip_by_value(
-                straight_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 2, DECAY_UNIT - 1
+                pass_gradient_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 2, DECAY_UNIT - 1
             )
             for tau in (tau_u, tau_v)
         )
         cap = tf.stop_gradient(BIAS_CAP * (1 - keep_v / DECAY_UNIT))
         capped = bias + tf.stop_gradient(tf.minimum(bias, cap) - bias)
         return {
-            "kernel": WEIGHT_UNIT * straight_through(tf.round, kernel / scale),
-            "bias": straight_through(_twelve_bits, capped * threshold),
+            "kernel": WEIGHT_UNIT * pass_gradient_through(tf.round, kernel / scale),
+            "bias": pass_gradient_through(_round_to_twelve_bits, capped * threshold),
             "threshold": threshold,
-            "floor": -_power_of_two(1 - self.neuron.floor * threshold) + 1,
+            "floor": -_round_to_power_of_two(1 - self.neuron.floor * threshold) + 1,
             "keep_u": keep_u,
             "keep_v": keep_v,
         }
 
-    def integers(self) -> dict:
+    def compute_integers(self) -> dict:
         """The integers of each layer on the chip, by name.
 
         Returns
@@ -273,7 +273,7 @@ class SpikingNetwork(tf.Module):
         """
         layers = {}
         for name in self.names:
-            chip = self._on_chip(name, self.variables_by_name, tf.float64)
+            chip = self._round_to_chip(name, self.variables_by_name, tf.float64)
             weights = np.rint(chip["kernel"].numpy() / WEIGHT_UNIT).astype(np.int32)
             layers[name] = Integers(
                 weights=weights,
@@ -307,7 +307,7 @@ def scan(step, like, state, outputs: int, backwards: bool = False):
     tuple of tensor, each of shape (steps, ...)
         One tensor for each value.
     """
-    steps = _length(like, 0)
+    steps = _find_length(like, 0)
     arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
 
     def body(i, state, arrays):
@@ -336,13 +336,13 @@ def compute_weighted_sums(layer, kernel, signal):
     -------
     tensor, shape (steps, samples, ...)
     """
-    steps = _length(signal, 0)
-    samples = _length(signal, 1)
-    sums = layer.tensor_sums(kernel, tf.reshape(signal, (-1, *signal.shape[2:])))
+    steps = _find_length(signal, 0)
+    samples = _find_length(signal, 1)
+    sums = layer.compute_tensor_sums(kernel, tf.reshape(signal, (-1, *signal.shape[2:])))
     return tf.reshape(sums, (steps, samples, *sums.shape[1:]))
 
 
-def _length(tensor, axis):
+def _find_length(tensor, axis):
     """The size of an axis: an int if it is static, else a tensor."""
     return tf.shape(tensor)[axis] if tensor.shape[axis] is None else tensor.shape[axis]
 
@@ -350,7 +350,8 @@ def _length(tensor, axis):
 def count_operations(architecture: Architecture, frames, spikes):
     """Synaptic operations of each sample by the receiving layer; differentiable.
 
-    A spike counts once for each synapse that it reaches, as in ``NetworkSpec.synaptic_operations``.
+    A spike counts once for each synapse that it reaches, as in
+    ``NetworkSpec.count_synaptic_operations``.
 
     Parameters
     ----------
@@ -418,7 +419,7 @@ _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
 @_compiled
 def _run(current, keep_u, keep_v, bias, threshold, floor):
     """Spikes, currents, and voltages before the reset, at every step; see :func:`fire`."""
-    rest = tf.maximum(_rest(keep_v, bias), floor)
+    rest = tf.maximum(_compute_rest(keep_v, bias), floor)
 
     def step(t, state):
         u, v = state
@@ -452,7 +453,7 @@ def _run_back(  # noqa: PLR0913 - TensorFlow compiles a function of tensors
     return scan(step, error, (nothing, nothing), outputs=2, backwards=True)
 
 
-def _rest(keep_v, bias):
+def _compute_rest(keep_v, bias):
     """The resting voltage: the first fixed point that a bias alone reaches from 0.
 
     v = trunc(keep_v v / 4096) + bias is true if ceil(v (4096 - keep_v) / 4096) = bias, v > 0.
@@ -472,7 +473,7 @@ def _spread(parameters, neurons):
     return {**parameters, "bias": tf.tile(bias, [neurons // bias.shape[0]])}
 
 
-def _twelve_bits(bias):
+def _round_to_twelve_bits(bias):
     """Round to 12 bits times the smallest sufficient power of two, at most 2^7."""
     size = tf.abs(bias)[..., None] / BIAS_MANTISSA
     limits = tf.constant(2.0 ** np.arange(BIAS_EXPONENTS), bias.dtype)
@@ -481,7 +482,7 @@ def _twelve_bits(bias):
     return tf.round(tf.clip_by_value(bias / unit, -BIAS_MANTISSA, BIAS_MANTISSA)) * unit
 
 
-def _power_of_two(x):
+def _round_to_power_of_two(x):
     """The power of two closest to x by ratio; computed without a float32 logarithm to be exact."""
     powers = np.arange(25)
     limits = 2.0 ** (powers - 0.5)
@@ -490,11 +491,11 @@ def _power_of_two(x):
     return tf.reduce_sum(passed * tf.constant(rises, x.dtype), -1)
 
 
-def _logit(tau):
+def _compute_logit(tau):
     """The trained variable of a time constant in steps: decay = sigmoid(logit) = exp(-1 / tau)."""
     return -np.log(np.expm1(1 / np.asarray(tau, np.float64)))
 
 
-def _steps(logit):
-    """Time constant in steps: the inverse of `_logit`."""
+def _compute_steps(logit):
+    """Time constant in steps: the inverse of `_compute_logit`."""
     return 1 / np.log1p(np.exp(-np.asarray(logit, np.float64)))

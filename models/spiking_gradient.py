@@ -59,12 +59,12 @@ class ChipLayer(NamedTuple):
 
     @classmethod
     def of(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
-        """The integers of trained variables, as :meth:`models.spiking.SpikingNetwork.integers`."""
+        """The integers of trained variables, as `SpikingNetwork.compute_integers`."""
         scale = max(float(np.abs(kernel).max()), 1e-12) / LOIHI.weight_levels
         threshold = THRESHOLD_UNIT * np.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
         threshold = float(np.clip(threshold, THRESHOLD_UNIT, MAX_THRESHOLD))
         keep_u, keep_v = (
-            float(np.clip(np.round(DECAY_UNIT * _sigmoid(tau)), 2, DECAY_UNIT - 1))
+            float(np.clip(np.round(DECAY_UNIT * _compute_sigmoid(tau)), 2, DECAY_UNIT - 1))
             for tau in (tau_u, tau_v)
         )
         cap = BIAS_CAP * (1 - keep_v / DECAY_UNIT)
@@ -145,10 +145,10 @@ class SpikingGradient:
         self.names = architecture.names[:-1]
         self.neurons = [architecture.neurons[name] for name in self.names]
         hidden = zip(architecture.layers[:-1], architecture.shapes, strict=False)
-        self.synapses = [layer.synapses(before) for layer, before in hidden]
+        self.synapses = [layer.make_synapses(before) for layer, before in hidden]
         self.fan_out = [fan_out.ravel() for fan_out in architecture.fan_out.values()]
 
-    def on_chip(self, values: dict) -> list:
+    def make_chip_layers(self, values: dict) -> list:
         """The :class:`ChipLayer` of each layer for values of the variables, by their names."""
         layers = []
         for name, neurons, synapses in zip(self.names, self.neurons, self.synapses, strict=True):
@@ -164,7 +164,7 @@ class SpikingGradient:
             )
         return layers
 
-    def outputs(self, values: dict, frames) -> tuple:
+    def compute_outputs(self, values: dict, frames) -> tuple:
         """Run the network from its resting state.
 
         Parameters
@@ -182,20 +182,20 @@ class SpikingGradient:
         rates : list of ndarray, each of shape (samples, neurons)
             Number of spikes of each neuron of each layer.
         """
-        layers = self.on_chip(values)
-        kernel = self._output_kernel(values)
+        layers = self.make_chip_layers(values)
+        kernel = self._scale_output_kernel(values)
 
         def run(group):
-            gains = self._ones(len(group))
+            gains = self._make_ones(len(group))
             passed = self._forward(layers, kernel, group, gains)
             counts = [spikes.sum(1, dtype=np.int64) for spikes in passed.spikes]
-            return passed.outputs, self._operations(counts), counts[1:]
+            return passed.outputs, self._count_operations(counts), counts[1:]
 
-        outputs, operations, counts = zip(*_in_groups(run, np.asarray(frames)), strict=True)
+        outputs, operations, counts = zip(*_run_in_groups(run, np.asarray(frames)), strict=True)
         rates = [np.concatenate(layer) for layer in zip(*counts, strict=True)]
         return np.concatenate(outputs), np.concatenate(operations), rates
 
-    def gradients(self, values: dict, batch: Batch, early: float, price: float) -> Result:
+    def compute_gradients(self, values: dict, batch: Batch, early: float, price: float) -> Result:
         """Loss and gradients of a batch.
 
         Parameters
@@ -208,13 +208,13 @@ class SpikingGradient:
         price : float
             Added to the gradients for each synaptic operation of the batch; not in the loss.
         """
-        layers = self.on_chip(values)
-        kernel = self._output_kernel(values)
+        layers = self.make_chip_layers(values)
+        kernel = self._scale_output_kernel(values)
 
         def run(chosen):
-            return self._gradients_of(layers, kernel, batch, chosen, early, price)
+            return self._compute_gradients(layers, kernel, batch, chosen, early, price)
 
-        results = _in_groups(run, np.arange(len(batch.labels)))
+        results = _run_in_groups(run, np.arange(len(batch.labels)))
         sums: dict[str, Any] = {}  # arrays, and zeros where sum() begins
         for name in results[0].gradients:
             sums[name] = sum(result.gradients[name] for result in results)
@@ -224,7 +224,7 @@ class SpikingGradient:
             to_bias = sums[f"{name}.bias"].reshape(-1, len(values[f"{name}.bias"])).sum(0)
             sums[f"{name}.bias"] = to_bias * layer.threshold
             for tau in ("tau_u", "tau_v"):
-                share = _sigmoid(values[f"{name}.{tau}"])
+                share = _compute_sigmoid(values[f"{name}.{tau}"])
                 sums[f"{name}.{tau}"] = sums[f"{name}.{tau}"] * share * (1 - share)
         to_output = sums["output.kernel"] * OUTPUT_SCALE
         sums["output.kernel"] = to_output.reshape(np.shape(values["output.kernel"]))
@@ -235,16 +235,16 @@ class SpikingGradient:
             sums,
         )
 
-    def _gradients_of(self, layers, kernel, batch, chosen, early, price):
+    def _compute_gradients(self, layers, kernel, batch, chosen, early, price):
         """The result for some samples, with gradients by the chip's values."""
         gains = [gain[chosen] for gain in batch.gains]
         passed = self._forward(layers, kernel, batch.frames[chosen], gains)
         labels = batch.labels[chosen]
         last_step = batch.last_step[chosen]
-        loss, to_outputs = _loss_gradient(passed.outputs, labels, last_step, early)
+        loss, to_outputs = _compute_loss_gradient(passed.outputs, labels, last_step, early)
         error = np.empty(passed.spikes[-1].shape, np.float32)
         to_kernel = np.zeros_like(kernel)
-        section = self._section(error.shape[1])
+        section = self._find_section(error.shape[1])
         kernels.read_out_back(
             passed.spikes[-1], gains[-1], kernel, section, to_outputs, to_kernel, error
         )
@@ -259,7 +259,7 @@ class SpikingGradient:
                 layer.keep_u, layer.keep_v, layer.threshold, layer.floor,
                 np.float32(self.neuron.beta),
             )  # fmt: skip
-            gain = gains[index - 1] if index else self._ones_of(error, passed.spikes[0])
+            gain = gains[index - 1] if index else self._make_ones_like(error, passed.spikes[0])
             to_kernel = np.zeros_like(layer.kernel)
             kernels.add_kernel_gradient(
                 passed.spikes[index], gain, *self.synapses[index].arrays, error, to_kernel
@@ -274,7 +274,7 @@ class SpikingGradient:
                 error = self._to_inputs(index, layer, error) * gain[:, None, :]
         counts = [spikes.sum(1, dtype=np.int64) for spikes in passed.spikes]
         right = int(np.sum(passed.outputs[:, -1].argmax(1) == labels))
-        return Result(loss, right, float(self._operations(counts).sum()), gradients)
+        return Result(loss, right, float(self._count_operations(counts).sum()), gradients)
 
     def _forward(self, layers, kernel, frames, gains):
         spikes = [np.ascontiguousarray(frames.reshape(*frames.shape[:2], -1))]
@@ -298,8 +298,8 @@ class SpikingGradient:
             spikes.append(fired)
             gain = gains[index]
         outputs = np.empty((*frames.shape[:2], kernel.shape[2]), np.float32)
-        kernels.read_out(spikes[-1], gain, kernel, self._section(frames.shape[1]), outputs)
-        return _Passed(spikes, currents, voltages, outputs)
+        kernels.read_out(spikes[-1], gain, kernel, self._find_section(frames.shape[1]), outputs)
+        return _ForwardPass(spikes, currents, voltages, outputs)
 
     def _to_inputs(self, index, layer, error):
         """Gradients of a layer's sums to the spikes of its inputs."""
@@ -314,28 +314,28 @@ class SpikingGradient:
         kernels.gather(by_row, *self.synapses[index].arrays, to_inputs)
         return to_inputs.reshape(samples, steps, inputs)
 
-    def _operations(self, counts):
+    def _count_operations(self, counts):
         """Synaptic operations of each sample, from the numbers of spikes of input and layers."""
         pairs = zip(counts, self.fan_out, strict=True)
         return sum(count @ fan_out for count, fan_out in pairs).astype(float)
 
-    def _output_kernel(self, values):
+    def _scale_output_kernel(self, values):
         kernel = np.asarray(values["output.kernel"], np.float32) * np.float32(OUTPUT_SCALE)
         return np.ascontiguousarray(kernel.reshape(len(self.starts), self.neurons[-1], -1))
 
-    def _section(self, steps):
+    def _find_section(self, steps):
         """The section of the readout that each step belongs to."""
         return np.searchsorted(self.starts, np.arange(steps), side="right") - 1
 
-    def _ones(self, samples):
+    def _make_ones(self, samples):
         return [np.ones((samples, neurons), np.float32) for neurons in self.neurons]
 
     @staticmethod
-    def _ones_of(error, spikes):
+    def _make_ones_like(error, spikes):
         return np.ones((len(error), spikes.shape[2]), np.float32)
 
 
-class _Passed(NamedTuple):
+class _ForwardPass(NamedTuple):
     """What a forward pass leaves: the input's spikes and each layer's, currents and voltages."""
 
     spikes: list
@@ -344,7 +344,7 @@ class _Passed(NamedTuple):
     outputs: np.ndarray
 
 
-def _in_groups(run, values):
+def _run_in_groups(run, values):
     """``run`` for groups of values, in several threads; the results in order."""
     groups = [values[k : k + SAMPLES_IN_GROUP] for k in range(0, len(values), SAMPLES_IN_GROUP)]
     threads = min(numba.config.NUMBA_NUM_THREADS, len(groups))
@@ -354,7 +354,7 @@ def _in_groups(run, values):
         return list(pool.map(run, groups))
 
 
-def _loss_gradient(outputs, labels, last_step, early):
+def _compute_loss_gradient(outputs, labels, last_step, early):
     """The sum of the losses, and its gradient to the outputs; see the module of the training."""
     samples, steps, _ = outputs.shape
     weights = (np.arange(steps) <= last_step[:, None]) * np.float32(early)
@@ -370,7 +370,7 @@ def _loss_gradient(outputs, labels, last_step, early):
     return float(loss), (gradient * weights[:, :, None]).astype(np.float32)
 
 
-def _sigmoid(values):
+def _compute_sigmoid(values):
     return 1 / (1 + np.exp(-np.asarray(values, np.float64)))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.geometry import windows
+from deploy.network.geometry import list_windows
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def fit_to_chip(window: Window, rows_and_columns, counts, paddings=None) -> dict
         paddings = ("valid", "same", *map(str, zeros))
     for padding in paddings:
         for side in range(max(reach), max(reach) + max(*reach, 4) + 1):
-            chips = [windows(n, side, stride, padding) for n in sizes]
+            chips = [list_windows(n, side, stride, padding) for n in sizes]
             front = [chip[1] - wanted for chip, wanted in zip(chips, window.before, strict=True)]
             back = [side - k - f for k, f in zip(reach, front, strict=True)]
             if [chip[0] for chip in chips] == list(counts) and min(*front, *back) >= 0:

@@ -104,17 +104,17 @@ def run_jobs(
     jobs = list(jobs)
     if scheduler is not None:
         meanwhile()
-        yield from _on_cluster(function, jobs, scheduler, say)
+        yield from _run_on_cluster(function, jobs, scheduler, say)
     elif processes == 1 or len(jobs) <= 1:
         meanwhile()
         for job in jobs:
             yield job, attempt(function, job)
     else:
-        yield from _in_processes(function, jobs, processes, meanwhile)
+        yield from _run_in_processes(function, jobs, processes, meanwhile)
 
 
 @contextmanager
-def results_of(calls, processes: int, in_order: bool = True):
+def call_in_processes(calls, processes: int, in_order: bool = True):
     """Make calls in processes of this machine, from now on and until the block ends.
 
     A terminal sends Ctrl-C to all processes.  The workers inherit from this one that they do not
@@ -153,13 +153,13 @@ def results_of(calls, processes: int, in_order: bool = True):
             yield results
 
 
-def _in_processes(function, jobs, processes, meanwhile):
+def _run_in_processes(function, jobs, processes, meanwhile):
     remaining = dict(enumerate(jobs))
     calls = (
         delayed(_run_numbered)(number, function, job) for number, job in remaining.copy().items()
     )
     try:
-        with results_of(calls, min(processes, len(jobs)), in_order=False) as results:
+        with call_in_processes(calls, min(processes, len(jobs)), in_order=False) as results:
             meanwhile()
             for number, result in results:
                 yield remaining.pop(number), result
@@ -178,19 +178,19 @@ def attempt(function, job):
         with raise_at_interrupts():
             return function(job)
     except UserError as error:
-        return Failure(_one_line(error), str(error), error)
+        return Failure(_shorten(error), str(error), error)
     except Exception as error:
-        return Failure(_one_line(error), traceback.format_exc())
+        return Failure(_shorten(error), traceback.format_exc())
 
 
-def _one_line(error):
+def _shorten(error):
     message = " ".join(str(error).split()) or "no message"
     if len(message) > MESSAGE_LENGTH:  # TensorFlow's messages contain a traceback
         message = message[: MESSAGE_LENGTH - 1] + "…"
     return f"{type(error).__name__}: {message}"
 
 
-def _on_cluster(function, jobs, scheduler, say):
+def _run_on_cluster(function, jobs, scheduler, say):
     try:
         from distributed import Client, as_completed
     except ImportError:
@@ -218,4 +218,4 @@ def _on_cluster(function, jobs, scheduler, say):
                 yield tasks[task], Failure(message, message)
             else:  # it has killed several workers, or they do not have this package
                 error = task.exception()
-                yield tasks[task], Failure(_one_line(error), f"{type(error).__name__}: {error}")
+                yield tasks[task], Failure(_shorten(error), f"{type(error).__name__}: {error}")

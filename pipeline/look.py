@@ -9,6 +9,6 @@ STYLE = resources.files("pipeline").joinpath("look.css").read_text(encoding="utf
 _LIGHT = dict(re.findall(r"--([\w-]+): (#\w+);", STYLE.partition("@media")[0]))
 
 
-def colour(name: str) -> str:
+def find_colour(name: str) -> str:
     """A colour on a light background, such as ``"on"`` or ``"s1"``, as ``#rrggbb``."""
     return _LIGHT[name]

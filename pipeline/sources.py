@@ -11,11 +11,11 @@ from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import GRID, Recordings
 from pipeline.recordings.library import (
-    cache_file,
+    find_cache_file,
     find_hash,
     import_recordings,
     load,
-    options_from,
+    make_options,
     store_and_load,
 )
 from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
@@ -100,7 +100,7 @@ def load_recordings(
     return load_simulated(simulated.seed, simulated.counts, jobs, **how)
 
 
-def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
+def load_named_recordings(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
     """Recordings named in the settings; see :func:`load_recordings`."""
     data = settings.data
     # An artifact may read only the settings that apply to its recordings (make_dataset_origin).
@@ -108,7 +108,7 @@ def recordings_of(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
         size = ReadingOptions(settings.skin.rows, settings.skin.columns)
         simulated = SimulatedSource.of(settings)
         return load_recordings(jobs=jobs, reading=size, simulated=simulated)
-    reading = options_from(settings)
+    reading = make_options(settings)
     return load_recordings(data.source, data.skip_bad, jobs, warn, reading)
 
 
@@ -126,16 +126,16 @@ def load_dataset(settings: Settings, jobs: int = 1, warn=None) -> Dataset:
     UserError
         As :func:`load_recordings` and :meth:`pipeline.recordings.dataset.Dataset.of`.
     """
-    return Dataset.of(settings, recordings_of(settings, jobs, warn))
+    return Dataset.of(settings, load_named_recordings(settings, jobs, warn))
 
 
-def identity_of(settings: Settings) -> tuple:
+def find_identity(settings: Settings) -> tuple:
     """The hash of the recordings named in the settings and their split, without loading them.
 
     Returns
     -------
     sha256 : str
-        ``source.sha256`` of :func:`recordings_of`.
+        ``source.sha256`` of :func:`load_named_recordings`.
     split : str
         See :attr:`pipeline.recordings.splits.Split.kind`.
 
@@ -174,7 +174,7 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     **how
         ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
     """
-    path = path_of_simulated(describe_source(seed, counts, **how).sha256)
+    path = find_path_of_simulated(describe_source(seed, counts, **how).sha256)
     recordings = load(path)
     if recordings is None:
         with progress("simulate", sum(counts), "recordings") as advance:
@@ -183,6 +183,6 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     return recordings
 
 
-def path_of_simulated(sha256: str) -> Path:
+def find_path_of_simulated(sha256: str) -> Path:
     """The file for simulated recordings in the cache, by the hash of their source."""
-    return cache_file("simulated", sha256)
+    return find_cache_file("simulated", sha256)

@@ -76,8 +76,8 @@ def bind():
     for name, file in files.items():
         if name in sys.modules and not _is(sys.modules[name], file):
             raise ImportError(
-                f"{_where(sys.modules[name])} was imported as {name!r} before stmnist, which has a "
-                f"package of that name; import stmnist first, or rename your {name!r}",
+                f"{_locate(sys.modules[name])} was imported as {name!r} before stmnist, which has "
+                f"a package of that name; import stmnist first, or rename your {name!r}",
                 name=name,
             )
     for name, file in files.items():
@@ -95,7 +95,7 @@ def _is(module, file):
     return path is not None and os.path.realpath(path) == os.path.realpath(file)
 
 
-def _where(module):
+def _locate(module):
     """The file of a module, or the folder of a package without ``__init__.py``."""
     return getattr(module, "__file__", None) or next(
         iter(getattr(module, "__path__", ())), "a module"

@@ -45,8 +45,8 @@ def assert_operation_conforms(operation, input_shape):
         input_shape=input_shape,
         neurons=Neurons(amplitude=0.01),
         synapse=0.005,
-        weights=rng.normal(size=deployed.weight_shape(input_shape)),
-        bias=np.ones(deployed.shape(input_shape)[-1]),
+        weights=rng.normal(size=deployed.compute_weight_shape(input_shape)),
+        bias=np.ones(deployed.compute_shape(input_shape)[-1]),
     )
     _assert_layer_written(layer)
     _assert_built(layer, rng)
@@ -56,9 +56,9 @@ def assert_operation_conforms(operation, input_shape):
 
 def _assert_meaning(operation, input_shape, rng):
     """Its sums are linear, and its synapses are those of its sums."""
-    shape = operation.shape(input_shape)
+    shape = operation.compute_shape(input_shape)
     assert all(type(side) is int and side >= 1 for side in shape), f"shape {shape}"
-    weights = rng.normal(size=operation.weight_shape(input_shape))
+    weights = rng.normal(size=operation.compute_weight_shape(input_shape))
     values = rng.normal(size=(SAMPLES, *input_shape))
     kept = values.copy()
     sums = operation.compute_sums(weights, values)
@@ -70,9 +70,9 @@ def _assert_meaning(operation, input_shape, rng):
         err_msg="compute_sums is not linear in the values",
     )
     synapses = operation.find_synapses(input_shape)  # refuses other sums than of one weight each
-    fan_out = operation.fan_out(input_shape)
+    fan_out = operation.count_fan_out(input_shape)
     assert fan_out.shape == tuple(input_shape)
-    np.testing.assert_array_equal(fan_out.ravel(), (synapses >= 0).sum(1), "fan_out")
+    np.testing.assert_array_equal(fan_out.ravel(), (synapses >= 0).sum(1), "count_fan_out")
     matrix = operation.make_matrix(weights, input_shape)
     flat = values.reshape(SAMPLES, -1)
     np.testing.assert_allclose(flat @ matrix.T, sums.reshape(SAMPLES, -1), err_msg="make_matrix")
@@ -86,10 +86,12 @@ def _assert_meaning(operation, input_shape, rng):
 def _assert_written(operation, input_shape):
     """A bundle has its numbers; return the operation that is read from it."""
     cls = DEPLOYED_OPERATIONS[operation.kind]
-    read = cls.from_file(operation.to_file(), operation.shape(input_shape))
+    read = cls.from_file(operation.to_file(), operation.compute_shape(input_shape))
     assert type(read) is cls
     assert read.to_file() == operation.to_file(), "to_file and from_file"
-    assert read.shape(input_shape) == operation.shape(input_shape), "to_file loses a number"
+    assert read.compute_shape(input_shape) == operation.compute_shape(input_shape), (
+        "to_file loses a number"
+    )
     return read
 
 
@@ -103,7 +105,7 @@ def _assert_layer_written(layer):
 def _assert_built(layer, rng):
     """Nengo computes its sums, and a core needs no more than what is counted."""
     transform, inputs = layer.operation.transform(layer, LOIHI)
-    values = rng.normal(size=layer.operation.fan_out(layer.input_shape).size)
+    values = rng.normal(size=layer.operation.count_fan_out(layer.input_shape).size)
     with nengo.Network() as network:
         source = nengo.Node(values)
         target = nengo.Node(size_in=layer.size)
@@ -147,16 +149,16 @@ def _assert_trained(operation, input_shape, rng):
         output = Dense(3, output=True)
         text = str(Architecture(input_shape, (operation, output)))
         assert parse(text).layers[0] == operation, f"the notation {text} is read differently"
-    shapes = operation.array_shapes(input_shape)
-    assert shapes["bias"] == operation.shape(input_shape)[-1:]
+    shapes = operation.list_array_shapes(input_shape)
+    assert shapes["bias"] == operation.compute_shape(input_shape)[-1:]
     kernel = rng.normal(size=shapes["kernel"]).astype(np.float32)
     spikes = (rng.random((SAMPLES, *input_shape)) < 0.3).astype(np.float32)
     weights = operation.to_deployed(kernel)
-    assert weights.shape == operation.weight_shape(input_shape), "to_deployed"
+    assert weights.shape == operation.compute_weight_shape(input_shape), "to_deployed"
     sums = operation.compute_sums(weights, spikes).reshape(SAMPLES, -1)
-    found = np.reshape(operation.tensor_sums(kernel, spikes), (SAMPLES, -1))
-    np.testing.assert_allclose(found, sums, atol=1e-4, err_msg="tensor_sums")
-    synapses = operation.synapses(input_shape)
+    found = np.reshape(operation.compute_tensor_sums(kernel, spikes), (SAMPLES, -1))
+    np.testing.assert_allclose(found, sums, atol=1e-4, err_msg="compute_tensor_sums")
+    synapses = operation.make_synapses(input_shape)
     by_synapse = np.empty((1, *sums.shape), np.float32)
     sum_inputs(
         spikes.reshape(1, SAMPLES, -1).astype(np.uint8),
@@ -165,9 +167,9 @@ def _assert_trained(operation, input_shape, rng):
         kernel.reshape(-1, synapses.width),
         by_synapse,
     )
-    np.testing.assert_allclose(by_synapse[0], sums, atol=1e-4, err_msg="synapses")
+    np.testing.assert_allclose(by_synapse[0], sums, atol=1e-4, err_msg="make_synapses")
     reads = (operation.find_synapses(input_shape) >= 0).sum(0).max()
-    assert operation.fan_in(input_shape) >= reads >= 1, "fan_in"
+    assert operation.count_fan_in(input_shape) >= reads >= 1, "count_fan_in"
 
 
 def assert_target_conforms(target, computes_network: bool = True):
@@ -214,7 +216,7 @@ def _sum_tenths(readout):
 def _assert_streams(target, spec, samples):
     """Its output has the right shapes, and a stream begins with a fresh network."""
     flat = spec.flatten_samples(samples)
-    streams = [flat[stream] for stream in spec.presentation.streams(len(flat))]
+    streams = [flat[stream] for stream in spec.presentation.list_streams(len(flat))]
     outputs = list(target.run(spec, streams, 0))
     assert len(outputs) == len(streams), f"{len(outputs)} outputs of {len(streams)} streams"
     for output, stream in zip(outputs, streams, strict=True):

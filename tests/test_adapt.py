@@ -144,13 +144,13 @@ def test_labels_that_are_all_wrong_cost_others_as_little_as_is_promised(run, tmp
 
 
 def test_the_reason_for_which_nothing_changes():
-    from pipeline.training.adaptation import Adapted, Refit, adaptation_text
+    from pipeline.training.adaptation import Adaptation, Refit, format_adaptation
 
     right, wrong = np.ones(10, bool), np.zeros(10, bool)
     for after, kept, reason in ((wrong, right, "no improvement"), (right, wrong, "100.0 points")):
         fit = Refit(np.zeros((2, 3)), 1.0, 1.0, wrong, after, right, kept)
         assert not fit.helps
-        assert reason in adaptation_text(Adapted(None, fit, right, right), None)
+        assert reason in format_adaptation(Adaptation(None, fit, right, right), None)
 
 
 def named(recordings: Recordings) -> Recordings:
@@ -212,7 +212,7 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(other_recordings, "load_recordings", lambda *a, **k: several)
     assert call("adapt", run, "--data", "any", "--out", tmp_path / "new") == 2
     assert "3, 4" in capsys.readouterr().err
-    chosen, name = adapt._of_one(several, 4)
+    chosen, name = adapt._select_person(several, 4)
     assert (len(chosen), name, set(chosen.writers)) == (10, "4", {4})
     assert not (tmp_path / "new").exists()
     # The network was made with the recordings of writer 3, which matters for that writer only.
@@ -221,7 +221,9 @@ def test_one_of_several_writers(run, tmp_path, capsys, monkeypatch):
     provenance = {**bundle.spec.provenance, "training_recordings": hashes}
     bundle = replace(bundle, spec=replace(bundle.spec, provenance=provenance))
     for writer, number in ((3, 10), (4, 0)):
-        said = " ".join(other_recordings.list_warnings(bundle, adapt._of_one(several, writer)[0]))
+        said = " ".join(
+            other_recordings.list_warnings(bundle, adapt._select_person(several, writer)[0])
+        )
         assert (f"{number} of 10 recordings were used" in said) == (number > 0)
 
 

@@ -127,7 +127,7 @@ def test_every_public_name_is_in_the_reference():
 
 def test_every_setting_is_in_the_docs():
     named = set(inline(read(ROOT / "docs" / "settings.md")))
-    assert set(Settings().flat()) <= named
+    assert set(Settings().flatten()) <= named
 
 
 def test_a_part_without_an_end_is_refused():
@@ -163,12 +163,12 @@ def test_settings_that_a_page_names_exist(page):
     settings = Settings()
     text = read(page)
     names = set(re.findall(r"--(?:set|grid) ([\w.]+)=", text))
-    sections = "|".join({name.partition(".")[0] for name in settings.flat() if "." in name})
+    sections = "|".join({name.partition(".")[0] for name in settings.flatten() if "." in name})
     for code in inline(text):
         found = re.match(rf"((?:{sections})\.(\w+))(?: = .*)?$", code)
         if found and found[2] not in SUFFIXES:
             names.add(found[1])
-    assert names - {"section.name"} <= set(settings.flat())
+    assert names - {"section.name"} <= set(settings.flatten())
 
 
 @pages
@@ -357,7 +357,7 @@ def test_an_audit_leaves_out_what_security_explains():
 
 def test_pictures_show_what_there_is():
     """Otherwise: ``python -m experiments pictures``."""
-    assert read_json(ROOT / "docs" / "pictures.json", "") == pictures.stamps()
+    assert read_json(ROOT / "docs" / "pictures.json", "") == pictures.compute_stamps()
 
 
 def test_the_page_on_licences_names_every_condition():

@@ -17,16 +17,16 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.options import Options, option
 from deploy.targets.registry import TARGETS, Target, list_options, run_target, select_options
 from models import ops
-from models.chain import Decays, Link
+from models.chain import Link, NeuronDecays
 from models.integers import choose_integers, simulate_spikes
-from pipeline import kinds, stages
+from pipeline import kinds, workflow
 from pipeline.kinds.architectures import make_untrained_network
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.steps import Step
 from pipeline.recordings import formats
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.source import read_source
-from pipeline.run.settings import Settings
+from pipeline.run.settings import INPUTS, Settings
 from tests.conformance import assert_format_conforms
 from tests.deploy.networks import bundle_at, small_spec
 
@@ -86,26 +86,20 @@ def test_a_target(tmp_path, monkeypatch):
         list_options()
 
 
-# What a network on images reads.
-READS = ("seed", "input.kind", "image", "cnn.architecture", "deployment")
-
-
 class RandomKind(NetworkKind):
     """A network on images with random weights; its step stores the seed of the split."""
 
     name = "random"
+    inputs = ("random",)
     deployed = "random"
     deployed_stage = "random"
     settings_group = "cnn"
     channels = 1
 
-    @classmethod
-    def describes(cls, settings):
-        return True
-
     @property
     def steps(self):
-        return (Step("random", "random", ("metrics.json",), READS, self._make),)
+        reads = ("seed", "input.kind", "image", "cnn.architecture", "deployment")
+        return (Step("random", "random", ("metrics.json",), reads, self._make),)
 
     @property
     def trained(self):
@@ -115,19 +109,32 @@ class RandomKind(NetworkKind):
     def _make(inputs, artifact):
         return {"seed": inputs.settings.seed, "accuracy": {}}
 
-    def spec(self, inputs, provenance):
+    def make_spec(self, inputs, provenance):
         settings = self.settings
         spec = make_untrained_network(settings.cnn.architecture, False, settings.deployment)
         return replace(spec, provenance=provenance)
 
 
-def test_a_kind(tmp_path, monkeypatch):
-    monkeypatch.setattr(kinds, "KINDS", [RandomKind, *kinds.KINDS])
-    settings = Settings().with_values({"data": {"samples_per_digit": 10}, "check": {"samples": 0}})
-    with stages.open_locked_run(tmp_path / "run", settings, say=lambda line: None) as opened:
+@pytest.fixture
+def random_kind(monkeypatch):
+    """Register the kind for one test only."""
+    monkeypatch.setattr(kinds, "KINDS", list(kinds.KINDS))
+    monkeypatch.setitem(INPUTS, "random", "")  # so that it is deleted at the end
+    kinds.register_kind(RandomKind)
+
+
+def test_a_kind(tmp_path, random_kind):
+    settings = Settings().with_values(
+        {
+            "input": {"kind": "random"},
+            "data": {"samples_per_digit": 10},
+            "check": {"samples": 0},
+        }
+    )
+    with workflow.open_locked_run(tmp_path / "run", settings, say=lambda line: None) as opened:
         assert opened.make("random")["seed"] == 0
-        assert opened.artifact("random").state().is_current
-        bundle = stages.convert(opened)
+        assert opened.find_artifact("random").find_state().is_current
+        bundle = workflow.convert(opened)
     assert bundle.spec.layers[-1].size == 10
 
 
@@ -136,11 +143,11 @@ class DeployedOneToOne(DeployedOperation):
 
     kind = "own"
 
-    def shape(self, read_shape):
+    def compute_shape(self, read_shape):
         return (math.prod(read_shape),)
 
-    def weight_shape(self, read_shape):
-        return self.shape(read_shape)
+    def compute_weight_shape(self, read_shape):
+        return self.compute_shape(read_shape)
 
     def compute_sums(self, weights, values):
         return weights * values.reshape(len(values), -1)
@@ -185,7 +192,7 @@ def test_a_chip():
     assert plan.to_json()["limits"]["compartments"] == 32
     rng = np.random.default_rng(0)
     weights = rng.normal(0, 0.3, (20, 5))
-    link = Link("dense1", ops.Dense(5), (20,), weights, np.zeros(5), Decays(0.8, 0.9))
+    link = Link("dense1", ops.Dense(5), (20,), weights, np.zeros(5), NeuronDecays(0.8, 0.9))
     spikes = (rng.random((4, 50, 20)) < 0.2).astype(float)
     integers = choose_integers(link, spikes, small)
     assert np.abs(integers.weights).max() == small.weight_levels == 31

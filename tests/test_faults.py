@@ -12,8 +12,8 @@ from joblib import delayed
 
 from deploy.check.results import read_result
 from deploy.files import read_json, write_json
-from pipeline import progress, stages
-from pipeline.jobs import results_of
+from pipeline import progress, workflow
+from pipeline.jobs import call_in_processes
 from pipeline.recordings.writing import write_recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings, read_settings
@@ -124,10 +124,10 @@ def test_a_process_that_is_killed(refused, tmp_path, monkeypatch):
     archive(tmp_path / "st.zip", good_members(2))
 
     def killed(_):
-        with results_of([delayed(os.kill)(0, 0), delayed(os.abort)()], 2) as results:
+        with call_in_processes([delayed(os.kill)(0, 0), delayed(os.abort)()], 2) as results:
             return list(results)
 
-    monkeypatch.setattr("pipeline.recordings.statistics.facts_with_events", killed)
+    monkeypatch.setattr("pipeline.recordings.statistics.list_facts_with_events", killed)
     assert "--jobs" in refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
 
 
@@ -139,7 +139,7 @@ def test_recordings_that_are_there_twice(tmp_path):
     def said(name, recordings):
         data, lines = write_recordings(tmp_path / name, recordings, time_unit="us"), []
         changes = {"data": {"source": str(data)}, "input": {"kind": "events"}}
-        stages.open_run(
+        workflow.open_run(
             RunFolder(tmp_path / "run"), Settings().with_values(changes), say=lines.append
         )
         return " ".join(lines)
@@ -301,10 +301,10 @@ def test_ctrl_c_in_training(tmp_path):
         wait_until_said(process, r"train cnn accuracy \d")
         interrupt(process)
     assert not temporaries(folder.path)
-    assert not folder.cnn.exists()
+    assert not (folder.path / "cnn").exists()
     assert read_settings(folder.experiment).cnn.epochs == 100000
     assert call("train", folder.path, "--set", "cnn.epochs=1") == 0
-    assert (folder.cnn / "metrics.json").exists()
+    assert (folder.path / "cnn" / "metrics.json").exists()
 
 
 @pytest.mark.slow
@@ -319,10 +319,10 @@ def test_a_training_that_was_killed_goes_on_and_ends_alike(tmp_path):
                 wait_until_said(process, r"train cnn accuracy \d")
                 os.killpg(process.pid, signal.SIGKILL)
                 process.communicate(timeout=300)
-            assert not (folder.cnn / "metrics.json").exists()
+            assert not (folder.path / "cnn" / "metrics.json").exists()
         assert call("train", folder.path, *options) == 0
         assert not temporaries(folder.path)
-        with np.load(folder.cnn / "weights.npz") as file:
+        with np.load(folder.path / "cnn" / "weights.npz") as file:
             weights.append(dict(file))
     for name, array in weights[0].items():
         np.testing.assert_array_equal(array, weights[1][name])

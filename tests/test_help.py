@@ -5,11 +5,11 @@ import sys
 
 import pytest
 
-from pipeline.commands.main import command_line
+from pipeline.commands.main import make_command_line
 from tests.command import ROOT, environment, printed_by
 
 
-@pytest.mark.parametrize("verb", command_line().commands.values(), ids=lambda verb: verb.name)
+@pytest.mark.parametrize("verb", make_command_line().commands.values(), ids=lambda verb: verb.name)
 def test_the_list_says_of_a_verb_what_its_own_help_begins_with(verb):
     """In the one it is kept beside the name, so that no module is imported to list it."""
     assert " ".join(verb.command.help.partition("\n\n")[0].split()) == verb.help

@@ -104,10 +104,10 @@ def test_a_name_that_a_terminal_would_obey(refused, tmp_path):
 
 
 def test_a_message_is_one_line_of_a_bearable_length():
-    from deploy.errors import MAX_LINE_LENGTH, one_line
+    from deploy.errors import MAX_LINE_LENGTH, format_as_line
 
-    assert one_line("a\n b\x1b[2J\ud800") == "a b\\x1b[2J\\ud800"
-    long = one_line("begins " + "x" * 10_000 + " ends")
+    assert format_as_line("a\n b\x1b[2J\ud800") == "a b\\x1b[2J\\ud800"
+    long = format_as_line("begins " + "x" * 10_000 + " ends")
     assert len(long) <= MAX_LINE_LENGTH + 5
     assert long.startswith("begins ")
     assert long.endswith(" ends")

@@ -69,7 +69,7 @@ FLOORS = {
         {"sources"},
         {"training"},
         {"kinds"},
-        {"stages"},
+        {"workflow"},
         {"results"},
         {"api"},
         {"live"},
@@ -225,7 +225,7 @@ from pipeline.commands.main import main
 try:
     main(["--help"])
 finally:
-    heavy = {"nengo", "scipy", "h5py", "joblib", "pipeline.commands.stages"} & set(sys.modules)
+    heavy = {"nengo", "scipy", "h5py", "joblib", "pipeline.commands.workflow"} & set(sys.modules)
     assert not heavy, heavy
 """
     assert "settings" in printed_by(code)

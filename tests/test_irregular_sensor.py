@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.check.bundle import read_bundle
 from deploy.network.provenance import read_positions
-from pipeline.live.network import about, sensor_of
+from pipeline.live.network import describe_for_page, find_sensor
 from tests.command import call
 from tests.pipeline.handmade import archive, npz
 
@@ -29,7 +29,7 @@ def test_positions_reach_the_report_and_the_page(tmp_path):
     bundle = read_bundle(run / "bundle")
     expected = [[0.5, 0], [0, 1 / 3], [1, 1 / 3], [0.5, 2 / 3]]
     np.testing.assert_allclose(read_positions(bundle.spec), expected, atol=1e-9)
-    page = about(bundle, sensor_of(bundle), tmp_path)
+    page = describe_for_page(bundle, find_sensor(bundle), tmp_path)
     np.testing.assert_allclose(page["positions"], expected, atol=1e-9)
     assert call("check", "run", run, "--target", "fast") == 0
     assert call("report", run) == 0

@@ -51,7 +51,7 @@ class Affine(DeployedOneToOne):
 
 
 class TooFew(DeployedOneToOne):
-    def fan_out(self, read_shape):
+    def count_fan_out(self, read_shape):
         return np.zeros(read_shape, int)
 
 
@@ -81,7 +81,7 @@ class OtherLargest(DeployedOneToOne):
     [
         (Squared, "one weight"),
         (Affine, "not linear"),
-        (TooFew, "fan_out"),
+        (TooFew, "count_fan_out"),
         (OtherTransform, "transform"),
         (NameOfALayer, "names of a layer"),
         (OtherLargest, "find_largest_weights"),

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.recordings.events import Recordings
-from pipeline.results.status import status_of
+from pipeline.results.status import list_states
 from pipeline.run.folder import RunFolder
 from stmnist import Run, compare_runs
 from tests.command import missing
@@ -257,7 +257,7 @@ def test_a_number_of_processes_that_is_none_is_refused(tmp_path, jobs):
 
 
 def test_the_accuracy_of_a_network_on_events_is_in_its_own_row(run):
-    rows = {status.state.name: status for status in status_of(RunFolder(run.path))}
+    rows = {status.state.name: status for status in list_states(RunFolder(run.path))}
     metrics = json.loads((run.path / "snn/metrics.json").read_text())
     assert rows["events"].accuracy == metrics["accuracy"]["test"]
     assert rows["events"].seconds == metrics["seconds"]

@@ -44,7 +44,7 @@ def make_bundle(count=12, **presentation):
 
 def _estimator(classes):
     rng = np.random.default_rng(3)
-    shapes = Estimator.shapes(classes)
+    shapes = Estimator.list_shapes(classes)
     return Estimator.from_arrays({n: rng.normal(size=s) for n, s in shapes.items()}, classes)
 
 

@@ -32,19 +32,19 @@ from ..errors import UserError
 from ..files import (
     FREE_IT,
     TEMPORARY,
+    hash_file,
     read_arrays,
     read_json,
     refuse_linked_folder,
     replacing,
     reporting_os_errors,
-    sha256_of,
     write_arrays,
     write_json,
     zip_member,
 )
 from ..network.spec import NetworkSpec
 from ..network.stimulus import Stimulus
-from ..terminal import command_text
+from ..terminal import format_command
 
 NETWORK_SCHEMA = "stmnist-bundle/3"
 MANIFEST_SCHEMA = "stmnist-manifest/1"
@@ -150,7 +150,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         if stored.dtype.kind != "f" and not np.array_equal(stored, given):
             raise ValueError("a label or an event is not a whole number, or out of range")
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
-    if (wrong := _wrong_with(samples, spec)) is not None:
+    if (wrong := _find_problem(samples, spec)) is not None:
         raise ValueError(f"the samples of the check do not fit the network: {wrong}")
     with reporting_os_errors(path, "cannot write", FREE_IT):
         require_replaceable(path)
@@ -159,11 +159,11 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
             folder_of_new = Path(temporary) / "new"
             folder_of_new.mkdir()
             write_json(folder_of_new / "network.json", {"schema": NETWORK_SCHEMA, **spec.to_json()})
-            write_arrays(folder_of_new / "weights.npz", **spec.arrays())
+            write_arrays(folder_of_new / "weights.npz", **spec.to_arrays())
             write_arrays(folder_of_new / "checks.npz", **samples)
             with replacing(folder_of_new / "deploy.pyz") as file:
-                file.write(zipapp_bytes())
-            hashes = {name: sha256_of(folder_of_new / name) for name in FILES}
+                file.write(make_zipapp())
+            hashes = {name: hash_file(folder_of_new / name) for name in FILES}
             write_json(
                 folder_of_new / "MANIFEST.json", {"schema": MANIFEST_SCHEMA, "files": hashes}
             )
@@ -228,7 +228,7 @@ def _choose_dtype(stimulus):
     return np.dtype(np.float32 if stimulus.static else np.uint8)
 
 
-def result_beside(folder, target: str) -> Path:
+def find_result_path(folder, target: str) -> Path:
     """The default file of a result of ``deploy.pyz``, in ``checks`` of the bundle's folder.
 
     Parameters
@@ -272,7 +272,7 @@ def read_bundle(path) -> Bundle:
     path = Path(path)
     if not (path / "MANIFEST.json").exists():
         if (path.parent / RUN_SETTINGS).exists() and not path.exists():
-            remedy = command_text("convert", path.parent)
+            remedy = format_command("convert", path.parent)
             raise UserError(f"{path.parent}: has no bundle yet; make it with {remedy}")
         raise UserError(f"{path}: not a bundle; give the folder of one, as 'stmnist convert' makes")
     manifest = read_json(path / "MANIFEST.json", _REMEDY)
@@ -283,7 +283,7 @@ def read_bundle(path) -> Bundle:
     for name in FILES:
         if not (path / name).is_file():
             raise UserError(f"{path / name}: missing from the bundle; {_REMEDY}")
-        if sha256_of(path / name) != hashes[name]:
+        if hash_file(path / name) != hashes[name]:
             raise UserError(f"{path / name}: changed since the bundle was made; {_REMEDY}")
     description = read_json(path / "network.json", _REMEDY)
     _check_schema(path / "network.json", description.get("schema"), NETWORK_SCHEMA)
@@ -293,12 +293,12 @@ def read_bundle(path) -> Bundle:
     except UserError as error:
         message = str(error)
         raise UserError(message if str(path) in message else f"{path}: {message}") from error
-    return Bundle(path, sha256_of(path / "MANIFEST.json"), spec, checks)
+    return Bundle(path, hash_file(path / "MANIFEST.json"), spec, checks)
 
 
 def _read_checks(path, spec):
     arrays = read_arrays(path, _REMEDY)
-    if (wrong := _wrong_with(arrays, spec)) is not None:
+    if (wrong := _find_problem(arrays, spec)) is not None:
         raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
     inputs = arrays["inputs"]
     return CheckSet(
@@ -309,7 +309,7 @@ def _read_checks(path, spec):
     )
 
 
-def _wrong_with(arrays, spec):
+def _find_problem(arrays, spec):
     """The reason why arrays cannot be the samples of a network's check, or None."""
     if sorted(arrays) != ["ids", "inputs", "labels", "seed"]:
         names = ", ".join(sorted(arrays)[:10])
@@ -330,7 +330,7 @@ def _wrong_with(arrays, spec):
             return "two samples have the same id"
     except UnicodeEncodeError:
         return "an id is not text in UTF-8"
-    return spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps)
+    return spec.stimulus.find_problem(inputs, spec.input_shape, spec.presentation.steps)
 
 
 def _check_schema(path, schema, known):
@@ -341,7 +341,7 @@ def _check_schema(path, schema, known):
         )
 
 
-def zipapp_bytes() -> bytes:
+def make_zipapp() -> bytes:
     """This package and fastloihi as a zipapp; the bytes are the same for the same source files."""
     main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}

@@ -30,7 +30,7 @@ from typing import List, Union
 
 from ..errors import UserError
 from ..network.chip import LOIHI
-from ..network.spec import NetworkSpec, spec_of
+from ..network.spec import NetworkSpec, get_spec
 from ..tables import align_rows
 
 # Joules (Davies et al. 2018).
@@ -53,7 +53,7 @@ class LayerEstimate:
     on_chip : bool
         False for a readout on the host, which is estimated as if it were on the chip.
     synaptic_operations, neuron_updates : float
-        Mean over the check's samples; see ``NetworkSpec.synaptic_operations``.
+        Mean over the check's samples; see ``NetworkSpec.count_synaptic_operations``.
     multiply_accumulates, neurons : int
         Numbers of the same layer of the CNN.
     """
@@ -73,7 +73,7 @@ class LayerEstimate:
             + self.neuron_updates * CHIP["neuron update"]
         )
 
-    def cnn_joules(self, device: str) -> float:
+    def estimate_cnn_joules(self, device: str) -> float:
         """Energy of the CNN's layer on ``"cpu"`` or ``"gpu"``."""
         return (self.multiply_accumulates + self.neurons) * MAC[device]
 
@@ -112,9 +112,9 @@ class EnergyEstimate:
         """Share of the chip's energy for neuron updates; the others are synaptic operations."""
         return self.neuron_updates * CHIP["neuron update"] / self.chip_joules
 
-    def cnn_joules(self, device: str) -> float:
+    def estimate_cnn_joules(self, device: str) -> float:
         """Energy of the whole CNN."""
-        return sum(layer.cnn_joules(device) for layer in self.layers)
+        return sum(layer.estimate_cnn_joules(device) for layer in self.layers)
 
     def to_json(self) -> dict:
         """The estimate as plain values."""
@@ -123,7 +123,7 @@ class EnergyEstimate:
             "estimate": True,
             "joules_per_inference": {
                 "loihi": self.chip_joules,
-                **{f"cnn_{device}": self.cnn_joules(device) for device in MAC},
+                **{f"cnn_{device}": self.estimate_cnn_joules(device) for device in MAC},
             },
             "joules_per_operation": {
                 "loihi": CHIP,
@@ -138,15 +138,15 @@ class EnergyEstimate:
                 "neuron update": self.share_of_updates,
             },
             "presentation_seconds": self.presentation_seconds,
-            "layers": [_layer_to_json(layer) for layer in self.layers],
+            "layers": [_make_layer_json(layer) for layer in self.layers],
         }
 
 
-def _layer_to_json(layer) -> dict:
+def _make_layer_json(layer) -> dict:
     return {
         **asdict(layer),
         "chip_joules": layer.chip_joules,
-        **{f"cnn_{device}_joules": layer.cnn_joules(device) for device in MAC},
+        **{f"cnn_{device}_joules": layer.estimate_cnn_joules(device) for device in MAC},
     }
 
 
@@ -166,7 +166,7 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     TypeError
         The network is neither a NetworkSpec nor a Bundle.
     """
-    spec = spec_of(spec)
+    spec = get_spec(spec)
     counted = result.get("synaptic_operations", {})
     presentation = spec.presentation
     if not {layer.name for layer in spec.layers} <= set(counted):
@@ -188,23 +188,23 @@ def estimate_energy(spec: NetworkSpec, result: dict) -> EnergyEstimate:
     return EnergyEstimate(layers, presentation.steps * spec.stimulus.step_seconds)
 
 
-def _numbers(estimate: Union[LayerEstimate, EnergyEstimate]) -> List[str]:
+def _list_values(estimate: Union[LayerEstimate, EnergyEstimate]) -> List[str]:
     """The values of a row in the table of a layer's or the network's estimate."""
     return [
         f"{estimate.synaptic_operations:.0f}",
         f"{estimate.neuron_updates:.0f}",
-        joules_text(estimate.chip_joules),
-        *(joules_text(estimate.cnn_joules(device)) for device in MAC),
+        format_joules(estimate.chip_joules),
+        *(format_joules(estimate.estimate_cnn_joules(device)) for device in MAC),
     ]
 
 
-def estimate_text(value: EnergyEstimate) -> str:
+def format_estimate(value: EnergyEstimate) -> str:
     """Format an estimate as a table and a few lines."""
     heads = ["layer", "where", "synaptic operations", "neuron updates", "Loihi"]
     rows = [[*heads, "dense CPU", "dense GPU"]]
     for layer in value.layers:
-        rows.append([layer.layer, "chip" if layer.on_chip else "host*", *_numbers(layer)])
-    rows.append(["total", "", *_numbers(value)])
+        rows.append([layer.layer, "chip" if layer.on_chip else "host*", *_list_values(layer)])
+    rows.append(["total", "", *_list_values(value)])
     lines = [
         "ESTIMATE of the energy of one inference, from published energies per operation",
         *align_rows(rows, left=2),
@@ -226,7 +226,7 @@ def estimate_text(value: EnergyEstimate) -> str:
     )
 
 
-def joules_text(value: float) -> str:
+def format_joules(value: float) -> str:
     """Format an energy in joules, with three digits and its unit."""
     for unit, size in (("mJ", 1e-3), ("uJ", 1e-6), ("nJ", 1e-9)):
         if value >= size:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def wilson_interval(correct: int, n: int):
+def compute_wilson_interval(correct: int, n: int):
     """95 % confidence interval of a proportion (Wilson 1927).
 
     Parameters
@@ -24,7 +24,7 @@ def wilson_interval(correct: int, n: int):
     return float(interval.low), float(interval.high)
 
 
-def mcnemar(correct_a, correct_b) -> float:
+def compute_mcnemar_p(correct_a, correct_b) -> float:
     """Exact two-sided McNemar test of two classifiers on the same samples.
 
     Parameters
@@ -49,7 +49,7 @@ def mcnemar(correct_a, correct_b) -> float:
     return float(stats.binomtest(only_a, only_a + only_b).pvalue)
 
 
-def fisher(correct_a: int, n_a: int, correct_b: int, n_b: int) -> float:
+def compute_fisher_p(correct_a: int, n_a: int, correct_b: int, n_b: int) -> float:
     """Exact two-sided test of two classifiers on different samples (Fisher 1922).
 
     Parameters

@@ -17,7 +17,7 @@ from ..network.decision import share_of_time
 from ..network.provenance import read_classes
 from ..network.stimulus import find_last_steps
 from ..terminal import WARNING
-from .intervals import mcnemar, wilson_interval
+from .intervals import compute_mcnemar_p, compute_wilson_interval
 
 SCHEMA = "stmnist-check/1"
 
@@ -29,7 +29,7 @@ PUBLISHED = ("id", "label", "prediction", "scores", "stopped_at", "spike_hash")
 SHARES = tuple(tenths / 10 for tenths in range(1, 11))
 
 
-def versions() -> dict:
+def list_versions() -> dict:
     """Versions of the software that computed a result."""
     return {
         "stmnist": __version__,
@@ -87,7 +87,7 @@ def make_result(bundle, target, seed, samples, wall_seconds, extra=None) -> dict
         "n_samples": len(samples),
         "classes_without_samples": _find_classes_without_samples(bundle.spec, labels),
         "accuracy": correct / len(samples),
-        "accuracy_ci95": list(wilson_interval(correct, len(samples))),
+        "accuracy_ci95": list(compute_wilson_interval(correct, len(samples))),
         "anytime_accuracy": [float(share) for share in right.mean(0)],
         **_measure_while_written(bundle, decisions, labels, samples),
         "samples": [_select_published(sample) for sample in samples],
@@ -95,7 +95,7 @@ def make_result(bundle, target, seed, samples, wall_seconds, extra=None) -> dict
         "synaptic_operations": _sum_by_layer(samples, "operations"),
         "multiply_accumulates": bundle.spec.multiply_accumulates,
         "wall_seconds": wall_seconds,
-        "versions": {**versions(), **extra.pop("versions", {})},
+        "versions": {**list_versions(), **extra.pop("versions", {})},
         **extra,
     }
 
@@ -147,7 +147,7 @@ def _measure_while_written(bundle, decisions, labels, samples) -> dict:
         value["by_itself"] = {
             "confidence": spec.presentation.confidence,
             "accuracy": float(right.mean()),
-            "accuracy_ci95": list(wilson_interval(int(right.sum()), len(right))),
+            "accuracy_ci95": list(compute_wilson_interval(int(right.sum()), len(right))),
             "share_of_writing_mean": float(share_of_time(stopped - 1, written - 1).mean()),
             "before_the_end": float((stopped < written).mean()),
         }
@@ -355,7 +355,7 @@ def compare_results(a: dict, b: dict) -> Comparison:
             for in_a, in_b in pairs
             if in_a["prediction"] != in_b["prediction"]
         ],
-        p_value=mcnemar(_list_right(a), _list_right(b)),
+        p_value=compute_mcnemar_p(_list_right(a), _list_right(b)),
         other_spikes=_count_other_spikes(pairs),
     )
 
@@ -383,7 +383,7 @@ def _count_other_spikes(pairs):
 WARNING_P_VALUE = 0.01
 
 
-def loss_text(reference: dict, result: dict) -> Optional[str]:
+def describe_loss(reference: dict, result: dict) -> Optional[str]:
     """A message if a target is significantly less accurate than the trained network.
 
     Parameters

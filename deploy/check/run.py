@@ -26,7 +26,7 @@ from ..targets.registry import (
 )
 from ..terminal import WARNING, remark
 from .bundle import Bundle, CheckSet
-from .results import make_result, versions
+from .results import list_versions, make_result
 
 
 def _is_seed(value: object) -> bool:
@@ -271,7 +271,7 @@ def _ignore(n_samples):
 
 
 def _list_streams(bundle):
-    return bundle.spec.presentation.streams(len(bundle.checks))
+    return bundle.spec.presentation.list_streams(len(bundle.checks))
 
 
 @contextlib.contextmanager
@@ -313,7 +313,7 @@ def open_check(
         "bundle": bundle.id,
         "target": target,
         "seed": seed,
-        "versions": versions(),
+        "versions": list_versions(),
         # Other recordings may have been put in the place of the bundle's, also with the same ids.
         "samples": bundle.checks.sha256,
     }

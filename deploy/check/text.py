@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from ..tables import align_rows, list_names
-from ..terminal import WARNING, printable
+from ..terminal import WARNING, escape_control
 from .results import Comparison
 
 
-def summary(result: dict) -> str:
+def format_result(result: dict) -> str:
     """Format a check result as a few lines.
 
     Parameters
@@ -17,24 +17,24 @@ def summary(result: dict) -> str:
     """
     low, high = result["accuracy_ci95"]
     spikes = ", ".join(
-        f"{printable(name)} {count / result['n_samples']:.0f}"
+        f"{escape_control(name)} {count / result['n_samples']:.0f}"
         for name, count in result["spikes"].items()
     )
     operations = sum(result["synaptic_operations"].values()) / result["n_samples"]
     macs = sum(result["multiply_accumulates"].values())
     return (
-        f"{printable(result['target'])}: "
+        f"{escape_control(result['target'])}: "
         f"accuracy {result['accuracy']:.3f} (95 % interval {low:.3f} to "
-        f"{high:.3f}) on {result['n_samples']} {_kind(result)}samples of "
+        f"{high:.3f}) on {result['n_samples']} {_mark_simulated(result)}samples of "
         f"{result['steps_per_sample']} steps\nspikes a sample: {spikes}\n"
         f"synaptic operations a sample: {operations:.0f}, {operations / macs:.2f} times the "
         f"{macs} multiply-accumulates of a CNN of this architecture\n"
         f"{result['wall_seconds']:.1f} s, {result['n_samples'] / result['wall_seconds']:.1f} "
-        "samples a second" + _hardware(result) + _absent_text(result)
+        "samples a second" + _describe_hardware(result) + _describe_absent_classes(result)
     )
 
 
-def _absent_text(result):
+def _describe_absent_classes(result):
     """A line that names the classes without samples; empty if there are none."""
     absent = result.get("classes_without_samples")
     if not absent:
@@ -42,8 +42,8 @@ def _absent_text(result):
     return f"\n{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
 
 
-def others_text(result: dict) -> str:
-    """Format a result on other recordings: :func:`summary`, classes and writers."""
+def format_result_on_others(result: dict) -> str:
+    """Format a result on other recordings: :func:`format_result`, classes and writers."""
     named = result["classes"]
     short = {name: name if len(name) <= 40 else name[:26] + "…" + name[-13:] for name in named}
     lines = [
@@ -52,7 +52,7 @@ def others_text(result: dict) -> str:
     ]
     if number := result["data"].get("trained_on"):
         lines.append(f"{number} of them were used to make the network")
-    lines.append(summary(result))
+    lines.append(format_result(result))
     for key in ("class", "writer"):
         if rows := result.get(f"per_{key}"):
             cells = [[key, "n", "accuracy", "95 % interval"]]
@@ -73,7 +73,7 @@ def others_text(result: dict) -> str:
     return "\n".join(lines)
 
 
-def _hardware(result):
+def _describe_hardware(result):
     """Lines about a board."""
     if "hardware" not in result:
         return ""
@@ -84,8 +84,8 @@ def _hardware(result):
         for phase in ("build", "connect", "run")
     )
     text = (
-        f"\nboard {_each(board['board'], 'of the cluster')}, "
-        f"partition {_each(board['partition'], 'none')}, "
+        f"\nboard {_join_named(board['board'], 'of the cluster')}, "
+        f"partition {_join_named(board['partition'], 'none')}, "
         f"NxSDK {result['versions']['nxsdk']}, {board['connections']} connections; "
         f"per sample: {phases}"
     )
@@ -106,19 +106,19 @@ def _hardware(result):
     return text
 
 
-def _each(named, without_name):
+def _join_named(named, without_name):
     """A name, or all of a list of names."""
     names = named if isinstance(named, list) else [named]
     return " and ".join(name or without_name for name in names)
 
 
-def _kind(result):
+def _mark_simulated(result):
     return "simulated " if result.get("simulated") else ""
 
 
-def comparison_text(comparison: Comparison) -> str:
+def format_comparison(comparison: Comparison) -> str:
     """Format a comparison as a few lines, with the first ten samples that differ."""
-    (a, b) = map(printable, comparison.targets)
+    (a, b) = map(escape_control, comparison.targets)
     differ = comparison.disagreements
     lines = [
         f"{a} {comparison.accuracies[0]:.3f}, {b} {comparison.accuracies[1]:.3f}, "

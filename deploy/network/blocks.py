@@ -5,9 +5,9 @@ equal blocks (`nengo_loihi.BlockShape`); of all splits in which every block fits
 with the fewest input axons in total is chosen, and of those the one with the fewest blocks.  Axons
 are the cost of a split: an input that two blocks read needs an axon into each.
 
-The counts are computed here before NengoLoihi makes the blocks (`DeployedOperation.resources`);
-pre-flight counts the blocks made (:mod:`deploy.preflight.resources`) and refuses those that do not
-fit.
+The counts are computed here before NengoLoihi makes the blocks
+(`DeployedOperation.make_resources`); pre-flight counts the blocks made
+(:mod:`deploy.preflight.resources`) and refuses those that do not fit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Dict, List, Tuple
 
 import numpy as np
 
-from ..arithmetic import ceil_div
+from ..arithmetic import divide_up
 from .chip import LOIHI, Chip
 from .ops.base import count_blocks, count_input_words, list_ranges
 
@@ -85,22 +85,24 @@ def choose_block(layer, after=None, after_block=None, chip: Chip = LOIHI) -> Tup
     tuple of int
         If nothing fits, the best block whose compartments fit a core.
     """
-    return _default_block(layer, layer.recurrent is not None, after, after_block, chip)
+    return _choose_default_block(layer, layer.recurrent is not None, after, after_block, chip)
 
 
 @functools.lru_cache(maxsize=256)
-def _default_block(layer, is_recurrent, after, after_block, chip):
+def _choose_default_block(layer, is_recurrent, after, after_block, chip):
     """As `choose_block`; layers of the same shapes are equal, whether recurrent or not."""
     limit = chip.limits["compartments"]
     needs = BlockNeeds(layer, chip)
-    receiver = after and after.operation.resources(after, chip).receiver(after_block)
+    receiver = after and after.operation.make_resources(after, chip).make_output_axon_counter(
+        after_block
+    )
     if layer.size <= limit and needs.fit(layer.shape, receiver):
         return layer.shape
-    lengths = [list(_lengths(n)) for n in layer.shape]
+    lengths = [list(_list_lengths(n)) for n in layer.shape]
     blocks = [block for block in itertools.product(*lengths) if np.prod(block) <= limit]
 
     def cost(block):
-        return needs.input_axons(block), count_blocks(layer.shape, block), block
+        return needs.count_input_axons(block), count_blocks(layer.shape, block), block
 
     by_cost = sorted(blocks, key=cost)
     for block in by_cost:
@@ -109,9 +111,9 @@ def _default_block(layer, is_recurrent, after, after_block, chip):
     return by_cost[0]
 
 
-def _lengths(n):
+def _list_lengths(n):
     """Lengths of equal blocks along one dimension, from the whole down; the last may be shorter."""
-    return sorted({ceil_div(n, blocks) for blocks in range(1, n + 1)}, reverse=True)
+    return sorted({divide_up(n, blocks) for blocks in range(1, n + 1)}, reverse=True)
 
 
 class BlockNeeds:
@@ -126,17 +128,17 @@ class BlockNeeds:
     def __init__(self, layer, chip: Chip = LOIHI):
         self.layer = layer
         self.chip = chip
-        self.resources = layer.operation.resources(layer, chip)
+        self.resources = layer.operation.make_resources(layer, chip)
         self.own_axons = 0 if layer.recurrent is None else layer.size
 
-    def input_axons(self, block) -> int:
+    def count_input_axons(self, block) -> int:
         """Number of input axons of all blocks of one shape."""
         recurrent_axons = self.own_axons * count_blocks(self.layer.shape, block)
-        return self.resources.input_axons(block) + recurrent_axons
+        return self.resources.count_input_axons(block) + recurrent_axons
 
     def count(self, ranges) -> Tuple[int, int]:
         """Input axons and words of synapse memory of the block with these ranges of outputs."""
-        axons, words = self.resources.needs(ranges)
+        axons, words = self.resources.count_needs(ranges)
         if self.own_axons:
             ((first, last),) = ranges
             words_of_one = count_input_words(last - first, self.chip.weight_bits, self.chip)
@@ -150,7 +152,7 @@ class BlockNeeds:
         ----------
         block : tuple of int
         receiver : callable or None
-            From `Resources.receiver` of the next layer.
+            From `Resources.make_output_axon_counter` of the next layer.
         """
         limits = self.chip.limits
         along = [list_ranges(n, length) for n, length in zip(self.layer.shape, block)]

@@ -139,7 +139,7 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
     with nengo.Network(label=spec.architecture, seed=seed) as network:
         nengo_loihi.add_params(network)
         pixels = nengo.Node(feed, size_out=feed.blank.size, label="pixels")
-        neurons = _input_neurons(spec)
+        neurons = _build_input_neurons(spec)
         network.config[neurons].on_chip = False
         nengo.Connection(pixels, neurons.neurons, synapse=None)
         source = neurons.neurons
@@ -166,7 +166,7 @@ def _add_units(network, layer: Layer, blocks: dict):
     """The neurons of a layer on the chip, or the node of a readout on the host."""
     if layer.neurons is None:
         return nengo.Node(size_in=layer.sections * layer.size, label=layer.name)
-    ensemble = _ensemble(layer, layer.neurons)
+    ensemble = _build_ensemble(layer, layer.neurons)
     config = network.config[ensemble]
     config.on_chip = True
     config.block_shape = nengo_loihi.BlockShape(blocks[layer.name], layer.shape)
@@ -184,7 +184,7 @@ def _connect_to_itself(target, weights: np.ndarray, synapse: float | None):
     nengo.Connection(target, target, transform=transform, synapse=lowpass)
 
 
-def _input_neurons(spec):
+def _build_input_neurons(spec):
     stimulus = spec.stimulus
     if isinstance(stimulus, EventFrames):
         neuron_type = Relay(amplitude=stimulus.area)
@@ -193,10 +193,10 @@ def _input_neurons(spec):
         neuron_type = EvenSpikes(stimulus.initial_phase, amplitude=stimulus.area)
         gain = stimulus.max_rate
     n = int(np.prod(spec.input_shape))
-    return _neurons(n, neuron_type, np.full(n, gain), np.zeros(n), "input")
+    return _make_neurons(n, neuron_type, np.full(n, gain), np.zeros(n), "input")
 
 
-def _ensemble(layer: Layer, neurons: Neurons):
+def _build_ensemble(layer: Layer, neurons: Neurons):
     neuron_type = nengo_loihi.neurons.LoihiLIF(
         tau_rc=neurons.tau_rc,
         tau_ref=neurons.tau_ref,
@@ -205,10 +205,10 @@ def _ensemble(layer: Layer, neurons: Neurons):
     )
     per_channel = layer.size // layer.bias.size
     bias = np.tile(layer.bias, per_channel)  # channels are the last and fastest dimension
-    return _neurons(layer.size, neuron_type, np.ones(layer.size), bias, layer.name)
+    return _make_neurons(layer.size, neuron_type, np.ones(layer.size), bias, layer.name)
 
 
-def _neurons(n, neuron_type, gain, bias, label):
+def _make_neurons(n, neuron_type, gain, bias, label):
     """An ensemble whose neurons are connected directly.
 
     Encoders and evaluation points are set explicitly because Nengo would otherwise draw a thousand

@@ -44,14 +44,14 @@ class Estimator:
     Attributes
     ----------
     kernels, biases : tuple of ndarray
-        A, B, C and a, b, c; see :meth:`shapes`.
+        A, B, C and a, b, c; see :meth:`list_shapes`.
     """
 
     kernels: Tuple[np.ndarray, ...]
     biases: Tuple[np.ndarray, ...]
 
     @staticmethod
-    def shapes(classes: int) -> dict:
+    def list_shapes(classes: int) -> dict:
         """Shape of each array by name, for networks with some number of classes."""
         features = min(RANKS, classes) + 2 * classes + 1 + len(LAGS) * classes
         sizes = (features, *HIDDEN, 1)
@@ -61,9 +61,9 @@ class Estimator:
             shapes[f"estimator.bias{index}"] = (after,)
         return shapes
 
-    def arrays(self) -> dict:
+    def to_arrays(self) -> dict:
         """The arrays by name, for a file."""
-        names = Estimator.shapes(2)  # the names are the same for any number of classes
+        names = Estimator.list_shapes(2)  # the names are the same for any number of classes
         arrays = [array for pair in zip(self.kernels, self.biases) for array in pair]
         return dict(zip(names, arrays))
 
@@ -81,7 +81,7 @@ class Estimator:
         ValueError
             Some arrays are missing, have another shape, or contain NaN or infinite values.
         """
-        shapes = cls.shapes(classes)
+        shapes = cls.list_shapes(classes)
         if not any(name in arrays for name in shapes):
             return None
         checked = []
@@ -93,15 +93,15 @@ class Estimator:
         return cls(tuple(checked[::2]), tuple(checked[1::2]))
 
     def __call__(self, outputs, first: int = 0) -> np.ndarray:
-        """Confidence at each step, from 0 to 1; see :func:`confidence`."""
-        signal = estimator_inputs(outputs, first)
+        """Confidence at each step, from 0 to 1; see :func:`compute_confidence`."""
+        signal = make_estimator_inputs(outputs, first)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1]):
             signal = np.maximum(signal @ kernel + bias, 0)
         odds = np.clip((signal @ self.kernels[-1] + self.biases[-1])[..., 0], -50, 50)
         return 1 / (1 + np.exp(-odds))
 
 
-def estimator_inputs(outputs, first: int = 0) -> np.ndarray:
+def make_estimator_inputs(outputs, first: int = 0) -> np.ndarray:
     """Compute the inputs of a confidence estimator.
 
     Parameters
@@ -163,7 +163,9 @@ class Threshold(NamedTuple):
     share: float
 
 
-def confidence(outputs, estimator: Optional[Estimator] = None, first: int = 0) -> np.ndarray:
+def compute_confidence(
+    outputs, estimator: Optional[Estimator] = None, first: int = 0
+) -> np.ndarray:
     """Confidence in the outputs at each step, to `MAX_CONFIDENCE`; 0 where all outputs are zero.
 
     An estimator is trained from the start of a recording to its last event.  Where outputs stay the
@@ -205,25 +207,25 @@ def continue_confidence(
     known : ndarray, shape (n,)
         Confidence at the first steps.
     estimator, first
-        As in :func:`confidence`.
+        As in :func:`compute_confidence`.
 
     Returns
     -------
     ndarray, shape (steps - n,)
-        The last values of :func:`confidence` of all outputs.
+        The last values of :func:`compute_confidence` of all outputs.
     """
     n = len(known)
     if n == 0 or estimator is None:
-        return confidence(outputs[n:], estimator, first + n)
+        return compute_confidence(outputs[n:], estimator, first + n)
     start = max(0, n - max(LAGS) - 1)
-    sure = confidence(outputs[start:], estimator, first + start)[n - start :]
+    sure = compute_confidence(outputs[start:], estimator, first + start)[n - start :]
     changed = (outputs[n:] != outputs[n - 1 : -1]).any(axis=1)
     unchanged = len(changed) if not changed.any() else int(changed.argmax())
     sure[:unchanged] = known[-1]
     return sure
 
 
-def probabilities(outputs, sure) -> np.ndarray:
+def compute_probabilities(outputs, sure) -> np.ndarray:
     """Probabilities of the classes, of which the largest is the confidence in the answer.
 
     They are the softmax of the outputs at the temperature that gives this largest value, so that
@@ -262,7 +264,7 @@ def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, fir
     threshold : float
         Threshold of the confidence.
     estimator, first
-        As in :func:`confidence`.
+        As in :func:`compute_confidence`.
 
     Returns
     -------
@@ -270,7 +272,9 @@ def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, fir
         Index in ``outputs``; the last one if the confidence never reaches the threshold.
     classes : ndarray of int, shape (n_samples,)
     """
-    return find_decisions(np.asarray(outputs), confidence(outputs, estimator, first), threshold)
+    return find_decisions(
+        np.asarray(outputs), compute_confidence(outputs, estimator, first), threshold
+    )
 
 
 def find_decisions(outputs, sure, threshold: float):
@@ -309,7 +313,7 @@ def choose_threshold(
     loss : float
         Maximum difference to the accuracy at the last step.
     estimator : Estimator, optional
-        As in :func:`confidence`.
+        As in :func:`compute_confidence`.
     weights : ndarray, shape (n_samples,), optional
         Weight of each sample; default: equal weights.
 
@@ -324,7 +328,7 @@ def choose_threshold(
         return float(np.average(values, weights=weights))
 
     at_the_end = mean(outputs[:, -1].argmax(-1) == labels)
-    sure = confidence(outputs, estimator)
+    sure = compute_confidence(outputs, estimator)
     best = Threshold(1.0, at_the_end, 1.0)
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
         steps, classes = find_decisions(outputs, sure, level)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arithmetic import ceil_div
+from ..arithmetic import divide_up
 
 
-def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
+def list_windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     """Windows of a convolution along one dimension.
 
     Parameters
@@ -27,7 +27,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     """
     zeros = 0
     if padding == "same":
-        zeros = max((ceil_div(n, stride) - 1) * stride + kernel - n, 0)
+        zeros = max((divide_up(n, stride) - 1) * stride + kernel - n, 0)
     elif padding != "valid":
         zeros = 2 * int(padding)
     return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2
@@ -35,7 +35,7 @@ def windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
 
 def compute_padded_kernel_size(n: int, kernel: int, stride: int, zeros: str) -> int:
     """Size of a kernel with zeros at its end, whose last window ends with the padded values."""
-    count = windows(n, kernel, stride, zeros)[0]
+    count = list_windows(n, kernel, stride, zeros)[0]
     return n + 2 * int(zeros) - (count - 1) * stride
 
 
@@ -50,7 +50,7 @@ def count_windows(n: int, count: int, kernel: int, stride: int, before: int) -> 
 
 def compute_convolution_shape(input_shape, kernel, filters, stride=1, padding="valid") -> tuple:
     """(rows, columns, channels) of a convolution's output."""
-    return (*(windows(n, kernel, stride, padding)[0] for n in input_shape[:2]), filters)
+    return (*(list_windows(n, kernel, stride, padding)[0] for n in input_shape[:2]), filters)
 
 
 def count_convolution_fan_out(
@@ -59,7 +59,7 @@ def count_convolution_fan_out(
     """Synapses that leave each input of a convolution, int64, of shape ``input_shape``."""
     reach = []
     for n in input_shape[:2]:
-        count, before, _ = windows(n, kernel, stride, padding)
+        count, before, _ = list_windows(n, kernel, stride, padding)
         reach.append(count_windows(n, count, kernel, stride, before))
     positions = np.outer(*reach) * filters
     return np.repeat(positions[..., None], input_shape[2], axis=2)

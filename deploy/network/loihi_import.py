@@ -5,7 +5,8 @@ with NengoDL; nengo-extras imports Keras, Numba and parts of SciPy, only to test
 is needed here, and they take about ten seconds and one second at every start.
 
 NengoLoihi gives each block one scale, with which its largest weight becomes 255.  It asserts,
-mostly without a message, that threshold and bias fit with this scale; :func:`cannot_build` gives
+mostly without a message, that threshold and bias fit with this scale; :func:`make_build_error`
+gives
 the reason.
 """
 
@@ -54,15 +55,15 @@ def require_integers(network: nengo.Network):
     Raises
     ------
     UserError
-        From :func:`cannot_build`: the same for every target.
+        From :func:`make_build_error`: the same for every target.
     """
     try:
         nengo_loihi.builder.Model(dt=LOIHI.dt).build(network, precompute=True, discretize=True)
     except BUILD_ERRORS as error:
-        raise cannot_build(network, error) from error
+        raise make_build_error(network, error) from error
 
 
-def cannot_build(network: nengo.Network, error: Exception) -> UserError:
+def make_build_error(network: nengo.Network, error: Exception) -> UserError:
     """The error of every target for a network that NengoLoihi cannot build.
 
     Parameters
@@ -76,14 +77,14 @@ def cannot_build(network: nengo.Network, error: Exception) -> UserError:
     UserError
         Names the layer and the limit where the chip's integers are the reason.
     """
-    problem = _unfit_layer(network) or str(error)
+    problem = _find_unfit_value(network) or str(error)
     if not problem or isinstance(error, AttributeError):
         problem = f"{problem or 'one of its internal limits is not met'}; the command "
         problem += "'plan' says what does not fit a core"
     return UserError(f"NengoLoihi cannot build this network: {problem}")
 
 
-def _unfit_layer(network):
+def _find_unfit_value(network):
     """The value that does not fit the integers, or None if that is not the reason."""
     model = nengo_loihi.builder.Model(dt=LOIHI.dt)
     model.validation_level = nengo_loihi.builder.builder.ValidationLevel.NONE

@@ -12,7 +12,7 @@ bias current is the convolution's bias; it reaches the neuron through the synapt
 its full value after a few ``tau_syn``.  The leak voltage is zero, because readers of NIR interpret
 other values differently.
 
-The input neurons are not in the graph: its inputs are their spikes, which :func:`input_spikes`
+The input neurons are not in the graph: its inputs are their spikes, which :func:`make_graph_input`
 returns, or what these stand for: frames of events, or an image that is held.  Scores are the mean
 of the output from the readout's start on.  The graph's metadata has, as text, the properties that
 NIR cannot represent.
@@ -32,7 +32,7 @@ from ..files import replacing
 from .build import build
 from .ops.dense import DeployedDense
 from .responses import show
-from .spec import DT, Layer, NetworkSpec, spec_of
+from .spec import DT, Layer, NetworkSpec, get_spec
 
 
 def make_nir_graph(spec: NetworkSpec):
@@ -48,7 +48,7 @@ def make_nir_graph(spec: NetworkSpec):
         The package ``nir`` is not installed, or the readout has several sections: NIR does not
         know the step of a presentation.
     """
-    nir = _nir()
+    nir = _import_nir()
     if spec.layers[-1].sections > 1:
         raise UserError(
             f"NIR cannot represent a readout with {spec.layers[-1].sections} sections of the "
@@ -62,22 +62,22 @@ def make_nir_graph(spec: NetworkSpec):
         if layer.pool > 1:
             size = np.array([layer.pool, layer.pool])
             nodes[f"{layer.name}_pool"] = nir.AvgPool2d(size, size, np.array([0, 0]))
-        nodes.update(layer.operation.nir_nodes(layer, nir, area))
-        for name, node in _neurons(nir, layer):
+        nodes.update(layer.operation.make_nir_nodes(layer, nir, area))
+        for name, node in _make_neuron_nodes(nir, layer):
             nodes[name] = node
         if layer.neurons is None:
             continue
         area = layer.neurons.amplitude / DT
         if layer.recurrent is not None:
             loops[name] = nir.Linear(weight=layer.recurrent * area)
-    nodes["output"] = nir.Output({"output": _channels_first(spec.layers[-1].shape)})
+    nodes["output"] = nir.Output({"output": _put_channels_first(spec.layers[-1].shape)})
     names = list(nodes)
     edges = list(zip(names[:-1], names[1:]))
     for name, loop in loops.items():
         back = name.replace("_neurons", "_recurrent")
         nodes[back] = loop
         edges += [(name, back), (back, name)]
-    return nir.NIRGraph(nodes, edges, metadata=_metadata(spec))
+    return nir.NIRGraph(nodes, edges, metadata=_list_metadata(spec))
 
 
 def write_nir(path, spec: NetworkSpec):
@@ -88,15 +88,15 @@ def write_nir(path, spec: NetworkSpec):
     path : path-like
     spec : NetworkSpec or Bundle
     """
-    spec = spec_of(spec)
-    nir = _nir()
+    spec = get_spec(spec)
+    nir = _import_nir()
     buffer = io.BytesIO()
     nir.write(buffer, make_nir_graph(spec))
     with replacing(path) as file:
         file.write(buffer.getvalue())
 
 
-def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
+def make_graph_input(spec: NetworkSpec, samples) -> np.ndarray:
     """The input of the graph for some samples, in the streams of the network's presentation.
 
     Parameters
@@ -111,7 +111,7 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
         Spikes of the input neurons with a height of their area over ``dt``; the mean of an image's
         spikes is the image.
     """
-    flat = spec.stimulus.flat(samples)
+    flat = spec.stimulus.flatten(samples)
     period = spec.presentation.period
     size = flat.shape[-1]
     # the input neurons alone, with a readout of zeros
@@ -125,7 +125,7 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
         bias=np.zeros(1),
     )
     spikes = []
-    for stream in spec.presentation.streams(len(flat)):
+    for stream in spec.presentation.list_streams(len(flat)):
         built = build(replace(spec, layers=(nothing,)))
         with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
             spikes.append([one.spikes["input"] for one in show(built, sim, flat[stream])])
@@ -134,7 +134,7 @@ def input_spikes(spec: NetworkSpec, samples) -> np.ndarray:
     return np.moveaxis(images, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)
 
 
-def _nir():
+def _import_nir():
     try:
         import nir
     except ImportError:
@@ -142,15 +142,15 @@ def _nir():
     return nir
 
 
-def _channels_first(shape):
+def _put_channels_first(shape):
     return np.array([shape[-1], *shape[:-1]])
 
 
-def _neurons(nir, layer):
+def _make_neuron_nodes(nir, layer):
     """The nodes of a layer's neurons; filter and neuron are one node if NIR has it."""
     if layer.neurons is None:
         return
-    shape = _channels_first(layer.shape)
+    shape = _put_channels_first(layer.shape)
 
     def everywhere(value):
         return np.full(shape, float(value))
@@ -173,7 +173,7 @@ def _neurons(nir, layer):
     yield name, nir.LIF(tau=everywhere(neurons.tau_rc), v_leak=everywhere(0), **common)
 
 
-def _metadata(spec):
+def _list_metadata(spec):
     """Properties that NIR cannot represent, as text and numbers."""
     presentation = spec.presentation
     return {

@@ -205,7 +205,7 @@ def make_input_spikes(spec: NetworkSpec, samples: np.ndarray) -> np.ndarray:
     ----------
     spec : NetworkSpec
     samples : ndarray
-        Samples of the stream, as returned by `Stimulus.flat`.
+        Samples of the stream, as returned by `Stimulus.flatten`.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def run_reference(spec: NetworkSpec, streams, seed=0) -> Iterator[TargetOutput]:
     ----------
     spec : NetworkSpec
     streams : iterable of ndarray
-        Each as returned by `Stimulus.flat`.
+        Each as returned by `Stimulus.flatten`.
     seed : int
         Not used: nothing is random.
 

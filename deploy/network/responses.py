@@ -16,7 +16,7 @@ from typing import Dict, Iterator, NamedTuple, Optional
 import numpy as np
 
 from .chip import LOIHI
-from .decision import confidence, continue_confidence, find_decisions
+from .decision import compute_confidence, continue_confidence, find_decisions
 from .spec import NetworkSpec
 
 
@@ -114,7 +114,7 @@ class TargetOutput:
 
         by_layer = {name: split_by_sample(rows) != 0 for name, rows in spikes.items()}
         packed = [np.packbits(rows, axis=2) for rows in by_layer.values()]
-        hashes = [spike_hash(of_sample) for of_sample in zip(*packed)]
+        hashes = [hash_spikes(of_sample) for of_sample in zip(*packed)]
         return cls(
             readout=split_by_sample(output)[:, presentation.gap :],
             spikes={name: np.count_nonzero(rows, axis=1) for name, rows in by_layer.items()},
@@ -198,7 +198,7 @@ class ShortOfSteps(Exception):
     """A simulator or board returned an impossible number of steps or spikes."""
 
 
-class Shown(NamedTuple):
+class SampleOutput(NamedTuple):
     """Output and spikes of one sample, including the gap before it.
 
     Attributes
@@ -213,7 +213,7 @@ class Shown(NamedTuple):
     spikes: Dict[str, np.ndarray]
 
 
-def show(built, sim, samples) -> Iterator[Shown]:
+def show(built, sim, samples) -> Iterator[SampleOutput]:
     """Present one stream, sample by sample, so that the probes only store one sample's steps.
 
     Parameters
@@ -245,7 +245,7 @@ def show(built, sim, samples) -> Iterator[Shown]:
                 raise ShortOfSteps(f"layer {name} had more than one spike per step and neuron")
         output = np.array(sim.data[built.output])
         sim.clear_probes()
-        yield Shown(output, spikes)
+        yield SampleOutput(output, spikes)
 
 
 def record_stream(spec: NetworkSpec, built, sim, samples) -> TargetOutput:
@@ -259,7 +259,7 @@ def record_stream(spec: NetworkSpec, built, sim, samples) -> TargetOutput:
     sim : nengo.Simulator or nengo_loihi.Simulator
         A simulator at its first step.
     samples : ndarray
-        Samples as returned by `Stimulus.flat`.
+        Samples as returned by `Stimulus.flatten`.
 
     Raises
     ------
@@ -272,13 +272,13 @@ def record_stream(spec: NetworkSpec, built, sim, samples) -> TargetOutput:
     for shown in show(built, sim, samples):
         for name, rows in shown.spikes.items():
             counts[name].append(np.count_nonzero(rows, axis=0))
-        hashes.append(spike_hash(np.packbits(rows, axis=1) for rows in shown.spikes.values()))
+        hashes.append(hash_spikes(np.packbits(rows, axis=1) for rows in shown.spikes.values()))
         readouts.append(shown.output[spec.presentation.gap :])
     spikes = {name: np.array(rows) for name, rows in counts.items()}
     return TargetOutput(np.array(readouts), spikes, np.array(hashes))
 
 
-def spike_hash(packed) -> str:
+def hash_spikes(packed) -> str:
     """Hash of every spike of a sample.
 
     Parameters
@@ -312,7 +312,7 @@ def select_readout(spec: NetworkSpec, output: np.ndarray, first: int = 0) -> np.
         return output
     steps = np.arange(output.shape[-2])
     by_section = output.reshape(*output.shape[:-1], readout.sections, readout.size)
-    return by_section[..., steps, readout.section_of(first + steps), :]
+    return by_section[..., steps, readout.find_section(first + steps), :]
 
 
 def read_output(spec: NetworkSpec, output: np.ndarray, spikes: Optional[dict]) -> Responses:
@@ -335,7 +335,7 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: Optional[dict]) -
     spikes = {} if spikes is None else spikes
     start = spec.presentation.readout_start
     limit = spec.presentation.confidence
-    scores = _running_means(spec, output)
+    scores = _compute_running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
     best = np.argmax(round_scores(scores, find_score_unit(spec)), axis=2)
     empty = ~np.logical_or.accumulate((output[:, start:] != 0).any(2), axis=1)
@@ -343,19 +343,19 @@ def read_output(spec: NetworkSpec, output: np.ndarray, spikes: Optional[dict]) -
     stopped = None
     sure = None
     if limit is not None:
-        sums = _sums(spec, scores)
-        confidences = confidence(sums, spec.estimator, start)
+        sums = _compute_sums(spec, scores)
+        confidences = compute_confidence(sums, spec.estimator, start)
         stopped = start + 1 + find_decisions(sums, confidences, limit)[0]
         sure = confidences[:, -1]
     elif spec.layers[-1].neurons is None:
-        sure = confidence(scores[:, -1])
+        sure = compute_confidence(scores[:, -1])
     if sure is not None:
         sure = np.where(empty[:, -1] | (sure == 0), np.nan, sure)
     return Responses(
         scores=round_scores(scores[:, -1], find_score_unit(spec)),
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
-        operations=spec.synaptic_operations(spikes) if spikes else {},
+        operations=spec.count_synaptic_operations(spikes) if spikes else {},
         stopped_at=stopped,
         probabilities=sure,
     )
@@ -374,23 +374,23 @@ def compute_running_sums(spec: NetworkSpec, output: np.ndarray) -> np.ndarray:
     ndarray, shape (n_samples, steps - readout_start, n_classes)
         Sums of the readout from ``readout_start`` on.
     """
-    return _sums(spec, _running_means(spec, output))
+    return _compute_sums(spec, _compute_running_means(spec, output))
 
 
-def _sums(spec, means):
+def _compute_sums(spec, means):
     """Sums, computed from the running means."""
     return round_scores(means * np.arange(1, means.shape[1] + 1)[:, None], find_score_unit(spec))
 
 
-def _running_means(spec, output):
+def _compute_running_means(spec, output):
     """Running means of the readout from ``readout_start`` on."""
     window = output[:, spec.presentation.readout_start :]
     totals = np.cumsum(window, axis=1)
     counts = np.arange(1, window.shape[1] + 1)
-    return _mean(spec, totals, counts[:, None])
+    return _compute_mean(spec, totals, counts[:, None])
 
 
-def _mean(spec, total, count):
+def _compute_mean(spec, total, count):
     """The mean of a readout, with its bias, from a total over some steps."""
     readout = spec.layers[-1]
     bias = readout.bias if readout.neurons is None else 0.0
@@ -443,7 +443,7 @@ class RunningReadout:
     def _n_read(self):
         return max(self.n_steps - self._start, 0)
 
-    def scores_at(self, step: int) -> np.ndarray:
+    def compute_scores(self, step: int) -> np.ndarray:
         """Scores of the classes after some number of steps, above ``readout_start``."""
         return round_scores(self._means[step - self._start - 1], self._unit)
 
@@ -465,7 +465,7 @@ class RunningReadout:
         totals = np.cumsum(np.concatenate([self._total, window]), axis=0)[1:]
         counts = np.arange(new.start + 1, new.stop + 1)[:, None]
         self._total = totals[-1:]
-        self._means[new] = _mean(self._spec, totals, counts)
+        self._means[new] = _compute_mean(self._spec, totals, counts)
         self._sums[new] = round_scores(self._means[new] * counts, self._unit)
         before = self._spoke[done - 1] if done else False
         self._spoke[new] = np.logical_or.accumulate((window != 0).any(axis=1)) | before

@@ -87,7 +87,7 @@ class Layer:
         Time constant in seconds of the low-pass filter on the layer's input; None for no filter.
     weights : ndarray
         Weights for the input, after pooling if ``pool`` is above 1, in the operation's
-        `weight_shape`; of a readout in sections, those of the first section come first.
+        `compute_weight_shape`; of a readout in sections, those of the first section come first.
     bias : ndarray, shape (channels,) or (units,)
         Bias current J of each channel's neurons, or the additive bias of a linear readout.
     block_shape : tuple of int or None
@@ -176,7 +176,7 @@ class Layer:
             self.block_shape is None or len(self.block_shape) == len(shape),
             f"block_shape {self.block_shape} and shape differ in length",
         )
-        weight_shape = self.operation.weight_shape(self.read_shape)
+        weight_shape = self.operation.compute_weight_shape(self.read_shape)
         self._require(len(weight_shape) >= 1, f"the operation {self.kind!r} needs a weight")
         first, *rest = weight_shape
         expected = {
@@ -199,7 +199,7 @@ class Layer:
     @property
     def shape(self) -> Tuple[int, ...]:
         """(rows, columns, channels) of the output, or (units,)."""
-        return self.operation.shape(self.read_shape)
+        return self.operation.compute_shape(self.read_shape)
 
     @property
     def placement(self) -> str:
@@ -237,7 +237,7 @@ class Layer:
         """Number of sections of the presentation, each of which has weights of its own."""
         return len(self.starts)
 
-    def section_of(self, steps) -> np.ndarray:
+    def find_section(self, steps) -> np.ndarray:
         """The section, from 0, to which steps of a sample, also from 0, belong."""
         return np.searchsorted(self.starts, steps, side="right") - 1
 
@@ -262,7 +262,7 @@ class Layer:
     @property
     def read_fan_out(self) -> np.ndarray:
         """Number of synapses of each value that the weights read, of shape `read_shape`."""
-        return self.operation.fan_out(self.read_shape)
+        return self.operation.count_fan_out(self.read_shape)
 
     @property
     def fan_out(self) -> np.ndarray:
@@ -271,7 +271,7 @@ class Layer:
         Neurons near the edge of a convolution reach fewer positions; those outside of complete
         pooling windows reach none.  Zeros that pad a kernel are not counted.
         """
-        return self.operation.input_fan_out(self.input_shape, self.pool).ravel()
+        return self.operation.count_input_fan_out(self.input_shape, self.pool).ravel()
 
     @property
     def multiply_accumulates(self) -> int:
@@ -428,7 +428,7 @@ class Presentation:
         """Steps from one sample to the next, including the gap."""
         return self.gap + self.steps
 
-    def streams(self, n_samples: int) -> list:
+    def list_streams(self, n_samples: int) -> list:
         """Cut samples 0 to n_samples - 1 into streams, as slices in order."""
         return [
             slice(start, min(start + self.stream_length, n_samples))
@@ -465,14 +465,14 @@ class Rehearsal:
     def __len__(self):
         return len(self.labels)
 
-    def arrays(self) -> dict:
+    def to_arrays(self) -> dict:
         """The arrays by name, for a file; half precision is sufficient for the responses."""
         responses = self.responses.astype(np.float16)
         return {"rehearsal.responses": responses, "rehearsal.labels": self.labels}
 
     @classmethod
     def from_arrays(cls, arrays: dict, inputs: int, classes: int) -> Optional[Rehearsal]:
-        """The inverse of :meth:`arrays`, for a readout's numbers of inputs and classes.
+        """The inverse of :meth:`to_arrays`, for a readout's numbers of inputs and classes.
 
         Returns None if none of its arrays exists; other arrays are ignored.
 
@@ -566,7 +566,7 @@ class NetworkSpec:
         """Multiply-accumulates of each layer of the CNN of the same architecture, one inference."""
         return {layer.name: layer.multiply_accumulates for layer in self.layers}
 
-    def synaptic_operations(self, spikes: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
+    def count_synaptic_operations(self, spikes: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
         """Synaptic operations by the receiving layer.
 
         They are the spikes that arrive at a layer times their fan-out: each spike of a neuron of
@@ -596,7 +596,7 @@ class NetworkSpec:
         return replace(self, presentation=replace(self.presentation, **changes))
 
     def flatten_samples(self, samples) -> np.ndarray:
-        """Samples in the network's input format; see `Stimulus.flat`.
+        """Samples in the network's input format; see `Stimulus.flatten`.
 
         Raises
         ------
@@ -604,12 +604,12 @@ class NetworkSpec:
             The stimulus cannot present the samples.
         """
         samples = np.asarray(samples)
-        problem = self.stimulus.complaint(samples, self.input_shape, self.presentation.steps)
+        problem = self.stimulus.find_problem(samples, self.input_shape, self.presentation.steps)
         if problem is not None:
             raise UserError(
                 f"samples cannot be presented to this network: {problem}; reshape or scale them"
             )
-        return self.stimulus.flat(samples)
+        return self.stimulus.flatten(samples)
 
     def to_json(self) -> dict:
         """The description without the arrays, for ``network.json``."""
@@ -623,7 +623,7 @@ class NetworkSpec:
             "provenance": self.provenance,
         }
 
-    def arrays(self) -> dict:
+    def to_arrays(self) -> dict:
         """The arrays, for ``weights.npz``: ``<layer>.weights``, ``<layer>.bias``, the others'."""
         arrays = {
             f"{layer.name}.{name}": getattr(layer, name)
@@ -632,7 +632,7 @@ class NetworkSpec:
         }
         for more in (self.estimator, self.rehearsal):
             if more is not None:
-                arrays.update(more.arrays())
+                arrays.update(more.to_arrays())
         return arrays
 
     @classmethod
@@ -654,7 +654,7 @@ class NetworkSpec:
             spec = cls(
                 architecture=str(value["architecture"]),
                 input_shape=value["input_shape"],
-                stimulus=_stimulus(value["stimulus"]),
+                stimulus=_read_stimulus(value["stimulus"]),
                 layers=tuple(layers),
                 presentation=load(Presentation, value["presentation"], "presentation"),
                 provenance=dict(value.get("provenance", {})),
@@ -663,8 +663,8 @@ class NetworkSpec:
             inputs = layers[-1].by_class.shape[1]
             classes = layers[-1].size
             spec = replace(spec, rehearsal=Rehearsal.from_arrays(arrays, inputs, classes))
-            _only(value, {"schema", *spec.to_json()}, "network")
-            _only(arrays, spec.arrays(), "weights")
+            _refuse_unknown(value, {"schema", *spec.to_json()}, "network")
+            _refuse_unknown(arrays, spec.to_arrays(), "weights")
             return spec
         except KeyError as error:
             raise UserError(f"network description: {error} is missing") from error
@@ -672,14 +672,14 @@ class NetworkSpec:
             raise UserError(f"network description: {error}") from error
 
 
-def _stimulus(value):
+def _read_stimulus(value):
     values = dict(value)
     kind = values.pop("kind")
     _require(kind in KINDS, "stimulus", f"kind {kind!r} is not one of {', '.join(KINDS)}")
     return load(KINDS[kind], values, "stimulus")
 
 
-def _only(values, known, where):
+def _refuse_unknown(values, known, where):
     unknown = [name[:40] for name in sorted(set(values) - set(known))]
     _require(not unknown, where, f"unknown entries {', '.join(unknown[:10])}")
 
@@ -693,7 +693,7 @@ def _require(condition, where, problem):
         raise UserError(f"network description: {where}: {problem}")
 
 
-def spec_of(network) -> NetworkSpec:
+def get_spec(network) -> NetworkSpec:
     """The description of a network that is given as such, or by its bundle.
 
     Parameters

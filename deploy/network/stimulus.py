@@ -49,20 +49,20 @@ class Stimulus:
         """Minimum number of steps between two spikes of an input neuron."""
         return 1
 
-    def sample_shape(self, input_shape, steps: int) -> tuple:
+    def find_sample_shape(self, input_shape, steps: int) -> tuple:
         """Shape of one sample: (rows, columns, channels), with (steps,) before it unless static."""
         return tuple(input_shape) if self.static else (steps, *input_shape)
 
-    def flat(self, samples) -> np.ndarray:
+    def flatten(self, samples) -> np.ndarray:
         """Samples in the network's input format: (n_samples, size), or (n_samples, steps, size)."""
         samples = np.asarray(samples)
         if self.static:
             return samples.reshape(len(samples), -1).astype(float)
         return samples.reshape(*samples.shape[:2], -1)
 
-    def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
+    def find_problem(self, samples, input_shape, steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        expected = self.sample_shape(input_shape, steps)
+        expected = self.find_sample_shape(input_shape, steps)
         if samples.shape[1:] != expected:
             return f"samples have shape {samples.shape[1:]}, not {expected}"
         if samples.dtype.kind not in "fiub":
@@ -112,9 +112,9 @@ class ImageSpikes(Stimulus):
         """Minimum number of steps between two spikes of a pixel of at most 1."""
         return max(1, int(1 / (self.max_rate * LOIHI.dt)))
 
-    def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
+    def find_problem(self, samples, input_shape, steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        problem = super().complaint(samples, input_shape, steps)
+        problem = super().find_problem(samples, input_shape, steps)
         if problem is not None:
             return problem
         largest = np.max(samples, initial=0)
@@ -155,9 +155,9 @@ class EventFrames(Stimulus):
     def __post_init__(self):
         check(self)
 
-    def flat(self, samples) -> np.ndarray:
+    def flatten(self, samples) -> np.ndarray:
         """Samples in the network's input format, (n_samples, steps, size), with the limit."""
-        frames = super().flat(samples)
+        frames = super().flatten(samples)
         if self.max_spikes == 0:
             return frames
         return np.stack([limit_spikes(sample, self.max_spikes) for sample in frames])
@@ -177,9 +177,9 @@ class EventFrames(Stimulus):
         """Time in seconds of the recording that one step represents."""
         return self.seconds
 
-    def complaint(self, samples, input_shape, steps: int) -> Optional[str]:
+    def find_problem(self, samples, input_shape, steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        problem = super().complaint(samples, input_shape, steps)
+        problem = super().find_problem(samples, input_shape, steps)
         if problem is not None:
             return problem
         if not np.isin(samples, (0, 1)).all():
@@ -267,7 +267,7 @@ class Feed:
     Attributes
     ----------
     samples : ndarray, shape (n_samples, size) or (n_samples, steps, size)
-        The samples of the stream, see `Stimulus.flat`; set before a run.
+        The samples of the stream, see `Stimulus.flatten`; set before a run.
     """
 
     def __init__(self, presentation, size: int):

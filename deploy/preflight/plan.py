@@ -11,14 +11,19 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Dict, List, Tuple
 
-from ..arithmetic import ceil_div
+from ..arithmetic import divide_up
 from ..errors import UserError
 from ..network.build import build
 from ..network.chip import LOIHI, Chip
-from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
-from ..network.spec import DT, NetworkSpec, spec_of
-from ..tables import in_blocks, plural
-from .resources import axon_cfg_registers, count_used, find_axons_with_targets, worst_case
+from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
+from ..network.spec import DT, NetworkSpec, get_spec
+from ..tables import align_in_blocks, format_count
+from .resources import (
+    compute_worst_case,
+    count_axon_cfg_registers,
+    count_used,
+    find_axons_with_targets,
+)
 
 # Column titles of a chip's limits in a table.
 COLUMNS = ("compartments", "axons in", "axons out", "AxonCfg", "synapse words")
@@ -126,25 +131,25 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     TypeError
         The network is neither a NetworkSpec nor a Bundle.
     """
-    spec = spec_of(spec)
-    model, blocks = _blocks(spec, chip)
+    spec = get_spec(spec)
+    model, blocks = _build_blocks(spec, chip)
     placed = [
         (layer, i, block) for layer, of_layer in blocks.items() for i, block in enumerate(of_layer)
     ]
-    needed = ceil_div(len(placed), chip.cores)
-    places = _placement(model, needed, chip)
-    axons = _Axons(_shortest_intervals(spec, model), _targets(model))
+    needed = divide_up(len(placed), chip.cores)
+    places = _allocate(model, needed, chip)
+    axons = _Axons(_find_shortest_intervals(spec, model), _find_targets(model))
     cores = [
         _plan_core(layer, index, places[block], block, axons, chip)
         for layer, index, block in placed
     ]
-    problems = [*_problems(cores, chip), *_refractory_problems(blocks, chip)]
+    problems = [*_list_problems(cores, chip), *_list_refractory_problems(blocks, chip)]
     if needed > chips:
         problems.append(
             f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
             f"{chips} allowed; allow more with --chips, or use larger blocks"
         )
-    warnings = [*_lost_weights(spec, cores), *_warn_of_layers(cores, chip)]
+    warnings = [*_list_lost_weights(spec, cores), *_warn_of_layers(cores, chip)]
     return Plan(cores, needed, problems, warnings, chip)
 
 
@@ -163,7 +168,7 @@ def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
     return plan
 
 
-def _blocks(spec, chip):
+def _build_blocks(spec, chip):
     """NengoLoihi's discretised blocks: ``(model, {layer: list of blocks})``."""
     built = build(spec, chip=chip)
     model = nengo_loihi.builder.Model(dt=DT)
@@ -171,7 +176,7 @@ def _blocks(spec, chip):
     try:
         model.build(built.network, precompute=True)
     except BUILD_ERRORS as error:
-        raise cannot_build(built.network, error) from error
+        raise make_build_error(built.network, error) from error
     blocks = {}
     for ensemble in built.network.all_ensembles:
         if built.network.config[ensemble].on_chip and ensemble in model.objs:
@@ -182,7 +187,7 @@ def _blocks(spec, chip):
     return model, blocks
 
 
-def _placement(model, chips, chip):
+def _allocate(model, chips, chip):
     """``(chip, core)`` of each block, by the allocator that NengoLoihi uses for a board."""
     largest = max((block.compartment.n_compartments for block in model.blocks), default=0)
     if chip is not LOIHI or largest > chip.limits["compartments"]:
@@ -214,8 +219,8 @@ class _Axons:
 
 
 def _plan_core(layer, index, place, block, axons, chip):
-    shared, unshared = axon_cfg_registers(block, axons.targets)
-    worst_input, worst_current = worst_case(block, axons.intervals, chip)
+    shared, unshared = count_axon_cfg_registers(block, axons.targets)
+    worst_input, worst_current = compute_worst_case(block, axons.intervals, chip)
     return CorePlan(
         layer=layer,
         part=index,
@@ -230,7 +235,7 @@ def _plan_core(layer, index, place, block, axons, chip):
     )
 
 
-def _targets(model):
+def _find_targets(model):
     """For each synapse object, which of its axons have targets."""
     return {
         id(synapse): find_axons_with_targets(synapse)
@@ -239,7 +244,7 @@ def _targets(model):
     }
 
 
-def _shortest_intervals(spec, model):
+def _find_shortest_intervals(spec, model):
     """Minimum interval in steps of a source's spikes, for each synapse object by its ``id``."""
     intervals = {}
     for source in model.inputs:
@@ -252,7 +257,7 @@ def _shortest_intervals(spec, model):
     return intervals
 
 
-def _problems(cores, chip):
+def _list_problems(cores, chip):
     for layer in dict.fromkeys(core.layer for core in cores):
         of_layer = [core for core in cores if core.layer == layer]
         for resource, limit in chip.limits.items():
@@ -261,12 +266,13 @@ def _problems(cores, chip):
                 over = sum(n > limit for n in used)
                 yield (
                     f"layer {layer}: {max(used)} {resource} on {over} of its "
-                    f"{plural(len(used), 'core')}, {max(used) - limit} more than the {limit} of a "
+                    f"{format_count(len(used), 'core')}, {max(used) - limit} more than the "
+                    f"{limit} of a "
                     f"core; {REMEDIES[resource].format(limit=limit)}"
                 )
 
 
-def _refractory_problems(blocks, chip):
+def _list_refractory_problems(blocks, chip):
     """Layers with a longer refractory period than the chip can count."""
     limit = chip.refractory_steps
     for layer, of_layer in blocks.items():
@@ -278,7 +284,7 @@ def _refractory_problems(blocks, chip):
             )
 
 
-def _lost_weights(spec, cores):
+def _list_lost_weights(spec, cores):
     """Layers whose weights all become 0 in the chip's integers."""
     for layer in spec.layers:
         of_layer = [core for core in cores if core.layer == layer.name]
@@ -326,7 +332,7 @@ LEGEND = (
 )
 
 
-def plan_text(plan: Plan) -> str:
+def format_plan(plan: Plan) -> str:
     """Format a plan as a table of layers, each with its fullest core, and a few lines."""
     rows = [["layer", "cores", "pop", *COLUMNS, "input", "current", "threshold"]]
     for layer in dict.fromkeys(core.layer for core in plan.cores):
@@ -343,7 +349,7 @@ def plan_text(plan: Plan) -> str:
         cells.append(f"{worst_current / plan.chip.current_limit:.0%}")
         cells.append(f"{threshold / plan.chip.voltage_limit:.0%}")
         rows.append(cells)
-    lines = in_blocks(rows, left=3)
+    lines = align_in_blocks(rows, left=3)
     lines.append(f"cores: {len(plan.cores)}, chips: {plan.chips}")
     lines += LEGEND
     lines += [f"warning: {line}" for line in plan.warnings]

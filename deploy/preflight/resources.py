@@ -9,7 +9,7 @@ from typing import Dict
 
 import numpy as np
 
-from ..arithmetic import ceil_div
+from ..arithmetic import divide_up
 from ..network.chip import Chip
 from ..network.ops.base import count_list_words
 
@@ -36,7 +36,7 @@ def count_used(block, chip: Chip, registers: int) -> Dict[str, int]:
     }
 
 
-def axon_cfg_registers(block, targets):
+def count_axon_cfg_registers(block, targets):
     """Number of AxonCfg registers for a block's output axons.
 
     A neuron's spikes use a contiguous range of AxonCfg registers, one or (pop32) two for each
@@ -92,12 +92,12 @@ def count_synapse_words(block, chip: Chip) -> int:
     NengoLoihi counts the synapses of all atoms of an axon as one sequence, and refuses blocks by
     that count.
     """
-    words = sum(synapse_words(synapse, chip) for synapse in block.synapses)
+    words = sum(count_words_of_synapses(synapse, chip) for synapse in block.synapses)
     bits = sum(synapse.bits() for synapse in block.synapses)
-    return int(max(words, ceil_div(int(bits), chip.synapse_word_bits)))
+    return int(max(words, divide_up(int(bits), chip.synapse_word_bits)))
 
 
-def synapse_words(synapse, chip: Chip) -> int:
+def count_words_of_synapses(synapse, chip: Chip) -> int:
     """Number of words of synapse memory, where each list of synapses starts with a new word.
 
     A list is what one spike reads: the weights of an axon, for one atom in a population.
@@ -115,7 +115,7 @@ def synapse_words(synapse, chip: Chip) -> int:
     return words
 
 
-def worst_case(block, intervals, chip: Chip):
+def compute_worst_case(block, intervals, chip: Chip):
     """Largest possible magnitude of one step's synaptic input and of the current.
 
     Every source fires at its maximum rate, and only weights of one sign count.
@@ -138,7 +138,7 @@ def worst_case(block, intervals, chip: Chip):
     inputs = np.zeros((2, n))
     currents = np.zeros((2, n))
     for synapse in block.synapses:
-        compartments, weights = _synapses_of(synapse)
+        compartments, weights = _list_synapses(synapse)
         sums = np.stack(
             [
                 np.bincount(compartments, np.maximum(sign * weights, 0), minlength=n)
@@ -152,7 +152,7 @@ def worst_case(block, intervals, chip: Chip):
     return int(inputs.max()), int(currents.max())
 
 
-def _synapses_of(synapse):
+def _list_synapses(synapse):
     """Compartments and weights of all synapses of a synapse object, two flat arrays."""
     compartments = [np.empty(0, np.int64)]
     weights = [np.empty(0)]

@@ -56,11 +56,11 @@ class SensorClock:
         self.now_ns: Optional[int] = None
         self.latest_ns: Optional[int] = None
 
-    def sensor_time(self, stream_ns: float) -> float:
+    def to_sensor_time(self, stream_ns: float) -> float:
         """Convert a time of the stream to the sensor's."""
         return stream_ns - self._offset_ns
 
-    def stream_time(self, sensor_ns: int) -> int:
+    def to_stream_time(self, sensor_ns: int) -> int:
         """Convert a time of the sensor to the stream's, if its clock has not jumped."""
         return sensor_ns + self._offset_ns
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..arithmetic import ceil_div
+from ..arithmetic import divide_up
 from ..network.responses import RunningReadout
 from ..targets.fast import Emulation
 
@@ -90,7 +90,7 @@ class PresentingNetwork:
         self._presented += 1
         gap = self._spec.presentation.gap
         spikes = {
-            name: np.zeros((gap + self._steps, ceil_div(neurons, 8)), np.uint8)
+            name: np.zeros((gap + self._steps, divide_up(neurons, 8)), np.uint8)
             for name, neurons in self._recorded.items()
         }
         self._next = TouchPresentation(RunningReadout(self._spec, self._steps), spikes)

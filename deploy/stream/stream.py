@@ -15,7 +15,7 @@ from ..check.bundle import Bundle, read_bundle
 from ..errors import UserError
 from ..network.stimulus import EventFrames
 from ..targets.fast import Emulation
-from ..terminal import command_text
+from ..terminal import format_command
 from .clock import MAX_TIME_NS, UNIT_NS, SensorClock
 from .faults import LOG, Faults
 from .presentation import PresentingNetwork, SharedNetwork
@@ -159,9 +159,9 @@ class Stream:
         if unit not in UNIT_NS:
             raise UserError(f"unit {unit!r}: not one of {', '.join(UNIT_NS)}")
         if not isinstance(bundle, Bundle):
-            bundle = read_bundle(_bundle_folder(bundle))
+            bundle = read_bundle(_find_bundle(bundle))
         _require_events(bundle)
-        self.silence = _usual_silence(bundle) if silence is None else float(silence)
+        self.silence = _measure_usual_silence(bundle) if silence is None else float(silence)
         _require_positive_seconds("silence", self.silence)
         if longest is not None:
             _require_positive_seconds("longest", longest)
@@ -284,7 +284,7 @@ class Stream:
         """
         if isinstance(t, NUMBERS) and self._take_in_present_step(t, x, y, p):
             return []
-        time_ns, cell = self._readable(t, x, y, p)
+        time_ns, cell = self._select_readable(t, x, y, p)
         if not len(time_ns):
             return []
         self._note_arrival(int(time_ns[-1]))
@@ -313,7 +313,7 @@ class Stream:
                 return []
         if isinstance(t, NUMBERS) and self._is_nothing_due(t):
             return []
-        time_ns, known = self._nanoseconds(np.atleast_1d(t))
+        time_ns, known = self._convert_to_ns(np.atleast_1d(t))
         if not known.all():
             self._faults.count("unreadable")
             return []
@@ -354,9 +354,9 @@ class Stream:
         steps = touch.presentation.n_steps
         try:
             sensor_ns = round(t * self._tick_ns)
-            time_ns = self._clock.stream_time(sensor_ns)
+            time_ns = self._clock.to_stream_time(sensor_ns)
             is_next = self._clock.is_next(time_ns)
-            is_present = time_ns < self._certain_end_ns(touch)
+            is_present = time_ns < self._find_certain_end_ns(touch)
             inside = 0 <= x < self._columns and 0 <= y < self._rows
             is_on = p == 1
             has_polarity = is_on or (self._has_off and p in (0, -1))
@@ -377,18 +377,18 @@ class Stream:
         """Take the present time in the shortest time, if no step or silence is over."""
         touch = self._touch
         try:
-            time_ns = self._clock.stream_time(round(t * self._tick_ns))
+            time_ns = self._clock.to_stream_time(round(t * self._tick_ns))
         except (ValueError, OverflowError):
             return False
         if self._touching:
             if time_ns - touch.last_ns > self._silence_ns:
                 return False
-            is_running = touch.presentation.n_steps < self._last_step(touch)
-            if is_running and time_ns >= self._certain_end_ns(touch):
+            is_running = touch.presentation.n_steps < self._find_last_step(touch)
+            if is_running and time_ns >= self._find_certain_end_ns(touch):
                 return False
         return self._clock.advance_quietly(time_ns)
 
-    def _certain_end_ns(self, touch):
+    def _find_certain_end_ns(self, touch):
         """A time at which the present step is certainly not over.
 
         The last millionth of a step is left to :meth:`_step_at`, which rounds as the check does.
@@ -400,26 +400,27 @@ class Stream:
         self._due = []
         return due
 
-    def _nanoseconds(self, t):
+    def _convert_to_ns(self, t):
         """Times as int64 nanoseconds, and which of them are numbers in the range."""
         t = np.asarray(t)
         if t.dtype.kind in "iu":
             known = np.abs(t.astype(float)) < MAX_TIME_NS / self._tick_ns
             return np.where(known, t, 0).astype(np.int64) * self._tick_ns, known
         with np.errstate(over="ignore"):  # an infinite time is none of the known ones
-            time_ns = self._tick_ns * _floats(t)
+            time_ns = self._tick_ns * _convert_to_floats(t)
         known = np.abs(time_ns) < MAX_TIME_NS  # False for NaN
         return np.rint(np.where(known, time_ns, 0)).astype(np.int64), known
 
-    def _readable(self, t, x, y, p):
+    def _select_readable(self, t, x, y, p):
         """Times and cells of the frame of those events that the network can be presented."""
         columns = [np.atleast_1d(np.asarray(values)) for values in (t, x, y, p)]
         if len({values.shape for values in columns}) != 1 or columns[0].ndim != 1:
             shapes = ", ".join(str(values.shape) for values in columns)
             raise UserError(f"events: t, x, y and p have the shapes {shapes}; give equal lengths")
-        time_ns, known = self._nanoseconds(columns[0])
+        time_ns, known = self._convert_to_ns(columns[0])
         x, y, p = (
-            values if values.dtype.kind in "iub" else _floats(values) for values in columns[1:]
+            values if values.dtype.kind in "iub" else _convert_to_floats(values)
+            for values in columns[1:]
         )
         readable = known & np.isfinite(x) & np.isfinite(y) & np.isfinite(p)
         inside = (x >= 0) & (x < self._columns) & (y >= 0) & (y < self._rows)
@@ -451,7 +452,7 @@ class Stream:
         if self._touching and time_ns[0] - self._touch.last_ns > self._silence_ns:
             self._end_touch(int(self._touch.last_ns + self._silence_ns))
         if not self._touching:
-            self._touch = self._new_touch(int(time_ns[0]))
+            self._touch = self._begin_touch(int(time_ns[0]))
             self._touching = True
             self._frame[:] = 0
         touch = self._touch
@@ -467,7 +468,7 @@ class Stream:
             self._present(touch, step, cell)
         self._pass_time(int(time_ns[-1]))
 
-    def _new_touch(self, start_ns):
+    def _begin_touch(self, start_ns):
         return Touch(start_ns, self._network.begin(), self._longest_steps)
 
     def _step_at(self, time_ns):
@@ -496,10 +497,10 @@ class Stream:
             self._end_touch(int(touch.last_ns + self._silence_ns))
             return
         over = int(self._step_at(np.int64(now_ns))) - touch.presentation.n_steps
-        steps_left = self._last_step(touch) - touch.presentation.n_steps
-        self._compute(touch, self._frames_to_come(min(over, steps_left)))
+        steps_left = self._find_last_step(touch) - touch.presentation.n_steps
+        self._compute(touch, self._list_frames_to_come(min(over, steps_left)))
 
-    def _last_step(self, touch):
+    def _find_last_step(self, touch):
         """Steps after which nothing happens any more, unless there are other events.
 
         A touch whose events are within the usual presentation ends with it, as in the check.  A
@@ -517,7 +518,7 @@ class Stream:
     def _exceeds_training(self, touch):
         return bool(self._step_at(np.int64(touch.last_ns)) >= self._usual_steps)
 
-    def _frames_to_come(self, steps):
+    def _list_frames_to_come(self, steps):
         """The frame of the present step, and silence after it."""
         frames = np.zeros((max(steps, 0), len(self._frame)), np.uint8)
         if steps > 0:
@@ -558,14 +559,14 @@ class Stream:
 
     def _decide_at_end(self, touch, time_ns):
         """The decision of a check, after the last step."""
-        steps = self._last_step(touch)
+        steps = self._find_last_step(touch)
         row = steps - self._spec.presentation.readout_start - 1
         readout = touch.presentation.readout
         is_estimated = readout.spoke[row] and steps <= self._usual_steps
         self._decide(
             touch,
             steps,
-            number=int(readout.scores_at(steps).argmax()),
+            number=int(readout.compute_scores(steps).argmax()),
             probability=float(readout.confidences[row]) if is_estimated else None,
             time=time_ns,
             early=False,
@@ -576,8 +577,8 @@ class Stream:
         touch.decision = Decision(
             label=self.classes[number],
             number=number,
-            time=self._clock.sensor_time(time) / self._tick_ns,
-            start=self._clock.sensor_time(touch.start_ns) / self._tick_ns,
+            time=self._clock.to_sensor_time(time) / self._tick_ns,
+            start=self._clock.to_sensor_time(touch.start_ns) / self._tick_ns,
             ended=touch.end_ns is not None and time >= touch.end_ns,
             events=int(touch.events[:steps].sum()),
             **others,
@@ -592,9 +593,9 @@ class Stream:
         """End the touch: compute the rest of its presentation, decide, prepare the next one."""
         touch = self._touch
         touch.end_ns = time_ns
-        steps_left = self._last_step(touch) - touch.presentation.n_steps
+        steps_left = self._find_last_step(touch) - touch.presentation.n_steps
         if steps_left > 0:
-            self._network.advance(touch.presentation, self._frames_to_come(steps_left))
+            self._network.advance(touch.presentation, self._list_frames_to_come(steps_left))
         self._decide_early(touch, time_ns)
         if touch.decision is None:
             self._decide_at_end(touch, time_ns)
@@ -615,20 +616,20 @@ class Stream:
             )
 
 
-def _numbers(values):
+def _convert_to_numbers(values):
     """Numbers as they are, and all others as floats."""
-    return values if values.dtype.kind in "iub" else _floats(values)
+    return values if values.dtype.kind in "iub" else _convert_to_floats(values)
 
 
-def _floats(values):
+def _convert_to_floats(values):
     """Numbers as floats; NaN for what is no number."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
-        return np.array([_float(value) for value in np.ravel(values)])
+        return np.array([_convert_to_float(value) for value in np.ravel(values)])
 
 
-def _float(value):
+def _convert_to_float(value):
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
@@ -641,7 +642,7 @@ def _require_positive_seconds(name, seconds):
         raise UserError(f"{name} {seconds:g}: must be above 0 seconds")
 
 
-def _bundle_folder(place):
+def _find_bundle(place):
     """The folder of a bundle, which is named directly or by its run."""
     path = Path(getattr(place, "path", place))
     inside = path / "bundle"
@@ -653,7 +654,7 @@ def _require_events(bundle):
     spec = bundle.spec
     where = bundle.path or "the bundle"
     if not isinstance(spec.stimulus, EventFrames):
-        remedy = command_text("convert", "runs/events", "--set", "input.kind=events")
+        remedy = format_command("convert", "runs/events", "--set", "input.kind=events")
         raise UserError(
             f"{where}: its network is on images, which are made of whole recordings; a stream "
             f"needs one on events, such as of {remedy}"
@@ -665,7 +666,7 @@ def _require_events(bundle):
         )
 
 
-def _usual_silence(bundle):
+def _measure_usual_silence(bundle):
     """Seconds of the longest silence within a sample of the check, at least the gap."""
     spec = bundle.spec
     longest = spec.presentation.gap

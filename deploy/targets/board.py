@@ -17,8 +17,8 @@ from typing import Iterator
 
 import numpy as np
 
-from ..arithmetic import ceil_div
-from ..errors import UserError, one_line
+from ..arithmetic import divide_up
+from ..errors import UserError, format_as_line
 from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
 from ..network.responses import TargetOutput, record_stream
@@ -34,7 +34,7 @@ class BoardLost(Exception):
     """The connection failed or was lost, or the board returned fewer steps than requested."""
 
 
-def nxsdk_version() -> str:
+def find_nxsdk_version() -> str:
     """The version of NxSDK on this host.
 
     Raises
@@ -69,7 +69,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Targ
     ----------
     spec : NetworkSpec
     streams : iterable of ndarray
-        Samples as returned by `Stimulus.flat`.
+        Samples as returned by `Stimulus.flatten`.
     seed : int
     options : BoardOptions, optional
 
@@ -84,7 +84,7 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Targ
         NxSDK is missing, the network does not fit, or the board could not be reached or was lost.
     """
     options = options or BoardOptions()
-    version = nxsdk_version()
+    version = find_nxsdk_version()
     require_fit(spec, options.chips)
     for index, samples in enumerate(streams):
         for attempt in range(1, options.attempts + 1):
@@ -106,17 +106,17 @@ def _run_stream(spec, samples, seed, options):
     built = build(spec, seed)
     steps = built.feed.period * len(samples)
     begun = time.perf_counter()
-    with _environment(options):
-        sim = _simulator(built.network, options)
+    with _set_environment(options):
+        sim = _make_simulator(built.network, options)
         built_at = time.perf_counter()
         try:
             board = sim.sims["loihi"].nxsdk_board
             if options.energy:
-                _probe_energy(board, steps)
-            with _board_errors(), _time_limit(options.timeout):
+                _place_energy_probe(board, steps)
+            with _convert_board_errors(), _time_limit(options.timeout):
                 sim.__enter__()
             connected_at = time.perf_counter()
-            with _board_errors(), _time_limit(options.timeout):
+            with _convert_board_errors(), _time_limit(options.timeout):
                 output = record_stream(spec, built, sim, samples)
             ended_at = time.perf_counter()
         finally:
@@ -132,25 +132,25 @@ def _run_stream(spec, samples, seed, options):
         "steps": steps,
     }
     if options.energy:
-        notes["power"] = _measured_power(board)
+        notes["power"] = _read_power(board)
     return replace(output, notes=notes)
 
 
-def _simulator(network, options):
+def _make_simulator(network, options):
     try:
         return nengo_loihi.Simulator(
             network, target="loihi", precompute=True, hardware_options={"n_chips": options.chips}
         )
     except (*BUILD_ERRORS, ImportError, NotImplementedError, ValueError) as error:
         problem = (
-            one_line(str(error))
+            format_as_line(str(error))
             or "a limit that it does not name is exceeded; see the command 'plan'"
         )
         raise UserError(f"NengoLoihi cannot build this network for a board: {problem}") from error
 
 
 @contextlib.contextmanager
-def _board_errors():
+def _convert_board_errors():
     """Convert all errors of the board, its driver and its connection to `BoardLost`.
 
     NxSDK has no error class of its own, and NengoLoihi raises AssertionError for missing data.
@@ -188,7 +188,7 @@ def _time_limit(seconds):
 
 
 @contextlib.contextmanager
-def _environment(options):
+def _set_environment(options):
     """Set the environment from which NxSDK reads the board, the partition and the use of SLURM."""
     variables = {"BOARD": options.board, "PARTITION": options.partition}
     if options.partition is not None:
@@ -212,13 +212,13 @@ def _close(sim):
     sim.closed = True
 
 
-def _probe_energy(board, steps):
+def _place_energy_probe(board, steps):
     """Place NxSDK's energy probe, which must be done before the board starts."""
     try:
         from nxsdk.api.enums.api_enums import ProbeParameter
         from nxsdk.graph.monitor.probes import PerformanceProbeCondition
 
-        bins = max(1, ceil_div(steps, POWER_BINS))
+        bins = max(1, divide_up(steps, POWER_BINS))
         condition = PerformanceProbeCondition(
             tStart=1, tEnd=steps, bufferSize=POWER_BINS, binSize=1 << (bins - 1).bit_length()
         )
@@ -227,7 +227,7 @@ def _probe_energy(board, steps):
         raise UserError(f"this board has no energy probe ({error}); leave --energy out") from error
 
 
-def _measured_power(board):
+def _read_power(board):
     """The energy probe's total, static (idle) and dynamic power in mW, and us per step."""
     stats = board.energyTimeMonitor.powerProfileStats
     power = {name: stats.power[name] for name in ("total", "static", "dynamic")}

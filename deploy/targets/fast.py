@@ -17,9 +17,9 @@ import numpy as np
 
 from ..errors import UserError
 from ..network.build import build
-from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
+from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
 from ..network.reference import InputNeurons
-from ..network.responses import TargetOutput, spike_hash
+from ..network.responses import TargetOutput, hash_spikes
 from ..network.spec import DT, NetworkSpec
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
@@ -96,7 +96,7 @@ class Emulation:
         try:
             model.build(built.network, precompute=None, discretize=True)
         except BUILD_ERRORS as error:
-            raise cannot_build(built.network, error) from error
+            raise make_build_error(built.network, error) from error
         try:
             from fastloihi.streams import StreamEmulator, sum_rows
 
@@ -115,25 +115,27 @@ class Emulation:
             for name in spec.spiking_layers
             if name != "input"
         }
-        self.positions = {name: self._places(model, bs) for name, bs in self._blocks.items()}
+        self.positions = {
+            name: self._find_compartments(model, bs) for name, bs in self._blocks.items()
+        }
         self.sent = np.concatenate([_find_senders(model, item) for item in model.inputs])
         on_host = spec.layers[-1].neurons is None
         probe = next(iter(model.chip2host_receivers)) if on_host else built.output
-        self.decoders = self._decoders(model.objs[probe]["out"])
+        self.decoders = self._find_decoders(model.objs[probe]["out"])
         # The spikes that are decoded, in the order in which their decoders are added.
         order = np.concatenate(list(self.positions.values()))
         self._decoded = order[self.decoders[order].any(axis=1)]
         self._decoded_weights = self.decoders[self._decoded]
         self._lock = threading.RLock()
 
-    def _places(self, model, blocks):
+    def _find_compartments(self, model, blocks):
         """Compartment of each neuron of a layer, which may be on several cores."""
         neurons = np.concatenate([list(model.block_comp_map[block]) for block in blocks])
         slices = (self.chip.blocks[block] for block in blocks)
         compartments = np.concatenate([np.arange(one.start, one.stop) for one in slices])
         return compartments[np.argsort(neurons, kind="stable")]
 
-    def _decoders(self, probe):
+    def _find_decoders(self, probe):
         decoders = []
         for first in range(0, self.chip.n, 1024):  # all at once would take gigabytes
             unit = np.eye(min(1024, self.chip.n - first), self.chip.n, first, dtype=bool)
@@ -169,8 +171,8 @@ class Emulation:
             See `fastloihi.streams.StreamEmulator.advance`.
         """
         with self._lock:
-            spikes, overflows = self.chip.advance(state.chip, _at(sent, self.sent))
-        decoded = self._sum_rows(_at(spikes, self._decoded), self._decoded_weights)
+            spikes, overflows = self.chip.advance(state.chip, _select_compartments(sent, self.sent))
+        decoded = self._sum_rows(_select_compartments(spikes, self._decoded), self._decoded_weights)
         return spikes, state.readout.advance(decoded), overflows
 
     def run(self, samples, watch=None, memory=MAX_SPIKE_BYTES) -> StreamOutputs:
@@ -202,7 +204,7 @@ class Emulation:
         host = InputNeurons(self.spec.stimulus, n_streams, size)
         state = self.start(n_streams)
         overflows = np.zeros((len(self.chip.blocks), 3), int)
-        at_once = max(1, memory // self.bytes_per_step(n_streams))
+        at_once = max(1, memory // self.count_bytes_per_step(n_streams))
         outputs = []
         counts = defaultdict(list)
         for index in range(n_samples):
@@ -219,10 +221,14 @@ class Emulation:
                 if watch is not None:
                     packed["input"].append(np.packbits(sent, axis=2))
                     for name, places in self.positions.items():
-                        packed[name].append(np.packbits(_at(spikes, places), axis=2))
+                        packed[name].append(
+                            np.packbits(_select_compartments(spikes, places), axis=2)
+                        )
             counts["input"].append(n_input)
             for name, places in self.positions.items():
-                counts[name].append(_at(state.chip.counters[:, 1] - before, places))
+                counts[name].append(
+                    _select_compartments(state.chip.counters[:, 1] - before, places)
+                )
             if watch is not None:
                 watch({name: np.concatenate(arrays, axis=1) for name, arrays in packed.items()})
         output = np.concatenate(outputs, axis=1)
@@ -236,11 +242,11 @@ class Emulation:
             overflows=overflows_of_layer,
         )
 
-    def bytes_per_step(self, n_streams):
+    def count_bytes_per_step(self, n_streams):
         """Approximate memory for one step of some streams."""
         return n_streams * (self.chip.n + len(self.sent))
 
-    def bytes_kept(self):
+    def count_bytes_kept(self):
         """Approximate memory for the results of a sample."""
         outputs = self.decoders.shape[1] * self.spec.presentation.period
         return 8 * outputs + 4 * (self.chip.n + len(self.sent))
@@ -261,7 +267,7 @@ def _find_senders(model, spike_input):
     return np.arange(connection.pre_obj.size_out)[connection.pre_slice]
 
 
-def _at(values, places):
+def _select_compartments(values, places):
     """Some compartments' values, of an array with all compartments as its last axis."""
     first, n = (int(places[0]), len(places)) if len(places) else (0, 0)
     if np.array_equal(places, np.arange(first, first + n)):
@@ -321,7 +327,7 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
     ----------
     spec : NetworkSpec
     streams : iterable of array
-        Each as returned by `Stimulus.flat`.
+        Each as returned by `Stimulus.flatten`.
     seed : int
     memory : int
         Maximum memory in bytes for the spikes of a batch of streams.
@@ -336,15 +342,15 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
 
     def fitting(n_samples):
         """Number of streams of some length that fit into the memory."""
-        spikes = emulation.bytes_per_step(1) * spec.presentation.period
-        return max(1, memory // (spikes + emulation.bytes_kept() * n_samples))
+        spikes = emulation.count_bytes_per_step(1) * spec.presentation.period
+        return max(1, memory // (spikes + emulation.count_bytes_kept() * n_samples))
 
-    for batch in _batches(streams, fitting):
+    for batch in _list_batches(streams, fitting):
         hashes: List[list] = []
 
         def watch(packed, hashes=hashes):
             rows = [packed[name] for name in spec.spiking_layers]
-            hashes.append([spike_hash(layers) for layers in zip(*rows)])
+            hashes.append([hash_spikes(layers) for layers in zip(*rows)])
 
         recording = emulation.run(np.stack(batch), watch, memory)
         _warn_of(recording.overflows)
@@ -353,7 +359,7 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
             yield TargetOutput(output[:, gap:], counts, np.transpose(hashes)[index])
 
 
-def _batches(streams, fitting):
+def _list_batches(streams, fitting):
     """Lists of consecutive streams of equal length, at most ``fitting`` of that length."""
     batch = []
     for stream in streams:
@@ -404,9 +410,9 @@ def measure_firing_rates(
     sizes = {layer.name: layer.size for layer in spec.layers if layer.neurons is not None}
     window = presentation.steps - start
     counts: Dict[str, List[np.ndarray]] = {name: [] for name in sizes}
-    flat = spec.stimulus.flat(samples)
-    streams = [flat[stream] for stream in presentation.streams(len(flat))]
-    for batch in map(np.stack, _batches(streams, lambda n_samples: STREAMS_AT_ONCE)):
+    flat = spec.stimulus.flatten(samples)
+    streams = [flat[stream] for stream in presentation.list_streams(len(flat))]
+    for batch in map(np.stack, _list_batches(streams, lambda n_samples: STREAMS_AT_ONCE)):
         of_batch: Dict[str, List[np.ndarray]] = {name: [] for name in sizes}
 
         def watch(spikes, of_batch=of_batch):

@@ -261,7 +261,7 @@ def respond_to_streams(
     ----------
     spec : NetworkSpec
     streams : list of ndarray
-        Each as returned by `Stimulus.flat`.
+        Each as returned by `Stimulus.flatten`.
     target : str
     seed : int
     **options
@@ -319,7 +319,7 @@ def run_target(
 
     flat = spec.flatten_samples(samples)
     refuse_unfit(spec, target, seed)
-    streams = [flat[stream] for stream in spec.presentation.streams(len(flat))]
+    streams = [flat[stream] for stream in spec.presentation.list_streams(len(flat))]
     watch = OverflowWatch()
     by_stream = []
     for responses in watch.during(respond_to_streams(spec, streams, target, seed, **options)):

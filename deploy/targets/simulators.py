@@ -7,7 +7,7 @@ from typing import Iterable, Iterator
 import nengo
 
 from ..network.build import build
-from ..network.loihi_import import BUILD_ERRORS, cannot_build, nengo_loihi
+from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
 from ..network.responses import TargetOutput, record_stream
 from ..network.spec import NetworkSpec
 
@@ -20,20 +20,20 @@ def run_nengo(spec, streams, seed=0) -> Iterator[TargetOutput]:
 
 def run_simreal(spec, streams, seed=0) -> Iterator[TargetOutput]:
     """Run NengoLoihi's model of the chip before discretisation."""
-    return _run_on(spec, streams, seed, lambda network: _loihi_simulator(network, "simreal"))
+    return _run_on(spec, streams, seed, lambda network: _make_simulator(network, "simreal"))
 
 
 def run_emulator(spec, streams, seed=0) -> Iterator[TargetOutput]:
     """Run NengoLoihi's emulator, with the chip's integers."""
-    return _run_on(spec, streams, seed, lambda network: _loihi_simulator(network, "sim"))
+    return _run_on(spec, streams, seed, lambda network: _make_simulator(network, "sim"))
 
 
-def _loihi_simulator(network, target):
+def _make_simulator(network, target):
     try:
         # Without an explicit target NengoLoihi uses hardware wherever NxSDK is installed.
         return nengo_loihi.Simulator(network, target=target, precompute=True)
     except BUILD_ERRORS as error:
-        raise cannot_build(network, error) from error
+        raise make_build_error(network, error) from error
 
 
 def _run_on(spec: NetworkSpec, streams: Iterable, seed, simulator) -> Iterator[TargetOutput]:

@@ -79,8 +79,8 @@ def test_weights_and_constants_are_those_of_the_blocks():
             streams = StreamEmulator(model)
         except (nengo.exceptions.BuildError, Unsupported):
             continue
-        constants = streams.constants()
-        source, target, value = streams.weights()
+        constants = streams.read_constants()
+        source, target, value = streams.read_weights()
         matrix = np.zeros((sum(streams.input_sizes) + streams.n, streams.n), int)
         np.add.at(matrix, (source, target), value)
         for block, part in streams.blocks.items():

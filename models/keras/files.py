@@ -51,13 +51,13 @@ def load_keras_model(path: Path):
 
     try:
         config, version, has_archive = _read_config(path)
-        keras = _keras_of(version)
+        keras = _find_keras(version)
         if version.startswith("1."):
             from models.keras.keras1 import convert_config
 
             config = convert_config(config)
         _require_known_layers(config, keras)
-        with _named_by_format(path, ".keras" if has_archive else ".h5") as named:
+        with _link_with_ending(path, ".keras" if has_archive else ".h5") as named:
             if version.startswith("1."):
                 model = keras.models.model_from_json(json.dumps(config))
                 model.load_weights(named)
@@ -72,7 +72,7 @@ def load_keras_model(path: Path):
         raise ModelFileError(f"Keras cannot load it ({reason}); {REMEDY}") from error
 
 
-def _keras_of(version):
+def _find_keras(version):
     """The Keras that loads a version's files."""
     if version.startswith(("1.", "2.")):
         import tf_keras as keras
@@ -107,7 +107,7 @@ def _read_config(path):
         raise ModelFileError(f"is neither a zip nor an HDF5 file: no Keras model; {REMEDY}")
     _refuse_links(path)
     with h5py.File(path, "r") as file:
-        attributes = {name: _text(value) for name, value in file.attrs.items()}
+        attributes = {name: _decode(value) for name, value in file.attrs.items()}
         has_weights = {"layer_names", "layers", "_layer_checkpoint_dependencies"} & {
             *attributes,
             *file,
@@ -121,7 +121,7 @@ def _read_config(path):
     return json.loads(attributes["model_config"]), version, False
 
 
-def _text(value):
+def _decode(value):
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
@@ -144,7 +144,7 @@ def _refuse_links(source):
 
 def _require_known_layers(config, keras):
     """Refuse layers whose code is not Keras's."""
-    for layer in _layer_configs(config):
+    for layer in _list_layer_configs(config):
         kind = layer.get("class_name")
         if kind in ("Functional", "Model", "Sequential"):  # a model, or one inside of another
             continue
@@ -170,17 +170,17 @@ def _require_known_layers(config, keras):
             )
 
 
-def _layer_configs(config):
+def _list_layer_configs(config):
     """The descriptions of a model and of its layers, nested ones included."""
     yield config
     inside = config.get("config", {})
     layers = inside if isinstance(inside, list) else inside.get("layers", [])
     for layer in layers if isinstance(layers, list) else []:
-        yield from _layer_configs(layer)
+        yield from _list_layer_configs(layer)
 
 
 @contextlib.contextmanager
-def _named_by_format(path: Path, suffix: str) -> Iterator[str]:
+def _link_with_ending(path: Path, suffix: str) -> Iterator[str]:
     """A path to the file with the ending by which Keras recognises the format."""
     if path.suffix == suffix:
         yield str(path)

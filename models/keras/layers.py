@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deploy.network.geometry import windows
+from deploy.network.geometry import list_windows
 from models.architecture import (
     MAX_LAYERS,
     MAX_VALUES,
@@ -94,14 +94,14 @@ def convert_layers(
     ModelFileError
         A layer is not supported.
     """
-    order = _input_order(input_shape, layers, grid)
+    order = _find_input_order(input_shape, layers, grid)
     converter = LayerConverter(order, retrain, pixels)
     for layer in layers:
         converter.add(layer)
     return converter.finish()
 
 
-def _input_order(input_shape, layers, grid):
+def _find_input_order(input_shape, layers, grid):
     """The positions of an image's values in the model's input, and the shape of the image."""
     shape = tuple(input_shape)
     sizes = "x".join(map(str, shape[:6]))
@@ -112,7 +112,7 @@ def _input_order(input_shape, layers, grid):
         )
     first = next((layer for layer in layers if layer.kind != "InputLayer"), None)
     if len(shape) == 1:
-        image = _image_of_vector(shape[0], first, grid)
+        image = _find_image_of_vector(shape[0], first, grid)
         return np.arange(shape[0]), image
     if len(shape) == 2:
         shape = (*shape, 1)
@@ -123,7 +123,7 @@ def _input_order(input_shape, layers, grid):
     return np.arange(math.prod(shape)).reshape(input_shape), shape
 
 
-def _image_of_vector(length, first, grid):
+def _find_image_of_vector(length, first, grid):
     """The shape of the image that a vector of values has: what the model says, or a square."""
     if first is not None and first.kind == "Reshape":
         target = tuple(first.config["target_shape"])
@@ -146,7 +146,7 @@ class LayerConverter:
     Parameters
     ----------
     order : (ndarray, tuple)
-        From `_input_order`.
+        From `_find_input_order`.
     retrain, pixels : bool
         As for `convert_layers`.
     """
@@ -231,9 +231,9 @@ class LayerConverter:
             last.bias = np.concatenate([[0.0], last.bias])
             self.layers[-1] = Dense(2)
             self.notes.append(f"{last.layer}: one output became two classes")
-        return self._model(curve)
+        return self._make_model(curve)
 
-    def _model(self, end):
+    def _make_model(self, end):
         layers = (*self.layers[:-1], replace(self.layers[-1], output=True))
         architecture = Architecture(self.input_shape, layers)
         names = architecture.names
@@ -273,7 +273,7 @@ class LayerConverter:
         if not self.signal.is_image:
             layer.refuse("its input has no rows and columns")
         self.require_curve(layer)
-        kernel, bias = _kernel_and_bias(layer)
+        kernel, bias = _read_kernel_and_bias(layer)
         if kernel.shape[1] != self.signal.shape[2]:
             layer.refuse(NO_CHAIN)
         window, counts, (scale, offset) = self.find_window(layer, kernel)
@@ -293,7 +293,7 @@ class LayerConverter:
         made = Convolution(kernel.shape[-1], len(kernel), fitting["stride"], fitting["padding"])
         if offset.any() and _reads_padding(window, built, counts):
             self.pad_without_offset(layer, scale, offset)
-        if len(kernel) != max(layer.pair("kernel_size")):
+        if len(kernel) != max(layer.read_pair("kernel_size")):
             self.notes.append(
                 f"{layer}: its windows became a kernel of {made.kernel}x{made.kernel}"
             )
@@ -309,10 +309,10 @@ class LayerConverter:
         layer : Layer
         kernel : ndarray, shape (filters, channels, rows, columns)
         """
-        strides = layer.pair("strides")
+        strides = layer.read_pair("strides")
         sides = self.signal.shape[:2]
         along = [
-            windows(*side, layer.config["padding"])
+            list_windows(*side, layer.config["padding"])
             for side in zip(sides, kernel.shape[2:], strides, strict=True)
         ]
         counts = [count for count, _, _ in along]
@@ -321,7 +321,7 @@ class LayerConverter:
         )
         if min(counts) < 1:
             layer.refuse("its kernel is larger than its input; use a smaller one")
-        affine = self.signal.channel_affine()
+        affine = self.signal.find_channel_affine()
         if affine is not None:
             return Window(kernel, strides, before), counts, affine
         means = self.means
@@ -355,7 +355,7 @@ class LayerConverter:
     def connect(self, layer):
         if len(self.signal.shape) != 1:
             layer.refuse("is applied to each row and column; put a Flatten before it")
-        kernel, bias = _kernel_and_bias(layer)
+        kernel, bias = _read_kernel_and_bias(layer)
         if len(kernel) != len(self.signal.offset):
             layer.refuse(NO_CHAIN)
         self.weigh_dense(layer, kernel, bias)
@@ -368,7 +368,7 @@ class LayerConverter:
         if self.maxima is not None or (self.layers and isinstance(self.layers[-1], Pooling)):
             self.require_curve(layer)
         if self.is_linear:
-            before = self.linear_dense()
+            before = self.make_linear_dense()
             bias = before.bias @ kernel + bias
             kernel = before.kernel @ kernel
             self.maxima = before.maxima
@@ -377,7 +377,7 @@ class LayerConverter:
             self.sums.pop()
         self.weigh(layer, Dense(kernel.shape[1]), kernel, bias)
 
-    def linear_dense(self) -> _Sums:
+    def make_linear_dense(self) -> _Sums:
         """The last sums, which have no activation, as those of a dense layer."""
         last = self.sums[-1]
         made = self.layers[-1]
@@ -385,7 +385,7 @@ class LayerConverter:
             return last
         before = self.input_shape
         for layer in self.layers[:-1]:
-            before = layer.shape(before)
+            before = layer.compute_shape(before)
         if math.prod(before) * math.prod(self.signal.built) > MAX_MATRIX_WEIGHTS:
             last.layer.refuse("has no activation; use activation='relu'")
         from models.keras.keras2 import tf
@@ -399,9 +399,9 @@ class LayerConverter:
         weights = kernel.size
         if self.maxima is not None:
             weights = math.prod(self.maxima.image) * kernel.shape[1]
-        if math.prod(made.shape(self.signal.built)) > MAX_VALUES or weights > MAX_WEIGHTS:
+        if math.prod(made.compute_shape(self.signal.built)) > MAX_VALUES or weights > MAX_WEIGHTS:
             layer.refuse(f"has more than {MAX_VALUES} outputs or {MAX_WEIGHTS} weights")
-        self.signal.begin(made.shape(self.signal.built))
+        self.signal.begin(made.compute_shape(self.signal.built))
         self.layers.append(made)
         bias = np.broadcast_to(bias, kernel.shape[-1:])
         self.sums.append(_Sums(layer, kernel, bias, maxima=self.maxima))
@@ -491,14 +491,16 @@ class LayerConverter:
         if limits["max_value"] is None and not limits["alpha"] + limits["threshold"]:
             self.use_activation(layer, "relu")
         else:
-            self.use_activation(layer, _curve("ReLU with arguments", "relu", **limits))
+            self.use_activation(layer, _make_curve("ReLU with arguments", "relu", **limits))
 
     def leak(self, layer):
         slope = layer.config.get("negative_slope", layer.config.get("alpha"))
-        self.use_activation(layer, _curve("leaky_relu", "relu", alpha=float(np.asarray(slope))))
+        self.use_activation(
+            layer, _make_curve("leaky_relu", "relu", alpha=float(np.asarray(slope)))
+        )
 
     def rise_exponentially(self, layer):
-        self.use_activation(layer, _curve("elu", "elu", alpha=float(layer.config["alpha"])))
+        self.use_activation(layer, _make_curve("elu", "elu", alpha=float(layer.config["alpha"])))
 
     # --- layers that move values ------------------------------------------------------------------
 
@@ -534,7 +536,9 @@ class LayerConverter:
     # --- pooling ----------------------------------------------------------------------------------
 
     def average(self, layer):
-        self.pool_average(layer.pair("pool_size"), _strides(layer), layer.config["padding"])
+        self.pool_average(
+            layer.read_pair("pool_size"), _read_strides(layer), layer.config["padding"]
+        )
 
     def average_all(self, layer):
         self.pool_average(self.signal.shape[:2], self.signal.shape[:2], "valid")
@@ -545,13 +549,15 @@ class LayerConverter:
             self.flatten(layer)
 
     def pool_average(self, size, strides, padding):
-        affine = None if self.is_linear or self.signal.is_padded else self.signal.channel_affine()
+        affine = (
+            None if self.is_linear or self.signal.is_padded else self.signal.find_channel_affine()
+        )
         sides = self.signal.shape[:2]
         fills = padding == "valid" or not any(n % k for n, k in zip(sides, size, strict=True))
         if affine is not None and size == strides and size[0] == size[1] and fills:
             if size != (1, 1):
                 self.layers.append(Pooling(size[0]))
-                self.signal.begin(self.layers[-1].shape(self.signal.built), *affine)
+                self.signal.begin(self.layers[-1].compute_shape(self.signal.built), *affine)
             return
         is_inside = affine is not None and padding == "valid"
         self.signal.average(size, strides, padding)
@@ -559,7 +565,9 @@ class LayerConverter:
             self.means = _Means(size, strides, affine, self.signal.map)
 
     def maximise(self, layer):
-        self.pool_maximum(layer, layer.pair("pool_size"), _strides(layer), layer.config["padding"])
+        self.pool_maximum(
+            layer, layer.read_pair("pool_size"), _read_strides(layer), layer.config["padding"]
+        )
 
     def maximise_all(self, layer):
         self.pool_maximum(layer, self.signal.shape[:2], self.signal.shape[:2], "valid")
@@ -571,9 +579,9 @@ class LayerConverter:
                 f"the chip cannot take a maximum; {RETRAIN} an average and the network is trained "
                 "further; or use AveragePooling2D, or a stride in the convolution before it"
             )
-        affine = self.signal.channel_affine()
+        affine = self.signal.find_channel_affine()
         sides = self.signal.shape[:2]
-        counts = [windows(*of, padding)[0] for of in zip(sides, size, strides, strict=True)]
+        counts = [list_windows(*of, padding)[0] for of in zip(sides, size, strides, strict=True)]
         is_like_average = strides[0] == strides[1] > 1 and counts == [
             n // strides[0] for n in sides
         ]
@@ -587,7 +595,7 @@ class LayerConverter:
         if is_like_average:
             self.max_pools[len(self.layers)] = pool
             self.layers.append(Pooling(strides[0]))
-            self.signal.begin(self.layers[-1].shape(self.signal.built), scale, offset)
+            self.signal.begin(self.layers[-1].compute_shape(self.signal.built), scale, offset)
             self.replaced.append(f"{layer}: replaced by AveragePooling2D({strides[0]})")
             return
         means = Signal(self.signal.built)
@@ -689,7 +697,7 @@ class LayerConverter:
         return True
 
 
-def _kernel_and_bias(layer):
+def _read_kernel_and_bias(layer):
     """Kernel and bias of a layer: (inputs, outputs) of a Dense, else (filters, channels, ...)."""
     kernel, *others = (array.astype(float) for array in layer.arrays)
     groups = layer.config.get("groups", 1)
@@ -697,7 +705,9 @@ def _kernel_and_bias(layer):
         groups = kernel.shape[2]
         kernel = kernel.reshape(*kernel.shape[:2], 1, -1)
     if layer.kind != "Dense":
-        kernel = spread_kernel(kernel.transpose(3, 2, 0, 1), groups, layer.pair("dilation_rate"))
+        kernel = spread_kernel(
+            kernel.transpose(3, 2, 0, 1), groups, layer.read_pair("dilation_rate")
+        )
     if layer.kind == "SeparableConv2D":
         kernel = np.einsum("fcij,fo->ocij", kernel, others.pop(0)[0, 0])
     outputs = kernel.shape[1] if layer.kind == "Dense" else kernel.shape[0]
@@ -713,11 +723,15 @@ def _reads_padding(window, image, counts) -> bool:
     return any((count - 1) * window.stride[0] + size > n for n, size, count in sides)
 
 
-def _strides(layer):
-    return layer.pair("pool_size") if layer.config["strides"] is None else layer.pair("strides")
+def _read_strides(layer):
+    return (
+        layer.read_pair("pool_size")
+        if layer.config["strides"] is None
+        else layer.read_pair("strides")
+    )
 
 
-def _curve(name, function, **arguments) -> Callable:
+def _make_curve(name, function, **arguments) -> Callable:
     """An activation of Keras 2 with arguments."""
 
     def compute(values):

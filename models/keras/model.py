@@ -23,7 +23,7 @@ class Layer(NamedTuple):
     def refuse(self, problem):
         raise ModelFileError(f"{self}: {problem}")
 
-    def pair(self, key) -> tuple:
+    def read_pair(self, key) -> tuple:
         """(rows, columns) of an argument that is one number or two."""
         value = self.config[key]
         return tuple(value) if isinstance(value, (list, tuple)) else (value, value)

@@ -16,7 +16,7 @@ class OperationLayer(tf.keras.layers.Layer):
 
     Notes
     -----
-    Its variables have the names and shapes of :meth:`models.ops.base.Operation.array_shapes`.
+    Its variables have the names and shapes of :meth:`models.ops.base.Operation.list_array_shapes`.
     """
 
     def __init__(self, operation, gain=None, **kwargs):
@@ -26,7 +26,7 @@ class OperationLayer(tf.keras.layers.Layer):
 
     def build(self, input_shape):
         """Make the variables, with Keras's initial values of dense layers and convolutions."""
-        shapes = self.operation.array_shapes(tuple(input_shape[1:]))
+        shapes = self.operation.list_array_shapes(tuple(input_shape[1:]))
         self.kernel = self.add_weight("kernel", shapes["kernel"], initializer="glorot_uniform")
         self.bias = self.add_weight("bias", shapes["bias"], initializer="zeros")
         super().build(input_shape)
@@ -37,7 +37,7 @@ class OperationLayer(tf.keras.layers.Layer):
         bias = self.bias
         if self.gain is not None:
             kernel, bias = quantise_layer(kernel, bias, self.gain)
-        return tf.nn.bias_add(self.operation.tensor_sums(kernel, inputs), bias)
+        return tf.nn.bias_add(self.operation.compute_tensor_sums(kernel, inputs), bias)
 
     def get_config(self):
         """The arguments, from which Keras makes an equal layer."""

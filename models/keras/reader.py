@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.files import reporting_os_errors, sha256_of
+from deploy.files import hash_file, reporting_os_errors
 from models.keras.files import REMEDY, ModelFileError, load_keras_model
 from models.keras.layers import NO_CHAIN, convert_layers
 from models.keras.model import KerasModel, Layer
@@ -49,7 +49,7 @@ def read_keras(path, retrain: bool = False, grid=None, pixels: bool = True) -> K
         raise ModelFileError(f"{path}: is a folder, as a SavedModel is; {REMEDY}")
     try:
         with reporting_os_errors(path, "cannot read", "check the path"):
-            sha256 = sha256_of(path)
+            sha256 = hash_file(path)
             # A model of images has rows and columns of its own.
             is_of_vectors = len(_load(path, sha256).inputs[0].shape) == 2
             return _convert(path, sha256, retrain, grid if is_of_vectors else None, pixels)
@@ -70,7 +70,7 @@ def _load(path, sha256):
 def _convert(path, sha256, retrain, grid, pixels) -> KerasModel:
     """Convert the model of a file whose content has a hash."""
     model = _load(path, sha256)
-    layers = [_layer(layer) for layer in _flat_layers(model)]
+    layers = [_read_layer(layer) for layer in _flatten_layers(model)]
     model_read = convert_layers(tuple(model.inputs[0].shape[1:]), layers, retrain, grid, pixels)
     if not model_read.architecture.spiking:
         raise ModelFileError("has no layer of neurons before its output; add one with a ReLU")
@@ -78,16 +78,16 @@ def _convert(path, sha256, retrain, grid, pixels) -> KerasModel:
     return model_read
 
 
-def _flat_layers(model):
+def _flatten_layers(model):
     """The layers of a model, with those of models inside of it."""
     for layer in model.layers:
         if hasattr(layer, "layers"):
-            yield from _flat_layers(layer)
+            yield from _flatten_layers(layer)
         else:
             yield layer
 
 
-def _layer(layer) -> Layer:
+def _read_layer(layer) -> Layer:
     return Layer(type(layer).__name__, layer.name, layer.get_config(), tuple(layer.get_weights()))
 
 
@@ -109,9 +109,13 @@ def make_original_network(model: KerasModel):
     def replace_layer(layer):
         if layer.name in model.max_pools:
             pool = model.max_pools[layer.name]
-            return _maximum(layer.name, pool) if pool.kernel is None else _max_dense(layer, pool)
+            return (
+                _make_maximum(layer.name, pool)
+                if pool.kernel is None
+                else _make_max_dense(layer, pool)
+            )
         if layer.name in model.paddings:
-            return _padded_convolution(layer, model.paddings[layer.name])
+            return _make_padded_convolution(layer, model.paddings[layer.name])
         return layer
 
     if model.max_pools or model.paddings:
@@ -120,7 +124,7 @@ def make_original_network(model: KerasModel):
     return network
 
 
-def _maximum(name, pool):
+def _make_maximum(name, pool):
     """A layer with the maximum over the windows of a MaxPool."""
     from models.keras.keras2 import tf
 
@@ -134,7 +138,7 @@ def _take_maximum(values, pool):
     return signs * tf.nn.max_pool2d(signs * values, pool.size, pool.strides, pool.padding.upper())
 
 
-def _max_dense(layer, pool):
+def _make_max_dense(layer, pool):
     """A dense layer of the maxima over windows of an image, with the kernel of the file."""
     from models.keras.keras2 import tf
 
@@ -146,7 +150,7 @@ def _max_dense(layer, pool):
     return MaxDense.from_config(layer.get_config())
 
 
-def _padded_convolution(layer, padding):
+def _make_padded_convolution(layer, padding):
     """A convolution of the same weights whose input is padded with a value for each channel."""
     from models.keras.keras2 import tf
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from scipy import sparse
 
-from deploy.network.geometry import windows
+from deploy.network.geometry import list_windows
 
 
 class Signal:
@@ -58,7 +58,7 @@ class Signal:
             for before, more in zip(self.pads, pads, strict=True)
         )
 
-    def channel_affine(self):
+    def find_channel_affine(self):
         """Scale and offset of each channel, or None if the signal is not the built image."""
         if not self.is_image:
             return None
@@ -121,7 +121,7 @@ class Signal:
 
 def _make_means(n, size, stride, padding):
     """The matrix of means over windows along one side; padded positions do not count."""
-    count, before, _ = windows(n, size, stride, padding)
+    count, before, _ = list_windows(n, size, stride, padding)
     matrix = np.zeros((max(count, 0), n))
     for index, start in enumerate(range(-before, -before + count * stride, stride)):
         window = slice(max(start, 0), min(start + size, n))

@@ -42,7 +42,7 @@ import numpy as np
 
 from deploy import limits
 from deploy.network.chip import LOIHI
-from models.chain import Decays, Link
+from models.chain import Link, NeuronDecays
 from models.integers import DECAY_UNIT
 from models.nir.equations import METHODS
 from models.nir.errors import NirError
@@ -77,7 +77,7 @@ def from_nir(
     Returns
     -------
     tuple of Link
-        Their neurons are given by :class:`models.chain.Decays`; the last one is called
+        Their neurons are given by :class:`models.chain.NeuronDecays`; the last one is called
         ``"output"``.
 
     Raises
@@ -94,7 +94,8 @@ def from_nir(
     as_given = len(shape) != 3 or place == _to_places(shape)
     if math.prod(place) != math.prod(shape) or not as_given:
         raise NirError(
-            f"is for an input of {_times(shape)}, and that of the chip is {_times(place)} (rows, "
+            f"is for an input of {_format_shape(shape)}, and that of the chip is "
+            f"{_format_shape(place)} (rows, "
             "columns, channels)"
         )
     before = shape if input_shape is None else (place[2], *place[:2])
@@ -203,7 +204,7 @@ class _LinkNodes:
         offset = _pass_through(maps, np.zeros((1, *self.before)))[0]
         constant = offset if loop is None else offset + loop["bias"].reshape(self.shape)
         bias = (gains.added + gains.constant * constant).ravel()
-        neuron = None if self.neuron is None else Decays(keep_u, gains.keep_v)
+        neuron = None if self.neuron is None else NeuronDecays(keep_u, gains.keep_v)
         common: dict[str, Any] = {  # arguments of every link
             "name": "",
             "neurons": neuron,
@@ -385,5 +386,5 @@ def _order_of_places(shape):
     return np.moveaxis(np.arange(math.prod(shape)).reshape(shape), 0, -1).ravel()
 
 
-def _times(shape):
+def _format_shape(shape):
     return " x ".join(map(str, shape))

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import lambertw
 
-from models.nir.equations import voltage_time
+from models.nir.equations import name_voltage_time
 
 # Relative tolerance of numbers that were computed in 32 bits.
 TOLERANCE = 1e-3
@@ -103,7 +103,7 @@ def recognise(nodes, metadata: dict) -> Convention:
         if found is not None:
             return found
     leaky = [node for node in states if node.kind != "IF"]
-    in_steps = bool(leaky) and all((node[voltage_time(node)] >= 1).all() for node in leaky)
+    in_steps = bool(leaky) and all((node[name_voltage_time(node)] >= 1).all() for node in leaky)
     unit = "steps, being 1 or more" if in_steps else "seconds"
     return Convention(
         "NIR", "exact", 1.0 if in_steps else None, "no framework's numbers",
@@ -133,7 +133,7 @@ def recognise_reset_free(nodes):
     followed = {node.name for node, after in pairwise(nodes) if after.kind == "Threshold"}
     if not states or any(node.kind != "LI" or node.name not in followed for node in states):
         return None
-    if not _gains_are_one(states) or any((node["tau"] < 1 - TOLERANCE).any() for node in states):
+    if not _have_unit_gains(states) or any((node["tau"] < 1 - TOLERANCE).any() for node in states):
         return None
     return Convention(
         "Spyx", "spyx", 1.0, "LI with r = 1 and tau of 1 or more before each Threshold (PSU_LIF)",
@@ -151,12 +151,12 @@ def recognise_snntorch(nodes):
     """
     if not nodes or any(node.kind not in ("LIF", "CubaLIF") for node in nodes):
         return None
-    steps = [node[voltage_time(node)] / _nonzero(node["r"]) for node in nodes]
+    steps = [node[name_voltage_time(node)] / _hide_zeros(node["r"]) for node in nodes]
     currents = [node for node in nodes if node.kind == "CubaLIF"]
-    into = [node["tau_syn"] / _nonzero(node["w_in"]) for node in currents]
+    into = [node["tau_syn"] / _hide_zeros(node["w_in"]) for node in currents]
     for h in (EXPORTED_STEP, 1e-3, 1.0):
-        has_gains = all(_all_near(step, h) for step in into)
-        if not all(_all_near(step, h) for step in steps):
+        has_gains = all(_are_near(step, h) for step in into)
+        if not all(_are_near(step, h) for step in steps):
             continue
         if has_gains or (h == EXPORTED_STEP and all(map(_has_no_w_in, currents))):
             text = ", w_in too" if has_gains else ", without w_in, as in 2023"
@@ -179,13 +179,13 @@ def recognise_rockpool(nodes):
         return None
     if not all((node["r"] > 0).all() and _has_no_w_in(node) for node in nodes):
         return None
-    taus = np.concatenate([node[voltage_time(node)].ravel() for node in nodes])
+    taus = np.concatenate([node[name_voltage_time(node)].ravel() for node in nodes])
     gains = np.concatenate([node["r"].ravel() for node in nodes])
     steps = taus * lambertw(1 / gains).real
     h = float(np.median(steps))
     is_round = abs(float(f"{h:.1e}") / h - 1) < 1e-4
-    differ = not _all_near(taus, taus[0], 0.01)
-    if not _all_near(steps, h, 1e-4) or not (is_round or differ) or (gains == 1).all():
+    differ = not _are_near(taus, taus[0], 0.01)
+    if not _are_near(steps, h, 1e-4) or not (is_round or differ) or (gains == 1).all():
         return None
     h = float(f"{h:.1e}") if is_round else h
     return Convention(
@@ -207,10 +207,10 @@ def recognise_spyx(nodes):
         return None
     if not all((node["r"] < 1 - TOLERANCE).all() for node in leaky):
         return None
-    steps = [node[voltage_time(node)] * (1 - node["r"]) for node in leaky]
+    steps = [node[name_voltage_time(node)] * (1 - node["r"]) for node in leaky]
     has_currents = any(node.kind == "CubaLIF" for node in leaky)
     for h in (1.0, 1e-3, EXPORTED_STEP):
-        if all(_all_near(step, h) for step in steps):
+        if all(_are_near(step, h) for step in steps):
             return Convention(
                 "Spyx", "spyx", h, f"r = 1 - {_time(h)} / tau, no w_in",
                 "I <- a I + S, v <- b v + I", "subtract" if has_currents else "subtract-late",
@@ -223,9 +223,9 @@ def recognise_spyx(nodes):
 def recognise_norse_currents(nodes):
     """Norse's LIFCell: CubaLIF with r = 1 and no w_in."""
     currents = [node for node in nodes if node.kind == "CubaLIF"]
-    if not currents or not _gains_are_one(nodes):
+    if not currents or not _have_unit_gains(nodes):
         return None
-    h = _norse_step(nodes)
+    h = _find_norse_step(nodes)
     return Convention(
         "Norse", "norse", h, "CubaLIF with r = 1 and no w_in",
         "I <- I + S, v <- b v + (1 - b) (v_leak + I), I <- a I",
@@ -249,12 +249,12 @@ def recognise_spikingjelly(nodes):
         "was trained so, give --set nir.reset=subtract"
     )
     if integrators:
-        h = float(1 / _nonzero(integrators[0]["r"]).flat[0])
+        h = float(1 / _hide_zeros(integrators[0]["r"]).flat[0])
         exponent = np.log10(h) if h > 0 else 0
-        if not -6.1 < exponent < -1.9 or not _all_near(h, 10.0 ** round(exponent)):
+        if not -6.1 < exponent < -1.9 or not _are_near(h, 10.0 ** round(exponent)):
             return None
         h = 10.0 ** round(exponent)
-        if not all(_all_near(node["r"], 1 / h) for node in integrators):
+        if not all(_are_near(node["r"], 1 / h) for node in integrators):
             return None
         evidence = f"IF with r = 1 / {_time(h)}"
     else:
@@ -262,13 +262,13 @@ def recognise_spikingjelly(nodes):
         evidence = "LIF with r = 1 and time constants of some tenths of a ms"
         taus = np.concatenate([node["tau"].ravel() for node in leaky])
         is_short = (taus >= SHORTEST_SPIKINGJELLY * (1 - TOLERANCE)) & (taus < SHORTEST_IN_SECONDS)
-        if not is_short.all() or not _gains_are_one(leaky):
+        if not is_short.all() or not _have_unit_gains(leaky):
             return None
         doubt += (
             "; if its exporter had another dt, or these are seconds, give --set nir.step (in ms)"
         )
     gains = [(node["r"], node["tau"] / h) for node in leaky]
-    if not all(_all_near(r, 1.0) or _all_near(r, whole) for r, whole in gains):
+    if not all(_are_near(r, 1.0) or _are_near(r, whole) for r, whole in gains):
         return None
     if any((node["tau"] < h * (1 - TOLERANCE)).any() for node in leaky):
         return None
@@ -282,9 +282,9 @@ def recognise_spikingjelly(nodes):
 def recognise_norse_boxes(nodes):
     """Norse's LIFBoxCell and LIBoxCell as its exporter writes them by default: times times 1 ms."""
     times = [node["tau"].max() for node in nodes if node.kind in ("LIF", "LI")]
-    if not times or max(times) >= SHORTEST_SPIKINGJELLY or not _gains_are_one(nodes):
+    if not times or max(times) >= SHORTEST_SPIKINGJELLY or not _have_unit_gains(nodes):
         return None
-    h = _norse_step(nodes)
+    h = _find_norse_step(nodes)
     return Convention(
         "Norse", "euler", h, "r = 1 and time constants of some microseconds",
         "v <- b v + (1 - b) (v_leak + S)",
@@ -298,10 +298,10 @@ def recognise_steps(nodes):
 
     sinabs' LIF has alpha = exp(-1 / tau) and v <- alpha v + (1 - alpha) S.
     """
-    if not nodes or not _gains_are_one(nodes):
+    if not nodes or not _have_unit_gains(nodes):
         return None
     leaky = [node for node in nodes if node.kind != "IF"]
-    if any((node[voltage_time(node)] < 1).any() for node in leaky):
+    if any((node[name_voltage_time(node)] < 1).any() for node in leaky):
         return None
     return Convention(
         "time in steps (sinabs, Norse's IAFCell, graphs by hand)", "exact", 1.0,
@@ -323,29 +323,29 @@ RULES = (
 )
 
 
-def _nonzero(values):
+def _hide_zeros(values):
     return np.where(values == 0, np.nan, values)
 
 
-def _all_near(values, wanted, tolerance=TOLERANCE) -> bool:
+def _are_near(values, wanted, tolerance=TOLERANCE) -> bool:
     return bool(np.allclose(values, wanted, rtol=tolerance, atol=0))
 
 
 def _has_no_w_in(node):
-    return "w_in" not in node.parameters or _all_near(node["w_in"], 1.0)
+    return "w_in" not in node.parameters or _are_near(node["w_in"], 1.0)
 
 
-def _gains_are_one(nodes):
-    return all(_all_near(node["r"], 1.0) and _has_no_w_in(node) for node in nodes)
+def _have_unit_gains(nodes):
+    return all(_are_near(node["r"], 1.0) and _has_no_w_in(node) for node in nodes)
 
 
-def _norse_step(nodes):
+def _find_norse_step(nodes):
     """Norse's step in the graph's time, by the size of its time constants.
 
     Its exporter writes tau dt with its own dt, 1 ms by default, or tau itself (dt = 1); tau of 1
     and more are counted in steps.
     """
-    longest = max(node[voltage_time(node)].max() for node in nodes if node.kind != "IF")
+    longest = max(node[name_voltage_time(node)].max() for node in nodes if node.kind != "IF")
     if longest < SHORTEST_IN_SECONDS / 5:
         return NORSE_STEP**2
     return NORSE_STEP if longest < 1 else 1.0

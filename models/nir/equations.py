@@ -53,7 +53,7 @@ def solve_exactly(node, h) -> StepEquation:
     """
     if node.kind == "IF":
         return _integrate(node["r"] * h)
-    b = np.exp(-h / node[voltage_time(node)])
+    b = np.exp(-h / node[name_voltage_time(node)])
     if "tau_syn" not in node.parameters:
         return StepEquation(b, (1 - b) * node["r"], (1 - b) * node["v_leak"])
     syn, mem, r, w = (node[name] for name in ("tau_syn", "tau_mem", "r", "w_in"))
@@ -75,12 +75,12 @@ def step_by_euler(node, h) -> StepEquation:
     writes tau in multiples of h, and r = 1 (its input decays) or r h = tau.
     """
     if node.kind == "IF":
-        return _integrate(_whole_input(node, h))
-    b = _euler_decay(h, node[voltage_time(node)])
+        return _integrate(_compute_whole_input(node, h))
+    b = _compute_euler_decay(h, node[name_voltage_time(node)])
     added = (1 - b) * node["v_leak"]
     if "tau_syn" not in node.parameters:
         return StepEquation(b, (1 - b) * node["r"], added)
-    a = _euler_decay(h, node["tau_syn"])
+    a = _compute_euler_decay(h, node["tau_syn"])
     gain = (1 - b) * node["r"]
     into = (1 - a) * node["w_in"]
     return StepEquation(b, gain * into, added, a, into, gain * a)
@@ -95,7 +95,7 @@ def step_as_norse(node, h) -> StepEquation:
     """
     if "tau_syn" not in node.parameters:
         return step_by_euler(node, h)
-    a, b = (_euler_decay(h, node[name]) for name in ("tau_syn", "tau_mem"))
+    a, b = (_compute_euler_decay(h, node[name]) for name in ("tau_syn", "tau_mem"))
     gain = (1 - b) * node["r"]
     return StepEquation(b, gain * node["w_in"], (1 - b) * node["v_leak"], a, a * node["w_in"], gain)
 
@@ -109,8 +109,8 @@ def step_as_rockpool(node, h) -> StepEquation:
         ExpSynTorch  v <- b (v + S)
     """
     if node.kind == "IF":
-        return _integrate(_whole_input(node, h))
-    b = np.exp(-h / node[voltage_time(node)])
+        return _integrate(_compute_whole_input(node, h))
+    b = np.exp(-h / node[name_voltage_time(node)])
     added = (1 - b) * node["v_leak"]
     if node.kind in ("LI", "LIF"):
         return StepEquation(b, b if node.kind == "LI" else np.ones_like(b), added)
@@ -126,13 +126,13 @@ def step_as_spyx(node, h) -> StepEquation:
         I <- a I + S,     v <- b v + I          (without a current: v <- b v + S)
     """
     if node.kind == "IF":
-        return _integrate(_whole_input(node, h))
-    b = _euler_decay(h, node[voltage_time(node)])
+        return _integrate(_compute_whole_input(node, h))
+    b = _compute_euler_decay(h, node[name_voltage_time(node)])
     added = (1 - b) * node["v_leak"]
     whole = np.ones_like(b)
     if "tau_syn" not in node.parameters:
         return StepEquation(b, whole, added)
-    a = _euler_decay(h, node["tau_syn"])
+    a = _compute_euler_decay(h, node["tau_syn"])
     return StepEquation(b, whole, added, a, whole, a)
 
 
@@ -145,7 +145,7 @@ METHODS = {
 }
 
 
-def voltage_time(node) -> str:
+def name_voltage_time(node) -> str:
     """Name of the time constant of a node's voltage."""
     return "tau" if "tau" in node.parameters else "tau_mem"
 
@@ -154,10 +154,10 @@ def _integrate(added):
     return StepEquation(np.ones_like(added), added, np.zeros_like(added))
 
 
-def _whole_input(node, h):
+def _compute_whole_input(node, h):
     """What an IF adds: r h, or its whole input if every r is 1, which no one means in seconds."""
     return np.where((node["r"] == 1).all(), 1.0, node["r"] * h)
 
 
-def _euler_decay(h, tau):
+def _compute_euler_decay(h, tau):
     return np.maximum(1 - h / tau, 0.0)

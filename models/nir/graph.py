@@ -137,11 +137,11 @@ def _parse(content: bytes) -> NirNetwork:
 
 
 def _make_network(tree) -> NirNetwork:
-    nodes, edges = _flat(tree)
-    loops = _loops(nodes, edges)
-    first, order = _chain(nodes, edges)
+    nodes, edges = _merge_subgraphs(tree)
+    loops = _find_loops(nodes, edges)
+    first, order = _find_chain(nodes, edges)
     problems: list[tuple[int, int, NirError]] = []
-    for shape in _input_shapes(first, nodes[first], nodes[order[0]]):
+    for shape in _list_input_shapes(first, nodes[first], nodes[order[0]]):
         chain: list[Node] = []
         try:
             _extend_chain(chain, nodes, order, loops, shape)
@@ -163,11 +163,11 @@ def _make_network(tree) -> NirNetwork:
 def _extend_chain(chain, nodes, order, loops, shape):
     """Append the nodes in order, for an input of a shape."""
     for name in order:
-        node = _node(name, nodes[name], shape)
+        node = _read_node(name, nodes[name], shape)
         if name in loops:
             if node.kind not in SPIKING:
                 raise NirError(f"{node}: is connected to itself; only layers of neurons can be")
-            loop = _node(*loops[name], (math.prod(node.shape),))
+            loop = _read_node(*loops[name], (math.prod(node.shape),))
             if loop.shape != loop.input_shape:
                 raise NirError(f"{loop}: puts out {loop.shape[0]} values to {loop.input_shape[0]}")
             node = replace(node, loop=loop)
@@ -175,9 +175,9 @@ def _extend_chain(chain, nodes, order, loops, shape):
         shape = node.shape
 
 
-def _node(name, values, shape) -> Node:
+def _read_node(name, values, shape) -> Node:
     """A node for an input of a shape."""
-    kind = _kind(values)
+    kind = _find_kind(values)
     handler = _HANDLERS.get(kind)
     if handler is None:
         raise NirError(
@@ -197,16 +197,16 @@ def _node(name, values, shape) -> Node:
 # --- the graph ------------------------------------------------------------------------------------
 
 
-def _flat(tree, prefix="") -> tuple:
+def _merge_subgraphs(tree, prefix="") -> tuple:
     """Nodes by name, and edges, with subgraphs replaced by their nodes and edges."""
     nodes = {}
     inside = {}
-    edges = {(prefix + _text(a), prefix + _text(b)) for a, b in tree["edges"]}
+    edges = {(prefix + _decode(a), prefix + _decode(b)) for a, b in tree["edges"]}
     for name, node in ((prefix + name, node) for name, node in tree["nodes"].items()):
-        if _kind(node) != "NIRGraph":
+        if _find_kind(node) != "NIRGraph":
             nodes[name] = node
             continue
-        own, own_edges = _flat(node, f"{name}.")
+        own, own_edges = _merge_subgraphs(node, f"{name}.")
         inside[name] = [_end(own, kind, f"graph {quote(name)}: ") for kind in ("Input", "Output")]
         nodes |= own
         edges |= own_edges
@@ -230,7 +230,7 @@ def _flat(tree, prefix="") -> tuple:
 
 def _end(nodes, kind, where="") -> str:
     """Name of the only node of a kind."""
-    names = [name for name, node in nodes.items() if _kind(node) == kind]
+    names = [name for name, node in nodes.items() if _find_kind(node) == kind]
     if len(names) != 1:
         listed = f" ({', '.join(map(quote, names[:5]))})" if names else ""
         raise NirError(
@@ -240,7 +240,7 @@ def _end(nodes, kind, where="") -> str:
     return names[0]
 
 
-def _loops(nodes, edges) -> dict:
+def _find_loops(nodes, edges) -> dict:
     """(name, values) of the node between each recurrent layer and itself, by the layer's name.
 
     These nodes and their edges are removed.
@@ -249,7 +249,11 @@ def _loops(nodes, edges) -> dict:
     for name in list(nodes):
         before = {a for a, b in edges if b == name}
         after = {b for a, b in edges if a == name}
-        if _kind(nodes[name]) not in ("Linear", "Affine") or before != after or len(before) != 1:
+        if (
+            _find_kind(nodes[name]) not in ("Linear", "Affine")
+            or before != after
+            or len(before) != 1
+        ):
             continue
         (layer,) = before
         if layer in loops:
@@ -262,7 +266,7 @@ def _loops(nodes, edges) -> dict:
     return loops
 
 
-def _chain(nodes, edges) -> tuple:
+def _find_chain(nodes, edges) -> tuple:
     """Name of the input node, and names of the nodes between input and output, in order."""
     first = _end(nodes, "Input")
     last = _end(nodes, "Output")
@@ -275,7 +279,8 @@ def _chain(nodes, edges) -> tuple:
         if len(after[name]) != 1 or len(order) > len(nodes):
             leads = " and ".join(map(quote, after[name][:3])) or "nothing"
             raise NirError(
-                f"node {quote(name)} ({_kind(nodes[name])}) leads to {leads}; a chain from input "
+                f"node {quote(name)} ({_find_kind(nodes[name])}) leads to {leads}; a "
+                f"chain from input "
                 "to output can be used, in which a layer of neurons may also be connected to "
                 "itself, through one Linear or Affine and without delays"
             )
@@ -293,15 +298,15 @@ def _chain(nodes, edges) -> tuple:
     return first, order
 
 
-def _text(value) -> str:
+def _decode(value) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def _kind(node) -> str:
-    return _text(node.get("type", "nothing"))
+def _find_kind(node) -> str:
+    return _decode(node.get("type", "nothing"))
 
 
-def _input_shapes(name, node, following) -> list:
+def _list_input_shapes(name, node, following) -> list:
     """The shapes that an input may have: as declared, and without leading dimensions.
 
     Those are time and samples, which some exporters do not leave out.
@@ -316,7 +321,7 @@ def _input_shapes(name, node, following) -> list:
     shapes = [shape[start:] for start in range(max(len(shape), 1))]
     if shape[:1] == (1,) and len(shape) == 4:
         shapes = shapes[1:]
-    reads_image = _kind(following).startswith(("Conv", "SumPool", "AvgPool"))
+    reads_image = _find_kind(following).startswith(("Conv", "SumPool", "AvgPool"))
     if not reads_image and set(shape[:-1]) == {1}:
         shapes = shapes[-1:]  # samples and time of 1
     usable = [
@@ -355,7 +360,7 @@ class _Values:
     def refuse(self, problem) -> NoReturn:
         raise NirError(f"{self.where}: {problem}")
 
-    def array(self, name, default=None) -> np.ndarray:
+    def read_array(self, name, default=None) -> np.ndarray:
         """Finite numbers, float64."""
         value = self.values.get(name)
         if value is None:
@@ -373,7 +378,7 @@ class _Values:
 
     def spread(self, name, shape, default=None) -> np.ndarray:
         """One value for each neuron."""
-        array = self.array(name, default)
+        array = self.read_array(name, default)
         try:
             return np.broadcast_to(array, shape).copy()
         except ValueError:
@@ -384,23 +389,23 @@ class _Values:
                 "one for each neuron"
             )
 
-    def positive(self, name, shape) -> np.ndarray:
+    def read_positive(self, name, shape) -> np.ndarray:
         """A time constant in seconds for each neuron."""
         array = self.spread(name, shape)
         if array.min() <= 0:
             self.refuse(f"its {name} is not above 0; give time constants in seconds")
         return array
 
-    def counts(self, name, dimensions, least=1, default=None) -> tuple:
+    def read_counts(self, name, dimensions, least=1, default=None) -> tuple:
         """A whole number for each dimension."""
-        array = self.array(name, default).ravel()
+        array = self.read_array(name, default).ravel()
         array = np.repeat(array, dimensions) if array.size == 1 else array
         good = array.size == dimensions and (array == np.rint(array)).all()
         if not good or array.min() < least or array.max() > limits.NEURONS:
             self.refuse(f"its {name} must be {dimensions} whole number(s), at least {least}")
         return tuple(int(n) for n in array)
 
-    def image(self, shape, dimensions=2):
+    def require_image(self, shape, dimensions=2):
         if len(shape) != dimensions + 1:
             self.refuse(
                 f"reads {'rows and columns' if dimensions == 2 else 'a row'} of channels, and its "
@@ -408,8 +413,8 @@ class _Values:
             )
 
 
-def _affine(values, shape):
-    weight = values.array("weight")
+def _read_affine(values, shape):
+    weight = values.read_array("weight")
     if weight.ndim != 2:
         values.refuse(f"a weight of shape {weight.shape}; use (outputs, inputs)")
     if len(shape) != 1 and math.prod(shape) == weight.shape[1]:
@@ -423,26 +428,26 @@ def _affine(values, shape):
     return (weight.shape[0],), {"weight": weight, "bias": bias}
 
 
-def _convolution(dimensions):
+def _make_convolution_reader(dimensions):
     def handler(values, shape):
-        values.image(shape, dimensions)
-        weight = values.array("weight")
+        values.require_image(shape, dimensions)
+        weight = values.read_array("weight")
         if weight.ndim != 2 + dimensions or min(weight.shape) < 1:
             values.refuse(
                 f"a weight of shape {weight.shape}; use (filters, channels, "
                 + ("rows, columns)" if dimensions == 2 else "places)")
             )
-        (groups,) = values.counts("groups", 1, default=1)
+        (groups,) = values.read_counts("groups", 1, default=1)
         channels = weight.shape[1] * groups
         if channels != shape[0] or weight.shape[0] % groups:
             values.refuse(
                 f"for {channels} channels in {groups} group(s), its input has {shape[0]}; train it "
                 "for that input, with groups that divide its filters"
             )
-        stride = values.counts("stride", dimensions, default=1)
-        dilation = values.counts("dilation", dimensions, default=1)
+        stride = values.read_counts("stride", dimensions, default=1)
+        dilation = values.read_counts("dilation", dimensions, default=1)
         reach = [(k - 1) * d + 1 for k, d in zip(weight.shape[2:], dilation, strict=True)]
-        padding = _padding(values, dimensions, reach, stride)
+        padding = _read_padding(values, dimensions, reach, stride)
         sizes = [
             (n + sum(pads) - r) // s + 1
             for n, pads, r, s in zip(shape[1:], padding, reach, stride, strict=True)
@@ -462,25 +467,26 @@ def _convolution(dimensions):
     return handler
 
 
-def _padding(values, dimensions, reach, stride):
+def _read_padding(values, dimensions, reach, stride):
     padding = values.values.get("padding", 0)
     if isinstance(padding, (str, bytes)):
-        if _text(padding) == "valid":
+        if _decode(padding) == "valid":
             return ((0, 0),) * dimensions
-        if _text(padding) != "same" or max(stride) > 1:
+        if _decode(padding) != "same" or max(stride) > 1:
             values.refuse(
-                f"padding {quote(_text(padding))} with a stride of {max(stride)}; give the padding "
+                f"padding {quote(_decode(padding))} with a stride of {max(stride)}; give "
+                "the padding "
                 "as a number"
             )
         return tuple(((r - 1) // 2, (r - 1) - (r - 1) // 2) for r in reach)
-    return tuple((n, n) for n in values.counts("padding", dimensions, 0, default=0))
+    return tuple((n, n) for n in values.read_counts("padding", dimensions, 0, default=0))
 
 
 def _pool(values, shape):
-    values.image(shape)
-    size = values.counts("kernel_size", 2)
-    stride = values.counts("stride", 2, default=size)
-    padding = _padding(values, 2, size, stride)
+    values.require_image(shape)
+    size = values.read_counts("kernel_size", 2)
+    stride = values.read_counts("stride", 2, default=size)
+    padding = _read_padding(values, 2, size, stride)
     if any(2 * before > n for (before, _), n in zip(padding, size, strict=True)):
         values.refuse("a padding of more than half of its windows; use less")
     sizes = [
@@ -493,7 +499,7 @@ def _pool(values, shape):
 
 
 def _flatten(values, shape):
-    ends = [values.array("start_dim", 0), values.array("end_dim", -1)]
+    ends = [values.read_array("start_dim", 0), values.read_array("end_dim", -1)]
     if any(end.size != 1 or end.item() != np.rint(end.item()) for end in ends):
         values.refuse("its start_dim and end_dim are not a whole number each")
     first, last = (int(end.item()) for end in ends)
@@ -535,16 +541,16 @@ def _scale(values, shape):
     return shape, {"scale": values.spread("scale", shape)}
 
 
-def _threshold(values, shape):
+def _read_threshold(values, shape):
     threshold = values.spread("threshold", shape)
     if threshold.min() <= 0:
         values.refuse("its threshold must be above 0, or it spikes without input; train it again")
     return shape, {"threshold": threshold}
 
 
-def _neurons(times, *, spikes, leak=True, weighs=False):
+def _make_neurons_reader(times, *, spikes, leak=True, weighs=False):
     def handler(values, shape):
-        parameters = {name: values.positive(name, shape) for name in times}
+        parameters = {name: values.read_positive(name, shape) for name in times}
         parameters["r"] = values.spread("r", shape)
         if leak:
             parameters["v_leak"] = values.spread("v_leak", shape)
@@ -561,22 +567,22 @@ def _neurons(times, *, spikes, leak=True, weighs=False):
 
 
 _HANDLERS = {
-    "Affine": _affine,
-    "Linear": _affine,
-    "Conv1d": _convolution(1),
-    "Conv2d": _convolution(2),
+    "Affine": _read_affine,
+    "Linear": _read_affine,
+    "Conv1d": _make_convolution_reader(1),
+    "Conv2d": _make_convolution_reader(2),
     "SumPool2d": _pool,
     "AvgPool2d": _pool,
     "Flatten": _flatten,
     "Reshape": _reshape,
     "Identity": lambda values, shape: (shape, {}),
     "Scale": _scale,
-    "Threshold": _threshold,
-    "IF": _neurons((), spikes=True, leak=False),
-    "LIF": _neurons(("tau",), spikes=True),
-    "LI": _neurons(("tau",), spikes=False),
-    "CubaLIF": _neurons(("tau_syn", "tau_mem"), spikes=True, weighs=True),
-    "CubaLI": _neurons(("tau_syn", "tau_mem"), spikes=False, weighs=True),
+    "Threshold": _read_threshold,
+    "IF": _make_neurons_reader((), spikes=True, leak=False),
+    "LIF": _make_neurons_reader(("tau",), spikes=True),
+    "LI": _make_neurons_reader(("tau",), spikes=False),
+    "CubaLIF": _make_neurons_reader(("tau_syn", "tau_mem"), spikes=True, weighs=True),
+    "CubaLI": _make_neurons_reader(("tau_syn", "tau_mem"), spikes=False, weighs=True),
 }
 
 # Possible replacement of an unsupported node.

@@ -28,7 +28,7 @@ SAMPLES_AT_ONCE = 50
 
 
 @dataclass(frozen=True)
-class Simulated:
+class GraphOutputs:
     """The outputs of a graph.
 
     Attributes
@@ -49,7 +49,7 @@ def simulate(
     step: float | None = None,
     method: str = "auto",
     reset: str = "auto",
-) -> Simulated:
+) -> GraphOutputs:
     """Run a graph on inputs, each sample from rest.
 
     Parameters
@@ -102,7 +102,7 @@ def simulate(
                 spikes[node.name].append(signal.astype(bool))
         outputs.append(signal)
     joined = {name: np.concatenate(batches) for name, batches in spikes.items()}
-    return Simulated(np.concatenate(outputs), joined)
+    return GraphOutputs(np.concatenate(outputs), joined)
 
 
 def check_step(network: NirNetwork, step: float, method: str):
@@ -193,12 +193,12 @@ def _run_over_time(node, signal, step, method, reset, at_threshold):
         current = equation.keep_i * current + equation.i_from_s * total
         if spiking:
             spiked = exceeds(voltage, node["v_threshold"])
-            voltage = np.where(spiked, _after_spike(node, voltage, equation, reset), voltage)
+            voltage = np.where(spiked, _reset_voltage(node, voltage, equation, reset), voltage)
         result[:, t] = spiked if spiking else voltage
     return result
 
 
-def _after_spike(node, voltage, equation, reset):
+def _reset_voltage(node, voltage, equation, reset):
     if reset == "value":
         return node["v_reset"]
     taken = node["v_threshold"] - node["v_reset"]
@@ -210,15 +210,17 @@ def _after_spike(node, voltage, equation, reset):
 # --- nodes without a state, on signals of shape (n, ...) ------------------------------------------
 
 
-def _affine(node, signal):
+def _compute_affine(node, signal):
     return signal.reshape(len(signal), -1) @ node["weight"].T + node["bias"]
 
 
-def _convolution(node, signal):
+def _compute_convolution(node, signal):
     weight = node["weight"]
     dimensions = weight.ndim - 2
     groups = node["groups"]
-    seen = _windows(signal, weight.shape[2:], node["stride"], node["padding"], node["dilation"])
+    seen = _view_windows(
+        signal, weight.shape[2:], node["stride"], node["padding"], node["dilation"]
+    )
     parts = []
     for group, kernel in enumerate(np.split(weight, groups)):
         channels = slice(group * weight.shape[1], (group + 1) * weight.shape[1])
@@ -228,7 +230,7 @@ def _convolution(node, signal):
     return np.concatenate(parts, 1) + node["bias"].reshape(-1, *(1,) * dimensions)
 
 
-def _windows(signal, kernel, stride, padding, dilation):
+def _view_windows(signal, kernel, stride, padding, dilation):
     """Views of windows, shape (n, channels, *places, *kernel)."""
     n = len(kernel)
     reach = [(k - 1) * d + 1 for k, d in zip(kernel, dilation, strict=True)]
@@ -239,15 +241,15 @@ def _windows(signal, kernel, stride, padding, dilation):
 
 
 def _pool(node, signal):
-    seen = _windows(signal, node["kernel_size"], node["stride"], node["padding"], (1, 1))
+    seen = _view_windows(signal, node["kernel_size"], node["stride"], node["padding"], (1, 1))
     return seen.mean((-2, -1)) if node.kind == "AvgPool2d" else seen.sum((-2, -1))
 
 
 _LINEAR = {
-    "Affine": _affine,
-    "Linear": _affine,
-    "Conv1d": _convolution,
-    "Conv2d": _convolution,
+    "Affine": _compute_affine,
+    "Linear": _compute_affine,
+    "Conv1d": _compute_convolution,
+    "Conv2d": _compute_convolution,
     "SumPool2d": _pool,
     "AvgPool2d": _pool,
     "Flatten": lambda node, signal: signal,

@@ -58,11 +58,13 @@ class Operation(DeployedOperation):
 
     ===================================  ===========================================================
     `from_token`                         if the notation has more than numbers
-    `kernel_shape`, `to_deployed`        if the trained kernel has other axes than the deployed
-                                         weights
-    `fan_in`, `tensor_sums`, `synapses`  for layers with many inputs
+    `compute_kernel_shape`,              if the trained kernel has other axes than the deployed
+    `to_deployed`                        weights
+    `count_fan_in`,                      for layers with many inputs
+    `compute_tensor_sums`,
+    `make_synapses`
     `gather_inputs`                      if rounding to integers should compensate errors of weights
-    `keras_layer`                        for an operation without weights, and where NengoDL should
+    `make_keras_layer`                   for an operation without weights, and where NengoDL should
                                          convert a layer of Keras (the stage spiking-lif)
     ===================================  ===========================================================
 
@@ -97,16 +99,16 @@ class Operation(DeployedOperation):
 
     # --- weights ----------------------------------------------------------------------------------
 
-    def kernel_shape(self, input_shape) -> tuple | None:
+    def compute_kernel_shape(self, input_shape) -> tuple | None:
         """Shape of the trained kernel; None without weights."""
-        return self.weight_shape(input_shape)
+        return self.compute_weight_shape(input_shape)
 
-    def array_shapes(self, input_shape) -> dict:
+    def list_array_shapes(self, input_shape) -> dict:
         """Shapes of the trained arrays, ``"kernel"`` and ``"bias"``; empty without weights."""
-        kernel = self.kernel_shape(input_shape)
+        kernel = self.compute_kernel_shape(input_shape)
         if kernel is None:
             return {}
-        return {"kernel": kernel, "bias": self.shape(input_shape)[-1:]}
+        return {"kernel": kernel, "bias": self.compute_shape(input_shape)[-1:]}
 
     def to_deployed(self, kernel, sections: int = 1) -> np.ndarray:
         """A trained kernel in the order of :attr:`deploy.network.spec.Layer.weights`.
@@ -123,23 +125,23 @@ class Operation(DeployedOperation):
         """The operation without its training, as a deployed layer with an output shape has it."""
         return DEPLOYED_OPERATIONS[self.kind].from_file(self.to_file(), shape)
 
-    def fan_in(self, input_shape) -> int:
+    def count_fan_in(self, input_shape) -> int:
         """Largest number of inputs of a neuron; initial weights have a variance of one over it.
 
-        `fan_out` is the number of synapses in the other direction.
+        `count_fan_out` is the number of synapses in the other direction.
         """
         return int((self.find_synapses(input_shape) >= 0).sum(0).max())
 
     def _find_kernel_entries(self, input_shape) -> np.ndarray:
         """As `find_synapses`, as an index into the flat kernel."""
         found = self.find_synapses(input_shape)
-        kernel_shape = self.array_shapes(input_shape)["kernel"]
+        kernel_shape = self.list_array_shapes(input_shape)["kernel"]
         numbers = np.arange(math.prod(kernel_shape)).reshape(kernel_shape)
         return np.where(found < 0, -1, self.to_deployed(numbers).ravel()[found])
 
     # --- training ---------------------------------------------------------------------------------
 
-    def tensor_sums(self, kernel, frames):
+    def compute_tensor_sums(self, kernel, frames):
         """The sums of `compute_sums` in TensorFlow, which differentiates them.
 
         Parameters
@@ -159,9 +161,9 @@ class Operation(DeployedOperation):
         weights = tf.concat([tf.reshape(kernel, [-1]), tf.zeros(1, kernel.dtype)], 0)
         matrix = tf.gather(weights, np.where(entries < 0, weights.shape[0] - 1, entries))
         sums = tf.matmul(tf.reshape(frames, (-1, len(entries))), matrix)
-        return tf.reshape(sums, (-1, *self.shape(input_shape)))
+        return tf.reshape(sums, (-1, *self.compute_shape(input_shape)))
 
-    def keras_layer(self, name: str, gain: float | None = None):
+    def make_keras_layer(self, name: str, gain: float | None = None):
         """The layer of Keras that computes its sums, for networks on images.
 
         Parameters
@@ -174,7 +176,7 @@ class Operation(DeployedOperation):
 
         return OperationLayer(self, gain, name=name)
 
-    def synapses(self, input_shape) -> Synapses:
+    def make_synapses(self, input_shape) -> Synapses:
         """The synapses for the compiled functions that train networks on events."""
         entries = self._find_kernel_entries(input_shape)
         source, target = np.nonzero(entries >= 0)

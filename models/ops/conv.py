@@ -29,27 +29,27 @@ class Convolution(Operation, DeployedConvolution):
         filters, kernel, stride = (int(n) for n in match.groups("1")[:3])
         return cls(filters, kernel, stride, "same" if match[4] else "valid")
 
-    def fan_in(self, input_shape):
+    def count_fan_in(self, input_shape):
         return self.kernel**2 * input_shape[2]
 
-    def keras_layer(self, name, gain=None):
+    def make_keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
 
         if gain is not None:
-            return super().keras_layer(name, gain)
+            return super().make_keras_layer(name, gain)
         # NengoDL converts Keras's own layers.
         size = self.filters, self.kernel
         return tf.keras.layers.Conv2D(*size, self.stride, self.padding, name=name)
 
-    def tensor_sums(self, kernel, frames):
+    def compute_tensor_sums(self, kernel, frames):
         from models.keras.keras2 import tf
 
         return tf.nn.conv2d(frames, kernel, self.stride, self.padding.upper())
 
-    def synapses(self, input_shape):
+    def make_synapses(self, input_shape):
         rows, columns, channels = input_shape
-        (top, _), (left, _) = self.pads(input_shape)
-        out_rows, out_columns, _ = self.shape(input_shape)
+        (top, _), (left, _) = self.compute_padding(input_shape)
+        out_rows, out_columns, _ = self.compute_shape(input_shape)
         out_row, out_column, kernel_row, kernel_column, channel = np.indices(
             (out_rows, out_columns, self.kernel, self.kernel, channels)
         ).reshape(5, -1)

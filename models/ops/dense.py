@@ -36,29 +36,29 @@ class Dense(Operation, DeployedDense):
     def from_token(cls, match):
         return cls(int(match[1]), output=bool(match[2]))
 
-    def kernel_shape(self, input_shape):
+    def compute_kernel_shape(self, input_shape):
         return (math.prod(input_shape), self.units)
 
     def to_deployed(self, kernel, sections=1):
         by_section = kernel.reshape(sections, -1, self.units).swapaxes(1, 2)
         return by_section.reshape(-1, by_section.shape[2])
 
-    def fan_in(self, input_shape):
+    def count_fan_in(self, input_shape):
         return math.prod(input_shape)
 
-    def keras_layer(self, name, gain=None):
+    def make_keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
 
         if gain is not None:
-            return super().keras_layer(name, gain)
+            return super().make_keras_layer(name, gain)
         return tf.keras.layers.Dense(self.units, name=name)  # which NengoDL converts
 
-    def tensor_sums(self, kernel, frames):
+    def compute_tensor_sums(self, kernel, frames):
         from models.keras.keras2 import tf
 
         return tf.matmul(tf.reshape(frames, (-1, kernel.shape[0])), kernel)
 
-    def synapses(self, input_shape):
+    def make_synapses(self, input_shape):
         inputs = math.prod(input_shape)
         return Synapses(
             np.arange(inputs + 1), np.zeros(inputs, np.int64), np.arange(inputs), self.units

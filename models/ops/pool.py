@@ -31,24 +31,24 @@ class Pooling(Operation):
         if self.size < 1:
             raise ValueError(f"{self}: the size must be at least 1")
 
-    def shape(self, input_shape):
+    def compute_shape(self, input_shape):
         rows, columns, channels = input_shape
         if self.size > min(rows, columns):
             raise ValueError(f"does not fit: its window is larger than its {rows}x{columns} input")
         return (rows // self.size, columns // self.size, channels)
 
-    def kernel_shape(self, input_shape):
+    def compute_kernel_shape(self, input_shape):
         return None
 
-    def fan_out(self, input_shape):
-        """As `DeployedOperation.fan_out`: 1, or 0 outside of complete windows."""
+    def count_fan_out(self, input_shape):
+        """As `DeployedOperation.count_fan_out`: 1, or 0 outside of complete windows."""
         reach = [
             count_windows(n, outputs, self.size, self.size, 0)
-            for n, outputs in zip(input_shape[:2], self.shape(input_shape), strict=False)
+            for n, outputs in zip(input_shape[:2], self.compute_shape(input_shape), strict=False)
         ]
         return np.repeat(np.outer(*reach)[..., None], input_shape[2], axis=2)
 
-    def keras_layer(self, name, gain=None):
+    def make_keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
 
         return tf.keras.layers.AveragePooling2D(self.size, name=name)

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from deploy.check.energy import EnergyEstimate, estimate_text, joules_text
-from deploy.check.text import others_text, summary
-from deploy.preflight.plan import Plan, plan_text
-from deploy.tables import align_rows, plural
-from pipeline.results.compare import runs_text
-from pipeline.results.ladder import ladder_text
+from deploy.check.energy import EnergyEstimate, format_estimate, format_joules
+from deploy.check.text import format_result, format_result_on_others
+from deploy.preflight.plan import Plan, format_plan
+from deploy.tables import align_rows, format_count
+from pipeline.results.compare import format_runs
+from pipeline.results.ladder import format_ladder
 
 # Maximum number of rows of a table in a notebook.
 MAX_TABLE_ROWS = 50
@@ -39,31 +39,31 @@ class Result:
         return self.values
 
     def __repr__(self):
-        return f"{type(self).__name__}({self.line()})"
+        return f"{type(self).__name__}({self.format_line()})"
 
-    def line(self) -> str:
+    def format_line(self) -> str:
         """The result in a few words."""
         raise NotImplementedError
 
-    def table(self) -> list:
+    def make_table(self) -> list:
         """Rows of values for a notebook, the heads first."""
         raise NotImplementedError
 
     def _repr_html_(self):
-        heads, *rows = self.table()
-        lines = [_row(heads, "th"), *(_row(row, "td") for row in rows[:MAX_TABLE_ROWS])]
+        heads, *rows = self.make_table()
+        lines = [_make_row(heads, "th"), *(_make_row(row, "td") for row in rows[:MAX_TABLE_ROWS])]
         left_out = len(rows) - MAX_TABLE_ROWS
         more = f"<p>and {left_out} more rows</p>" if left_out > 0 else ""
-        title = html.escape(self.line())
+        title = html.escape(self.format_line())
         return f"<p>{title}</p><table>{''.join(lines)}</table>{more}"
 
 
-def _row(cells, tag):
+def _make_row(cells, tag):
     texts = ("" if cell is None else html.escape(str(cell)) for cell in cells)
     return "<tr>" + "".join(f"<{tag}>{text}</{tag}>" for text in texts) + "</tr>"
 
 
-def _interval(bounds):
+def _format_interval(bounds):
     low, high = bounds
     return f"{low:.3f} to {high:.3f}"
 
@@ -125,21 +125,21 @@ class Ladder(Result):
         return len(self.rows)
 
     def __str__(self):
-        return ladder_text(self.values)
+        return format_ladder(self.values)
 
-    def line(self) -> str:
-        """See :meth:`Result.line`."""
+    def format_line(self) -> str:
+        """See :meth:`Result.format_line`."""
         return ", ".join(f"{row.stage} {row.accuracy:.3f}" for row in self.rows)
 
-    def table(self) -> list:
-        """See :meth:`Result.table`."""
+    def make_table(self) -> list:
+        """See :meth:`Result.make_table`."""
         rows: list[list] = [
             ["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p"]
         ]
         for row in self.rows:
             change = None if row.change is None else f"{row.change:+.3f}"
             p = None if row.mcnemar_p is None else f"{row.mcnemar_p:.3f}"
-            interval = _interval(row.accuracy_ci95)
+            interval = _format_interval(row.accuracy_ci95)
             rows.append([row.stage, f"{row.accuracy:.3f}", interval, change, row.disagreements, p])
         return rows
 
@@ -178,7 +178,11 @@ class CheckResult(Result):
         return len(self.ids)
 
     def __str__(self):
-        return others_text(self.values) if self.values.get("data") else summary(self.values)
+        return (
+            format_result_on_others(self.values)
+            if self.values.get("data")
+            else format_result(self.values)
+        )
 
     @property
     def confusion(self) -> np.ndarray:
@@ -187,13 +191,13 @@ class CheckResult(Result):
         np.add.at(counts, (self.labels, self.predictions), 1)
         return counts
 
-    def line(self) -> str:
-        """See :meth:`Result.line`."""
-        interval = _interval(self.accuracy_ci95)
+    def format_line(self) -> str:
+        """See :meth:`Result.format_line`."""
+        interval = _format_interval(self.accuracy_ci95)
         return f"{self.target}: {self.accuracy:.3f} ({interval}) on {len(self)} samples"
 
-    def table(self) -> list:
-        """See :meth:`Result.table`."""
+    def make_table(self) -> list:
+        """See :meth:`Result.make_table`."""
         rows: list[list] = [["class", "samples", "right", "accuracy"]]
         for label, name in enumerate(self.classes):
             of_class = self.labels == label
@@ -236,15 +240,15 @@ class Predictions(Result):
         return len(self.ids)
 
     def __str__(self):
-        return "\n".join(align_rows(self.table()))
+        return "\n".join(align_rows(self.make_table()))
 
-    def line(self) -> str:
-        """See :meth:`Result.line`."""
+    def format_line(self) -> str:
+        """See :meth:`Result.format_line`."""
         counts = {name: self.names.count(name) for name in sorted(set(self.names))}
         return f"{len(self)}: " + ", ".join(f"{n} x {name}" for name, n in counts.items())
 
-    def table(self) -> list:
-        """See :meth:`Result.table`."""
+    def make_table(self) -> list:
+        """See :meth:`Result.make_table`."""
         rows = [["recording", "class", "probability"]]
         for name, label, probability in zip(self.ids, self.names, self.probabilities, strict=True):
             rows.append([name, label, "-" if probability is None else f"{probability:.3f}"])
@@ -267,21 +271,23 @@ class Training(Result):
     def __getitem__(self, name: str) -> dict:
         return self.networks[name]
 
-    def line(self) -> str:
-        """See :meth:`Result.line`."""
-        return ", ".join(f"{name} {_accuracies(record)}" for name, record in self.networks.items())
+    def format_line(self) -> str:
+        """See :meth:`Result.format_line`."""
+        return ", ".join(
+            f"{name} {_list_accuracies(record)}" for name, record in self.networks.items()
+        )
 
-    def table(self) -> list:
-        """See :meth:`Result.table`."""
+    def make_table(self) -> list:
+        """See :meth:`Result.make_table`."""
         rows: list[list] = [["network", "accuracy", "epochs", "seconds"]]
         for name, record in self.networks.items():
             seconds = record.get("seconds")
             seconds = None if seconds is None else f"{seconds:.0f}"
-            rows.append([name, _accuracies(record), record.get("epochs"), seconds])
+            rows.append([name, _list_accuracies(record), record.get("epochs"), seconds])
         return rows
 
 
-def _accuracies(record):
+def _list_accuracies(record):
     accuracies = record.get("accuracy")
     if not isinstance(accuracies, dict):
         return "trained"
@@ -310,15 +316,15 @@ class ChipPlan(Result):
         self.warnings = plan.warnings
 
     def __str__(self):
-        return plan_text(self._plan)
+        return format_plan(self._plan)
 
-    def line(self) -> str:
-        """See :meth:`Result.line`."""
-        size = f"{plural(self.cores, 'core')} of {plural(self.chips, 'chip')}"
+    def format_line(self) -> str:
+        """See :meth:`Result.format_line`."""
+        size = f"{format_count(self.cores, 'core')} of {format_count(self.chips, 'chip')}"
         return f"{size}, fits" if self.fits else f"{size}, does not fit: {self.problems[0]}"
 
-    def table(self) -> list:
-        """See :meth:`Result.table`."""
+    def make_table(self) -> list:
+        """See :meth:`Result.make_table`."""
         limits = self._plan.chip.limits
         rows: list[list] = [["layer", "chip", "core", *limits]]
         for core in self._plan.cores:
@@ -335,14 +341,14 @@ class Energy(Result):
         self.estimate = estimate
 
     def __str__(self):
-        return estimate_text(self.estimate)
+        return format_estimate(self.estimate)
 
-    def line(self) -> str:
-        """See :meth:`Result.line`."""
-        return f"{joules_text(self.estimate.chip_joules)} on Loihi, an estimate"
+    def format_line(self) -> str:
+        """See :meth:`Result.format_line`."""
+        return f"{format_joules(self.estimate.chip_joules)} on Loihi, an estimate"
 
-    def table(self) -> list:
-        """See :meth:`Result.table`."""
+    def make_table(self) -> list:
+        """See :meth:`Result.make_table`."""
         return [["estimate"], *([line] for line in str(self).splitlines())]
 
 
@@ -353,12 +359,12 @@ class RunsComparison(Result):
         super().__init__(values)
 
     def __str__(self):
-        return runs_text(self.values)
+        return format_runs(self.values)
 
-    def line(self) -> str:
-        """See :meth:`Result.line`."""
+    def format_line(self) -> str:
+        """See :meth:`Result.format_line`."""
         return ", ".join(run["name"] for run in self.values["runs"])
 
-    def table(self) -> list:
-        """See :meth:`Result.table`."""
+    def make_table(self) -> list:
+        """See :meth:`Result.make_table`."""
         return [[""], *([line] for line in str(self).splitlines())]

@@ -13,12 +13,12 @@ from pathlib import Path, PurePath
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.check.energy import estimate_energy
 from deploy.errors import UserError
-from deploy.files import read_json, sha256_of
+from deploy.files import hash_file, read_json
 from deploy.network.provenance import read_classes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
-from deploy.terminal import WARNING, command_text, remark
-from pipeline import stages
+from deploy.terminal import WARNING, format_command, remark
+from pipeline import workflow
 from pipeline.api.results import (
     CheckResult,
     ChipPlan,
@@ -28,9 +28,9 @@ from pipeline.api.results import (
     RunsComparison,
     Training,
 )
-from pipeline.kinds import prepare_dataset
+from pipeline.kinds import has_networks, prepare_dataset
 from pipeline.progress import hide_progress
-from pipeline.recordings.arrays import errors_naming
+from pipeline.recordings.arrays import name_in_errors
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
 from pipeline.results import compare, other_recordings
@@ -38,9 +38,9 @@ from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
-from pipeline.run.folder import RunFolder, refuse_other_folders, working_in
+from pipeline.run.folder import RunFolder, lock_run, refuse_other_folders
 from pipeline.run.settings import SIMULATED, Settings, put, read_settings
-from pipeline.sources import recordings_of
+from pipeline.sources import load_named_recordings
 from pipeline.target_check import TargetCheck
 
 # Source of the settings in the messages of errors.
@@ -103,7 +103,7 @@ class Run:
         refuse_other_folders(self.path)
         changes = {}
         if data is not None:
-            put(changes, "data.source", self._source(data), ORIGIN)
+            put(changes, "data.source", self._name_source(data), ORIGIN)
         if input is not None:
             put(changes, "input.kind", input, ORIGIN)
         for name, value in settings.items():
@@ -112,7 +112,7 @@ class Run:
         self._given = before.with_values(changes, ORIGIN)
         self._asked = tuple(_list_names(changes))
         if isinstance(data, Recordings):
-            data.write(self._source(data))
+            data.write(self._name_source(data))
         if line := self._describe_changes():
             self._say(
                 f"{WARNING}{self.path}: {line}: its networks are replaced as soon as others are "
@@ -135,8 +135,8 @@ class Run:
     @property
     def dataset(self) -> Dataset:
         """The recordings, their split, and the inputs of the network."""
-        with self._noting():
-            recordings = recordings_of(self._given, self._jobs, self._say)
+        with self._collect_notes():
+            recordings = load_named_recordings(self._given, self._jobs, self._say)
             return prepare_dataset(self._given, recordings, check=False)
 
     @property
@@ -150,7 +150,7 @@ class Run:
         if not self._folder.bundle.is_dir():
             raise UserError(
                 f"{self.path}: has no bundle yet; make it with run.convert(), or "
-                f"{command_text('convert', self.path)}"
+                f"{format_command('convert', self.path)}"
             )
         if line := self._describe_changes():
             self._say(
@@ -162,11 +162,13 @@ class Run:
     def _describe_changes(self):
         """The settings that differ from those of the networks of the run, in a line."""
         folder = self._folder
-        networks = (folder.cnn / "metrics.json", folder.snn / "metrics.json", folder.bundle)
-        if not folder.experiment.exists() or not any(path.exists() for path in networks):
+        if not folder.experiment.exists():
             return ""
-        before = read_settings(folder.experiment).flat()
-        now = self._given.flat()
+        stored = read_settings(folder.experiment)
+        if not folder.bundle.exists() and not has_networks(stored, self.path):
+            return ""
+        before = stored.flatten()
+        now = self._given.flatten()
         changes = [
             f"{name} from {before[name]!r} to {now[name]!r}"
             for name in self._asked
@@ -182,7 +184,7 @@ class Run:
         if not source.name.endswith(RECORDINGS_ENDING) or not self._folder.dataset.exists():
             return False
         known = read_json(self._folder.dataset, "").get("sha256")
-        return source.is_file() and known != sha256_of(source)
+        return source.is_file() and known != hash_file(source)
 
     def train(self) -> Training:
         """Train the networks; on images the CNN, on events the spiking network."""
@@ -206,16 +208,16 @@ class Run:
         examine = None
         if model is not None:
             self._given = self._given.with_values(
-                stages.settings_of_model(model, False, self._given), ORIGIN
+                workflow.make_model_settings(model, False, self._given), ORIGIN
             )
         elif nir is not None:
-            imported = stages.settings_of_nir(nir, step, self._input, self._given)
+            imported = workflow.make_nir_settings(nir, step, self._input, self._given)
             self._given = self._given.with_values(imported, ORIGIN)
-            examine = partial(stages.refuse_early, strict=False)
+            examine = partial(workflow.refuse_early, strict=False)
         with self._open(examine=examine) as opened:
-            bundle = stages.convert(opened)
+            bundle = workflow.convert(opened)
             for stage in opened.kind.deployed_stages:
-                stages.check_stage(opened, bundle, stage)
+                workflow.check_stage(opened, bundle, stage)
             return bundle
 
     def ladder(self, asked=None) -> Ladder:
@@ -247,7 +249,7 @@ class Run:
             if target not in opened.kind.references and target not in TARGETS:
                 known = ", ".join((*opened.kind.references, *TARGETS))
                 raise UserError(f"{ORIGIN}: no stage or target {target!r}; they are {known}")
-            result = stages.check_stage(opened, stages.convert(opened), target)
+            result = workflow.check_stage(opened, workflow.convert(opened), target)
             return CheckResult(result, opened.dataset.recordings.sensor.classes)
 
     def predict(self, recordings, target: str = "fast") -> Predictions:
@@ -260,7 +262,7 @@ class Run:
             named by their ``ids``.
         target : str
         """
-        with self._noting(), self._on_disk(recordings) as path:
+        with self._collect_notes(), self._put_on_disk(recordings) as path:
             others = OtherRecordings(str(path), jobs=self._jobs)
             predictions = other_recordings.predict(self.bundle, others, target, self._say)
         if isinstance(recordings, Recordings):  # whose files have their numbers as names
@@ -282,7 +284,7 @@ class Run:
 
     def report(self, path=None) -> Path:
         """Write the results as one HTML file; default: ``report.html`` in the run's folder."""
-        with self._noting():
+        with self._collect_notes():
             return write_report(self.path, path)
 
     def replay(self, numbers) -> dict:
@@ -308,13 +310,13 @@ class Run:
 
     @contextlib.contextmanager
     def _open(self, check=True, examine=None):
-        with self._noting(), working_in(self.path) as folder:
+        with self._collect_notes(), lock_run(self.path) as folder:
             if examine is not None:
                 examine(self._given)
-            yield stages.open_run(folder, self._given, self._jobs, self._say, check)
+            yield workflow.open_run(folder, self._given, self._jobs, self._say, check)
 
     @contextlib.contextmanager
-    def _noting(self):
+    def _collect_notes(self):
         """The work of one method: its notes alone, and no progress if the run is quiet."""
         self.notes = []
         with hide_progress() if self._quiet else contextlib.nullcontext():
@@ -325,13 +327,13 @@ class Run:
         if not self._quiet:
             remark(line)
 
-    def _source(self, data):
+    def _name_source(self, data):
         if isinstance(data, Recordings):
             return str(self.path.with_name(self.path.name + RECORDINGS_ENDING))
         return str(_require_path(data))
 
     @contextlib.contextmanager
-    def _on_disk(self, recordings):
+    def _put_on_disk(self, recordings):
         """The path of recordings, which are written to a temporary file if they are in memory."""
         if not isinstance(recordings, Recordings):
             yield _require_path(recordings)
@@ -339,7 +341,7 @@ class Run:
         name = recordings.source.name
         with tempfile.TemporaryDirectory() as folder:
             path = recordings.write(Path(folder) / f"{PurePath(name).stem}.zip")
-            with errors_naming(name, Path(path.name)), errors_naming(name, path):
+            with name_in_errors(name, Path(path.name)), name_in_errors(name, path):
                 yield path
 
     def _check_on_others(self, target, data, samples):
@@ -348,7 +350,7 @@ class Run:
             raise UserError(f"{ORIGIN}: {samples} samples; give a number from 0, which means all")
         bundle = self.bundle
         check = TargetCheck(target, bundle.seed)
-        with self._noting(), self._on_disk(data) as path:
+        with self._collect_notes(), self._put_on_disk(data) as path:
             others = OtherRecordings(str(path), samples, jobs=self._jobs)
             result, _ = check_on_others(bundle, others, check, self._say)
         return CheckResult(result, read_classes(bundle.spec))

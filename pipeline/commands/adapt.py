@@ -40,15 +40,15 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     from pipeline.results import other_recordings
     from pipeline.training import adaptation  # Nengo takes a second to import
 
-    bundle = read_bundle(options.bundle_in(run))
+    bundle = read_bundle(options.find_bundle(run))
     options.warn_if_outdated(bundle.path)
     settings = other_recordings.find_settings_around(bundle, skip_bad, time_unit)
     everyone = other_recordings.read_recordings_for(bundle, data, settings, jobs, options.say)
-    recordings, who = _of_one(everyone, writer)
+    recordings, who = _select_person(everyone, writer)
     for line in other_recordings.list_warnings(bundle, recordings):
         options.say(line)
     adaptation.require_fit(bundle.spec, recordings)
-    place = out or _default_place(run, bundle, who)
+    place = out or _find_default_place(run, bundle, who)
     if place.resolve() == bundle.path.resolve():
         raise UserError(f"{place}: is the bundle to adapt; choose another --out")
     require_replaceable(place)
@@ -61,10 +61,10 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
         write_bundle(place, adapted.spec, bundle.checks)
     trained_on = int(other_recordings.find_trained_on(bundle, recordings).sum())
     summary = _summarise(adapted, place, len(recordings), trained_on)
-    options.tell(summary, lambda _: adaptation.adaptation_text(adapted, place), as_json)
+    options.tell(summary, lambda _: adaptation.format_adaptation(adapted, place), as_json)
 
 
-def _default_place(run, bundle, who):
+def _find_default_place(run, bundle, who):
     """The folder of the new bundle: in the run, or beside a bundle without a run."""
     beside = run / "adapted"
     if bundle.path == run:
@@ -80,8 +80,8 @@ def _summarise(adapted, place, samples, trained_on):
     return {
         "before": float(fit.before.mean()),
         "after": float(fit.after.mean()),
-        "others_before": _mean(adapted.others_before),
-        "others_after": _mean(adapted.others_after),
+        "others_before": _compute_mean(adapted.others_before),
+        "others_after": _compute_mean(adapted.others_after),
         "kept_before": float(fit.kept_before.mean()),
         "kept_after": float(fit.kept_after.mean()),
         "bundle": None if place is None else str(place),
@@ -103,12 +103,12 @@ def _require_same_person(place, old, bundle, recordings):
         )
 
 
-def _mean(right):
+def _compute_mean(right):
     """The share of right answers; None without samples."""
     return float(right.mean()) if len(right) else None
 
 
-def _of_one(recordings, writer) -> tuple:
+def _select_person(recordings, writer) -> tuple:
     """One person's recordings, and what to call the person."""
     source = recordings.source.name
     known = sorted(set(recordings.writers.tolist()))

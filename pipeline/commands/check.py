@@ -13,7 +13,7 @@ from deploy.targets.registry import TARGETS, list_options, select_options
 from deploy.terminal import WARNING
 from pipeline.commands import options
 from pipeline.results.check_on_others import OtherRecordings, check_on_others
-from pipeline.run.folder import checks_of
+from pipeline.run.folder import find_checks_folder
 from pipeline.target_check import TargetCheck
 
 
@@ -101,32 +101,34 @@ def run(  # noqa: PLR0913 - each is an option of the command
 ):
     """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
     from deploy.check.bundle import read_bundle
-    from deploy.check.text import others_text, summary
+    from deploy.check.text import format_result, format_result_on_others
     from deploy.files import require_ending
-    from pipeline.results.check_with_faults import fault_path, parse_faults
+    from pipeline.results.check_with_faults import find_fault_path, parse_faults
 
     target_options = select_options(target, **vars(of_targets))
     if out is not None:
         require_ending(out, ".json")
     _require_data(others)
     faults = parse_faults(fault) if fault else None
-    bundle = options.bundle_in(bundle)
+    bundle = options.find_bundle(bundle)
     opened = read_bundle(bundle)
     options.warn_if_outdated(bundle)
     check = TargetCheck(target, opened.seed if seed is None else seed, target_options)
     if others.data is not None:
         result, path = check_on_others(opened, others, check, options.say, faults, out)
-        options.tell(result, lambda value: f"{others_text(value)}\nwritten to {path}", as_json)
+        options.tell(
+            result, lambda value: f"{format_result_on_others(value)}\nwritten to {path}", as_json
+        )
         return
-    path = checks_of(opened.path) / f"{target}.json"
+    path = find_checks_folder(opened.path) / f"{target}.json"
     if faults is not None:
-        path = out or fault_path(path, faults)
+        path = out or find_fault_path(path, faults)
         result = _check_with_faults(opened, faults, others.jobs, path, check)
     else:
         path = out or path
         result = _check_own_samples(opened, path, check)
-    options.tell(result, lambda value: f"{summary(value)}\nwritten to {path}", as_json)
-    if faults is None and (loss := _loss_text(opened, result)):
+    options.tell(result, lambda value: f"{format_result(value)}\nwritten to {path}", as_json)
+    if faults is None and (loss := _describe_loss(opened, result)):
         options.say(f"check: {loss}")
 
 
@@ -162,16 +164,16 @@ def _count_samples_of_fit(spec):
     return number if type(number) is int else 0
 
 
-def _loss_text(bundle, result):
+def _describe_loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
-    from deploy.check.results import loss_text, read_result
+    from deploy.check.results import describe_loss, read_result
     from pipeline.kinds import list_compared_stages
 
     for stage in list_compared_stages():
         with contextlib.suppress(UserError):  # missing or damaged: no comparison
-            reference = read_result(checks_of(bundle.path) / f"{stage}.json")
+            reference = read_result(find_checks_folder(bundle.path) / f"{stage}.json")
             if reference["bundle"] == bundle.id:
-                return loss_text(reference, result)
+                return describe_loss(reference, result)
     return None
 
 
@@ -198,9 +200,9 @@ def compare_checks(
 ):
     """Compare two results: agreement, McNemar's test, the first samples that differ."""
     from deploy.check.results import compare_results, enforce, read_result
-    from deploy.check.text import comparison_text
+    from deploy.check.text import format_comparison
 
     comparison = compare_results(read_result(a), read_result(b))
     options.warn_if_outdated(a, b)
-    options.tell(comparison.to_json(), lambda _: comparison_text(comparison), as_json)
+    options.tell(comparison.to_json(), lambda _: format_comparison(comparison), as_json)
     enforce(comparison, max_disagreements, max_accuracy_drop)

@@ -9,7 +9,7 @@ import typer
 from deploy import limits
 from deploy.errors import UserError
 from deploy.files import require_ending
-from deploy.terminal import command_text, show
+from deploy.terminal import format_command, show
 from pipeline.commands import options
 from pipeline.run.settings import SIMULATED, Settings, merge_values
 
@@ -31,15 +31,15 @@ Reading = Annotated[
 ]
 
 
-def _recordings(source, reading, jobs, **data):
-    from pipeline.sources import recordings_of
+def _load_recordings(source, reading, jobs, **data):
+    from pipeline.sources import load_named_recordings
 
-    return recordings_of(_settings(source, reading, **data), jobs, options.say)
+    return load_named_recordings(_make_settings(source, reading, **data), jobs, options.say)
 
 
-def _settings(source, reading, **data):
+def _make_settings(source, reading, **data):
     """The settings of recordings; ``--set`` has precedence over the values of other options."""
-    requested = options.Requested(data=source, assignments=reading).changes()
+    requested = options.RequestedSettings(data=source, assignments=reading).list_changes()
     return Settings().with_values(merge_values({"data": data}, requested), "command line")
 
 
@@ -50,11 +50,11 @@ def import_(
     as_json: options.Json = False,
 ):
     """Read recordings once and store them in the cache, so that the next start is fast."""
-    from pipeline.recordings.statistics import facts_with_events, recordings_text
+    from pipeline.recordings.statistics import format_facts, list_facts_with_events
 
-    recordings = _recordings(source, reading, jobs)
-    facts = facts_with_events(recordings)
-    options.tell(facts, lambda facts: recordings_text(facts, recordings), as_json)
+    recordings = _load_recordings(source, reading, jobs)
+    facts = list_facts_with_events(recordings)
+    options.tell(facts, lambda facts: format_facts(facts, recordings), as_json)
 
 
 def inspect(
@@ -63,18 +63,18 @@ def inspect(
     as_json: options.Json = False,
 ):
     """Print facts about one recording."""
-    from pipeline.recordings.library import options_from
-    from pipeline.recordings.statistics import facts_of_file, file_text
+    from pipeline.recordings.library import make_options
+    from pipeline.recordings.statistics import format_facts_of_file, list_facts_of_file
 
     is_zip = file.suffix.lower() == ".zip" and file.is_file()
     if file.is_dir() or is_zip:
         what = "zip" if is_zip else "folder"
         raise UserError(
             f"{file}: is a {what}; name one recording in it, or describe all of them with "
-            f"{command_text('data', 'stats', '--data', str(file))}"
+            f"{format_command('data', 'stats', '--data', str(file))}"
         )
-    facts = facts_of_file(file, options_from(_settings(str(file), reading)))
-    options.tell(facts, lambda facts: file_text(file.name, facts), as_json)
+    facts = list_facts_of_file(file, make_options(_make_settings(str(file), reading)))
+    options.tell(facts, lambda facts: format_facts_of_file(file.name, facts), as_json)
 
 
 def simulate_(
@@ -92,14 +92,14 @@ def simulate_(
     if os.path.lexists(out):
         raise UserError(f"{out}: exists; choose another name, or move it away")
     from pipeline.progress import progress
-    from pipeline.recordings.statistics import facts_with_events
+    from pipeline.recordings.statistics import list_facts_with_events
     from pipeline.recordings.writing import write_zip
 
-    recordings = _recordings(
+    recordings = _load_recordings(
         SIMULATED, reading, jobs, simulation_seed=seed, samples_per_digit=samples_per_digit
     )
     write_zip(out, recordings, progress)
-    facts = {"file": str(out), **facts_with_events(recordings)}
+    facts = {"file": str(out), **list_facts_with_events(recordings)}
     text = f"{out}: {facts['samples']} simulated recordings, {facts['events']} events"
     options.tell(facts, lambda _: text, as_json)
 
@@ -115,10 +115,10 @@ def stats(
 
     Columns of ST-MNIST's files are counted as in the paper; an event is a burst of columns.
     """
-    from pipeline.recordings.statistics import statistics_json, statistics_text
+    from pipeline.recordings.statistics import format_statistics, make_statistics_json
 
-    recordings = _recordings(data, reading, jobs, simulation_seed=seed)
-    options.tell(statistics_json(recordings), lambda _: statistics_text(recordings), as_json)
+    recordings = _load_recordings(data, reading, jobs, simulation_seed=seed)
+    options.tell(make_statistics_json(recordings), lambda _: format_statistics(recordings), as_json)
 
 
 FIGURES = ("recording", "sheet")
@@ -149,7 +149,7 @@ def plot(
     if sample and what == "sheet":
         raise UserError("--sample: a sheet draws its own; use 'stmnist data plot recording'")
     figures.format_of(out)  # reports a wrong format before the recordings are read
-    recordings = _recordings(data, reading, jobs, simulation_seed=seed)
+    recordings = _load_recordings(data, reading, jobs, simulation_seed=seed)
     if what == "sheet":
         figure = drawn.sheet(recordings, seed)
     else:

@@ -8,9 +8,9 @@ import typer
 
 from deploy.errors import UserError
 from deploy.files import require_ending
-from deploy.terminal import command_text, show
+from deploy.terminal import format_command, show
 from pipeline.commands import options
-from pipeline.run.folder import checks_of
+from pipeline.run.folder import find_checks_folder
 
 
 class Format(StrEnum):
@@ -25,10 +25,10 @@ def plan(
     as_json: options.Json = False,
 ):
     """Print the resources that the network needs on each core; exit status 2 if it does not fit."""
-    from deploy.preflight.plan import make_plan, plan_text
+    from deploy.preflight.plan import format_plan, make_plan
 
     placement = make_plan(_read_bundle(bundle).spec, chips)
-    options.tell(placement.to_json(), lambda _: plan_text(placement), as_json)
+    options.tell(placement.to_json(), lambda _: format_plan(placement), as_json)
     if placement.problems:
         raise UserError("the network does not fit: " + placement.problems[0])
 
@@ -44,7 +44,7 @@ def export(
 ):
     """Export the network for other neuromorphic platforms."""
     from deploy.files import write_arrays
-    from deploy.network.nir import input_spikes, write_nir
+    from deploy.network.nir import make_graph_input, write_nir
 
     require_ending(out, ".nir")
     if inputs is not None:
@@ -60,7 +60,9 @@ def export(
         show("convert with --input image and the settings image.* of the run for the same input")
     if inputs is not None:
         checks = opened.checks
-        write_arrays(inputs, spikes=input_spikes(opened.spec, checks.inputs), labels=checks.labels)
+        write_arrays(
+            inputs, spikes=make_graph_input(opened.spec, checks.inputs), labels=checks.labels
+        )
         show(f"input spikes of {len(checks)} samples written to {inputs}")
 
 
@@ -73,31 +75,31 @@ def energy(
     as_json: options.Json = False,
 ):
     """Estimate the energy of an inference from the spikes that a check counted."""
-    from deploy.check.energy import estimate_energy, estimate_text
+    from deploy.check.energy import estimate_energy, format_estimate
     from deploy.check.results import read_result
     from deploy.targets.registry import list_exact_targets
 
     opened = _read_bundle(bundle)
     exact = list_exact_targets()
-    remedy = f"run {command_text('check', 'run', bundle, '--target', exact[-1])}"
+    remedy = f"run {format_command('check', 'run', bundle, '--target', exact[-1])}"
     if result is not None:
         paths = [result]
         results = [read_result(result, "give a check's result")]
     else:
-        files = [checks_of(opened.path) / f"{target}.json" for target in exact]
+        files = [find_checks_folder(opened.path) / f"{target}.json" for target in exact]
         paths = [path for path in files if path.exists()] or files[-1:]
         results = [read_result(path, remedy) for path in paths]
     counted = next((each for each in results if each["bundle"] == opened.id), None)
     if counted is None:
         raise UserError(f"{paths[-1]}: belongs to another bundle than {bundle}; {remedy}")
     value = estimate_energy(opened.spec, counted)
-    options.tell(value.to_json(), lambda _: estimate_text(value), as_json)
+    options.tell(value.to_json(), lambda _: format_estimate(value), as_json)
 
 
 def _read_bundle(path):
     """The bundle of a command, with a warning if it is outdated."""
     from deploy.check.bundle import read_bundle
 
-    bundle = read_bundle(options.bundle_in(path))
+    bundle = read_bundle(options.find_bundle(path))
     options.warn_if_outdated(bundle.path)
     return bundle

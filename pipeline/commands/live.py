@@ -52,7 +52,7 @@ def live(
     from pipeline.live.serving import serve
 
     try:
-        network = partial(read_bundle, options.bundle_in(run or SHIPPED))
+        network = partial(read_bundle, options.find_bundle(run or SHIPPED))
         serve(network, port, record, host, not no_browser, options.say)
     except KeyboardInterrupt:  # the usual end
         sys.exit(INTERRUPTED)

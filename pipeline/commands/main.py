@@ -10,9 +10,16 @@ import typer.main
 from typer.core import TyperCommand, TyperGroup
 
 from deploy import __version__
-from deploy.errors import KILLED, CheckFailed, SeveralErrors, UserError, line_of, one_line
+from deploy.errors import (
+    KILLED,
+    CheckFailed,
+    SeveralErrors,
+    UserError,
+    describe_error,
+    format_as_line,
+)
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
-from pipeline.commands.options import for_typer
+from pipeline.commands.options import convert_for_typer
 from pipeline.interrupts import listen, raise_at_interrupts
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
@@ -34,11 +41,11 @@ VERBS = {
     ),
     "train": (
         "Train the paper's CNN on tactile images, or with --input events the network on events.",
-        "stages.train",
+        "workflow.train",
     ),
     "convert": (
         "Train the spiking network, on images or with --input events, and write the bundle.",
-        "stages.convert",
+        "workflow.convert",
     ),
     "adapt": (
         "Fit the readout to one person from a few labelled recordings, in a new bundle.",
@@ -50,7 +57,7 @@ VERBS = {
     ),
     "ladder": (
         "Run the missing stages up to the emulator, and print the loss of each stage.",
-        "stages.ladder",
+        "workflow.ladder",
     ),
     "predict": (
         "Classify recordings, with or without labels: a file, a zip or a folder.",
@@ -112,16 +119,16 @@ class _Deferred(TyperCommand):
 
     @cached_property
     def command(self):
-        made = _typer(self.help, add_completion=False)
+        made = _make_typer(self.help, add_completion=False)
         for name, verb in _import_verbs(self.name).items():
-            made.command(name)(for_typer(verb))
+            made.command(name)(convert_for_typer(verb))
         return typer.main.get_command(made)  # a single command, or a group of them
 
     def make_context(self, *arguments, **options):
         return self.command.make_context(*arguments, **options)
 
 
-def _typer(help_text, **options) -> typer.Typer:
+def _make_typer(help_text, **options) -> typer.Typer:
     return typer.Typer(
         help=help_text,
         no_args_is_help=True,
@@ -139,9 +146,9 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
         raise typer.Exit
 
 
-def command_line() -> TyperGroup:
+def make_command_line() -> TyperGroup:
     """The command with its :data:`VERBS`, none of whose modules is imported yet."""
-    command = _typer(root.__doc__)
+    command = _make_typer(root.__doc__)
     command.callback(invoke_without_command=True)(root)
     group = typer.main.get_command(command)
     assert isinstance(group, TyperGroup)  # because the root has a callback
@@ -152,8 +159,8 @@ def command_line() -> TyperGroup:
 
 
 def with_every_verb() -> TyperGroup:
-    """:func:`command_line` with all verbs imported, for the documentation."""
-    group = command_line()
+    """:func:`make_command_line` with all verbs imported, for the documentation."""
+    group = make_command_line()
     group.commands = {
         name: verb.command for name, verb in group.commands.items() if isinstance(verb, _Deferred)
     }
@@ -162,8 +169,8 @@ def with_every_verb() -> TyperGroup:
 
 def run_alone(verb, name: str, arguments):
     """Run a function as a command of its own, as :func:`main` runs those of ``stmnist``."""
-    made = _typer(None, add_completion=False)
-    made.command()(for_typer(verb))
+    made = _make_typer(None, add_completion=False)
+    made.command()(convert_for_typer(verb))
     main(arguments, typer.main.get_command(made), name)
 
 
@@ -177,7 +184,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     listen()
     try:
         with raise_at_interrupts():
-            run = command or command_line()
+            run = command or make_command_line()
             status = run(args=arguments, prog_name=name, standalone_mode=False)
         if status == INTERRUPTED:  # Typer turns an interruption into this status
             raise KeyboardInterrupt
@@ -202,12 +209,12 @@ def main(arguments=None, command=None, name: str = "stmnist"):
         drop_output()
         status = 0
     except (MemoryError, OSError) as error:  # not handled by any module
-        status = _say(line_of(error), 2)
+        status = _say(describe_error(error), 2)
     except BrokenExecutor:  # joblib's
         status = _say(KILLED, 2)
     sys.exit(status or 0)
 
 
 def _say(message, status):
-    remark("stmnist: " + one_line(message))
+    remark("stmnist: " + format_as_line(message))
     return status

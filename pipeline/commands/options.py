@@ -6,7 +6,7 @@ value::
     def train(run: options.Run, requested: options.RunRequested, jobs: options.Jobs = 2): ...
 
 where the annotation contains a :class:`Group`.  Typer needs one parameter for each option, so
-:func:`for_typer` replaces the group by its options.
+:func:`convert_for_typer` replaces the group by its options.
 """
 
 import contextlib
@@ -23,8 +23,8 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from deploy.errors import CheckFailed, UserError
-from deploy.terminal import command_text, remark, show
-from pipeline.run.folder import refuse_other_folders, working_in
+from deploy.terminal import format_command, remark, show
+from pipeline.run.folder import lock_run, refuse_other_folders
 
 KEYWORD = Parameter.KEYWORD_ONLY
 
@@ -50,7 +50,7 @@ def group(make: Callable, **options) -> Group:
     return Group(make, options)
 
 
-def for_typer(verb: Callable) -> Callable:
+def convert_for_typer(verb: Callable) -> Callable:
     """A verb whose signature has one parameter for each option.
 
     Parameters
@@ -148,18 +148,18 @@ TimeUnit = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
-def _workers(jobs=2, scheduler=None):
+def _make_workers(jobs=2, scheduler=None):
     from pipeline.results.study import Workers  # imports all that a run is made with
 
     return Workers(jobs, scheduler)
 
 
 # The :class:`pipeline.results.study.Workers` of an experiment.
-Workers = Annotated[Any, group(_workers, jobs=Jobs, scheduler=Scheduler)]
+Workers = Annotated[Any, group(_make_workers, jobs=Jobs, scheduler=Scheduler)]
 
 
 @dataclass(frozen=True)
-class Requested:
+class RequestedSettings:
     """Options that determine the settings of a run; options that were not given are None.
 
     Attributes
@@ -180,7 +180,7 @@ class Requested:
     settings: Path | None = None
     assignments: list[str] | None = None
 
-    def changes(self) -> dict:
+    def list_changes(self) -> dict:
         """The settings that the options change, nested as in
         :class:`pipeline.run.settings.schema.Settings`.
 
@@ -189,7 +189,7 @@ class Requested:
         UserError
             An assignment is malformed, or contradicts an option.
         """
-        from pipeline.run.settings import parse_assignments, put, value_in  # import NumPy
+        from pipeline.run.settings import find_value, parse_assignments, put  # import NumPy
 
         changes = parse_assignments(self.assignments or [])
         for option, name, value in (
@@ -200,7 +200,7 @@ class Requested:
             ("--steps", "presentation.steps", self.steps),
         ):
             if value is not None:
-                assigned = value_in(changes, name)
+                assigned = find_value(changes, name)
                 if assigned not in (None, value):
                     problem = f"contradicts --set {name}={assigned}"
                     raise UserError(f"{option}: {problem}; give only one of them")
@@ -210,17 +210,25 @@ class Requested:
 
 CHANGES = {"settings": SettingsFile, "assignments": Assignments}
 RunRequested = Annotated[
-    Requested,
-    group(Requested, data=Data, input=Input, seed=Seed, samples=Samples, steps=Steps, **CHANGES),
+    RequestedSettings,
+    group(
+        RequestedSettings,
+        data=Data,
+        input=Input,
+        seed=Seed,
+        samples=Samples,
+        steps=Steps,
+        **CHANGES,
+    ),
 ]
 TrainingRequested = Annotated[
-    Requested, group(Requested, data=Data, input=Input, seed=Seed, **CHANGES)
+    RequestedSettings, group(RequestedSettings, data=Data, input=Input, seed=Seed, **CHANGES)
 ]
 
 
 @contextlib.contextmanager
 def resolve_settings(
-    path: Path, requested: Requested, changes: dict | None = None, of_results: bool = False
+    path: Path, requested: RequestedSettings, changes: dict | None = None, of_results: bool = False
 ):
     """Lock a folder and resolve its settings with the options that were given.
 
@@ -245,15 +253,15 @@ def resolve_settings(
     """
     from pipeline.run.settings import merge_values  # imports NumPy
 
-    with working_in(path, of_results) as folder:
-        changes = merge_values(changes or {}, requested.changes())
+    with lock_run(path, of_results) as folder:
+        changes = merge_values(changes or {}, requested.list_changes())
         yield folder, folder.resolve_settings(requested.settings, changes)
 
 
 @contextlib.contextmanager
 def open_locked_run(
     path: Path,
-    requested: Requested,
+    requested: RequestedSettings,
     jobs: int,
     changes: dict | None = None,
     check: bool = True,
@@ -274,14 +282,14 @@ def open_locked_run(
 
     Yields
     ------
-    pipeline.stages.opening.OpenedRun
+    pipeline.workflow.opening.OpenedRun
 
     Raises
     ------
     UserError
-        As :func:`resolve_settings` and :func:`pipeline.stages.opening.open_run`.
+        As :func:`resolve_settings` and :func:`pipeline.workflow.opening.open_run`.
     """
-    from pipeline.stages import open_run  # imports all that a run is made with
+    from pipeline.workflow import open_run  # imports all that a run is made with
 
     with resolve_settings(path, requested, changes) as (folder, settings):
         if examine is not None:
@@ -289,7 +297,7 @@ def open_locked_run(
         yield open_run(folder, settings, jobs, say, check)
 
 
-def bundle_in(path: Path) -> Path:
+def find_bundle(path: Path) -> Path:
     """The folder of a bundle, which is named directly or by its run.
 
     Raises
@@ -303,7 +311,9 @@ def bundle_in(path: Path) -> Path:
         return path / "bundle"
     if (path / "experiment.toml").exists():
         refuse_other_folders(path)
-        raise UserError(f"{path}: has no bundle yet; make it with {command_text('convert', path)}")
+        raise UserError(
+            f"{path}: has no bundle yet; make it with {format_command('convert', path)}"
+        )
     return path
 
 

@@ -34,7 +34,7 @@ def predict(
     from pipeline.results.check_on_others import OtherRecordings
     from pipeline.results.other_recordings import predict as predict_recordings
 
-    folder = options.bundle_in(bundle)
+    folder = options.find_bundle(bundle)
     opened = read_bundle(folder)
     options.warn_if_outdated(folder)
     others = OtherRecordings(data, skip_bad=skip_bad, time_unit=time_unit, jobs=jobs)

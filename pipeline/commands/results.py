@@ -16,23 +16,23 @@ def status(run: options.Run, as_json: options.Json = False):
 
     Nothing is made or changed.
     """
-    from pipeline.kinds import kind_of_network
-    from pipeline.results.status import status_of, status_text, unread_note
+    from pipeline.kinds import find_kind
+    from pipeline.results.status import explain_unread, format_status, list_states
     from pipeline.run.artifacts import OUTDATED
     from pipeline.run.settings import read_settings
 
     folder = RunFolder(run)
-    statuses = status_of(folder, adapted=True)
+    statuses = list_states(folder, adapted=True)
     options.tell(
         {"run": str(run), "artifacts": [status.to_json() for status in statuses]},
-        lambda _: status_text(folder, statuses),
+        lambda _: format_status(folder, statuses),
         as_json,
         marked=OUTDATED,
     )
     settings = read_settings(folder.experiment)
-    if (note := unread_note(settings)) is not None:
+    if (note := explain_unread(settings)) is not None:
         options.say(note)
-    imported = kind_of_network(settings).imported
+    imported = find_kind(settings).imported
     for note in imported.list_changes() if imported is not None else ():
         options.say(note)
 
@@ -46,9 +46,9 @@ def compare_(
     Every run is compared with the first one.  If both have the same samples, the comparison is
     paired, with McNemar's test.
     """
-    from pipeline.results.compare import compare_runs, read_runs, runs_text
+    from pipeline.results.compare import compare_runs, format_runs, read_runs
 
-    options.tell(compare_runs(read_runs(runs)), runs_text, as_json)
+    options.tell(compare_runs(read_runs(runs)), format_runs, as_json)
 
 
 def report(
@@ -79,8 +79,8 @@ def animate(
     from pipeline.results.report.figures import animation
 
     require_ending(out, ".gif")  # reports a wrong ending of the name before anything is computed
-    bundle = read_bundle(options.bundle_in(run))
-    options.warn_if_outdated(options.bundle_in(run))
+    bundle = read_bundle(options.find_bundle(run))
+    options.warn_if_outdated(options.find_bundle(run))
     ids = list(bundle.checks.ids)
     if sample and sample not in ids:
         raise UserError(f"{run}: no sample {sample!r} in its check; ids are like {ids[0]!r}")

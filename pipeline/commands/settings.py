@@ -7,7 +7,7 @@ import typer
 
 from pipeline.commands import options
 from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings, describe, read_settings, settings_text
+from pipeline.run.settings import Settings, describe, format_settings, read_settings
 
 
 def settings(
@@ -18,4 +18,4 @@ def settings(
 ):
     """List every setting: its name, as --set takes it, its value, its default and its meaning."""
     chosen = read_settings(RunFolder(run).experiment) if run else Settings()
-    options.tell(describe(chosen), settings_text, as_json)
+    options.tell(describe(chosen), format_settings, as_json)

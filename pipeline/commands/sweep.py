@@ -28,8 +28,8 @@ def sweep(
 
     Writes sweep.json.  Existing points are not computed again.
     """
-    from pipeline.results.sweep import measure_sweep, sweep_text
+    from pipeline.results.sweep import format_sweep, measure_sweep
 
     with options.resolve_settings(out, requested, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
-    options.conclude(summary, failed, sweep_text, as_json)
+    options.conclude(summary, failed, format_sweep, as_json)

@@ -7,6 +7,8 @@ chosen depends only on the user's settings and the recordings.  A value that the
 that does not fit is an error; all errors are reported together before anything is trained.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from deploy.errors import SeveralErrors, UserError
@@ -15,13 +17,26 @@ from pipeline.kinds.image.kind import ImageKind
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.kind import NirKind
 from pipeline.recordings.dataset import TOO_SMALL, Dataset, split_recordings
-from pipeline.recordings.events import Recordings, reading_text
+from pipeline.recordings.events import Recordings, describe_recordings
 from pipeline.recordings.splits import PUBLISHED, WRITERS, find_split_problem
-from pipeline.run.settings import Choice, Settings, apply_choices, list_reasons
-from pipeline.sources import recordings_of
+from pipeline.run.settings import INPUTS, Choice, Settings, apply_choices, list_reasons
+from pipeline.sources import load_named_recordings
 
-# The first of them that the settings describe is the kind of a run.
-KINDS = [NirKind, EventsKind, ImageKind]
+# The first of them that describes the settings is the kind of a run.
+KINDS: list[type[NetworkKind]] = [NirKind, EventsKind, ImageKind]
+
+
+def register_kind(kind: type[NetworkKind], samples: str = "images"):
+    """Add a kind of network, which ``--input`` selects by each of its :attr:`NetworkKind.inputs`.
+
+    Parameters
+    ----------
+    kind : type
+    samples : str
+        What its network gets of each recording: ``"images"`` or ``"frames"`` of events.
+    """
+    KINDS.insert(0, kind)
+    INPUTS.update(dict.fromkeys(kind.inputs, samples))
 
 
 def list_references() -> dict:
@@ -50,9 +65,16 @@ def find_compared_stage(stages) -> str:
     return next((stage for stage in list_compared_stages() if stage in stages), next(iter(stages)))
 
 
-def kind_of_network(settings: Settings) -> NetworkKind:
+def find_kind(settings: Settings) -> NetworkKind:
     """The kind of a run's network; the only place that decides it."""
     return next(kind for kind in KINDS if kind.describes(settings))(settings)
+
+
+def has_networks(settings: Settings, folder: Path) -> bool:
+    """True if the folder of a run with these settings has a network for the bundle."""
+    kind = find_kind(settings)
+    steps = [step for step in kind.steps if kind.is_deployed(step.name)]
+    return any((folder / step.folder / "metrics.json").exists() for step in steps)
 
 
 def choose_settings(
@@ -89,7 +111,7 @@ def prepare_dataset(
         With a line for each problem.
     """
     if recordings is None:
-        recordings = recordings_of(settings)
+        recordings = load_named_recordings(settings)
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
         raise SeveralErrors([f"{settings.data.source}: {find_split_problem(recordings)}"])
     split, problems_of_split = _try_to_split(recordings, settings)
@@ -98,11 +120,11 @@ def prepare_dataset(
     choices: list[Choice] = []
     complete = settings
     try:
-        choices = kind_of_network(settings).choices(recordings, train)
+        choices = find_kind(settings).make_choices(recordings, train)
         complete = apply_choices(settings, choices, settings.data.source)
-        kind = kind_of_network(complete)
+        kind = find_kind(complete)
         kind.require_fit(recordings)
-        problems += kind.chip_problems()
+        problems += kind.list_chip_problems()
     except UserError as error:
         problems.append(str(error))
     problems += problems_of_split
@@ -140,19 +162,19 @@ def _find_too_small_test_set(settings, n_test):
 def _name_the_file(line, settings):
     """A problem with the file that it is about: the user's network, or the recordings."""
     source = settings.data.source
-    imported = kind_of_network(settings).imported
+    imported = find_kind(settings).imported
     named = source if imported is None else (source, imported.file)
     return line if line.startswith(named) else f"{source}: {line}"
 
 
-def new_run_text(path, dataset: Dataset) -> str:
+def describe_new_run(path, dataset: Dataset) -> str:
     """The first message of a new run: source and properties of its recordings, and their split."""
     recordings = dataset.recordings
-    text = ", ".join(filter(None, [reading_text(recordings), split_text(dataset)]))
+    text = ", ".join(filter(None, [describe_recordings(recordings), describe_split(dataset)]))
     return f"{path}: a new run, on {recordings.source.name}: {text}"
 
 
-def split_text(dataset: Dataset) -> str:
+def describe_split(dataset: Dataset) -> str:
     """The kind of the split in a few words, unless it is the usual one."""
     recordings = dataset.recordings
     if dataset.split.kind == PUBLISHED:

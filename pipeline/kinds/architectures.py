@@ -10,7 +10,7 @@ from deploy.network.spec import NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
 from models.chain import build_network_spec, make_links
-from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, size_text
+from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, describe_size
 from pipeline.run.settings import Deployment
 from pipeline.training.event_rules import NetworkSize, choose_hidden_units
 
@@ -24,7 +24,9 @@ ANY_NUMBER = 10_000
 EVENT_MAP = 5
 
 
-def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels: int = 1) -> str:
+def suggest_architecture(
+    sensor: Sensor, on_events: bool, hidden: int = 64, channels: int = 1
+) -> str:
     """An architecture for a sensor and its classes, in the paper's notation.
 
     These are the paper's layers if they fit.  For larger sensors the first convolution has a
@@ -63,7 +65,7 @@ def architecture_for(sensor: Sensor, on_events: bool, hidden: int = 64, channels
     return "-".join([size, *middle, end])
 
 
-def event_architecture_for(sensor: Sensor, size: NetworkSize, samples: int) -> str:
+def suggest_event_architecture(sensor: Sensor, size: NetworkSize, samples: int) -> str:
     """An architecture of a size for a network on events.
 
     Parameters
@@ -75,9 +77,9 @@ def event_architecture_for(sensor: Sensor, size: NetworkSize, samples: int) -> s
     """
     classes = len(sensor.classes)
     if size.name == "small" and not samples:
-        return architecture_for(sensor, on_events=True)
+        return suggest_architecture(sensor, on_events=True)
     if not size.is_for(sensor, samples):
-        return architecture_for(sensor, True, choose_hidden_units(size, samples, classes))
+        return suggest_architecture(sensor, True, choose_hidden_units(size, samples, classes))
     side = math.sqrt(sensor.rows * sensor.columns)
     stride = max(size.stride, math.floor(side / EVENT_MAP))
     convolution = f"{size.filters}c{stride + size.overlap}s{stride}"
@@ -87,7 +89,7 @@ def event_architecture_for(sensor: Sensor, size: NetworkSize, samples: int) -> s
 def describe_choice(section: str, architecture: str, sensor: Sensor) -> str:
     """A line about the choice of an architecture."""
     return (
-        f"{architecture}: chosen for {size_text(sensor)} and {len(sensor.classes)} classes "
+        f"{architecture}: chosen for {describe_size(sensor)} and {len(sensor.classes)} classes "
         f"(another: --set {section}.architecture=...)"
     )
 
@@ -99,15 +101,17 @@ def is_for(architecture: str, sensor: Sensor, channels: int) -> bool:
     return parsed.input_shape == shape and parsed.outputs == len(sensor.classes)
 
 
-def operations_of_input(architecture: str) -> float:
+def count_operations_of_event(architecture: str) -> float:
     """Synaptic operations of the first layer that an event causes, on average."""
     parsed = parse(architecture)
-    return float(np.mean(parsed.layers[0].fan_out(parsed.input_shape)))
+    return float(np.mean(parsed.layers[0].count_fan_out(parsed.input_shape)))
 
 
 @functools.lru_cache(maxsize=8)
 def plan_untrained(architecture: str, on_events: bool, deployment: Deployment):
-    """The plan of an untrained network, on any number of chips; arguments as :func:`chip_problems`.
+    """The plan of an untrained network on any number of chips.
+
+    The arguments are those of :func:`list_chip_problems`.
 
     The resources that a network needs do not depend on the values of its weights.
 
@@ -120,7 +124,7 @@ def plan_untrained(architecture: str, on_events: bool, deployment: Deployment):
     return make_plan(make_untrained_network(architecture, on_events, deployment), ANY_NUMBER)
 
 
-def chip_problems(architecture: str, on_events: bool, deployment: Deployment) -> tuple:
+def list_chip_problems(architecture: str, on_events: bool, deployment: Deployment) -> tuple:
     """Reasons why a network of an architecture does not fit the cores of the chip.
 
     Parameters

@@ -93,14 +93,14 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     best = -1.0
     chosen = None
     for slices in (n for n in SLICES if counts.shape[1] % n == 0):
-        rows = _features(counts, slices, some)
+        rows = _compute_features(counts, slices, some)
         for strength in STRENGTHS:
             right = []
             for fold in range(FOLDS):
                 inside = folds != fold
                 out = folds == fold
                 model = _Model.fit(rows[inside], labels[some[inside]], classes, strength)
-                scores = model.complete(model.logits(rows[out]))
+                scores = model.complete(model.compute_logits(rows[out]))
                 right.append(labels[some[out]] == scores.argmax(1))
             if (accuracy := float(np.concatenate(right).mean())) > best:
                 best = accuracy
@@ -108,15 +108,17 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     slices, strength = chosen
     if len(training) > MAX_FITTED_SAMPLES:
         training = order[:MAX_FITTED_SAMPLES]
-    model = _Model.fit(_features(counts, slices, training), labels[training], classes, strength)
+    model = _Model.fit(
+        _compute_features(counts, slices, training), labels[training], classes, strength
+    )
     by_batch = []
     for start in range(0, len(labels), SAMPLES_AT_ONCE):
         out = np.arange(start, min(start + SAMPLES_AT_ONCE, len(labels)))
-        by_batch.append(model.logits(_features(counts, slices, out)))
+        by_batch.append(model.compute_logits(_compute_features(counts, slices, out)))
     return Baseline(model.complete(np.concatenate(by_batch)), slices, strength, best)
 
 
-def _features(counts, slices, samples):
+def _compute_features(counts, slices, samples):
     """Square roots of the counts of some samples in a number of slices, a row for each sample."""
     some = counts[samples]
     by_slice = some.reshape(len(some), slices, -1, *some.shape[2:]).sum(axis=2)
@@ -166,7 +168,7 @@ class _Model:
             regression = LogisticRegression(C=strength, tol=2e-3, max_iter=100).fit(x, labels)
         return cls(classes, known, active, mean, spread, regression)
 
-    def logits(self, rows):
+    def compute_logits(self, rows):
         """Logits of the known classes."""
         if isinstance(self.regression, int):
             return np.zeros((len(rows), 0))
@@ -185,7 +187,7 @@ class _Model:
         return scores
 
 
-def _versions():
+def _list_versions():
     return {"scikit_learn": importlib.metadata.version("scikit-learn")}
 
 
@@ -197,7 +199,7 @@ def _fit(inputs, artifact):
     split = dataset.split
     begun = time.perf_counter()
     table = recordings.table
-    duration_ms = table.typical_duration_of(split.train)
+    duration_ms = table.measure_typical_duration(split.train)
     features = 2 * recordings.sensor.rows * recordings.sensor.columns
     slices = max(SLICES) if features * max(SLICES) <= MAX_FEATURES else 1
     counts = table.count_in_slices(slices, duration_ms)
@@ -212,7 +214,7 @@ def _fit(inputs, artifact):
         "strength": baseline.strength,
         "cross_validated_accuracy": baseline.cross_validated,
         "seconds": seconds,
-        "versions": _versions(),
+        "versions": _list_versions(),
     }
     inputs.say(f"{describe_accuracy('counts', metrics)}, slices of time: {baseline.slices}")
     return metrics
@@ -220,7 +222,7 @@ def _fit(inputs, artifact):
 
 def _read_logits(stage, inputs, samples, advance):
     """The stored scores of the samples."""
-    stored = read_arrays(inputs.artifact("counts").folder / SCORES, DELETE_ITS_FOLDER)
+    stored = read_arrays(inputs.find_artifact("counts").folder / SCORES, DELETE_ITS_FOLDER)
     scores = dict(zip(stored["ids"].tolist(), stored["scores"], strict=True))
     return np.stack([scores[name] for name in samples.ids])[:, None]
 
@@ -233,5 +235,5 @@ REFERENCE = Reference(
     "logistic regression on the numbers of events in up to eight slices of time",
     "counts",
     _read_logits,
-    _versions,
+    _list_versions,
 )

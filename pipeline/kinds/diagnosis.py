@@ -11,7 +11,7 @@ Two shares of a layer's neurons measure how much information they can transmit:
 import numpy as np
 
 from deploy.network.spec import DT, NetworkSpec
-from deploy.tables import align_rows, plural
+from deploy.tables import align_rows, format_count
 
 # Share of the fastest rate from which a neuron counts as saturated on a sample.
 NEAR_FASTEST = 0.9
@@ -108,7 +108,7 @@ def find_least_faithful(layers: list) -> str:
     )["layer"]
 
 
-def layers_text(layers: list) -> str:
+def format_layers(layers: list) -> str:
     """The comparison as a table with an explanation of its columns."""
     rows = [("layer", "correlation", "worst error", "mean error", "silent", "saturated")]
     for layer in layers:
@@ -118,7 +118,9 @@ def layers_text(layers: list) -> str:
         shares = (f"{chip[name]:.1%} ({rate[name]:6.1%})" for name in ("silent", "saturated"))
         errors = (f"{layer['worst_error']:.3f}", f"{layer['mean_error']:.4f}")
         rows.append((layer["layer"], "-" if r is None else f"{r:.4f}", *errors, *shares))
-    samples = plural(layers[0]["n_samples"], "sample") if "n_samples" in layers[0] else "samples"
+    samples = (
+        format_count(layers[0]["n_samples"], "sample") if "n_samples" in layers[0] else "samples"
+    )
     lines = [
         "firing rate on the chip in the readout window against the rate network's activation,",
         f"on {samples}:",
@@ -131,7 +133,7 @@ def layers_text(layers: list) -> str:
     return "\n".join(lines)
 
 
-def training_lines(neurons: dict) -> list:
+def describe_neurons(neurons: dict) -> list:
     """Lines about the neurons after training, one per layer, with warnings.
 
     Parameters

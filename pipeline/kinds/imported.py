@@ -5,12 +5,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deploy.errors import UserError
-from deploy.files import sha256_of
+from deploy.files import hash_file
 from deploy.terminal import WARNING
 from pipeline.run.artifacts import MISSING, State
-
-# Settings that change if another file is imported.
-IMPORT_SETTINGS = ("nir.sha256", "cnn.model_sha256")
+from pipeline.run.settings import IMPORTED
 
 # Beginnings of the changes after which other samples are in the test set.
 SPLIT_SETTINGS = ("seed", "split", "recordings", "data.", "skin.")
@@ -60,7 +58,7 @@ class Imported(NamedTuple):
                 f"(seed {seed}), otherwise the accuracies are too high"
             )
         again = [what for what in changed if what.startswith(SPLIT_SETTINGS)]
-        if again and not set(changed) & set(IMPORT_SETTINGS):
+        if again and not set(changed) & set(IMPORTED.values()):
             yield (
                 f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
                 "among those of its training; train it on this split, and give it again"
@@ -70,7 +68,7 @@ class Imported(NamedTuple):
 def is_file(path, sha256: str) -> bool:
     """True if a file can be read and has this SHA-256."""
     try:
-        return sha256_of(Path(path)) == sha256
+        return hash_file(Path(path)) == sha256
     except (OSError, UserError):
         return False
 

@@ -14,9 +14,9 @@ from deploy.errors import UserError
 from deploy.network.spec import NetworkSpec
 from models.architecture import parse
 from pipeline.kinds.architectures import (
-    architecture_for,
-    chip_problems,
     is_for,
+    list_chip_problems,
+    suggest_architecture,
     suggest_sensor_size,
 )
 from pipeline.kinds.imported import Imported
@@ -30,6 +30,11 @@ from pipeline.run.settings import Choice, Settings
 class NetworkKind:
     """Base class of the kinds of networks.
 
+    A kind has `name`, `inputs`, `deployed`, `deployed_stage` and `channels`, the properties `steps`
+    and `trained`, and `make_spec`; with an architecture in its settings, also `settings_group`.
+    All else has a default.  :func:`pipeline.kinds.register_kind` adds it.  ``RandomKind`` in
+    tests/test_extensions.py is a complete one.
+
     Parameters
     ----------
     settings : Settings
@@ -37,6 +42,8 @@ class NetworkKind:
 
     # Name of the kind.
     name: ClassVar[str]
+    # Values of ``input.kind`` that select it.
+    inputs: ClassVar[tuple] = ()
     # The :class:`Reference` stages of the ladder by their names, in order.
     references: ClassVar[dict] = {}
     # Name of the step whose artifact the bundle is made from.
@@ -64,7 +71,7 @@ class NetworkKind:
     @classmethod
     def describes(cls, settings: Settings) -> bool:
         """True if these settings are those of a network of this kind."""
-        raise NotImplementedError
+        return settings.input.kind in cls.inputs
 
     @property
     def architecture(self) -> str:
@@ -123,13 +130,13 @@ class NetworkKind:
             raise ValueError(f"no step {name!r}; the steps are {', '.join(steps)}")
         return steps[name]
 
-    def origin(self, name: str, dataset: Origin) -> Origin:
+    def make_origin(self, name: str, dataset: Origin) -> Origin:
         """The origin of a step, from that of the dataset."""
         step = self.step(name)
-        uses = [self.origin(used, dataset) for used in step.uses] or [dataset]
+        uses = [self.make_origin(used, dataset) for used in step.uses] or [dataset]
         return Origin.of(self.settings, step.reads, uses)
 
-    def steps_of(self, name: str) -> tuple:
+    def list_steps_to(self, name: str) -> tuple:
         """A step and those that it is made from, directly or through others, in order."""
         names = [name]
         for each in names:
@@ -138,26 +145,26 @@ class NetworkKind:
 
     def is_deployed(self, name: str) -> bool:
         """True if the bundle is made from a step, directly or through others."""
-        return any(step.name == name for step in self.steps_of(self.deployed))
+        return any(step.name == name for step in self.list_steps_to(self.deployed))
 
-    def artifact(self, name: str, place, dataset: Origin) -> Artifact:
+    def find_artifact(self, name: str, place, dataset: Origin) -> Artifact:
         """The artifact of a step, in a run's folder or in a library."""
         step = self.step(name)
-        origin = self.origin(name, dataset)
-        folder = place.folder(step.folder, origin)
+        origin = self.make_origin(name, dataset)
+        folder = place.find_folder(step.folder, origin)
         record, *files = (folder / file for file in step.files)
         return Artifact(name, record, origin, tuple(files))
 
-    def bundle_origin(self, dataset: Origin) -> Origin:
+    def make_bundle_origin(self, dataset: Origin) -> Origin:
         """The origin of the bundle."""
         reads = [*self.placement, "presentation", "check"]
-        return Origin.of(self.settings, reads, [self.origin(self.deployed, dataset)])
+        return Origin.of(self.settings, reads, [self.make_origin(self.deployed, dataset)])
 
-    def shapes(self, name: str) -> dict:
+    def list_shapes(self, name: str) -> dict:
         """The shapes of the arrays that a step has, by their names."""
         raise NotImplementedError
 
-    def spec(self, inputs: StepInputs, provenance: dict) -> NetworkSpec:
+    def make_spec(self, inputs: StepInputs, provenance: dict) -> NetworkSpec:
         """The deployed network.
 
         Parameters
@@ -179,7 +186,7 @@ class NetworkKind:
         """
         return None
 
-    def choices(self, recordings: Recordings, train: np.ndarray) -> list[Choice]:
+    def make_choices(self, recordings: Recordings, train: np.ndarray) -> list[Choice]:
         """Choose settings that the user has not set, for the recordings.
 
         Parameters
@@ -217,13 +224,13 @@ class NetworkKind:
                 "recordings, or give those that it was trained on (--data) or their images "
                 "(--set image.slices, image.aggregation)"
             )
-        like = architecture_for(sensor, self.settings.on_events, channels=self.channels)
+        like = suggest_architecture(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(
             f"{self.settings.data.source}: '{self.settings_group}.architecture' must be for an "
             f"input of {size} and {classes} classes, such as {like}, not {self.architecture}"
         )
 
-    def chip_problems(self) -> tuple:
+    def list_chip_problems(self) -> tuple:
         """Reasons why the network does not fit the cores of the chip, a line each.
 
         A user's network is examined when it is read.
@@ -234,7 +241,9 @@ class NetworkKind:
             usual.settings.deployment,
         ):
             return ()
-        return chip_problems(self.architecture, self.settings.on_events, self.settings.deployment)
+        return list_chip_problems(
+            self.architecture, self.settings.on_events, self.settings.deployment
+        )
 
     def require_presentable(self, dataset: Dataset):
         """Refuse samples that cannot be presented to the chip.
@@ -252,6 +261,6 @@ class NetworkKind:
         UserError
         """
 
-    def notes(self, recordings: Recordings) -> list:
+    def list_notes(self, recordings: Recordings) -> list:
         """Lines for the user about the presentation of the recordings."""
         return []

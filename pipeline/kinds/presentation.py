@@ -63,7 +63,7 @@ def choose_presentation(
     if settings.is_open("input.step") and settings.is_open("input.refractory"):
         step_ms = choose_step_ms(longest_ms, step_ms, may_shorten)
     steps = min(max(math.floor(longest_ms / step_ms) + 1, MIN_STEPS), MAX_STEPS)
-    why = _reason_for(steps, step_ms, longest_ms)
+    why = _describe_reason(steps, step_ms, longest_ms)
     choices = [Choice("presentation.steps", steps, f"{steps} steps of {step_ms:g} ms: {why}")]
     if step_ms != settings.input.step:
         choices.append(Choice("input.step", step_ms))
@@ -100,7 +100,7 @@ def choose_step_ms(longest_ms: float, default_ms: float, may_shorten: bool = Tru
     return float(f"{next(step for step in fits if step <= longest_step * (1 + 1e-9)):.3g}")
 
 
-def _reason_for(steps, step_ms, longest_ms):
+def _describe_reason(steps, step_ms, longest_ms):
     """Why there are so many steps of this length."""
     if longest_ms < (steps - 1) * step_ms:
         return f"the fewest; the recordings last up to {longest_ms / 1000:.2g} s"
@@ -136,7 +136,7 @@ def choose_time_constants(settings: Settings) -> list[Choice]:
         choices.append(Choice("events.tau_u_ms", currents_ms, reason))
         choices.append(Choice("events.tau_v_ms", voltages_ms))
     if settings.is_open("presentation.gap"):
-        gap = silent_steps(MAX_GROWTH * max(currents_ms) / settings.input.step)
+        gap = count_silent_steps(MAX_GROWTH * max(currents_ms) / settings.input.step)
         if gap > settings.presentation.gap:
             reason = (
                 f"gap of {gap} silent steps before each sample: then the currents that are left of "
@@ -153,7 +153,7 @@ def shorten(taus_ms: tuple, presented_ms: float) -> tuple:
     return tuple(float(f"{tau * share:.2g}") for tau in taus_ms)
 
 
-def image_gap_choice(settings: Settings) -> tuple:
+def choose_image_gap(settings: Settings) -> tuple:
     """Choose the gap between images for the time constant of the currents.
 
     Parameters
@@ -168,7 +168,7 @@ def image_gap_choice(settings: Settings) -> tuple:
     """
     presentation = settings.presentation
     tau = settings.deployment.synapse / LOIHI.dt
-    gap = silent_steps(tau, MAX_SHARE_LEFT_OF_IMAGE) if tau else 0
+    gap = count_silent_steps(tau, MAX_SHARE_LEFT_OF_IMAGE) if tau else 0
     is_open = settings.is_open("presentation.gap")
     if not is_open or presentation.stream_length == 1 or gap <= presentation.gap:
         return None, ""
@@ -178,13 +178,13 @@ def image_gap_choice(settings: Settings) -> tuple:
     )
 
 
-def current_taus(spec: NetworkSpec) -> dict:
+def list_current_taus(spec: NetworkSpec) -> dict:
     """Time constants of the currents of a network's layers in steps, as for `fit_gap`."""
     taus = {f"{layer.name}.tau_u": (layer.synapse or 0.0) / LOIHI.dt for layer in spec.layers}
     return {name: tau for name, tau in taus.items() if tau}
 
 
-def silent_steps(tau_current: float, share: float = MAX_SHARE_LEFT) -> int:
+def count_silent_steps(tau_current: float, share: float = MAX_SHARE_LEFT) -> int:
     """Number of silent steps after which little is left of a sample.
 
     In each step a neuron's current is added to its voltage and then multiplied by
@@ -233,7 +233,7 @@ def fit_gap(presentation: Presentation, taus: dict, is_users: bool) -> tuple[Pre
     if presentation.stream_length == 1 or not taus:
         return presentation, ""
     name = max(taus, key=taus.__getitem__)
-    needed = silent_steps(taus[name])
+    needed = count_silent_steps(taus[name])
     if needed <= presentation.gap:
         return presentation, ""
     layer = f"layer {name.removesuffix('.tau_u')} (time constant {taus[name]:.3g} steps)"

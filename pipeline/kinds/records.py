@@ -11,7 +11,7 @@ import numpy as np
 
 from deploy import limits
 from deploy.arithmetic import thin
-from deploy.check.intervals import wilson_interval
+from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.files import open_regular, read_arrays, replacing, reporting_os_errors, write_arrays
 from pipeline.progress import progress
@@ -51,7 +51,7 @@ def write_network(folder: Path, trained, on_test: bool):
     Parameters
     ----------
     folder : Path
-    trained : pipeline.training.networks.Trained or pipeline.training.events.TrainedOnEvents
+    trained : pipeline.training.networks.TrainedNetwork or pipeline.training.events.TrainedOnEvents
     on_test : bool
         True if the learning curve is that of test samples, not of held-out training samples.
     """
@@ -147,7 +147,7 @@ def make_training_record(trained, dataset: Dataset, seconds: float, versions: di
     Parameters
     ----------
     trained
-        With ``logits`` and ``history``.
+        With ``compute_logits`` and ``history``.
     dataset : Dataset
     seconds : float
         Time of the training.
@@ -156,7 +156,7 @@ def make_training_record(trained, dataset: Dataset, seconds: float, versions: di
     inputs = dataset.inputs
     predicted = []
     for start in range(0, len(inputs), SAMPLES_AT_ONCE):
-        logits = trained.logits(inputs[start : start + SAMPLES_AT_ONCE])
+        logits = trained.compute_logits(inputs[start : start + SAMPLES_AT_ONCE])
         predicted.append(np.argmax(logits, axis=1))
     right = np.concatenate(predicted) == dataset.labels
     return {
@@ -176,7 +176,7 @@ def measure_accuracies(right, dataset: Dataset) -> dict:
         Whether the prediction of each sample of the dataset is right.
     dataset : Dataset
     """
-    of_parts = {part: right[dataset.split.indices(part)] for part in PARTS}
+    of_parts = {part: right[dataset.split.get_indices(part)] for part in PARTS}
     of_parts = {part: values for part, values in of_parts.items() if len(values)}
     last = list(of_parts)[-1]  # the validation samples if there is no test set, as in a sweep
     n_samples = len(of_parts[last])
@@ -184,7 +184,7 @@ def measure_accuracies(right, dataset: Dataset) -> dict:
     return {
         "simulated": dataset.recordings.source.simulated,
         "accuracy": {part: float(values.mean()) for part, values in of_parts.items()},
-        f"{last}_accuracy_ci95": list(wilson_interval(n_right, n_samples)),
+        f"{last}_accuracy_ci95": list(compute_wilson_interval(n_right, n_samples)),
         f"n_{last}": n_samples,
     }
 

@@ -20,13 +20,13 @@ class Reference(NamedTuple):
         What it is, in a few words.
     step : str
         Name of the step whose artifact predicts.
-    logits : callable
-        ``logits(stage, inputs, samples, advance)``: ndarray, shape (n_samples, steps, classes),
-        with one step for a network without time.  ``inputs`` is a
+    compute_logits : callable
+        ``compute_logits(stage, inputs, samples, advance)``: ndarray, shape (n_samples, steps,
+        classes), with one step for a network without time.  ``inputs`` is a
         :class:`pipeline.kinds.steps.StepInputs`, ``samples`` a
         :class:`deploy.check.bundle.CheckSet`, and ``advance``, if it is not None, is called with
         the number of samples done since the last call.
-    versions : callable
+    list_versions : callable
         Versions of the packages that compute it.
     respond : callable, optional
         ``respond(inputs, bundle, advance)``: the responses to the samples of a bundle, as
@@ -36,15 +36,15 @@ class Reference(NamedTuple):
     title: str
     note: str
     step: str
-    logits: Callable
-    versions: Callable
+    compute_logits: Callable
+    list_versions: Callable
     respond: Callable | None = None
 
     def respond_to(self, stage: str, inputs: StepInputs, bundle: Bundle, advance=None) -> Responses:
         """The responses of a stage to the samples of a bundle."""
         if self.respond is not None:
             return self.respond(inputs, bundle, advance)
-        logits = self.logits(stage, inputs, bundle.checks, advance)
+        logits = self.compute_logits(stage, inputs, bundle.checks, advance)
         return compute_responses(logits, bundle.spec.presentation)
 
 

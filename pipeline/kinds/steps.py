@@ -1,7 +1,7 @@
 """The steps of a run: artifacts, such as a trained network, and how each of them is made.
 
 A kind of network lists its steps (:meth:`pipeline.kinds.kind.NetworkKind.steps`), and one loop
-makes those that are missing or outdated (:meth:`pipeline.stages.opening.OpenedRun.make`).
+makes those that are missing or outdated (:meth:`pipeline.workflow.opening.OpenedRun.make`).
 """
 
 from __future__ import annotations
@@ -61,16 +61,17 @@ class StepInputs:
     settings : Settings
         Only the settings that the step declares; reading another one is an error.
     dataset : Dataset
-    artifact : callable
-        ``artifact(name)``: the :class:`pipeline.run.artifacts.Artifact` of a step that is used.
-    weights : callable
-        ``weights(name)``: the trained arrays of a step that is used, by their names.
+    find_artifact : callable
+        ``find_artifact(name)``: the :class:`pipeline.run.artifacts.Artifact` of a step that it
+        uses.
+    read_weights : callable
+        ``read_weights(name)``: the trained arrays of a step that is used, by their names.
     say : callable
         Called with a line for the user.
     """
 
     settings: Settings
     dataset: Dataset
-    artifact: Callable[[str], Artifact]
-    weights: Callable[[str], dict]
+    find_artifact: Callable[[str], Artifact]
+    read_weights: Callable[[str], dict]
     say: Callable[[str], None] = print

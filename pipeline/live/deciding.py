@@ -16,7 +16,7 @@ import numpy as np
 
 from deploy import limits
 from deploy.check.bundle import Bundle
-from deploy.network.decision import confidence, probabilities
+from deploy.network.decision import compute_confidence, compute_probabilities
 from deploy.network.responses import (
     compute_running_sums,
     find_score_unit,
@@ -50,11 +50,11 @@ class Curve:
     seconds : ndarray of float, shape (n,)
         Time from the start of the recording.
     values : ndarray of float, shape (n,)
-        See :func:`deploy.network.decision.confidence`.
+        See :func:`deploy.network.decision.compute_confidence`.
     classes : ndarray of int, shape (n,)
         The class with the highest score at these times.
     shares : ndarray of float, shape (n, n_classes)
-        Probabilities of the classes at these times, see :func:`probabilities`.
+        Probabilities of the classes at these times, see :func:`compute_probabilities`.
     """
 
     seconds: np.ndarray
@@ -62,17 +62,17 @@ class Curve:
     classes: np.ndarray
     shares: np.ndarray
 
-    def first(self, threshold: float | None, until_s: float = np.inf) -> Verdict | None:
+    def find_first(self, threshold: float | None, until_s: float = np.inf) -> Verdict | None:
         """The early decision up to a time, or None if there is none."""
         sure = self.values >= (np.inf if threshold is None else threshold)
         reached = np.flatnonzero(sure & (self.seconds <= until_s))
-        return self._verdict(reached[0], True) if len(reached) else None
+        return self._make_verdict(reached[0], True) if len(reached) else None
 
-    def last(self) -> Verdict:
+    def find_last(self) -> Verdict:
         """The answer at the end."""
-        return self._verdict(-1)
+        return self._make_verdict(-1)
 
-    def _verdict(self, index, early=False):
+    def _make_verdict(self, index, early=False):
         at = float(self.seconds[index])
         return Verdict(int(self.classes[index]), float(self.values[index]), at, early)
 
@@ -97,7 +97,7 @@ class Verdict(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Answer:
+class NetworkOutput:
     """The output of the network at one moment.
 
     Attributes
@@ -179,9 +179,9 @@ class ImageDecider(Decider):
 
     def begin(self):
         """Begin a recording; its answers are stored for the curve."""
-        return SimpleNamespace(answer=partial(self._answer, []))
+        return SimpleNamespace(compute_output=partial(self._compute_output, []))
 
-    def _answer(self, points, events: Events, time_s: float) -> Answer | None:
+    def _compute_output(self, points, events: Events, time_s: float) -> NetworkOutput | None:
         """The answer for all events up to a time (infinity: to the end of the recording)."""
         if len(events) == 0:
             return None
@@ -194,15 +194,15 @@ class ImageDecider(Decider):
         # The softmax was trained on the scores, which are means.  Sums of many steps would always
         # give a confidence of nearly 1 unless a threshold was chosen for them.
         if self.threshold is None:
-            sure = confidence(scores[None])[-1]
+            sure = compute_confidence(scores[None])[-1]
         else:
             first = self._spec.presentation.readout_start
-            sure = confidence(sums, self._spec.estimator, first)[-1]
+            sure = compute_confidence(sums, self._spec.estimator, first)[-1]
         now_s = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
         best = int(np.argmax(round_scores(scores, find_score_unit(self._spec))))
-        points.append((now_s, sure, best, probabilities(scores, sure)))
+        points.append((now_s, sure, best, compute_probabilities(scores, sure)))
         curve = Curve(*map(np.array, zip(*points, strict=True)))
-        return Answer(scores, spikes, curve, curve.first(self.threshold))
+        return NetworkOutput(scores, spikes, curve, curve.find_first(self.threshold))
 
     def _present(self, images):
         """Scores, spikes and accumulated readout of one image; None if its output is empty."""
@@ -213,7 +213,7 @@ class ImageDecider(Decider):
             for name in self.layers:
                 spikes[name] = packed[name][0].copy()
 
-        done = self._emulation.run(spec.stimulus.flat(images)[None], watch)
+        done = self._emulation.run(spec.stimulus.flatten(images)[None], watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
         output = select_readout(spec, done.output[0, :, spec.presentation.gap :])
         responses = read_output(spec, output, counts)
@@ -257,9 +257,9 @@ class EventDecider(Decider):
             stream_length=1,
             network=self._network,
         )
-        return TouchDeciding(self, stream, self._sensor.rows)
+        return TouchDecider(self, stream, self._sensor.rows)
 
-    def describe(self, stream: Stream) -> Answer | None:
+    def describe(self, stream: Stream) -> NetworkOutput | None:
         """The answer for the touch of a stream so far."""
         spec = self._spec
         touch = stream.touch
@@ -274,17 +274,17 @@ class EventDecider(Decider):
             first_s + spec.stimulus.step_seconds * steps,
             readout.confidences.copy(),
             readout.sums.argmax(axis=1),
-            probabilities(readout.sums, readout.confidences),
+            compute_probabilities(readout.sums, readout.confidences),
         )
         # Slower than all recordings of the training, confidence is too high to decide early.
         usual_s = first_s + self.usual_s + spec.stimulus.step_seconds / 2
         spikes = {name: rows.copy() for name, rows in touch.presentation.spikes.items()}
-        verdict = curve.first(self.threshold, usual_s)
-        scores = readout.scores_at(readout.n_steps)
-        return Answer(scores, spikes, curve, verdict, stream.exceeds_training)
+        verdict = curve.find_first(self.threshold, usual_s)
+        scores = readout.compute_scores(readout.n_steps)
+        return NetworkOutput(scores, spikes, curve, verdict, stream.exceeds_training)
 
 
-class TouchDeciding:
+class TouchDecider:
     """The answers for one recording on events.
 
     Parameters
@@ -301,7 +301,7 @@ class TouchDeciding:
         self._rows = rows
         self._n_taken = 0
 
-    def answer(self, events: Events, time_s: float) -> Answer | None:
+    def compute_output(self, events: Events, time_s: float) -> NetworkOutput | None:
         """The answer for all events up to a time (infinity: to the end of the recording).
 
         Parameters
@@ -332,7 +332,7 @@ class TouchDeciding:
         return self._decider.describe(self._stream)
 
 
-def decider_of(bundle: Bundle, sensor: Sensor) -> Decider:
+def make_decider(bundle: Bundle, sensor: Sensor) -> Decider:
     """The decider for a bundle; compiles the kernel if necessary."""
     if isinstance(bundle.spec.stimulus, EventFrames):
         return EventDecider(bundle, sensor)

@@ -14,7 +14,7 @@ from pipeline.recordings.events import Events, Recordings
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import read_settings
 from pipeline.simulation.writing import START_S
-from pipeline.sources import recordings_of
+from pipeline.sources import load_named_recordings
 
 # Time from an example's last event to its end.
 AFTERWARDS_S = 0.05
@@ -73,7 +73,7 @@ class Examples:
         return fitting[deck[-1]]
 
 
-class Replayed:
+class ReplayedTouch:
     """An existing recording, instead of a :class:`~pipeline.simulation.writing.Writing`.
 
     Parameters
@@ -90,20 +90,20 @@ class Replayed:
     @property
     def events(self) -> Events:
         """All events so far."""
-        return self._between(0, self.time_s)
+        return self._select_between(0, self.time_s)
 
     def advance(self, until_s: float) -> Events:
         """Advance the time and return the events of this interval."""
         begun_s = self.time_s
         self.time_s = max(self.time_s, until_s)
-        return self._between(begun_s, self.time_s)
+        return self._select_between(begun_s, self.time_s)
 
-    def _between(self, begun_s, until_s):
+    def _select_between(self, begun_s, until_s):
         first, end = np.searchsorted(self._every.time_ns, np.array([begun_s, until_s]) * 1e9)
         return Events(*(getattr(self._every, name)[first:end] for name in vars(self._every)))
 
 
-def check_examples(run: RunFolder, bundle: Bundle) -> list:
+def list_check_examples(run: RunFolder, bundle: Bundle) -> list:
     """The samples of a network's check: the recordings themselves, if its run has them.
 
     Parameters
@@ -120,14 +120,14 @@ def check_examples(run: RunFolder, bundle: Bundle) -> list:
     try:
         if not run.experiment.exists():
             raise UserError(f"{bundle.path}: is a bundle without its run and recordings")
-        return recorded_examples(run, bundle)
+        return list_recorded_examples(run, bundle)
     except UserError:
-        if not (tests := bundle_examples(bundle)):
+        if not (tests := list_bundle_examples(bundle)):
             raise
         return tests
 
 
-def recorded_examples(run: RunFolder, bundle: Bundle) -> list:
+def list_recorded_examples(run: RunFolder, bundle: Bundle) -> list:
     """The samples of a run's check, as they were recorded.
 
     Raises
@@ -136,19 +136,19 @@ def recorded_examples(run: RunFolder, bundle: Bundle) -> list:
         The recordings do not exist any more, or have changed since the training.
     """
     settings = read_settings(run.experiment)
-    recordings = recordings_of(settings)
+    recordings = load_named_recordings(settings)
     if recordings.source.sha256 != bundle.spec.provenance.get("source_sha256"):
         raise UserError(f"{settings.data.source}: has changed since the network was trained")
     index = {name: i for i, name in enumerate(recordings.ids)}
     some = [index[name] for name in bundle.checks.ids if name in index]
     part = recordings.subset([i for i in some if recordings.offsets[i] < recordings.offsets[i + 1]])
     return [
-        Example(_from_start(_column_by_column(part, i)), int(part.labels[i]), part.ids[i])
+        Example(_from_start(_number_by_columns(part, i)), int(part.labels[i]), part.ids[i])
         for i in range(len(part))
     ]
 
 
-def _column_by_column(recordings: Recordings, index):
+def _number_by_columns(recordings: Recordings, index):
     """Events of a recording with the taxels numbered as on the page."""
     events = recordings[index]
     taxels = recordings.taxels
@@ -156,7 +156,7 @@ def _column_by_column(recordings: Recordings, index):
     return replace(events, taxel=number[events.taxel])
 
 
-def bundle_examples(bundle: Bundle) -> list:
+def list_bundle_examples(bundle: Bundle) -> list:
     """The samples of a bundle's check, with the precision of a step.
 
     A bundle on images has no examples, because an image has no times of events.
@@ -167,13 +167,13 @@ def bundle_examples(bundle: Bundle) -> list:
         return []
     step_ns = round(1e9 * stimulus.step_seconds)
     return [
-        Example(_from_start(_events_of(frames, step_ns)), int(label), name)
+        Example(_from_start(_make_events(frames, step_ns)), int(label), name)
         for frames, label, name in zip(checks.inputs, checks.labels, checks.ids, strict=True)
         if frames.any()
     ]
 
 
-def _events_of(frames, step_ns):
+def _make_events(frames, step_ns):
     """Frames, shape (steps, rows, columns, 2), as events in the middle of their steps.
 
     Events of the first step are at its start, from which the network counts.

@@ -22,9 +22,9 @@ from deploy.files import lock_file, open_regular, remove_leftovers, replacing, r
 from pipeline.recordings.events import Sensor, TaxelMap
 from pipeline.recordings.formats.mat import (
     MatRecording,
-    lookup_table_bytes,
+    encode_lookup_table,
+    encode_recording,
     read_lookup_table,
-    recording_bytes,
 )
 from pipeline.recordings.formats.recording import BadRecording, read_limited
 
@@ -43,7 +43,7 @@ _NAME = re.compile(r"w([0-9]{3})-([0-9]{4,})\.mat")
 
 
 @dataclass(frozen=True)
-class Kept:
+class SavedRecording:
     """A recording in the folder.
 
     Attributes
@@ -66,7 +66,7 @@ class Kept:
         return f"{self.place}/w{self.writer:03d}-{self.number:04d}.mat"
 
 
-def places_of(classes) -> tuple:
+def name_class_folders(classes) -> tuple:
     """The folder name of each class: its name or, if one is not valid for a folder, its number.
 
     Classes that were read from folders have such names; a copied network may have any names.
@@ -99,7 +99,7 @@ class Keeper:
         self.folder = Path(folder)
         self.sensor = sensor or Sensor()
         self._taxels = TaxelMap.grid(self.sensor.rows, self.sensor.columns)
-        self._places = places_of(self.sensor.classes)
+        self._places = name_class_folders(self.sensor.classes)
         self._guard = threading.Lock()
         # Numbers of writers that were on any page.  They are not given again when it closes,
         # because a page that has lost its connection comes back with its number.
@@ -176,7 +176,7 @@ class Keeper:
         """How many recordings each writer has, by the writer's number."""
         return Counter(kept.writer for kept in self._kept)
 
-    def save(self, label: int, recording: MatRecording) -> Kept:
+    def save(self, label: int, recording: MatRecording) -> SavedRecording:
         """Write a recording; when the function returns, it is on the disk.
 
         Parameters
@@ -193,16 +193,16 @@ class Keeper:
             self.look()
             table = self.folder / TABLE
             if not table.exists():
-                _create(table, lookup_table_bytes(self._taxels))
+                _create(table, encode_lookup_table(self._taxels))
             numbers = [kept.number for kept in self._kept if kept.writer == recording.writer]
             number = max(numbers, default=0) + 1
             place = self._places[label]
-            kept = Kept(label, recording.writer, number, place)
-            _create(self.folder / kept.name, recording_bytes(recording))
+            kept = SavedRecording(label, recording.writer, number, place)
+            _create(self.folder / kept.name, encode_recording(recording))
             self.look()
             return kept
 
-    def remove(self, kept: Kept):
+    def remove(self, kept: SavedRecording):
         """Remove a recording; nothing happens if it does not exist any more.
 
         Raises
@@ -219,11 +219,11 @@ class Keeper:
             self.look()
 
     def is_writer(self, number: int):
-        """Note that a page has a writer's number, which :meth:`new_writer` then does not return."""
+        """Note that a page has a writer's number, which :meth:`add_writer` then does not return."""
         with self._guard:
             self._given.add(number)
 
-    def new_writer(self) -> int:
+    def add_writer(self) -> int:
         """A number that no other page has or had, also if its writer has not saved anything yet.
 
         It is above all others or, if there is none, the lowest free one.
@@ -255,7 +255,7 @@ def _list(folder, places):
             for name in os.listdir(folder / place):
                 match = _NAME.fullmatch(name)
                 if match and int(match[1]) > 0:
-                    files.append(Kept(label, int(match[1]), int(match[2]), place))
+                    files.append(SavedRecording(label, int(match[1]), int(match[2]), place))
     return files
 
 

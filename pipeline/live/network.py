@@ -15,7 +15,7 @@ from pipeline.recordings.events import Sensor, are_digits, is_written
 SHIPPED = Path(__file__).with_name("bundle")
 
 
-def sensor_of(bundle: Bundle) -> Sensor:
+def find_sensor(bundle: Bundle) -> Sensor:
     """The sensor and the classes of a network.
 
     Raises
@@ -35,7 +35,7 @@ def sensor_of(bundle: Bundle) -> Sensor:
     return Sensor(rows, columns, polarities, classes=read_classes(spec))
 
 
-def record_folder(bundle: Bundle, sensor: Sensor) -> str:
+def find_record_folder(bundle: Bundle, sensor: Sensor) -> str:
     """The default folder of recordings: a separate one for each data set.
 
     Parameters
@@ -45,16 +45,16 @@ def record_folder(bundle: Bundle, sensor: Sensor) -> str:
     """
     if is_written(sensor.rows, sensor.columns, sensor.classes):
         return RECORD
-    name = re.sub(r"[^\w-]+", "-", Path(name_of(bundle)).stem).strip("-")
+    name = re.sub(r"[^\w-]+", "-", Path(find_name(bundle)).stem).strip("-")
     return f"{RECORD}-{name[:40]}" if name else f"{RECORD}-{sensor.rows}x{sensor.columns}"
 
 
-def name_of(bundle: Bundle) -> str:
+def find_name(bundle: Bundle) -> str:
     """The name of the data set that a network was trained on."""
     return str(bundle.spec.provenance.get("source", "recordings of unknown origin"))
 
 
-def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -> dict:
+def describe_for_page(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -> dict:
     """The page's description of its network, its sensor and the folder of recordings.
 
     Parameters
@@ -70,7 +70,7 @@ def about(bundle: Bundle, sensor: Sensor, folder, outdated: str | None = None) -
         "folder": str(folder),
         "architecture": bundle.spec.architecture,
         "outdated": outdated,
-        "trained_on": name_of(bundle),
+        "trained_on": find_name(bundle),
         "simulated": bool(bundle.spec.provenance.get("simulated", False)),
         "rows": sensor.rows,
         "columns": sensor.columns,

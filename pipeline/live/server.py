@@ -30,7 +30,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import MOST_TAXELS, PAUSE_S, BadMessage, Session, problem
+from pipeline.live.session import MOST_TAXELS, PAUSE_S, BadMessage, Session, make_problem_message
 from pipeline.simulation.writing import START_S
 
 # Default address of the page, which other machines cannot reach.
@@ -146,14 +146,14 @@ class Live:
         """Make the network ready while the page is already there."""
         work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_decider)
         self._decider = asyncio.ensure_future(work)
-        self._tests = asyncio.ensure_future(self._tests_when_ready())
+        self._tests = asyncio.ensure_future(self._wait_for_tests())
         try:
             yield
         finally:
             for threads in (self._hands, self._thread):
                 threads.shutdown(wait=False, cancel_futures=True)
 
-    async def _tests_when_ready(self):
+    async def _wait_for_tests(self):
         """The samples of the check and, where there are none, the reason."""
         try:
             await asyncio.shield(self._decider)
@@ -165,43 +165,43 @@ class Live:
     def app(self):
         """The ASGI application."""
         routes = [
-            Route("/{token}/", self._page),
-            Route("/{token}/{name}", self._page),
-            WebSocketRoute("/{token}/pen", self._socket),
+            Route("/{token}/", self._send_page),
+            Route("/{token}/{name}", self._send_page),
+            WebSocketRoute("/{token}/pen", self._open_socket),
         ]
-        handlers = {404: lambda request, error: _missing()}
+        handlers = {404: lambda request, error: _refuse_address()}
         app = Starlette(routes=routes, lifespan=self.lifespan, exception_handlers=handlers)
         app.router.redirect_slashes = False
         return app
 
-    def _knows(self, connection):
+    def _has_token(self, connection):
         token = connection.path_params["token"]
         return secrets.compare_digest(token.encode(), self.token.encode())
 
-    async def _page(self, request: Request):
-        if not self._knows(request):
-            return _missing()
+    async def _send_page(self, request: Request):
+        if not self._has_token(request):
+            return _refuse_address()
         name = request.path_params.get("name", "index.html")
         if name == PICTURE and self.picture is not None:
             return Response(self.picture, media_type=_KINDS[".svg"], headers=_HEADERS)
         file = self._files.get(name)
         if file is None:
-            return _missing()
+            return _refuse_address()
         return Response(file.read_bytes(), media_type=_KINDS[file.suffix], headers=_HEADERS)
 
-    async def _socket(self, socket: WebSocket):
-        if not self._knows(socket):
+    async def _open_socket(self, socket: WebSocket):
+        if not self._has_token(socket):
             await socket.close(1008, "the token in the address is missing or wrong")
             return
         await socket.accept()
         if self._open >= PAGES:
             text = f"{PAGES} pages are open already; close one of them, and this page will connect"
-            await _say(socket, [problem(text)])
+            await _say(socket, [make_problem_message(text)])
             await socket.close(1013, "too many pages")
             return
         self._open += 1
         try:
-            await self._talk(socket)
+            await self._serve_page(socket)
         except (WebSocketDisconnect, RuntimeError):  # from Starlette if the socket is closed
             pass
         except asyncio.CancelledError:  # the server has ended
@@ -209,7 +209,7 @@ class Live:
         finally:
             self._open -= 1
 
-    async def _talk(self, socket):
+    async def _serve_page(self, socket):
         session = Session(next(self._numbers), self._keeper, self._p)
         page = _Page(socket, session)
         loop = asyncio.get_running_loop()
@@ -220,8 +220,8 @@ class Live:
             "data_set": self._keeper.data_set,
             "shared": self.picture is not None,
         }
-        await _say(socket, [hello, session.state()])
-        work = self._answer, self._draw, self._exhibit
+        await _say(socket, [hello, session.make_writer_message()])
+        work = self._send_outputs, self._send_spikes, self._send_examples
         tasks = [asyncio.create_task(each(page)) for each in work]
         try:
             while True:
@@ -239,13 +239,15 @@ class Live:
                 if any(r["ns"] or r["settled"] or session.clocked for r in events):
                     page.wake.set()
         except BadMessage as error:
-            await _say(socket, [problem(f"a message was refused: {error}; reload this page")])
+            await _say(
+                socket, [make_problem_message(f"a message was refused: {error}; reload this page")]
+            )
             await socket.close(1008, "a message was refused")
         finally:
             for task in tasks:
                 task.cancel()
 
-    async def _exhibit(self, page):
+    async def _send_examples(self, page):
         """Say which examples there are as soon as they are known."""
         tests, reason = await asyncio.shield(self._tests)
         async with page.turn:
@@ -253,14 +255,14 @@ class Live:
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _say(page.socket, [{**examples, "reason": reason}])
 
-    async def _answer(self, page):
-        """Send answers one at a time, each to the latest events."""
+    async def _send_outputs(self, page):
+        """Send the outputs of the network one at a time, each for the latest events."""
         loop = asyncio.get_running_loop()
         socket = page.socket
         try:
             decider = await asyncio.shield(self._decider)
         except Exception as error:  # any error is reported on the page
-            await _say(socket, [problem(f"the network cannot be made ready: {error}")])
+            await _say(socket, [make_problem_message(f"the network cannot be made ready: {error}")])
             return
         async with page.turn:
             page.session.begin(decider)
@@ -283,20 +285,20 @@ class Live:
                     ask = page.session.ask()
                 if ask is not None:
                     try:
-                        answer = await loop.run_in_executor(self._thread, ask)
-                    except Exception as error:  # reported; the next answer may succeed
-                        answer = problem(f"the network could not answer: {error}")
-                    await _say(socket, [answer] if answer is not None else [])
+                        output = await loop.run_in_executor(self._thread, ask)
+                    except Exception as error:  # reported; the next one may succeed
+                        output = make_problem_message(f"the network could not answer: {error}")
+                    await _say(socket, [output] if output is not None else [])
                     page.draw.set()
                     await asyncio.sleep(APART_S)
 
-    async def _draw(self, page):
-        """Send the spikes of the latest answer; those of the last one always."""
+    async def _send_spikes(self, page):
+        """Send the spikes of the latest output; those of the last one always."""
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
                 await page.draw.wait()
                 page.draw.clear()
-                spikes = page.session.spikes()
+                spikes = page.session.make_spikes_message()
                 await _say(page.socket, [spikes] if spikes is not None else [])
                 await asyncio.sleep(SPIKES_APART_S)
 
@@ -309,7 +311,7 @@ async def _say(socket, messages):
         await socket.send_text(json.dumps(message))
 
 
-def _missing():
+def _refuse_address():
     """The page for other addresses than those of the page."""
     return HTMLResponse(MISSING, 404, headers=_HEADERS)
 

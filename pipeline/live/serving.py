@@ -9,7 +9,7 @@ from pathlib import Path
 
 from deploy.errors import UserError
 from deploy.terminal import remark, show
-from pipeline.live.network import about, record_folder, sensor_of
+from pipeline.live.network import describe_for_page, find_record_folder, find_sensor
 from pipeline.results.status import describe_outdated
 from pipeline.run.folder import RunFolder, run_around
 from pipeline.simulation import parameters
@@ -27,7 +27,7 @@ def serve(
     port : int
         0 for any free one.
     record : path-like, optional
-        Folder for the recordings; default: :func:`pipeline.live.network.record_folder`.
+        Folder for the recordings; default: :func:`pipeline.live.network.find_record_folder`.
     host : str, optional
         Address of this machine; default: for this machine only.
     open_browser : bool
@@ -54,22 +54,22 @@ def serve(
         listening = opened.enter_context(closing(listen(port, host)))
         bundle = network()
         folder = RunFolder(run_around(bundle.path) or bundle.path.parent)
-        sensor = sensor_of(bundle)
-        record = Path(record or record_folder(bundle, sensor))
+        sensor = find_sensor(bundle)
+        record = Path(record or find_record_folder(bundle, sensor))
         keeper = opened.enter_context(closing(Keeper(record, sensor)))
         note = describe_outdated(bundle.path)
         if note is not None:
             say(note)
 
-        def make_decider():
-            from pipeline.live.deciding import decider_of  # Nengo takes a second to import
+        def load_decider():
+            from pipeline.live.deciding import make_decider  # Nengo takes a second to import
 
-            return decider_of(bundle, sensor)
+            return make_decider(bundle, sensor)
 
         def make_tests():
-            from pipeline.live.examples import check_examples
+            from pipeline.live.examples import list_check_examples
 
-            return check_examples(folder, bundle)
+            return list_check_examples(folder, bundle)
 
         def when_listening(url):
             show(f"live: {url}", flush=True)
@@ -78,8 +78,8 @@ def serve(
             if open_browser:  # in a thread: some browsers return when they are closed
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
-        facts = about(bundle, sensor, record, note)
-        page = Live(make_decider, keeper, parameters.load(), facts, make_tests=make_tests)
+        facts = describe_for_page(bundle, sensor, record, note)
+        page = Live(load_decider, keeper, parameters.load(), facts, make_tests=make_tests)
         try:
             Server(page, listening, when_listening, host).run()
         finally:

@@ -24,9 +24,9 @@ import math
 
 import numpy as np
 
-from deploy.errors import UserError, line_of
-from pipeline.live.deciding import Answer, Decider
-from pipeline.live.examples import Examples, Replayed
+from deploy.errors import UserError, describe_error
+from pipeline.live.deciding import Decider, NetworkOutput
+from pipeline.live.examples import Examples, ReplayedTouch
 from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper
 from pipeline.recordings.events import Events, join_events
 from pipeline.recordings.formats.mat import MatRecording
@@ -78,7 +78,7 @@ class OpenRecording:
     ----------
     complete : bool
         True if nothing can be written on it any more, because it is an example or was saved.
-    saved_as : pipeline.live.keeping.Kept or None
+    saved_as : pipeline.live.keeping.SavedRecording or None
         Its file; None before it is saved, and after that was undone.
     """
 
@@ -102,7 +102,7 @@ class OpenRecording:
         """Convert a time of the page's clock to the recording's."""
         return START_S + (page_ms - self._begun_ms) / 1e3
 
-    def page_ms(self, time_s):
+    def to_page_ms(self, time_s):
         """Convert a time of the recording's clock to the page's."""
         return self._begun_ms + (time_s - START_S) * 1e3
 
@@ -131,17 +131,17 @@ class OpenRecording:
         reached = self._now_s if self._rests else self.writing.time_s
         return math.inf if self.settled else reached
 
-    def decide(self, said: Answer, settled: bool):
+    def decide(self, said: NetworkOutput, settled: bool):
         """Keep an early decision; otherwise take the answer at the end of a settled recording."""
         if self.verdict is not None and self.verdict.early:
             return
-        self.verdict = said.decided or (said.curve.last() if settled else None)
+        self.verdict = said.decided or (said.curve.find_last() if settled else None)
 
-    def point(self, page_ms, right, down, pressure, touches):
+    def add_point(self, page_ms, right, down, pressure, touches):
         """Add a point of the pen."""
         if not self.over and (touches or self.down):
             point = PenPoint(self.time_s(page_ms), down, right, pressure, touches)
-            self.writing.point(point)
+            self.writing.add_point(point)
             self.last = point
         self.down = touches
 
@@ -149,7 +149,7 @@ class OpenRecording:
         """Lift the pen, independently of the last message of the page."""
         if self.down:
             _, down, right, pressure, _ = self.last
-            self.point(self.page_ms(self.writing.time_s), right, down, pressure, False)
+            self.add_point(self.to_page_ms(self.writing.time_s), right, down, pressure, False)
 
     def advance(self, page_ms) -> Events:
         """Advance the time: to now or, while the pen may be moving, to its last known point."""
@@ -213,7 +213,7 @@ class Session:
         """True if the answer of the network can change without an event."""
         return self._decider is not None and self._decider.clocked
 
-    def state(self) -> dict:
+    def make_writer_message(self) -> dict:
         """The message ``writer``: the writer, those with recordings, and the number of its own."""
         saved = self._keeper.writers
         number = self._writer
@@ -251,9 +251,9 @@ class Session:
         except OverflowError as error:
             raise BadMessage("a number is out of range") from error
         except UserError as error:
-            return [problem(str(error))]
+            return [make_problem_message(str(error))]
         except OSError as error:  # any error of the disk
-            return [problem(line_of(error))]
+            return [make_problem_message(describe_error(error))]
 
     def ask(self):
         """The next answer of the network: a function for another thread, or None.
@@ -266,17 +266,17 @@ class Session:
         events = recording.writing.events
         known_s = recording.known_s
 
-        def answer():
-            said = recording.deciding.answer(events, known_s)
+        def compute():
+            said = recording.deciding.compute_output(events, known_s)
             if said is None:
                 return None
             recording.decide(said, known_s == math.inf)
-            return _answer(recording, events, said)
+            return _make_output_message(recording, events, said)
 
-        return answer
+        return compute
 
-    def spikes(self):
-        """The message ``spikes`` of the latest answer, or None."""
+    def make_spikes_message(self):
+        """The message ``spikes`` of the latest output, or None."""
         recording = self.recording
         if recording is None or recording.spikes is None:
             return None
@@ -290,12 +290,12 @@ class Session:
             "chances": base64.b64encode(shares.tobytes()).decode(),
         }
 
-    def _pen(self, message):
-        now_ms = _number(message, "now")
+    def _handle_pen(self, message):
+        now_ms = _read_number(message, "now")
         points = message.get("points")
         if not isinstance(points, list) or len(points) > POINTS:
             raise BadMessage(f"points: not a list of at most {POINTS}")
-        points = [_point(point, self._sensor) for point in points]
+        points = [_read_point(point, self._sensor) for point in points]
         if any(point[0] > now_ms + 1000 for point in points):
             raise BadMessage("points: later than now")
         if self._decider is None:
@@ -307,9 +307,9 @@ class Session:
                 number = self.recording.number
                 replies.append({"type": "cleared", "recording": number, "begun_ms": point[0]})
             if self.recording is not None and not self.recording.complete:
-                self.recording.point(*point)
+                self.recording.add_point(*point)
         if self.recording is not None:
-            replies.append(self._passed(self.recording.advance, now_ms))
+            replies.append(self._pass_time(self.recording.advance, now_ms))
         return replies
 
     def _is_new(self, page_ms):
@@ -329,27 +329,29 @@ class Session:
             self._recordings, page_ms, self._decider.begin(), writing, self._writer
         )
 
-    def _example(self, message):
-        now_ms = _number(message, "now")
+    def _handle_example(self, message):
+        now_ms = _read_number(message, "now")
         label = message.get("label")
         if label is not None:
-            label = self._class(message)
+            label = self._read_class(message)
         if self._decider is None or self._examples is None:
-            return [problem("the examples are not ready yet; wait a moment and try again")]
+            return [
+                make_problem_message("the examples are not ready yet; wait a moment and try again")
+            ]
         example = self._examples.draw(label)
         self._recordings += 1
         deciding = self._decider.begin()
-        replayed = Replayed(example.events)
+        replayed = ReplayedTouch(example.events)
         self.recording = OpenRecording(
             self._recordings, now_ms, deciding, replayed, example=example
         )
         shown = {"name": example.name, "label": example.label}
         return [{"type": "cleared", "recording": self._recordings, "example": shown}]
 
-    def _class(self, message):
-        return _whole(message, "label", 0, len(self._sensor.classes) - 1)
+    def _read_class(self, message):
+        return _read_whole_number(message, "label", 0, len(self._sensor.classes) - 1)
 
-    def _passed(self, advance, *until):
+    def _pass_time(self, advance, *until):
         """Advance the skin within the limits; returns the message with its events."""
         recording = self.recording
         events = advance(*until)
@@ -368,21 +370,26 @@ class Session:
         self.recording = None
         return [{"type": "cleared", "recording": None}]
 
-    def _label(self, message):
-        label = self._class(message)
+    def _handle_label(self, message):
+        label = self._read_class(message)
         recording = self.recording
         if recording is not None and recording.example is not None:
-            return [problem("an example cannot be saved; clear it and write your own")]
+            return [make_problem_message("an example cannot be saved; clear it and write your own")]
         if recording is None:
-            return [problem("nothing has been written; write first, then press the class")]
+            return [
+                make_problem_message("nothing has been written; write first, then press the class")
+            ]
         saved_before = recording.saved_as
         if saved_before is not None and saved_before.label == label:
-            return [problem("this recording is saved already; write the next one")]
+            return [make_problem_message("this recording is saved already; write the next one")]
         recording.lift()
-        replies = [self._passed(recording.finish)]
+        replies = [self._pass_time(recording.finish)]
         events = recording.writing.events
         if len(events) == 0:
-            return [*replies, problem("no taxel has an event; write with more pressure")]
+            return [
+                *replies,
+                make_problem_message("no taxel has an event; write with more pressure"),
+            ]
         taxels = self._sensor.rows * self._sensor.columns
         kept = self._keeper.save(label, MatRecording(events, True, recording.writer, True, taxels))
         recording.complete = True
@@ -396,52 +403,55 @@ class Session:
             "name": kept.name,
             "events": len(events),
         }
-        return [*replies, saved, self.state()]
+        return [*replies, saved, self.make_writer_message()]
 
     def _undo(self, message):
         recording = self.recording
         saved = recording and recording.saved_as
         if saved is None:
-            return [problem("nothing on the sensor is saved; Clear erases a drawing")]
+            return [make_problem_message("nothing on the sensor is saved; Clear erases a drawing")]
         self._keeper.remove(saved)
         recording.saved_as = None  # it can be saved as another class
-        return [{"type": "undone", "label": saved.label, "name": saved.name}, self.state()]
+        return [
+            {"type": "undone", "label": saved.label, "name": saved.name},
+            self.make_writer_message(),
+        ]
 
-    def _who(self, message):
+    def _handle_writer(self, message):
         number = message.get("number")
         if number is not None and (type(number) is not int or not 1 <= number < WRITERS):
             raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
         if number is None:
-            number = self._keeper.new_writer()
+            number = self._keeper.add_writer()
         self._keeper.is_writer(number)
         self._writer = number
-        return [self.state()]
+        return [self.make_writer_message()]
 
 
 _HANDLERS = {
-    "pen": Session._pen,
+    "pen": Session._handle_pen,
     "clear": Session._clear,
-    "label": Session._label,
-    "example": Session._example,
+    "label": Session._handle_label,
+    "example": Session._handle_example,
     "undo": Session._undo,
-    "writer": Session._who,
+    "writer": Session._handle_writer,
 }
 
 
-def problem(text: str) -> dict:
+def make_problem_message(text: str) -> dict:
     """The message with an error for the user."""
     return {"type": "problem", "text": text}
 
 
-def _answer(recording, events, said: Answer):
+def _make_output_message(recording, events, said: NetworkOutput):
     recording.spikes = said.spikes
     recording.curve = said.curve
     verdict = recording.verdict
-    last = said.curve.last()
+    last = said.curve.find_last()
     return {
         "type": "answer",
         "recording": recording.number,
-        "last_ms": recording.page_ms(events.time_ns[-1] * 1e-9) if len(events) else None,
+        "last_ms": recording.to_page_ms(events.time_ns[-1] * 1e-9) if len(events) else None,
         "events": len(events),
         "decision": last.label,
         "confidence": last.confidence,
@@ -451,21 +461,21 @@ def _answer(recording, events, said: Answer):
     }
 
 
-def _number(message, name):
+def _read_number(message, name):
     value = message.get(name)
     if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > 1e12:
         raise BadMessage(f"{name}: not a number")
     return value
 
 
-def _whole(message, name, least, most):
+def _read_whole_number(message, name, least, most):
     value = message.get(name)
     if type(value) is not int or not least <= value <= most:
         raise BadMessage(f"{name}: not a whole number from {least} to {most}")
     return value
 
 
-def _point(values, sensor):
+def _read_point(values, sensor):
     if sensor.rows * sensor.columns > MOST_TAXELS:
         raise BadMessage(f"points: a skin of more than {MOST_TAXELS} taxels is not simulated")
     right, down = (side - 1 + MARGIN for side in (sensor.columns, sensor.rows))

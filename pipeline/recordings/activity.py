@@ -90,7 +90,7 @@ def find_hot_taxels(activity: TaxelActivity) -> list:
     return hot[np.argsort(-activity.throughout[hot], kind="stable")].tolist()
 
 
-def activity_json(recordings: Recordings) -> dict:
+def make_activity_json(recordings: Recordings) -> dict:
     """:func:`measure_activity` and the hot taxels as plain values; rows and columns from 0."""
     activity = measure_activity(recordings)
     taxels = recordings.taxels
@@ -108,7 +108,7 @@ def activity_json(recordings: Recordings) -> dict:
     return {"hot": find_hot_taxels(activity), "each": each}
 
 
-def activity_text(recordings: Recordings) -> str:
+def format_activity(recordings: Recordings) -> str:
     """:func:`measure_activity` and the hot taxels in a few lines."""
     activity = measure_activity(recordings)
     taxels = recordings.taxels
@@ -167,7 +167,7 @@ def measure_polarity_order(recordings: Recordings) -> dict:
     }
 
 
-def polarity_text(order: dict) -> str:
+def format_polarity_order(order: dict) -> str:
     """:func:`measure_polarity_order` in a line."""
     if not order["taxels"]:
         return "polarity: no taxel has events of both polarities"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.errors import SeveralErrors, UserError
-from deploy.tables import plural
+from deploy.tables import format_count
 from deploy.terminal import remark
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.library import import_recordings
@@ -31,7 +31,7 @@ _LEAVE_OUT = re.compile(r", or leave them out: .*--skip-bad\)")
 
 
 @contextlib.contextmanager
-def errors_naming(name: str, path: Path):
+def name_in_errors(name: str, path: Path):
     """Errors in the block name what the user gave instead of a temporary file."""
     try:
         yield
@@ -66,14 +66,14 @@ def read_recordings(path, **reading) -> Recordings:
         )
 
 
-def recordings_from_arrays(events, labels=None, rows=0, columns=0, **more) -> Recordings:
+def make_recordings(events, labels=None, rows=0, columns=0, **more) -> Recordings:
     """See :meth:`pipeline.recordings.events.Recordings.from_arrays`."""
     events = list(events)
     labels = [UNLABELLED] * len(events) if labels is None else list(labels)
     if len(events) != len(labels):
         raise UserError(
-            f"{NAME}: {plural(len(events), 'recording')} and {plural(len(labels), 'label')}; give "
-            "a label for each"
+            f"{NAME}: {format_count(len(events), 'recording')} and "
+            f"{format_count(len(labels), 'label')}; give a label for each"
         )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{NAME}.zip"
@@ -81,7 +81,7 @@ def recordings_from_arrays(events, labels=None, rows=0, columns=0, **more) -> Re
         def warn(line):
             remark(_name_arguments(line.replace(str(path), NAME)))
 
-        with errors_naming(NAME, path), errors_with_arguments():
+        with name_in_errors(NAME, path), errors_with_arguments():
             write_recordings(path, zip(events, labels, strict=True), **more)
             size = ReadingOptions(rows, columns)
             recordings = import_recordings(path, warn=warn, reading=size)

@@ -98,7 +98,7 @@ def alter(
     altered = altered.select(kept)
     if not how.hot and not how.dead:
         return altered
-    faults = draw_faults(how.hot, how.dead, rng, altered.durations_ms(samples), size)
+    faults = draw_faults(how.hot, how.dead, rng, altered.measure_durations_ms(samples), size)
     return faults.apply(altered)
 
 

@@ -14,14 +14,14 @@ from deploy.files import replacing
 MAX_BYTES_IN_MEMORY = 1 << 28
 
 
-def cache_folder() -> Path:
+def find_cache_folder() -> Path:
     """The folder of the cache: ``$STMNIST_CACHE``, or ``stmnist`` in the user's cache folder."""
     if os.environ.get("STMNIST_CACHE"):  # if empty, it is not set
         return Path(os.environ["STMNIST_CACHE"])
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "stmnist"
 
 
-def empty_array(shape: tuple, dtype) -> np.ndarray:
+def make_empty_array(shape: tuple, dtype) -> np.ndarray:
     """An array to be filled: in memory, or if it is large in a file that ends with it.
 
     Parameters
@@ -32,7 +32,7 @@ def empty_array(shape: tuple, dtype) -> np.ndarray:
     size = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
     if size <= MAX_BYTES_IN_MEMORY:
         return np.empty(shape, dtype)
-    folder = cache_folder()
+    folder = find_cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder) as file:  # unlinked: the mapping keeps it
         return np.memmap(file, dtype, "w+", shape=shape)

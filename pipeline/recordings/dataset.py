@@ -12,7 +12,7 @@ from deploy.network.provenance import TRAINING_RECORDINGS
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
-from pipeline.recordings.cache import empty_array
+from pipeline.recordings.cache import make_empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.images import AlteredImages, make_tactile_images
 from pipeline.recordings.splits import PUBLISHED, Split, find_split_problem, split_of
@@ -73,7 +73,7 @@ class Dataset:
         ----------
         settings : Settings
         recordings : Recordings
-            From :func:`pipeline.sources.recordings_of`.
+            From :func:`pipeline.sources.load_named_recordings`.
         split : Split, optional
             From :func:`split_recordings`, if they were split before.
 
@@ -145,10 +145,10 @@ class Dataset:
         (inputs, labels), or None
             None if the part has no samples.
         """
-        index = self.split.indices(part)
+        index = self.split.get_indices(part)
         if not len(index):
             return None
-        inputs = empty_array((len(index), *self.inputs.shape[1:]), self.inputs.dtype)
+        inputs = make_empty_array((len(index), *self.inputs.shape[1:]), self.inputs.dtype)
         for start in range(0, len(index), RECORDINGS_AT_ONCE):
             some = slice(start, start + RECORDINGS_AT_ONCE)
             inputs[some] = self.inputs[index[some]]
@@ -214,7 +214,7 @@ def require_images_fit(images: np.ndarray, settings: Settings):
     UserError
         A pixel would spike more than once per step.
     """
-    problem = settings.stimulus.complaint(images, images.shape[1:], settings.steps)
+    problem = settings.stimulus.find_problem(images, images.shape[1:], settings.steps)
     if problem is not None:
         raise UserError(
             f"'image.normalisation' {settings.image.normalisation!r}: {problem}; "

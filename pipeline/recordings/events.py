@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.tables import plural
+from deploy.tables import format_count
 from pipeline.paper import DURATION_S
 from pipeline.recordings.cache import release_pages
 
@@ -258,9 +258,9 @@ class Recordings:
         UserError
             Events or labels are not valid, with a line for each reason; or there are none.
         """
-        from pipeline.recordings.arrays import recordings_from_arrays  # imports this module
+        from pipeline.recordings.arrays import make_recordings  # imports this module
 
-        return recordings_from_arrays(events, labels, rows, columns, **more)
+        return make_recordings(events, labels, rows, columns, **more)
 
     def write(self, path):
         """Write the recordings as a zip that every command accepts.
@@ -463,7 +463,7 @@ def is_handwriting(recordings: Recordings) -> bool:
     return bool(source.written or is_simulated or is_st_mnist)
 
 
-def facts_of(recordings: Recordings) -> dict:
+def list_facts(recordings: Recordings) -> dict:
     """The source, the sensor and the number of recordings of each class, as plain values."""
     source = recordings.source
     sensor = recordings.sensor
@@ -486,7 +486,7 @@ def facts_of(recordings: Recordings) -> dict:
     }
 
 
-def reading_text(recordings: Recordings) -> str:
+def describe_recordings(recordings: Recordings) -> str:
     """Summary of a source in one line: numbers, sizes, durations, unit of times, polarities."""
     time_ns = recordings.events.time_ns
     offsets = recordings.offsets
@@ -496,8 +496,8 @@ def reading_text(recordings: Recordings) -> str:
     lasts = lasts if has_events.any() else np.zeros(1)
     parts = [
         f"{len(recordings)} recordings",
-        size_text(sensor),
-        plural(len(sensor.classes), "class", "classes"),
+        describe_size(sensor),
+        format_count(len(sensor.classes), "class", "classes"),
         f"{lasts.min():.2g} to {lasts.max():.2g} s",
     ]
     if recordings.source.time_unit:
@@ -509,8 +509,8 @@ def reading_text(recordings: Recordings) -> str:
     return ", ".join(parts)
 
 
-def size_text(sensor: Sensor) -> str:
+def describe_size(sensor: Sensor) -> str:
     """Rows and columns in words."""
     rows = sensor.rows
     columns = sensor.columns
-    return f"{plural(rows, 'row')} x {plural(columns, 'column')}"
+    return f"{format_count(rows, 'row')} x {format_count(columns, 'column')}"

@@ -3,7 +3,7 @@
 A sensor ages after its network was trained.  Training samples therefore have faulty taxels at
 random places (:func:`draw_faults`), and a check measures the accuracy with a given number of them
 (:func:`place_faults`).  Both make :class:`TaxelFaults`, which :meth:`TaxelFaults.apply` applies to
-events; :meth:`TaxelFaults.hot_events` gives the spikes of the hot taxels alone, and
+events; :meth:`TaxelFaults.draw_hot_events` gives the spikes of the hot taxels alone, and
 :attr:`TaxelFaults.live` is the mask of the others, for inputs that are made of counts.
 
 A network that has seen no faults trusts every taxel: one hot taxel costs a network on events a
@@ -79,7 +79,7 @@ class TaxelFaults:
         """True for taxels that are never silent, shape (samples, rows, columns)."""
         return np.isinf(self.silent_from_ms)
 
-    def hot_events(self) -> EventColumns:
+    def draw_hot_events(self) -> EventColumns:
         """The spikes of the hot taxels."""
         hot = self.hot
         counts = np.floor((hot.end_ms - hot.first_ms) / hot.period_ms).astype(np.int64) + 1
@@ -97,7 +97,7 @@ class TaxelFaults:
 
     def apply(self, events: EventColumns) -> EventColumns:
         """Events of the samples without those of dead taxels, followed by those of hot ones."""
-        return events.select(self.is_sent(events)).join(self.hot_events())
+        return events.select(self.is_sent(events)).join(self.draw_hot_events())
 
 
 def draw_faults(hot: float, dead: float, rng, durations_ms, size: tuple) -> TaxelFaults:
@@ -271,7 +271,7 @@ def add_faults(recordings: Recordings, faults: FaultCounts, seed) -> Recordings:
         (old.polarity < 0).astype(np.int64),
     )
     places = np.stack([taxels.row, taxels.column], 1)
-    durations_ms = events.durations_ms(len(recordings))
+    durations_ms = events.measure_durations_ms(len(recordings))
     rng = np.random.default_rng(seed)
     placed = place_faults(faults, rng, durations_ms, places, size, sensor.polarities)
     kept = placed.is_sent(events)

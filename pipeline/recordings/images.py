@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.recordings.augmentation import AUGMENTATIONS, move_places
-from pipeline.recordings.cache import empty_array
+from pipeline.recordings.cache import make_empty_array
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import draw_faults
 from pipeline.run.settings import Image
@@ -105,7 +105,7 @@ def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
     """
     sensor = recordings.sensor
     shape = (len(indices), sensor.rows, sensor.columns, image.channels)
-    images = empty_array(shape, np.float32)
+    images = make_empty_array(shape, np.float32)
     for span, counts in _count_batches(recordings, image, indices):
         images[span] = _as_images(counts, image)
     return images
@@ -266,7 +266,7 @@ class AlteredImages:
         slice_ms = self._image.duration_ms / self._image.slices
         silent_from_ms = faults.silent_from_ms[counts.sample, counts.row, counts.column]
         before = np.clip(silent_from_ms / slice_ms - counts.time_slice, 0, 1)
-        hot = faults.hot_events()
+        hot = faults.draw_hot_events()
         time_slice = np.minimum((hot.time_ms / slice_ms).astype(np.int64), self._image.slices - 1)
         spikes = TaxelCounts(
             hot.sample, time_slice, hot.row, hot.column, hot.polarity, np.ones(len(time_slice))

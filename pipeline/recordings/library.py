@@ -15,7 +15,7 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
 from pipeline.progress import progress
-from pipeline.recordings.cache import cache_folder, map_column, write_column
+from pipeline.recordings.cache import find_cache_folder, map_column, write_column
 from pipeline.recordings.events import (
     EVENT_DTYPES,
     Events,
@@ -27,11 +27,11 @@ from pipeline.recordings.events import (
 from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
 from pipeline.recordings.source import (
     Listing,
-    content_hash,
-    fingerprint,
+    describe_reading,
+    hash_content,
+    hash_listing,
     list_source,
     read_source,
-    reading_lines,
 )
 from pipeline.run.settings import Settings
 
@@ -44,7 +44,7 @@ MAX_CACHE_BYTES = 1 << 34
 DELETE = "delete it and run the command again to make it again"
 
 
-def options_from(settings: Settings) -> ReadingOptions:
+def make_options(settings: Settings) -> ReadingOptions:
     """The settings of reading files."""
     data = settings.data
     return ReadingOptions(
@@ -88,36 +88,36 @@ def import_recordings(
     # files are not in the hash.
     refused = [list(entry) for entry in listing.refused]
     options = (skip_bad, *astuple(reading), refused)
-    path = cache_file("imported", source.name, find_hash(listing), *options)
+    path = find_cache_file("imported", source.name, find_hash(listing), *options)
     recordings = load(path)
     if recordings is None:
         read = read_source(source, jobs, skip_bad, progress, reading)
         recordings = store_and_load(path, read)
     if warn is not None:
-        for line in reading_lines(source, recordings):
+        for line in describe_reading(source, recordings):
             warn(line)
     return recordings
 
 
 def find_hash(listing: Listing) -> str:
     """The content hash of a source, which is read again only if its files have changed."""
-    path = cache_folder() / f"source-{fingerprint(listing)[:24]}.json"
+    path = find_cache_folder() / f"source-{hash_listing(listing)[:24]}.json"
     if path.exists():
         sha256 = read_json(path, DELETE).get("sha256")
         if isinstance(sha256, str) and re.fullmatch("[0-9a-f]{64}", sha256):
             return sha256
-    sha256 = content_hash(listing)
+    sha256 = hash_content(listing)
     write_json(path, {"sha256": sha256})
     return sha256
 
 
-def cache_file(*key) -> Path:
+def find_cache_file(*key) -> Path:
     """The file for recordings that are determined by some plain values."""
     name = hashlib.sha256(json.dumps([FORMAT, *key]).encode()).hexdigest()[:24]
-    return cache_folder() / f"recordings-{name}.npz"
+    return find_cache_folder() / f"recordings-{name}.npz"
 
 
-def _column_path(path, name):
+def _make_column_path(path, name):
     """The file of a column of the events of recordings."""
     return path.with_name(f"{path.stem}-{name}.npy")
 
@@ -125,7 +125,7 @@ def _column_path(path, name):
 def store(path, recordings: Recordings):
     """Save recordings; the file at ``path`` is written last, since it marks them as complete."""
     for name in EVENT_DTYPES:
-        write_column(_column_path(path, name), getattr(recordings.events, name))
+        write_column(_make_column_path(path, name), getattr(recordings.events, name))
     source = recordings.source
     sensor = recordings.sensor
     taxels = recordings.taxels
@@ -174,7 +174,8 @@ def load(path) -> Recordings | None:
         return None
     arrays = read_arrays(path, DELETE, MAX_CACHE_BYTES)
     of_events = [
-        map_column(_column_path(path, name), dtype, DELETE) for name, dtype in EVENT_DTYPES.items()
+        map_column(_make_column_path(path, name), dtype, DELETE)
+        for name, dtype in EVENT_DTYPES.items()
     ]
     try:
         if {len(column) for column in of_events} != {int(arrays["offsets"][-1])}:

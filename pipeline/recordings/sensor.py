@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deploy.arithmetic import ceil_div
+from deploy.arithmetic import divide_up
 from deploy.errors import UserError
-from deploy.tables import plural
+from deploy.tables import format_count
 from pipeline.recordings import times
 from pipeline.recordings.events import DIGITS, GRID, N_TAXELS, UNIT_NAMES, Sensor, TaxelMap
 from pipeline.recordings.formats.recording import MAX_DURATION_S, MAX_SIDE, UNITS
 from pipeline.recordings.strays import find_strays
-from pipeline.recordings.taxels import add_positions, size_from_lookup
+from pipeline.recordings.taxels import add_positions, find_size
 from pipeline.recordings.times import GIVE_UNIT
 
 # Number of rows and columns from which the extents of the events of train and test identify a
@@ -130,12 +130,12 @@ class Interpretation:
             self.rows,
             self.columns,
             polarities=1 if all((events.polarity > 0).all() for events in self.events) else 2,
-            duration_s=max(ceil_div(latest_ns, 100_000_000), 1) / 10,  # up to the next tenth
-            classes=tuple(sorted(classes, key=class_order)),
+            duration_s=max(divide_up(latest_ns, 100_000_000), 1) / 10,  # up to the next tenth
+            classes=tuple(sorted(classes, key=make_sort_key)),
         )
 
 
-def class_order(name: str):
+def make_sort_key(name: str):
     """Key that sorts names as people do: 2 before 10."""
     pieces = re.split(r"([0-9]+)", name)
     # The longer of two numbers is the larger one; int() refuses those of thousands of digits.
@@ -206,7 +206,7 @@ def _interpret_numbers(path, recordings, parts, lookup, is_strip, options):
         refused |= _find_other_shapes(recordings)
     kept = [index for index in range(len(recordings)) if index not in refused]
     if lookup is not None:
-        rows, columns = size_from_lookup(path, lookup, options.rows, options.columns)
+        rows, columns = find_size(path, lookup, options.rows, options.columns)
         taxels = lookup
     else:
         rows, columns = _arrange(path, n, has_bins, is_strip, options)
@@ -361,7 +361,7 @@ def _interpret_places(path, recordings, parts, lookup, is_strip, options):
     fitting = [recordings[index] for index in kept]
     doubts = ()
     if lookup is not None:
-        rows, columns = size_from_lookup(path, lookup, options.rows, options.columns)
+        rows, columns = find_size(path, lookup, options.rows, options.columns)
         rows_in_files = 1
         taxels = lookup
     else:
@@ -502,7 +502,7 @@ def _places_along(recordings, axis):
 
 def _size_in_files(recordings, axis, side):
     """Rows or columns of the sensor that the files state; 0 if they do not."""
-    return max((ceil_div(r.size[axis], side) for r in recordings if r.size), default=0)
+    return max((divide_up(r.size[axis], side) for r in recordings if r.size), default=0)
 
 
 def _doubt_size(recordings, size, options):
@@ -528,10 +528,10 @@ def _doubt_size(recordings, size, options):
         combined = " after data.downsample" if side > 1 else ""
         up_to = "" if strays.n_events == 1 else "up to "
         text = (
-            f"{plural(strays.n_events, 'event')} at {letter} = {up_to}{strays.place}{combined}, "
-            f"and all others have {letter} from 0 to {strays.size - 1}; the sensor is read as "
-            f"{size[0]} rows x {size[1]} columns: correct this, or give the number of {noun}, such "
-            f"as --set {setting}={strays.size}"
+            f"{format_count(strays.n_events, 'event')} at {letter} = {up_to}{strays.place}"
+            f"{combined}, and all others have {letter} from 0 to {strays.size - 1}; the sensor is "
+            f"read as {size[0]} rows x {size[1]} columns: correct this, or give the number of "
+            f"{noun}, such as --set {setting}={strays.size}"
         )
         doubts.append((strays.recordings, text))
     return tuple(doubts)
@@ -540,7 +540,7 @@ def _doubt_size(recordings, size, options):
 def _require_small(path, rows, columns, side):
     """Refuse a sensor with more rows or columns than any has."""
     if max(rows, columns) > MAX_SIDE:
-        needed = ceil_div(max(rows, columns), MAX_SIDE) * side
+        needed = divide_up(max(rows, columns), MAX_SIDE) * side
         raise UserError(
             f"{path}: the sensor has {rows} rows and {columns} columns, more than {MAX_SIDE}; "
             f"combine squares of pixels: --set data.downsample={needed}"

@@ -30,10 +30,10 @@ from pathlib import Path, PurePosixPath
 from joblib import delayed
 
 from deploy.errors import SeveralErrors, UserError
-from deploy.files import open_regular, sha256_of
+from deploy.files import hash_file, open_regular
 from deploy.tables import list_names
-from deploy.terminal import WARNING, printable
-from pipeline.jobs import results_of
+from deploy.terminal import WARNING, escape_control
+from pipeline.jobs import call_in_processes
 from pipeline.progress import ignore_progress
 from pipeline.recordings import sensor
 from pipeline.recordings.events import Recordings, Source, collect
@@ -163,7 +163,7 @@ def list_source(path, labelled: bool = True) -> Listing:
     path = Path(path)
     if not labelled and path.suffix.lower() in READERS and path.is_file():
         return _list_file(path)
-    files, folders, refused = _members(path)
+    files, folders, refused = _list_members(path)
     members, tables = _sort_files(path, files)
     recordings, others = _choose_format(path, members)
     refused += others
@@ -178,7 +178,7 @@ def list_source(path, labelled: bool = True) -> Listing:
     if not entries:
         raise UserError(f"{path}: {_shorten(refused[-1][0])} {refused[-1][1]}")
     refused += _find_empty_classes(entries, folders)
-    entries.sort(key=lambda e: (e.part != "train", sensor.class_order(e.of_class), e.member))
+    entries.sort(key=lambda e: (e.part != "train", sensor.make_sort_key(e.of_class), e.member))
     lookup_table, positions = tables
     return Listing(path, tuple(entries), lookup_table, positions, tuple(sorted(refused)))
 
@@ -274,12 +274,12 @@ def _find_class_folders(path, recordings):
             f"{path}: has a folder {extra[0]!r} beside train and test; move its recordings to "
             "train, from which validation samples are drawn, or move it away"
         )
-    labels = [label for label in map(_label_in_name, recordings) if label is not None]
+    labels = [label for label in map(_read_label, recordings) if label is not None]
     number = sum(label.isdecimal() for label in labels)
     return _ClassFolders(around, is_published, 2 * number > len(labels))
 
 
-def _label_in_name(member):
+def _read_label(member):
     """The class in a file's name, ``..._label_<class>``; None if there is none."""
     _, mark, label = member.stem.rpartition(LABEL_MARK)
     return label if mark else None
@@ -290,7 +290,7 @@ def _are_part_folders(members):
     tops = {
         PART_OF_FOLDER.get(member.parts[0].lower())
         for member in members
-        if len(member.parts) > (2 if _label_in_name(member) is None else 1)
+        if len(member.parts) > (2 if _read_label(member) is None else 1)
     }
     return len(tops - {None}) == 2
 
@@ -314,10 +314,10 @@ def _require_one_data_set(path, recordings):
         )
 
 
-def _members(path):
+def _list_members(path):
     """Paths of all files and folders of a source, and files refused with the reason."""
     if path.is_dir():
-        return _members_of_folder(path)
+        return _list_members_of_folder(path)
     if not path.exists():
         raise UserError(f"{path}: no such file or folder; give a zip or a folder of recordings")
     if path.suffix.lower() == OLD_SUFFIX:
@@ -328,17 +328,17 @@ def _members(path):
             "('stmnist predict' takes one)"
         )
     try:
-        with open_regular(path) as file, _archive(file) as archive:
+        with open_regular(path) as file, _open_archive(file) as archive:
             members = archive.infolist()
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
         raise UserError(
             f"{path}: not a zip archive, or cut short ({error}); download it again"
         ) from error
-    return _members_of_archive(members)
+    return _list_members_of_archive(members)
 
 
-def _members_of_folder(path):
-    """As :func:`_members`, of a folder."""
+def _list_members_of_folder(path):
+    """As :func:`_list_members`, of a folder."""
     files = []
     folders = []
     refused = []
@@ -359,8 +359,8 @@ def _members_of_folder(path):
     return sorted(files), folders, refused
 
 
-def _members_of_archive(members):
-    """As :func:`_members`, of the entries of a zip."""
+def _list_members_of_archive(members):
+    """As :func:`_list_members`, of the entries of a zip."""
     files = []
     seen = set()
     refused = []
@@ -388,7 +388,7 @@ def _is_ignored(member):
 def _find_folders_around(recordings) -> PurePosixPath:
     """The folders around most recordings, inside of which are the folders of the classes."""
     parents = {member.parent for member in recordings}
-    if len(parents) == 1 and None not in map(_label_in_name, recordings):
+    if len(parents) == 1 and None not in map(_read_label, recordings):
         return parents.pop()
     around = PurePosixPath()
     while True:
@@ -415,7 +415,7 @@ def _place(member, class_folders, labelled=True):
         folders = folders[1:]
     if len(folders) > 1:
         return "", "", "is in a folder inside that of a class; move it"
-    label = _label_in_name(member)
+    label = _read_label(member)
     if label is not None and (problem := _examine_label(label, folders, class_folders)):
         return "", "", problem
     if not folders and label is None:
@@ -483,24 +483,24 @@ def read_source(
     listing = list_source(path, reading.labelled)
     entries, read, bad = _read_entries(listing, jobs, progress)
     refused = [*listing.refused, *bad]
-    lookup, positions = _tables_of(listing)
+    lookup, positions = _read_tables(listing)
     if not read:
-        raise SeveralErrors(_refusals(path, refused, listing.total, False))
+        raise SeveralErrors(_describe_refusals(path, refused, listing.total, False))
     parts = [entry.part for entry in entries]
     read, order = _settle_orders(path, read)
     interpretation = sensor.interpret(path, read, parts, lookup, positions, reading)
     refused += [(entries[index].member, why) for index, why in interpretation.refused.items()]
     warnings = _describe_doubts(interpretation, [entry.member for entry in entries])
     if refused and not skip_bad:
-        raise SeveralErrors(_refusals(path, refused, listing.total))
+        raise SeveralErrors(_describe_refusals(path, refused, listing.total))
     entries = [entries[index] for index in interpretation.kept]
     read = [read[index] for index in interpretation.kept]
     classes = {entry.of_class for entry in entries}
     unread = reading.labelled and sorted({entry.of_class for entry in listing.entries} - classes)
     if unread:
-        name = printable(unread[0])
+        name = escape_control(unread[0])
         head = f"{path}: no recording of {name!r} can be read; correct or remove them"
-        raise SeveralErrors([head, *_refusals(path, refused, listing.total, False)])
+        raise SeveralErrors([head, *_describe_refusals(path, refused, listing.total, False)])
     the_sensor = interpretation.make_sensor(classes)
     ids = [entry.id for entry in entries]
     left_out = tuple(f"{_shorten(name)}: {reason}" for name, reason in refused)
@@ -536,7 +536,7 @@ def _read_entries(listing, jobs, progress):
     calls = (delayed(_read_files)(listing.path, chunk) for chunk in chunks)
     n_events = 0
     bar = progress("import", len(listing.entries), "recordings")
-    with results_of(calls, jobs) as work, bar as advance:
+    with call_in_processes(calls, jobs) as work, bar as advance:
         for chunk, results in zip(chunks, work, strict=True):
             for entry, recording in zip(chunk, results, strict=True):
                 if isinstance(recording, str):
@@ -544,7 +544,7 @@ def _read_entries(listing, jobs, progress):
                 else:
                     entries.append(entry)
                     read.append(recording)
-            n_events += sum(map(_size_of, results))
+            n_events += sum(map(_count_events, results))
             _require_few(listing.path, n_events)
             advance(len(chunk))
     return entries, read, bad
@@ -554,7 +554,7 @@ def _describe_source(listing, read, found, left_out, order):
     """The source of recordings that were read."""
     return Source(
         name=listing.path.name,
-        sha256=content_hash(listing),
+        sha256=hash_content(listing),
         simulated=any(recording.simulated for recording in read),
         written=all(recording.written for recording in read),
         left_out=left_out,
@@ -600,7 +600,7 @@ def _order_remarks(order):
     return (f"columns without names are read as {', '.join(order)}",)
 
 
-def _tables_of(listing):
+def _read_tables(listing):
     """The contents of ``LUT.mat`` and ``taxels.csv``, each None without the file."""
     tables = []
     for name, read in (
@@ -608,13 +608,13 @@ def _tables_of(listing):
         (listing.positions, read_positions),
     ):
         try:
-            tables.append(None if name is None else read(_reader(listing.path).read(name)))
+            tables.append(None if name is None else read(_find_reader(listing.path).read(name)))
         except BadRecording as error:
             raise UserError(f"{listing.path}: {name} {error}; correct or remove it") from error
     return tables
 
 
-def reading_lines(path, recordings: Recordings) -> list:
+def describe_reading(path, recordings: Recordings) -> list:
     """Messages about how a source was read and which files were left out, a line each.
 
     Parameters
@@ -633,7 +633,7 @@ def reading_lines(path, recordings: Recordings) -> list:
     return lines
 
 
-def _refusals(path, refused, total, can_skip=True):
+def _describe_refusals(path, refused, total, can_skip=True):
     """A line for each reason: number of files, the first ones, and the reason of the first.
 
     If there are several, a line with the remedy precedes them.
@@ -662,7 +662,7 @@ def _refusals(path, refused, total, can_skip=True):
 
 
 def _shorten(name, longest=120):
-    name = printable(str(name))
+    name = escape_control(str(name))
     return name if len(name) <= longest else f"...{name[3 - longest :]}"
 
 
@@ -671,7 +671,7 @@ def _shorten(name, longest=120):
 
 def _read_files(path, entries):
     """Read the files of some entries: each recording, or the reason to refuse it."""
-    reader = _reader(path)
+    reader = _find_reader(path)
     results = []
     n_events = 0
     for entry in entries:
@@ -679,12 +679,12 @@ def _read_files(path, entries):
             results.append(read_file(reader.read(entry.member), entry.member))
         except BadRecording as error:
             results.append(str(error))
-        n_events += _size_of(results[-1])
+        n_events += _count_events(results[-1])
         _require_few(path, n_events)
     return results
 
 
-def _size_of(recording):
+def _count_events(recording):
     """Number of events of a recording; 0 for the reason to refuse one."""
     return 0 if isinstance(recording, str) else len(recording)
 
@@ -697,7 +697,7 @@ def _require_few(path, n_events):
         )
 
 
-def _archive(file):
+def _open_archive(file):
     """A zip.  Names without a mark are UTF-8, as ``zip`` writes them, or else of code page 437."""
     try:
         return zipfile.ZipFile(file, metadata_encoding="utf-8")
@@ -712,7 +712,7 @@ class _Reader:
         if path.is_dir():
             self._open_member = lambda name: open_regular(path / name)
         else:
-            self._open_member = _archive(open_regular(path)).open
+            self._open_member = _open_archive(open_regular(path)).open
 
     def read(self, name) -> bytes:
         try:
@@ -727,7 +727,7 @@ class _Reader:
         return content
 
 
-def _reader(path: Path) -> _Reader:
+def _find_reader(path: Path) -> _Reader:
     """A reader of the present source, opened once per process, because a zip's list is long."""
     state = path.stat()
     return _open_reader(path, state.st_ino, state.st_size, state.st_mtime_ns)
@@ -741,15 +741,15 @@ def _open_reader(path, *_state):
 # Identity.
 
 
-def content_hash(listing: Listing) -> str:
+def hash_content(listing: Listing) -> str:
     """SHA-256 over a source's content: of the zip, or of every file of a folder that is read."""
     if not listing.path.is_dir():
-        return sha256_of(listing.path)
-    hashes = {name: sha256_of(listing.path / name) for name in listing.files}
+        return hash_file(listing.path)
+    hashes = {name: hash_file(listing.path / name) for name in listing.files}
     return hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
 
 
-def fingerprint(listing: Listing) -> str:
+def hash_listing(listing: Listing) -> str:
     """A fast substitute for the content hash: names, sizes and modification times."""
     path = listing.path
     files = [path / name for name in listing.files] if path.is_dir() else [path]

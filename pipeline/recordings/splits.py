@@ -41,13 +41,13 @@ class Split:
     test: np.ndarray
     kind: str = RANDOM
 
-    def indices(self, part: str) -> np.ndarray:
+    def get_indices(self, part: str) -> np.ndarray:
         """The indices of the samples of one of the `PARTS`."""
         if part not in PARTS:
             raise ValueError(f"no part {part!r}; the parts are {', '.join(PARTS)}")
         return getattr(self, part)
 
-    def held_out(self, seed: int) -> tuple:
+    def hold_out(self, seed: int) -> tuple:
         """Samples to train on, and held-out samples: for validation or else of the training.
 
         Parameters
@@ -117,7 +117,7 @@ def _add_missing_classes(split, labels):
     training set, from validation before test; then into the test set, in exchange for a recording
     of the class with most test recordings, as long as that has more than one.
     """
-    train, validation, test = (split.indices(part).tolist() for part in PARTS)
+    train, validation, test = (split.get_indices(part).tolist() for part in PARTS)
 
     def take(pool, label):
         return next((i for i in pool if labels[i] == label), None)

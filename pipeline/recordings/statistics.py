@@ -8,13 +8,13 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import open_regular, reporting_os_errors
-from deploy.tables import in_blocks, list_names, shorten_apart
-from deploy.terminal import printable
+from deploy.tables import align_in_blocks, list_names, shorten_apart
+from deploy.terminal import escape_control
 from pipeline.recordings.activity import (
-    activity_json,
-    activity_text,
+    format_activity,
+    format_polarity_order,
+    make_activity_json,
     measure_polarity_order,
-    polarity_text,
 )
 from pipeline.recordings.events import (
     N_TAXELS,
@@ -22,9 +22,9 @@ from pipeline.recordings.events import (
     UNIT_NAMES,
     Recordings,
     Sensor,
-    facts_of,
+    describe_recordings,
     is_written,
-    reading_text,
+    list_facts,
 )
 from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.recording import (
@@ -37,39 +37,39 @@ from pipeline.recordings.sensor import AS_FOUND, ReadingOptions, choose_rise, ma
 from pipeline.recordings.times import infer_unit, to_ns
 
 
-def facts_with_events(recordings: Recordings) -> dict:
-    """:func:`facts_of` with the numbers of physical events and of the files' columns."""
+def list_facts_with_events(recordings: Recordings) -> dict:
+    """:func:`list_facts` with the numbers of physical events and of the files' columns."""
     return {
-        **facts_of(recordings),
+        **list_facts(recordings),
         "events": len(recordings.events),
         "columns": int(recordings.events.columns.sum(dtype=np.int64)),
     }
 
 
-def recordings_text(facts: dict, recordings: Recordings) -> str:
-    """:func:`facts_with_events` of recordings in a few lines."""
+def format_facts(facts: dict, recordings: Recordings) -> str:
+    """:func:`list_facts_with_events` of recordings in a few lines."""
     sensor = recordings.sensor
     what = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
         what = "recordings, written by hand on the simulated sensor,"
     of_each = list_names(
-        f"{printable(name)} {count}" for name, count in facts["samples_per_class"].items()
+        f"{escape_control(name)} {count}" for name, count in facts["samples_per_class"].items()
     )
-    source = printable(facts["source"])
+    source = escape_control(facts["source"])
     text = f"{facts['samples']} {what} in {source}; of each class: {of_each}\n"
-    text += _count_text(facts)
+    text += _format_count(facts)
     if sensor != Sensor():
-        text += f"\n{reading_text(recordings)}"
+        text += f"\n{describe_recordings(recordings)}"
     return text
 
 
-def _count_text(facts, polarities=""):
+def _format_count(facts, polarities=""):
     if facts["columns"] == facts["events"]:
         return f"{facts['events']} events{polarities}"
     return f"{facts['events']} physical events{polarities} in {facts['columns']} columns"
 
 
-def facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
+def list_facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
     """Counts and times of one recording: columns of the file, and physical events.
 
     Parameters
@@ -141,15 +141,14 @@ def _read_bins(path, recording, options):
     return make_events(recording, rise, options.bin_ms), facts
 
 
-def file_text(name: str, facts: dict) -> str:
-    """:func:`facts_of_file` in a line."""
+def format_facts_of_file(name: str, facts: dict) -> str:
+    """:func:`list_facts_of_file` in a line."""
     remark = " (simulated)" if facts["simulated"] else ""
     if facts.get("source") == "written":
         remark = " (written by hand on the simulated sensor)"
     polarities = f" ({facts['on']} ON, {facts['off']} OFF)"
-    text = (
-        f"{printable(name)}{remark}: {_count_text(facts, polarities)} of {facts['taxels']} taxels"
-    )
+    counts = _format_count(facts, polarities)
+    text = f"{escape_control(name)}{remark}: {counts} of {facts['taxels']} taxels"
     if "sensor" in facts:
         text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
     text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
@@ -216,12 +215,14 @@ def measure_classes(recordings) -> dict:
     result = {}
     for digit in np.unique(recordings.labels):
         of_digit = recordings.labels == digit
-        result[int(digit)] = {name: _mean_sd(values[of_digit]) for name, values in measures.items()}
+        result[int(digit)] = {
+            name: _compute_mean_sd(values[of_digit]) for name, values in measures.items()
+        }
         result[int(digit)]["samples"] = int(of_digit.sum())
     return result
 
 
-def _mean_sd(values):
+def _compute_mean_sd(values):
     """Mean and sample SD without NaN; NaN if there are too few values."""
     values = values[~np.isnan(values)]
     mean = float(values.mean()) if len(values) else math.nan
@@ -262,42 +263,42 @@ JSON_NAMES = {
 MAX_HEAD_CHARACTERS = 20
 
 
-def statistics_json(recordings) -> dict:
+def make_statistics_json(recordings) -> dict:
     """The table by class, the order of the polarities and the activity of the taxels.
 
     Rows and columns count from 0.
     """
     names = recordings.sensor.classes
-    facts = facts_of(recordings)
+    facts = list_facts(recordings)
     return {
         "simulated": recordings.source.simulated,
         "samples": len(recordings),
         "sensor": facts["sensor"],
         "time_unit": recordings.source.time_unit or None,
         "classes": {
-            names[label]: _plain(row) for label, row in measure_classes(recordings).items()
+            names[label]: _make_plain(row) for label, row in measure_classes(recordings).items()
         },
         "polarity_order": measure_polarity_order(recordings),
-        "taxels": activity_json(recordings),
+        "taxels": make_activity_json(recordings),
     }
 
 
-def statistics_text(recordings) -> str:
+def format_statistics(recordings) -> str:
     """The source, the table, the order of the polarities and the activity of the taxels."""
     return "\n".join(
         [
-            f"{printable(recordings.source.name)}: {reading_text(recordings)}",
-            table1_text(recordings),
-            polarity_text(measure_polarity_order(recordings)),
-            activity_text(recordings),
+            f"{escape_control(recordings.source.name)}: {describe_recordings(recordings)}",
+            format_table1(recordings),
+            format_polarity_order(measure_polarity_order(recordings)),
+            format_activity(recordings),
         ]
     )
 
 
-def table1_text(recordings) -> str:
+def format_table1(recordings) -> str:
     """The table as text."""
     ours = measure_classes(recordings)
-    name = printable(recordings.source.name)
+    name = escape_control(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"
     sensor = recordings.sensor
@@ -313,7 +314,7 @@ def table1_text(recordings) -> str:
     rows.append(["samples", *(str(row["samples"]) for row in ours.values())])
     places = "X and Y from 1, as in the paper" if is_paper else "rows and columns from 0"
     title = f"{name}, {len(recordings)} samples: mean (SD); {places}"
-    return "\n".join([title, *in_blocks(rows)])
+    return "\n".join([title, *align_in_blocks(rows)])
 
 
 def _count_from_0(measure, value):
@@ -324,7 +325,7 @@ def _count_from_0(measure, value):
     return mean - 1, deviation
 
 
-def _plain(row):
+def _make_plain(row):
     return {
         JSON_NAMES.get(name, name): _without_nan(_count_from_0(name, value))
         for name, value in row.items()

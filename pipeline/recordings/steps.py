@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from deploy.network.stimulus import EventFrames, apply_refractory_period, limit_spikes
-from pipeline.recordings.cache import empty_array, release_pages
+from pipeline.recordings.cache import make_empty_array, release_pages
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings, TaxelMap
 from pipeline.run.settings import Input
@@ -97,9 +97,9 @@ class EventTable:
     @property
     def typical_duration_ms(self) -> float:
         """The time that nine recordings in ten do not exceed, in ms; at least 1."""
-        return self.typical_duration_of(np.arange(len(self)))
+        return self.measure_typical_duration(np.arange(len(self)))
 
-    def typical_duration_of(self, indices) -> float:
+    def measure_typical_duration(self, indices) -> float:
         """The time that nine of ten of some recordings do not exceed, in ms; at least 1."""
         durations_ms = self.duration_ms[indices]
         return max(float(np.quantile(durations_ms, 0.9)), 1.0) if len(durations_ms) else 1.0
@@ -141,7 +141,7 @@ class EventTable:
             First ON, then OFF.
         """
         indices = np.arange(len(self)) if indices is None else np.asarray(indices)
-        counts = empty_array((len(indices), slices, *self.size, 2), np.float32)
+        counts = make_empty_array((len(indices), slices, *self.size, 2), np.float32)
         for span, events in self.pick_in_batches(indices):
             counts[span] = self.count(events, span.stop - span.start, slices, duration_ms)
         return counts

@@ -65,7 +65,7 @@ def add_positions(path, taxels: TaxelMap, rows: int, columns: int, positions: di
     )
 
 
-def size_from_lookup(path, lookup: TaxelMap, rows: int, columns: int) -> tuple:
+def find_size(path, lookup: TaxelMap, rows: int, columns: int) -> tuple:
     """Rows and columns of a sensor with a look-up table.
 
     Parameters

@@ -12,7 +12,7 @@ from deploy.errors import SeveralErrors, UserError
 from deploy.files import replacing, require_ending, zip_member
 from pipeline.progress import ignore_progress
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.formats.mat import MatRecording, lookup_table_bytes, recording_bytes
+from pipeline.recordings.formats.mat import MatRecording, encode_lookup_table, encode_recording
 from pipeline.recordings.formats.recording import UNITS, BadRecording, make_recording
 
 # Number of reasons that are listed individually.
@@ -81,10 +81,10 @@ def write_recordings(
             if index in sizes:  # more recordings than writers or parts
                 break
             try:
-                name = _class_of(label, names, is_fixed)
+                name = _find_class(label, names, is_fixed)
                 writer = -1 if writers is None else int(writers[index])
                 recording = replace(make_recording(events), size=size, writer=writer)
-                content = _npz_bytes(recording, time_unit, simulated)
+                content = _encode_npz(recording, time_unit, simulated)
             except BadRecording as error:
                 problems.setdefault(str(error), []).append(index)
                 continue
@@ -129,7 +129,7 @@ def _list_classes(path, recordings, classes) -> list[str] | None:
     return names
 
 
-def _class_of(label, names, is_fixed):
+def _find_class(label, names, is_fixed):
     """The name of a label's class, which must be one of the names if these are fixed."""
     is_number = isinstance(label, (int, np.integer)) and not isinstance(label, bool)
     if is_fixed and is_number:
@@ -161,7 +161,7 @@ def _find_sensor_size(recordings):
     return (int(rows), int(columns)) if is_size else None
 
 
-def _npz_bytes(recording, time_unit, simulated) -> bytes:
+def _encode_npz(recording, time_unit, simulated) -> bytes:
     arrays = {"x": recording.x.astype(np.uint16), "y": recording.y.astype(np.uint16)}
     unit = recording.unit or time_unit
     arrays[f"t_{unit}" if unit else "t"] = recording.time
@@ -198,7 +198,7 @@ def write_zip(path, recordings: Recordings, progress=ignore_progress):
             member = PurePosixPath("data_submission", name)
             archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
 
-        add("LUT.mat", lookup_table_bytes(recordings.taxels))
+        add("LUT.mat", encode_lookup_table(recordings.taxels))
         for index, name in enumerate(recordings.ids):
             recording = MatRecording(
                 recordings[index],
@@ -206,5 +206,5 @@ def write_zip(path, recordings: Recordings, progress=ignore_progress):
                 int(recordings.writers[index]),
                 n_taxels=len(recordings.taxels),
             )
-            add(f"{name}.mat", recording_bytes(recording))
+            add(f"{name}.mat", encode_recording(recording))
             advance(1)

@@ -84,9 +84,9 @@ def check_on_others(
     presented, indices = other_recordings.replace_check_samples(
         bundle, recordings, others.samples, check.seed, settings.image
     )
-    path = other_recordings.result_path(bundle, recordings, len(indices), check.target)
+    path = other_recordings.find_result_path(bundle, recordings, len(indices), check.target)
     if faults is not None:
-        path = check_with_faults.fault_path(path, faults)
+        path = check_with_faults.find_fault_path(path, faults)
         drawn = recordings.subset(indices)
         presented = check_with_faults.add_faults_to_check(presented, drawn, faults, settings.image)
     path = out or path

@@ -14,7 +14,7 @@ from pipeline.recordings.events import Recordings
 from pipeline.recordings.faults import CHECK_PERIOD_MS, FaultCounts, add_faults
 from pipeline.run.folder import run_around
 from pipeline.run.settings import Image, read_settings
-from pipeline.sources import recordings_of
+from pipeline.sources import load_named_recordings
 
 # Maximum number of taxels with the same fault.
 MAX_FAULTS = 1000
@@ -62,7 +62,7 @@ def read_check_recordings(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
             "give recordings with --data FILE"
         )
     settings = read_settings(run / "experiment.toml")
-    recordings = recordings_of(settings, jobs, warn)
+    recordings = load_named_recordings(settings, jobs, warn)
     number = {name: index for index, name in enumerate(recordings.ids)}
     missing = [name for name in bundle.checks.ids if name not in number]
     if missing:
@@ -99,12 +99,12 @@ def add_faults_to_check(
         raise UserError(f"--fault: {error}") from error
     spec = bundle.spec
     inputs = make_inputs_for(spec, faulty, image)
-    if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
+    if problem := spec.stimulus.find_problem(inputs, spec.input_shape, spec.presentation.steps):
         raise UserError(f"--fault: {problem}")
     return replace(bundle, checks=replace(bundle.checks, inputs=inputs))
 
 
-def fault_path(path: Path, counts: FaultCounts) -> Path:
+def find_fault_path(path: Path, counts: FaultCounts) -> Path:
     """The file of a result with faults, beside that of the result without."""
     return path.with_name(f"{path.stem}-{counts}.json")
 

@@ -8,24 +8,30 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.check.bundle import read_bundle
-from deploy.check.intervals import fisher, mcnemar
+from deploy.check.intervals import compute_fisher_p, compute_mcnemar_p
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.provenance import read_classes
 from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
-from deploy.tables import SIGNIFICANCE, align_rows, p_text, plain, plural, star
+from deploy.tables import (
+    SIGNIFICANCE,
+    align_rows,
+    format_count,
+    format_p,
+    format_value,
+    mark_significance,
+)
 from deploy.targets.registry import TARGETS, rank_targets_by_spikes
-from deploy.terminal import command_text, printable
-from pipeline.kinds import kind_of_network, list_references
-from pipeline.kinds.imported import IMPORT_SETTINGS
+from deploy.terminal import escape_control, format_command
+from pipeline.kinds import find_kind, list_references
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.events import is_written
-from pipeline.results.status import find_outdated, remedy_text, status_of
+from pipeline.results.status import describe_remedy, find_outdated, list_states
 from pipeline.run.artifacts import DELETE_IT
 from pipeline.run.folder import RunFolder, require_run
-from pipeline.run.settings import SIMULATED, Settings, read_settings
-from pipeline.stages import settings_of_network
+from pipeline.run.settings import IMPORTED, SIMULATED, Settings, read_settings
+from pipeline.workflow import list_network_settings
 
 SCHEMA = "stmnist-runs/1"
 
@@ -91,7 +97,7 @@ def read_runs(paths) -> list:
     """
     paths = [Path(path) for path in paths]
     if not 2 <= len(paths) <= len(LETTERS):
-        raise UserError(f"{plural(len(paths), 'run')} named; give from two to {len(LETTERS)}")
+        raise UserError(f"{format_count(len(paths), 'run')} named; give from two to {len(LETTERS)}")
     return [_read_run(path) for path in paths]
 
 
@@ -99,7 +105,7 @@ def _read_run(path):
     folder = RunFolder(path)
     require_run(folder)
     if not folder.bundle.is_dir():
-        raise UserError(f"{path}: has no bundle; make it with {command_text('convert', path)}")
+        raise UserError(f"{path}: has no bundle; make it with {format_command('convert', path)}")
     bundle = read_bundle(folder.bundle)
     files = {stage: folder.check(stage) for stage in list_stages()}
     every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
@@ -108,7 +114,7 @@ def _read_run(path):
     if not results:
         old = " of its bundle, only of an earlier one" if stale else ""
         raise UserError(
-            f"{path}: no check results{old}; make them with {command_text('ladder', path)}"
+            f"{path}: no check results{old}; make them with {format_command('ladder', path)}"
         )
     plan = make_plan(bundle.spec)
     return Run(
@@ -119,7 +125,7 @@ def _read_run(path):
         chips=plan.chips,
         results=results,
         stale=tuple(stale),
-        outdated=find_outdated(status_of(folder)),
+        outdated=find_outdated(list_states(folder)),
     )
 
 
@@ -153,26 +159,26 @@ def compare_runs(runs) -> dict:
             }
             for run in runs
         ],
-        "settings": _different_settings(runs),
+        "settings": _find_different_settings(runs),
         "stages": [_stage(stage, runs) for stage in shared],
     }
 
 
-def _different_settings(runs):
+def _find_different_settings(runs):
     """Settings that at least two runs read and that differ; None for runs that do not read them."""
-    read = [settings_of_network(run.spec) for run in runs]
+    read = [list_network_settings(run.spec) for run in runs]
     names = dict.fromkeys(name for settings in read for name in settings)
     different = []
     contents = {run.spec.provenance.get("source_sha256") for run in runs}
     sources = [run.settings.data.source for run in runs]
     if len(contents) > 1 and {*sources} != {SIMULATED}:  # not the same ones in another place
         different.append({"name": "data.source", "values": sources})
-    imported = [kind_of_network(run.settings).imported for run in runs]
+    imported = [find_kind(run.settings).imported for run in runs]
     hashes = {None if network is None else network.sha256 for network in imported}
     if len(hashes) > 1:
         files = ["training" if network is None else network.file for network in imported]
         different.append({"name": "network from", "values": files})
-    for name in (name for name in names if name not in IMPORT_SETTINGS):
+    for name in (name for name in names if name not in IMPORTED.values()):
         values = [settings.get(name) for settings in read]
         if len({repr(value) for value in values if value is not None}) > 1:
             different.append({"name": name, "values": values})
@@ -246,7 +252,7 @@ def _select_accuracy(result):
     return {name: result[name] for name in ("n_samples", "accuracy", "accuracy_ci95")}
 
 
-def _right(result):
+def _count_right(result):
     return sum(sample["prediction"] == sample["label"] for sample in result["samples"])
 
 
@@ -270,32 +276,37 @@ def compare_accuracies(a: Run, b: Run, stage: str) -> dict | None:
     second = b.results[stage]
     sources = [run.spec.provenance.get("source_sha256") for run in (a, b)]
     same_source = None in sources or sources[0] == sources[1]
-    paired = same_source and _labels_by_id(first) == _labels_by_id(second)
+    paired = same_source and _map_labels(first) == _map_labels(second)
     value = {"difference": second["accuracy"] - first["accuracy"], "paired": paired}
     if not paired:
-        counts = (_right(first), first["n_samples"], _right(second), second["n_samples"])
-        return {**value, "only_a": None, "only_b": None, "p": fisher(*counts)}
-    right_a = _right_by_id(first)
-    right_b = _right_by_id(second)
+        counts = (
+            _count_right(first),
+            first["n_samples"],
+            _count_right(second),
+            second["n_samples"],
+        )
+        return {**value, "only_a": None, "only_b": None, "p": compute_fisher_p(*counts)}
+    right_a = _map_right(first)
+    right_b = _map_right(second)
     pairs = [(right, right_b[sample]) for sample, right in right_a.items()]
     return {
         **value,
         "only_a": sum(in_a and not in_b for in_a, in_b in pairs),
         "only_b": sum(in_b and not in_a for in_a, in_b in pairs),
-        "p": mcnemar(*zip(*pairs, strict=True)),
+        "p": compute_mcnemar_p(*zip(*pairs, strict=True)),
     }
 
 
-def _labels_by_id(result) -> dict:
+def _map_labels(result) -> dict:
     return {sample["id"]: sample["label"] for sample in result["samples"]}
 
 
-def _right_by_id(result) -> dict:
+def _map_right(result) -> dict:
     """Whether the prediction of each sample is right."""
     return {sample["id"]: sample["prediction"] == sample["label"] for sample in result["samples"]}
 
 
-def runs_text(compared: dict) -> str:
+def format_runs(compared: dict) -> str:
     """Format a comparison as tables in which a letter stands for each run.
 
     Parameters
@@ -305,10 +316,10 @@ def runs_text(compared: dict) -> str:
     """
     runs = compared["runs"]
     letters = LETTERS[: len(runs)]
-    lines = [f"{a}  {printable(run['name'])}" for a, run in zip(letters, runs, strict=True)]
-    lines += ["", *_settings_lines(compared, letters)]
-    lines += ["", *_accuracy_lines(compared, letters)]
-    lines += ["", *_inference_lines(runs, letters)]
+    lines = [f"{a}  {escape_control(run['name'])}" for a, run in zip(letters, runs, strict=True)]
+    lines += ["", *_format_settings(compared, letters)]
+    lines += ["", *_format_accuracies(compared, letters)]
+    lines += ["", *_format_inferences(runs, letters)]
     for letter, run in zip(letters, runs, strict=True):
         notes = []
         if stale := run["results_of_an_earlier_bundle"]:
@@ -317,24 +328,24 @@ def runs_text(compared: dict) -> str:
             reasons = "; ".join(dict.fromkeys("; ".join(run["outdated"].values()).split("; ")))
             notes.append(
                 f"OUTDATED, these results were made with other settings: {reasons}; "
-                f"{remedy_text(run['name'], run['outdated'])} makes them again"
+                f"{describe_remedy(run['name'], run['outdated'])} makes them again"
             )
         for note in notes:
-            note = printable(f"{letter}: {note}")
+            note = escape_control(f"{letter}: {note}")
             lines += ["", *textwrap.wrap(note, WIDTH, break_on_hyphens=False)]
     return "\n".join(lines)
 
 
-def _settings_lines(compared, letters):
+def _format_settings(compared, letters):
     if not compared["settings"]:
         return ["no setting differs"]
     rows = [["setting that differs", *letters]]
     for setting in compared["settings"]:
-        rows.append([setting["name"], *map(plain, setting["values"])])
+        rows.append([setting["name"], *map(format_value, setting["values"])])
     return _wrap_table(rows)
 
 
-def _accuracy_lines(compared, letters):
+def _format_accuracies(compared, letters):
     if not compared["stages"]:
         return ["no stage has results in two of the runs; 'stmnist ladder RUN' makes them"]
     rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p"]]
@@ -343,7 +354,7 @@ def _accuracy_lines(compared, letters):
         rows += _stage_rows(stage, letters)
         differences += [value for value in stage["differences"] if value is not None]
     lines = [
-        f"accuracy on {_samples_text(compared, letters)}",
+        f"accuracy on {_describe_samples(compared, letters)}",
         *align_rows(rows, left=2),
         "won, lost: samples that only this run, or only A, got right; p: McNemar's test",
     ]
@@ -365,12 +376,12 @@ def _stage_rows(stage, letters):
             continue
         low, high = accuracy["accuracy_ci95"]
         cells = [name, letter, f"{accuracy['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
-        rows.append([*cells, *_difference_cells(value)])
+        rows.append([*cells, *_make_difference_cells(value)])
         name = ""
     return rows
 
 
-def _samples_text(compared, letters):
+def _describe_samples(compared, letters):
     """How many samples there are, in the order of the runs, and which are simulated."""
     counts: dict = {}
     for stage in compared["stages"]:
@@ -384,16 +395,16 @@ def _samples_text(compared, letters):
     return f"{numbers} samples; those of {', '.join(simulated)} are simulated"
 
 
-def _difference_cells(value):
+def _make_difference_cells(value):
     if value is None:
         return [""] * 4
     counts = [str(value["only_b"]), str(value["only_a"])] if value["paired"] else ["unpaired", ""]
     change = round(value["difference"], 3) + 0.0
     p = value["p"]
-    return [f"{change:+.3f}", *counts, p_text(p) + star(p)]
+    return [f"{change:+.3f}", *counts, format_p(p) + mark_significance(p)]
 
 
-def _inference_lines(runs, letters):
+def _format_inferences(runs, letters):
     def make_row(head, name, form="{}", costs=runs):
         values = [None if cost is None else cost[name] for cost in costs]
         return [head, *("" if value is None else form.format(value) for value in values)]

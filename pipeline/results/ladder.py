@@ -9,15 +9,15 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.check.results import compare_results, read_result
 from deploy.files import reporting_damage
-from deploy.tables import SIGNIFICANCE, align_rows, list_names, p_text, star
+from deploy.tables import SIGNIFICANCE, align_rows, format_p, list_names, mark_significance
 from deploy.targets.registry import TARGETS, list_ladder_targets
 from deploy.terminal import WARNING
 from pipeline.kinds import NetworkKind, find_compared_stage, list_trained_stages
-from pipeline.kinds.diagnosis import find_least_faithful, layers_text
+from pipeline.kinds.diagnosis import find_least_faithful, format_layers
 from pipeline.progress import progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.run.folder import RunFolder
-from pipeline.stages import OpenedRun, check_stages, convert
+from pipeline.workflow import OpenedRun, check_stages, convert
 
 # Targets whose existing results are included, but which the ladder does not run.
 BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
@@ -35,7 +35,7 @@ STREAM_REMEDY = {
 MAX_LOSS_POINTS = 3.0
 
 
-def ladder_stages(kind: NetworkKind) -> list:
+def list_stages(kind: NetworkKind) -> list:
     """Stages of the ladder of a kind, in order."""
     return [*kind.reference_stages, *list_ladder_targets()]
 
@@ -45,32 +45,32 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
 
     Parameters
     ----------
-    opened : pipeline.stages.opening.OpenedRun
+    opened : pipeline.workflow.opening.OpenedRun
         A run, which is locked.
     jobs : int
         Number of processes for targets.
     stages : sequence of str, optional
-        Stages of the ladder; default: :func:`ladder_stages` without boards.
+        Stages of the ladder; default: :func:`list_stages` without boards.
 
     Returns
     -------
     dict
-        See :func:`ladder_json`.
+        See :func:`make_ladder_json`.
     """
     bundle = convert(opened)
     if not stages:
-        stages = [stage for stage in ladder_stages(opened.kind) if stage not in BOARDS]
+        stages = [stage for stage in list_stages(opened.kind) if stage not in BOARDS]
     results = check_stages(opened, bundle, stages, jobs)
     results += read_board_results(opened.run, bundle.id)
-    artifact = ladder_artifact(opened.run, results)
-    state = artifact.state()
+    artifact = find_ladder_artifact(opened.run, results)
+    state = artifact.find_state()
     if state.is_current:
         with reporting_damage(artifact.record, DELETE_IT):
             require_complete(state.record)
         return state.record
     layers = compare_layers(opened, bundle)
     classes = opened.dataset.recordings.sensor.classes
-    return artifact.write(ladder_json(results, layers, classes, opened.kind.remedy))
+    return artifact.write(make_ladder_json(results, layers, classes, opened.kind.remedy))
 
 
 def read_board_results(run: RunFolder, bundle_id: str) -> list:
@@ -88,12 +88,12 @@ def compare_layers(opened: OpenedRun, bundle: Bundle) -> list | None:
 
 def require_complete(ladder: dict):
     """Raise an error if a stored ladder lacks values that its texts need."""
-    ladder_text(ladder)
+    format_ladder(ladder)
     if ladder["layers"]:
-        layers_text(ladder["layers"])
+        format_layers(ladder["layers"])
 
 
-def ladder_artifact(run: RunFolder, results) -> Artifact:
+def find_ladder_artifact(run: RunFolder, results) -> Artifact:
     """The loss ladder as an artifact, which is made from check results."""
     contents = {
         f"checks/{result['target']}": _hash_of([result["bundle"], result["samples"]])
@@ -106,7 +106,7 @@ def _hash_of(value):
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
-def ladder_rows(results) -> list:
+def make_rows(results) -> list:
     """Compare each result with that of the stage above.
 
     The row below ``counts`` has no comparison, since no later stage is derived from it.
@@ -154,7 +154,7 @@ def select_deployed_result(results) -> dict:
     Parameters
     ----------
     results : sequence of dict
-        As in :func:`ladder_rows`.
+        As in :func:`make_rows`.
     """
     return results[-1]
 
@@ -176,13 +176,13 @@ def count_confusions(labels, predictions, classes: int = 10) -> np.ndarray:
     return matrix
 
 
-def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
+def make_ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
     """The ladder as plain values.
 
     Parameters
     ----------
     results : sequence of dict
-        As in :func:`ladder_rows`.
+        As in :func:`make_rows`.
     layers : list of dict, optional
         From :func:`pipeline.kinds.diagnosis.compare_rates`.
     classes : sequence of str, optional
@@ -204,7 +204,7 @@ def ladder_json(results, layers=None, classes=None, remedy: str = "") -> dict:
         "n_samples": first["n_samples"],
         "classes": classes,
         "classes_without_samples": _find_classes_without_samples(classes, first),
-        "rows": ladder_rows(results),
+        "rows": make_rows(results),
         "last_against_trained_p": _test_against_trained(results),
         "against_reference": _compare_with_deployed(reference, deployed),
         "against_counts": _compare_with_deployed(by_stage.get("counts"), deployed),
@@ -236,7 +236,7 @@ def _compare_with_deployed(other, deployed):
     return {"difference": 0.0 - compared.accuracy_drop, "mcnemar_p": compared.p_value}
 
 
-def early_text(value: dict, row: dict) -> str:
+def describe_early_decisions(value: dict, row: dict) -> str:
     """Accuracy and time of early decisions, in one line.
 
     Parameters
@@ -253,7 +253,7 @@ def early_text(value: dict, row: dict) -> str:
         f"{row['stage']}: early decision at a confidence of {early['confidence']:.4f}, after "
         f"{early['share_of_writing_mean']:.0%} of the recording on average: "
         f"accuracy {early['accuracy']:.3f}, "
-        + points_text(100 * (early["accuracy"] - row["accuracy"]))
+        + format_points(100 * (early["accuracy"] - row["accuracy"]))
     )
 
 
@@ -282,29 +282,29 @@ def find_losing_stages(ladder: dict) -> list:
     return [(a, b, points) for a, b, points in drops if points > MAX_LOSS_POINTS + 1e-9]
 
 
-def ladder_text(ladder: dict) -> str:
-    """The ladder, from :func:`ladder_json`, as a table; with the layers if a stage loses much."""
+def format_ladder(ladder: dict) -> str:
+    """The ladder of :func:`make_ladder_json` as a table; with the layers if a stage loses much."""
     return "\n".join(
         [
-            *_table_lines(ladder),
-            *_change_lines(ladder),
-            *_note_lines(ladder),
-            *_loss_lines(ladder),
-            *_baseline_lines(ladder),
+            *_format_table(ladder),
+            *_describe_changes(ladder),
+            *_describe_notes(ladder),
+            *_describe_losses(ladder),
+            *_compare_with_baseline(ladder),
         ]
     )
 
 
-def _table_lines(ladder):
+def _format_table(ladder):
     what = "simulated samples" if ladder["simulated"] else "samples"
     headings = ["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]
     return [
         f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
-        *align_rows([headings, *map(_cells, ladder["rows"])]),
+        *align_rows([headings, *map(_make_cells, ladder["rows"])]),
     ]
 
 
-def _change_lines(ladder):
+def _describe_changes(ladder):
     """Lines about the change from a reference to the last stage, one for each reference."""
     stages = [row["stage"] for row in ladder["rows"]]
     changes = {
@@ -312,14 +312,14 @@ def _change_lines(ladder):
         "counts": ladder["against_counts"],
     }
     return [
-        f"from {stage} to {stages[-1]}: {points_text(100 * change['difference'])}, "
-        f"p {p_text(change['mcnemar_p'])}"
+        f"from {stage} to {stages[-1]}: {format_points(100 * change['difference'])}, "
+        f"p {format_p(change['mcnemar_p'])}"
         for stage, change in changes.items()
         if change is not None
     ]
 
 
-def _note_lines(ladder):
+def _describe_notes(ladder):
     """Lines about what the table means, and what it says nothing about."""
     rows = ladder["rows"]
     lines = []
@@ -329,7 +329,7 @@ def _note_lines(ladder):
         if stage in TARGETS and TARGETS[stage].note:
             lines.append(f"{stage}: {TARGETS[stage].note}")
     if ladder.get("while_written"):
-        lines.append(early_text(ladder["while_written"], rows[-1]))
+        lines.append(describe_early_decisions(ladder["while_written"], rows[-1]))
     if absent := ladder.get("classes_without_samples"):
         lines.append(
             f"{WARNING}no samples of {list_names(absent)}; no accuracy says anything about them"
@@ -337,18 +337,18 @@ def _note_lines(ladder):
     return lines
 
 
-def _loss_lines(ladder):
+def _describe_losses(ladder):
     """A warning for each stage that loses much, followed by the layers."""
     lines = [
         f"{WARNING}{stage} is {points:.1f} points below {above}{STREAM_REMEDY.get(stage, '')}"
         for above, stage, points in find_losing_stages(ladder)
     ]
     if lines and ladder["layers"]:
-        lines += ["", layers_text(ladder["layers"])]
+        lines += ["", format_layers(ladder["layers"])]
     return lines
 
 
-def _baseline_lines(ladder):
+def _compare_with_baseline(ladder):
     """A warning if the deployed network is less accurate than ``counts``, the simplest baseline."""
     change = ladder["against_counts"]
     if not change or change["difference"] >= 0 or change["mcnemar_p"] >= SIGNIFICANCE:
@@ -363,7 +363,7 @@ def _is_significant(row):
     return row["mcnemar_p"] is not None and row["mcnemar_p"] < SIGNIFICANCE
 
 
-def _cells(row: dict) -> list:
+def _make_cells(row: dict) -> list:
     """The cells of a stage in the table."""
     low, high = row["accuracy_ci95"]
     cells = [row["stage"], f"{row['accuracy']:.3f}", f"{low:.3f} to {high:.3f}"]
@@ -373,11 +373,11 @@ def _cells(row: dict) -> list:
         *cells,
         f"{round(row['change'], 3) + 0.0:+.3f}",  # no change is +0.000
         str(row["disagreements"]),
-        p_text(row["mcnemar_p"]),
-        star(row["mcnemar_p"]),
+        format_p(row["mcnemar_p"]),
+        mark_significance(row["mcnemar_p"]),
     ]
 
 
-def points_text(points: float) -> str:
+def format_points(points: float) -> str:
     """Format a difference of accuracies in points; a loss is negative."""
     return f"{round(points, 1) + 0.0:+.1f} points"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.check.bundle import Bundle, CheckSet
-from deploy.check.intervals import wilson_interval
+from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.network.provenance import read_classes, read_training_hashes
 from deploy.network.stimulus import EventFrames
@@ -27,7 +27,7 @@ from pipeline.recordings.splits import draw_check_samples
 from pipeline.recordings.times import MIN_DURATION_S
 from pipeline.results.check_on_others import OtherRecordings
 from pipeline.results.ladder import count_confusions
-from pipeline.run.folder import checks_of, run_around
+from pipeline.run.folder import find_checks_folder, run_around
 from pipeline.run.settings import Image, Settings, read_settings
 from pipeline.sources import load_recordings
 
@@ -217,10 +217,10 @@ def list_warnings(bundle: Bundle, recordings: Recordings):
             f"{start}{number} of {len(recordings)} recordings were used to make the network; its "
             "accuracy on them says little about others"
         )
-    yield from (start + line for line in _limits(bundle.spec, recordings))
+    yield from (start + line for line in _describe_limits(bundle.spec, recordings))
 
 
-def _limits(spec, recordings):
+def _describe_limits(spec, recordings):
     """Lines on what the network does not see, or never saw in its training."""
     events = recordings.events
     taxels = recordings.taxels
@@ -231,7 +231,7 @@ def _limits(spec, recordings):
             f"times are read as {read}, those of the training as {usual}; give the unit with "
             "--time-unit"
         )
-    elif units[0] and (typical_s := _typical_duration_s(recordings)) < MIN_DURATION_S:
+    elif units[0] and (typical_s := _measure_typical_duration_s(recordings)) < MIN_DURATION_S:
         yield (
             f"recordings last typically {1000 * typical_s:.2g} ms with times as "
             f"{UNIT_NAMES[units[0]]}; if that is another unit, give it with --time-unit"
@@ -253,7 +253,7 @@ def _limits(spec, recordings):
             yield line
 
 
-def _typical_duration_s(recordings):
+def _measure_typical_duration_s(recordings):
     """Median duration of the recordings with events, in seconds."""
     time_ns = recordings.events.time_ns
     offsets = recordings.offsets
@@ -300,7 +300,7 @@ def replace_check_samples(
     spec = bundle.spec
     drawn = recordings.subset(chosen)
     inputs = make_inputs_for(spec, drawn, image)
-    if problem := spec.stimulus.complaint(inputs, spec.input_shape, spec.presentation.steps):
+    if problem := spec.stimulus.find_problem(inputs, spec.input_shape, spec.presentation.steps):
         raise UserError(f"{recordings.source.name}: {problem}")
     return replace(bundle, checks=CheckSet(inputs, drawn.labels, drawn.ids, seed)), chosen
 
@@ -331,7 +331,7 @@ def add_accuracies(
     per_writer = {}
     if (writers >= 0).all():
         per_writer["per_writer"] = [
-            {"writer": int(writer), **_right(labels == predictions, writers == writer)}
+            {"writer": int(writer), **_measure_accuracy(labels == predictions, writers == writer)}
             for writer in np.unique(writers)
         ]
     return {
@@ -342,12 +342,12 @@ def add_accuracies(
             "sha256": source.sha256,
             "recordings": len(recordings),
             "trained_on": int(find_trained_on(bundle, recordings)[chosen].sum()),
-            "warnings": list(_limits(bundle.spec, recordings)),
+            "warnings": list(_describe_limits(bundle.spec, recordings)),
         },
         "classes": list(classes),
         "confusion": count_confusions(labels, predictions, len(classes)).tolist(),
         "per_class": [
-            {"class": name, **_right(labels == predictions, labels == index)}
+            {"class": name, **_measure_accuracy(labels == predictions, labels == index)}
             for index, name in enumerate(classes)
             if (labels == index).any()
         ],
@@ -355,14 +355,14 @@ def add_accuracies(
     }
 
 
-def _right(right, chosen):
+def _measure_accuracy(right, chosen):
     count = int(right[chosen].sum())
     n = int(chosen.sum())
-    return {"n": n, "accuracy": count / n, "accuracy_ci95": list(wilson_interval(count, n))}
+    return {"n": n, "accuracy": count / n, "accuracy_ci95": list(compute_wilson_interval(count, n))}
 
 
-def result_path(bundle: Bundle, recordings: Recordings, samples: int, target: str) -> Path:
+def find_result_path(bundle: Bundle, recordings: Recordings, samples: int, target: str) -> Path:
     """The file of such a result: beside the bundle, one for each set of recordings."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
     file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
-    return checks_of(bundle.path) / FOLDER / file
+    return find_checks_folder(bundle.path) / FOLDER / file

@@ -8,25 +8,22 @@ from pathlib import Path
 
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.files import read_arrays, read_json, reporting_damage, sha256_of
-from deploy.tables import align_rows, plural
+from deploy.files import hash_file, read_arrays, read_json, reporting_damage
+from deploy.tables import align_rows, format_count
 from deploy.targets.registry import TARGETS
-from deploy.terminal import WARNING, command_text
-from pipeline.kinds import kind_of_network
+from deploy.terminal import WARNING, format_command
+from pipeline.kinds import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.recordings.splits import RANDOM
-from pipeline.results.ladder import BOARDS, ladder_artifact, ladder_stages
+from pipeline.results.ladder import BOARDS, find_ladder_artifact, list_stages
 from pipeline.run.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
 from pipeline.run.folder import RunFolder, require_run, run_around
-from pipeline.run.settings import Settings, read_settings
-from pipeline.sources import identity_of
-from pipeline.stages import bundle_artifact, check_artifact, dataset_artifact
+from pipeline.run.settings import INPUTS, Settings, read_settings
+from pipeline.sources import find_identity
+from pipeline.workflow import check_artifact, find_bundle_artifact, find_dataset_artifact
 
 # Width of the text in columns.
 WIDTH = 80
-
-# The input in a :class:`pipeline.run.artifacts.Change` of a network on events.
-ON_EVENTS = '"events"'
 
 # Targets of the check that the ladder does not run.
 CHECKED_ALONE = tuple(
@@ -61,7 +58,7 @@ class Status:
         return values if self.epochs is None else {**values, "epochs": self.epochs}
 
 
-def status_of(run: RunFolder, adapted: bool = False) -> list:
+def list_states(run: RunFolder, adapted: bool = False) -> list:
     """The state of each artifact of a run.
 
     Parameters
@@ -83,16 +80,18 @@ def status_of(run: RunFolder, adapted: bool = False) -> list:
     """
     require_run(run)
     settings = read_settings(run.experiment)
-    dataset = _dataset_origin(run, settings)
-    kind = kind_of_network(settings)
-    states = [Status(dataset_artifact(run, dataset).state())]
-    states += _steps(run, kind, dataset)
-    bundle = bundle_artifact(run, kind, dataset).state()
+    dataset = _find_dataset_origin(run, settings)
+    kind = find_kind(settings)
+    states = [Status(find_dataset_artifact(run, dataset).find_state())]
+    states += _list_states_of_steps(run, kind, dataset)
+    bundle = find_bundle_artifact(run, kind, dataset).find_state()
     states.append(Status(bundle))
-    states += _answers(run, kind, dataset, bundle)
+    states += _list_states_of_results(run, kind, dataset, bundle)
     networks = sorted(run.path.glob("adapted/*/network.json")) if adapted else []
     names = [f"adapted/{network.parent.name}" for network in networks]
-    return states + [Status(bundle_artifact(run, kind, dataset, n).state()) for n in names]
+    return states + [
+        Status(find_bundle_artifact(run, kind, dataset, n).find_state()) for n in names
+    ]
 
 
 def find_outdated(statuses) -> dict:
@@ -107,10 +106,10 @@ def find_outdated(statuses) -> dict:
     dict of str to str
         The reasons as one line, by the artifact's name.
     """
-    return {s.state.name: s.state.reasons() for s in statuses if s.state.state == OUTDATED}
+    return {s.state.name: s.state.describe_reasons() for s in statuses if s.state.state == OUTDATED}
 
 
-def remedy_text(run, names) -> str:
+def describe_remedy(run, names) -> str:
     """Commands that make outdated artifacts again, in the order of their dependencies.
 
     Parameters
@@ -118,15 +117,15 @@ def remedy_text(run, names) -> str:
     run : path-like
         The run's folder.
     names : iterable of str
-        The artifacts' names, as in :func:`status_of`.
+        The artifacts' names, as in :func:`list_states`.
     """
     targets = [target for target in CHECKED_ALONE if f"checks/{target}" in names]
-    commands = [command_text("check", "run", run, "--target", target) for target in targets]
+    commands = [format_command("check", "run", run, "--target", target) for target in targets]
     adapted = {name for name in names if name.startswith("adapted/")}
     if set(names) - adapted - {f"checks/{target}" for target in targets}:
-        commands.insert(0, command_text("ladder", run))
+        commands.insert(0, format_command("ladder", run))
     if adapted:
-        commands.append(command_text("adapt", run, "--data", "FILE"))
+        commands.append(format_command("adapt", run, "--data", "FILE"))
     return ", then ".join(commands)
 
 
@@ -149,17 +148,17 @@ def describe_outdated(path) -> str | None:
         return None
     run = RunFolder(around)
     try:
-        reasons = find_outdated(status_of(run, adapted=True))
+        reasons = find_outdated(list_states(run, adapted=True))
     except UserError:
         return None
     name = path.relative_to(around).with_suffix("").as_posix()
     if name not in reasons:
         return None
-    remedy = remedy_text(around, reasons.keys() & {"bundle", name})
+    remedy = describe_remedy(around, reasons.keys() & {"bundle", name})
     return f"{WARNING}{path}: outdated, {reasons[name]}; {remedy} makes it again"
 
 
-def status_text(run: RunFolder, statuses) -> str:
+def format_status(run: RunFolder, statuses) -> str:
     """The states as a table."""
     rows = [["artifact", "state", "accuracy", "seconds"]]
     for status in statuses:
@@ -169,7 +168,7 @@ def status_text(run: RunFolder, statuses) -> str:
     lines = align_rows(rows, left=2)
     for status in statuses:
         if status.epochs is not None:
-            lines += ["", *_training_lines(run, status)]
+            lines += ["", *_describe_training(run, status)]
     reasons = find_outdated(statuses)
     if reasons:
         lines.append("")
@@ -183,28 +182,28 @@ def status_text(run: RunFolder, statuses) -> str:
                 initial_indent="  ",
                 subsequent_indent="  ",
             )
-        remedy = f"{remedy_text(run.path, reasons)} makes again what is outdated"
+        remedy = f"{describe_remedy(run.path, reasons)} makes again what is outdated"
         lines += textwrap.wrap(remedy, WIDTH, break_on_hyphens=False, break_long_words=False)
     return "\n".join(lines)
 
 
-def _training_lines(run, status):
+def _describe_training(run, status):
     """The text of the status about a training that has not ended."""
-    done = plural(status.epochs, "epoch")
+    done = format_count(status.epochs, "epoch")
     text = (
         f"{status.state.name}: a training has finished {done}; unless it is still running, "
-        f"{command_text('train', run.path)} continues it"
+        f"{format_command('train', run.path)} continues it"
     )
     return textwrap.wrap(text, WIDTH, break_on_hyphens=False, break_long_words=False)
 
 
-def _dataset_origin(run, settings):
+def _find_dataset_origin(run, settings):
     """The origin of the dataset with the current settings, or the stored one without recordings."""
     recorded = read_json(run.dataset, DELETE_IT).get("made_from") if run.dataset.exists() else None
     contents = recorded.get("contents") if isinstance(recorded, dict) else None
     contents = contents if isinstance(contents, dict) else {}
     try:
-        content, kind = identity_of(settings)
+        content, kind = find_identity(settings)
     except UserError:
         if "recordings" not in contents:
             raise
@@ -213,31 +212,31 @@ def _dataset_origin(run, settings):
     return make_dataset_origin(settings, content, kind)
 
 
-def unread_note(settings: Settings) -> str | None:
+def explain_unread(settings: Settings) -> str | None:
     """Why a run's recordings could not be compared with those that it was made from, or None."""
     try:
-        identity_of(settings)
+        find_identity(settings)
     except UserError as error:
         return f"the recordings are not compared with the run's: {error}"
     return None
 
 
-def _steps(run, kind, dataset):
+def _list_states_of_steps(run, kind, dataset):
     """The states of a kind's steps, with accuracies and durations from their records."""
     statuses = {}
     predicting = {kind.references[stage].step for stage in kind.reference_stages}
     for step in kind.steps:
         if step.name not in predicting and not kind.is_deployed(step.name):
             continue
-        artifact = kind.artifact(step.name, run, dataset)
-        state = artifact.state()
-        if _is_of_other_input(state):
+        artifact = kind.find_artifact(step.name, run, dataset)
+        state = artifact.find_state()
+        if _is_of_other_samples(state):
             state = State(state.name, MISSING)
         with reporting_damage(artifact.record, DELETE_IT):
-            accuracy = _number(state.record.get("accuracy", {}).get("test"))
-            seconds = _number(state.record.get("seconds"))
+            accuracy = _require_number(state.record.get("accuracy", {}).get("test"))
+            seconds = _require_number(state.record.get("seconds"))
         for used in step.uses:
-            state = _follows(state, statuses[used].state)
+            state = _mark_as_outdated(state, statuses[used].state)
         if step.measures and accuracy is not None:
             measured = statuses[step.measures]
             statuses[step.measures] = replace(measured, accuracy=accuracy)
@@ -247,10 +246,13 @@ def _steps(run, kind, dataset):
     return list(statuses.values())
 
 
-def _is_of_other_input(state):
-    """True if a network on events is where one on images would be, or the other way round."""
-    changed = [change for change in state.because if change.what == "input.kind"]
-    return any(ON_EVENTS in (change.before, change.now) for change in changed)
+def _is_of_other_samples(state):
+    """True if a network on frames of events is where one on images would be, or conversely."""
+    for change in state.because:
+        if change.what == "input.kind":
+            before, now = (INPUTS.get(json.loads(text)) for text in (change.before, change.now))
+            return before != now
+    return False
 
 
 def _count_finished_epochs(step, artifact):
@@ -266,18 +268,18 @@ def _count_finished_epochs(step, artifact):
     return None
 
 
-def _number(value):
+def _require_number(value):
     """A finite number, or None."""
     if value is None or (type(value) in (int, float) and math.isfinite(value)):
         return value
     raise ValueError(f"{str(value)[:40]!r} is not a number")
 
 
-def _answers(run, kind, dataset, bundle):
+def _list_states_of_results(run, kind, dataset, bundle):
     """Checks and ladder, of the bundle's samples."""
-    expected = ladder_stages(kind)
+    expected = list_stages(kind)
     there = bundle.state != MISSING
-    bundle_id = sha256_of(run.bundle / "MANIFEST.json") if there else ""
+    bundle_id = hash_file(run.bundle / "MANIFEST.json") if there else ""
     statuses = []
     results = {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
@@ -290,27 +292,27 @@ def _answers(run, kind, dataset, bundle):
             continue
         results[stage] = result = read_result(artifact.record, DELETE_IT)
         no_bundle = State(artifact.name, OUTDATED, (Change("there is no bundle"),))
-        state = _follows(artifact.state(), bundle) if there else no_bundle
+        state = _mark_as_outdated(artifact.find_state(), bundle) if there else no_bundle
         statuses.append(Status(state, result["accuracy"], result["wall_seconds"]))
-    return [*statuses, *_ladder(run, results, statuses)]
+    return [*statuses, *_find_state_of_ladder(run, results, statuses)]
 
 
-def _ladder(run, results, checks):
-    file = ladder_artifact(run, ()).record
+def _find_state_of_ladder(run, results, checks):
+    file = find_ladder_artifact(run, ()).record
     if not file.exists():
         return [Status(State("ladder", MISSING))]
     record = read_json(file, DELETE_IT)
     with reporting_damage(file, DELETE_IT):
         stages = [str(row["stage"]) for row in record["rows"]]
     compared = [results[stage] for stage in stages if stage in results]
-    state = ladder_artifact(run, compared).state()
+    state = find_ladder_artifact(run, compared).find_state()
     for check in checks:
         if check.state.name.rsplit("/", 1)[-1] in stages:
-            state = _follows(state, check.state)
+            state = _mark_as_outdated(state, check.state)
     return [Status(state)]
 
 
-def _follows(state, used):
+def _mark_as_outdated(state, used):
     """Mark what is made from an outdated artifact as outdated, for the same reasons."""
     if state.state == MISSING or used.state != OUTDATED:
         return state

@@ -1,9 +1,9 @@
 """Studies: cases that are measured once each, and tables of them over splits.
 
 A :class:`Case` is one result to measure: a stage of a network that is trained with some settings on
-one split.  :func:`study` measures the cases that a folder does not have yet, in processes of this
-machine or on a Dask cluster, and writes each row as soon as it is measured, so that an interrupted
-study goes on.
+one split.  :func:`run_study` measures the cases that a folder does not have yet, in processes of
+this machine or on a Dask cluster, and writes each row as soon as it is measured, so that an
+interrupted study goes on.
 """
 
 import functools
@@ -34,7 +34,7 @@ from pipeline.recordings.dataset import Dataset
 from pipeline.run.artifacts import DELETE_IT, Library
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
-from pipeline.stages import OpenedRun, open_experiment
+from pipeline.workflow import OpenedRun, open_experiment
 
 SCHEMA = "stmnist-row/1"
 
@@ -91,10 +91,10 @@ class Case:
         split = replace(self.settings.split, kind=self.split)
         return replace(self.settings, seed=self.seed, split=split)
 
-    def key(self, recordings: str) -> str:
+    def compute_key(self, recordings: str) -> str:
         """SHA-256 of all that the row depends on, given the hash of the recordings."""
         what = [SCHEMA, __version__, recordings, self.stage, self.part, self.alter]
-        text = json.dumps([*what, self.resolved.flat()], sort_keys=True)
+        text = json.dumps([*what, self.resolved.flatten()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -102,14 +102,14 @@ class Case:
         """Hash of what the trained networks depend on, which cases of a group share."""
         values = {
             name: value
-            for name, value in self.resolved.flat().items()
+            for name, value in self.resolved.flatten().items()
             if not name.startswith(("deployment.", "presentation.", "check."))
         }
         text = json.dumps([self.part, self.alter, values], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def study(
+def run_study(
     cases, folder: Path, recordings: str, workers: Workers, say: Callable, measured_by=None
 ) -> tuple:
     """Measure the cases whose rows are missing; one that fails does not stop the others.
@@ -146,7 +146,7 @@ def study(
     rows = {}
     groups: dict = {}
     for case in cases:
-        path = _row_file(folder, case, recordings)
+        path = _find_row_file(folder, case, recordings)
         if path.exists():
             rows[case] = read_json(path, DELETE_IT)
         else:
@@ -192,15 +192,15 @@ def _measure_one(measured_by, networks, recordings, case):
     return {**row, "seconds": time.perf_counter() - begun}
 
 
-def _row_file(folder, case, recordings):
+def _find_row_file(folder, case, recordings):
     """The file of a row; its name says what it is, to people."""
-    key = case.key(recordings)[:16]
+    key = case.compute_key(recordings)[:16]
     return folder / "rows" / f"{case.name}-{case.split}-{case.seed:02d}-{key}.json"
 
 
 def _write_row(folder, case, recordings, row):
     """Write a row, unless a worker with access to the folder has written it; return it."""
-    path = _row_file(folder, case, recordings)
+    path = _find_row_file(folder, case, recordings)
     if not path.exists():
         write_json(path, row, indent=None)  # thousands of numbers
     return row
@@ -214,14 +214,14 @@ def measure(case: Case, networks: Library, dataset: Dataset | None = None) -> di
     case : Case
     networks : Library
     dataset : Dataset, optional
-        Default: :func:`dataset_of` the case.
+        Default: :func:`make_dataset` the case.
 
     Returns
     -------
     dict
         As :func:`evaluate`.
     """
-    return evaluate(case, train(case, networks, dataset or dataset_of(case)))
+    return evaluate(case, train(case, networks, dataset or make_dataset(case)))
 
 
 def train(case: Case, networks: Library, dataset: Dataset) -> OpenedRun:
@@ -247,41 +247,41 @@ def evaluate(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> d
     Returns
     -------
     dict
-        See :func:`row_of`; of a target also its ``costs``, see :func:`costs_of`.
+        See :func:`make_row`; of a target also its ``costs``, see :func:`measure_costs`.
     """
     if case.stage not in TARGETS:
         if dataset is not None:
             raise ValueError(f"other samples are for targets, not for the stage {case.stage!r}")
-        index = opened.dataset.split.indices(case.part)
-        return row_of(case, opened.dataset, index, _predict_before_chip(case, opened, index))
+        index = opened.dataset.split.get_indices(case.part)
+        return make_row(case, opened.dataset, index, _predict_before_chip(case, opened, index))
     dataset = dataset or opened.dataset
-    index = dataset.split.indices(case.part)
+    index = dataset.split.get_indices(case.part)
     inputs, labels = dataset.subset(case.part)
     with hide_progress():
-        spec = opened.spec()
+        spec = opened.make_spec()
     responses = answer_on_target(spec, inputs, case.stage, case.seed)
-    costs = costs_of(spec, responses)
+    costs = measure_costs(spec, responses)
     if responses.stopped_at is not None:
         last = responses.stopped_at - 1
         early = responses.decisions[np.arange(len(index)), last]
         costs["share"] = float(share_of_time(last, find_last_steps(inputs)).mean())
         costs["early"] = float(np.mean(early == labels))
-    return row_of(case, dataset, index, responses.predictions, costs=costs)
+    return make_row(case, dataset, index, responses.predictions, costs=costs)
 
 
 def _predict_before_chip(case, opened, index) -> np.ndarray:
     """Predictions of a reference stage, shape (n_samples,)."""
     reference = opened.kind.references[case.stage]
-    inputs = opened.step_inputs(case.resolved.flat())
+    inputs = opened.step_inputs(case.resolved.flatten())
     dataset = opened.dataset
     ids = tuple(dataset.recordings.ids[i] for i in index)
     samples = CheckSet(dataset.inputs[index], dataset.labels[index], ids, case.seed)
     with hide_progress():
-        logits = reference.logits(case.stage, inputs, samples, None)
+        logits = reference.compute_logits(case.stage, inputs, samples, None)
     return compute_responses(logits, case.resolved.presentation).predictions
 
 
-def dataset_of(case: Case) -> Dataset:
+def make_dataset(case: Case) -> Dataset:
     """The samples of a case, with its split.
 
     Raises
@@ -310,7 +310,7 @@ def _split_recordings(settings):
     return load_dataset(settings)
 
 
-def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:
+def make_row(case: Case, dataset: Dataset, index, predictions, **more) -> dict:
     """The row of a case, ready for JSON.
 
     Parameters
@@ -341,7 +341,7 @@ def row_of(case: Case, dataset: Dataset, index, predictions, **more) -> dict:
     }
 
 
-def costs_of(spec, responses) -> dict:
+def measure_costs(spec, responses) -> dict:
     """Means over samples, for one inference.
 
     Returns

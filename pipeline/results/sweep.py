@@ -12,24 +12,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.check.intervals import wilson_interval
+from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.files import write_json
-from deploy.tables import in_blocks, plain
-from deploy.targets.registry import TARGETS
-from pipeline.kinds import choose_settings, kind_of_network, prepare_dataset
+from deploy.tables import align_in_blocks, format_value
+from pipeline.kinds import choose_settings, find_kind, prepare_dataset
 from pipeline.paper import CNN_MACS
-from pipeline.results.study import Case, Workers, study
+from pipeline.results.study import Case, Workers, run_study
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Provenance, Settings, parse_assignments, put
-from pipeline.sources import recordings_of
+from pipeline.sources import load_named_recordings
 
 SCHEMA = "stmnist-sweep/3"
 # Share of the training samples held out for the evaluation, if the settings have none.
 VALIDATION_FRACTION = 0.15
 
-# Stages of a point: the trained network of either input, and the chip's integers.
-STAGES = ("rate-lif", "trained", "fast")
+# The target that has the chip's integers and takes the least time.
+TARGET = "fast"
 
 # Settings that change which samples there are; points on different ones cannot be compared.
 SAMPLES_APART = ("seed", "data", "split", "check")
@@ -56,8 +55,8 @@ def make_points(base: Settings, grid) -> list:
         An entry cannot be read, names no setting or one that changes the samples, or a combination
         is out of range.
     """
-    _ = kind_of_network(base).trained  # an error if the network is not trained here
-    axes = [_axis(entry, base) for entry in grid]
+    _ = find_kind(base).trained  # an error if the network is not trained here
+    axes = [_read_axis(entry, base) for entry in grid]
     names = [axis[0][0] for axis in axes]
     if len(set(names)) < len(names):
         raise UserError("--grid: a setting is given twice; write all its values in one")
@@ -70,7 +69,7 @@ def make_points(base: Settings, grid) -> list:
     return points
 
 
-def _axis(entry, base):
+def _read_axis(entry, base):
     """[(name, value), ...] of a grid's entry."""
     name, equals, text = entry.partition("=")
     name = name.strip()
@@ -125,7 +124,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     grid : sequence of str or None
         As in :func:`make_points`; None for the default of the kind of input.
     workers, say
-        As in :func:`pipeline.results.study.study`.
+        As in :func:`pipeline.results.study.run_study`.
 
     Returns
     -------
@@ -139,13 +138,13 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     UserError
         As in :func:`make_points`, or the recordings cannot be read or are too few.
     """
-    recordings = recordings_of(settings, workers.processes, say)
+    recordings = load_named_recordings(settings, workers.processes, say)
     fraction = settings.split.validation_fraction or VALIDATION_FRACTION
     # A sweep needs validation samples, also where the user has set that there are none.
     held_out = {"split.validation_fraction": fraction}
     divided = settings.with_named_values(held_out, "sweep", Provenance.CHOSEN)
     base = choose_settings(divided, recordings)
-    combinations = make_points(divided, grid or kind_of_network(base).grid)
+    combinations = make_points(divided, grid or find_kind(base).grid)
     points = [
         _prepare_point(number, changes, asked, recordings)
         for number, (changes, asked) in enumerate(combinations)
@@ -158,7 +157,7 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     (folder.path / "rows").mkdir(exist_ok=True)  # from now on the folder is no run
     folder.save_settings(base)
     cases = [case for point in points for case in point.cases.values()]
-    rows, failed = study(cases, folder.path, recordings.source.sha256, workers, say)
+    rows, failed = run_study(cases, folder.path, recordings.source.sha256, workers, say)
     summary = summarise(points, {row["name"]: row for row in rows}, failed)
     write_json(folder.path / "sweep.json", summary)
     n_failed = len(summary["failed"])
@@ -170,7 +169,8 @@ def _prepare_point(number, changes, asked, recordings) -> Point:
     notes: list = []
     dataset = prepare_dataset(asked, recordings, say=notes.append)
     settings = dataset.settings
-    network = kind_of_network(settings)
+    network = find_kind(settings)
+    stages = (network.deployed_stage, TARGET)
     cases = {
         stage: Case(
             name=f"point-{number}-{stage}",
@@ -180,11 +180,10 @@ def _prepare_point(number, changes, asked, recordings) -> Point:
             split=dataset.split.kind,
             part="validation",
         )
-        for stage in STAGES
-        if stage in network.references or stage in TARGETS
+        for stage in stages
     }
-    read = frozenset(network.bundle_origin(dataset.origin).settings)
-    return Point(changes, cases, read, (*notes, *network.notes(recordings)))
+    read = frozenset(network.make_bundle_origin(dataset.origin).settings)
+    return Point(changes, cases, read, (*notes, *network.list_notes(recordings)))
 
 
 def _join_notes(points):
@@ -204,7 +203,7 @@ def _join_notes(points):
         yield f"{note} ({text or 'some points'})"
 
 
-def pareto_front(costs) -> np.ndarray:
+def find_pareto_front(costs) -> np.ndarray:
     """Points of the Pareto front: no other is at least as good in every cost and better in one.
 
     Parameters
@@ -229,7 +228,7 @@ def summarise(points, rows: dict, failed: dict) -> dict:
     ----------
     points : sequence of Point
     rows : dict of str to dict
-        Rows of :func:`pipeline.results.study.study` by their names.
+        Rows of :func:`pipeline.results.study.run_study` by their names.
     failed : dict of Case to str
         The errors of the cases that failed; their points are not among the others.
     """
@@ -243,10 +242,10 @@ def summarise(points, rows: dict, failed: dict) -> dict:
         by_stage = {
             stage: rows[case.name] for stage, case in point.cases.items() if case.name in rows
         }
-        if "fast" in by_stage:
+        if TARGET in by_stage:
             measured.append(_describe_point(point.changes, by_stage))
     costs = [(-p["accuracy"], p["operations"], p["cores"], p["steps"]) for p in measured]
-    for entry, on_front in zip(measured, pareto_front(costs) if measured else (), strict=True):
+    for entry, on_front in zip(measured, find_pareto_front(costs) if measured else (), strict=True):
         entry["pareto"] = bool(on_front)
     measured.sort(key=lambda p: (-p["accuracy"], p["operations"], p["steps"]))
     return {
@@ -260,13 +259,13 @@ def summarise(points, rows: dict, failed: dict) -> dict:
 
 def _describe_point(changes, by_stage) -> dict:
     """The entry of a point in the summary, from the rows of its stages."""
-    chip = by_stage["fast"]
-    accuracies = [row["accuracy"] for stage, row in by_stage.items() if stage != "fast"]
+    chip = by_stage[TARGET]
+    accuracies = [row["accuracy"] for stage, row in by_stage.items() if stage != TARGET]
     right = chip["right"]
     return {
         "changes": changes,
         "accuracy": chip["accuracy"],
-        "accuracy_ci95": list(wilson_interval(sum(right), len(right))),
+        "accuracy_ci95": list(compute_wilson_interval(sum(right), len(right))),
         "trained_accuracy": accuracies[0] if accuracies else None,
         "n_samples": len(right),
         "simulated": chip["simulated"],
@@ -274,12 +273,12 @@ def _describe_point(changes, by_stage) -> dict:
     }
 
 
-def sweep_text(sweep: dict) -> str:
+def format_sweep(sweep: dict) -> str:
     """The points as a table, those of the Pareto front marked."""
     points = sweep["points"]
     lines = []
     for point in sweep["failed"]:
-        changed = ", ".join(f"{k}={plain(v)}" for k, v in point["changes"].items())
+        changed = ", ".join(f"{k}={format_value(v)}" for k, v in point["changes"].items())
         lines.append(f"failed: {changed}: {point['error']}")
     if not points:
         return "\n".join(lines)
@@ -299,13 +298,13 @@ def sweep_text(sweep: dict) -> str:
                 str(point["cores"]),
                 str(point["steps"]),
                 "" if trained is None else f"{trained:.3f}",
-                *(plain(point["changes"][name]) for name in sweep["names"]),
+                *(format_value(point["changes"][name]) for name in sweep["names"]),
             ]
         )
     return "\n".join(
         [
             f"{len(points)} points, each on the same {points[0]['n_samples']} {what}",
-            *in_blocks(rows, left=2),
+            *align_in_blocks(rows, left=2),
             "* on the Pareto front: no other point is at least as good in accuracy,",
             "operations, cores and steps and better in one of them",
             f"operations: synaptic, per inference, in multiples of the paper's CNN's {CNN_MACS:,}",

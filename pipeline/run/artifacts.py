@@ -9,9 +9,9 @@ Its entry ``made_from`` is the artifact's :class:`Origin`, which has
   moving a file does not change the artifact.
 
 An artifact is *current* if its record has the origin that follows from the present settings;
-otherwise :meth:`Artifact.state` returns the entries that differ.  Every result of this project that
-takes time to make is found in this way: those of a run, the splits of an experiment and the points
-of a sweep.  (Only an interrupted check has another mechanism for its streams,
+otherwise :meth:`Artifact.find_state` returns the entries that differ.  Every result of this
+project that takes time to make is found in this way: those of a run, the splits of an experiment
+and the points of a sweep.  (Only an interrupted check has another mechanism for its streams,
 :mod:`deploy.check.run`, since it also runs on hosts without settings.)
 
 A dependency cannot be forgotten.  An origin declares its settings, and the code that makes the
@@ -33,7 +33,7 @@ from pathlib import Path
 
 from deploy import __version__
 from deploy.files import read_json, write_json
-from pipeline.run.settings import AUTOMATIC_AT_0, KEPT_IF_USERS, Settings, names_in
+from pipeline.run.settings import AUTOMATIC_AT_0, KEPT_IF_USERS, Settings, list_names_in
 
 # States of an artifact.
 CURRENT = "current"
@@ -80,8 +80,8 @@ class Origin:
         contents : dict of str to str, optional
             Other values on which the artifact depends.
         """
-        names = [name for entry in reads for name in names_in(entry)]
-        values = {name: _plain(settings.value(name)) for name in names}
+        names = [name for entry in reads for name in list_names_in(entry)]
+        values = {name: _make_plain(settings.get_value(name)) for name in names}
         merged = {PACKAGE: __version__, **(contents or {})}
         for name in KEPT_IF_USERS:
             if name in values and settings.is_users(name):
@@ -102,13 +102,13 @@ class Origin:
 
     def view(self, settings: Settings) -> Settings:
         """The settings restricted to those that may be read to make the artifact."""
-        return settings.only(self.settings)
+        return settings.select(self.settings)
 
     def to_json(self) -> dict:
         """The origin as plain values: the entry ``made_from`` of a record."""
         return {"settings": self.settings, "contents": self.contents}
 
-    def changes_since(self, recorded) -> tuple:
+    def list_changes_since(self, recorded) -> tuple:
         """Differences between the origin and that in a record.
 
         Parameters
@@ -124,7 +124,7 @@ class Origin:
             return (Change("made by an earlier version, which did not record its settings"),)
         changes = []
         for now, before, show in (
-            (self.settings, recorded["settings"], _value_text),
+            (self.settings, recorded["settings"], _format_value),
             (self.contents, recorded["contents"], "{!s:.12}".format),
         ):
             for name in dict.fromkeys([*now, *before]):
@@ -191,7 +191,7 @@ class State:
         """True if the artifact need not be made again."""
         return self.state == CURRENT
 
-    def reasons(self) -> str:
+    def describe_reasons(self) -> str:
         """The first reasons why the artifact is outdated, in one line."""
         first_reasons = list(map(str, self.because[:3]))
         others = len(self.because) - len(first_reasons)
@@ -207,7 +207,7 @@ class State:
         say : callable
         """
         if self.state == OUTDATED:
-            say(f"{self.name}: {action} again: {self.reasons()}")
+            say(f"{self.name}: {action} again: {self.describe_reasons()}")
 
     def to_json(self) -> dict:
         """``name``, ``state`` and ``because``."""
@@ -243,7 +243,7 @@ class Artifact:
         """The folder of the record."""
         return self.record.parent
 
-    def state(self) -> State:
+    def find_state(self) -> State:
         """Compare the record with the origin that follows from the settings.
 
         Raises
@@ -254,7 +254,7 @@ class Artifact:
         if not all(path.exists() for path in (self.record, *self.files)):
             return State(self.name, MISSING)
         content = read_json(self.record, DELETE_IT)
-        changes = self.origin.changes_since(self.made_from(content))
+        changes = self.origin.list_changes_since(self.made_from(content))
         return State(self.name, OUTDATED if changes else CURRENT, changes, content)
 
     def write(self, content: dict) -> dict:
@@ -277,7 +277,7 @@ class Library:
 
     path: Path
 
-    def folder(self, name: str, origin: Origin) -> Path:
+    def find_folder(self, name: str, origin: Origin) -> Path:
         """The folder of one variant."""
         return self.path / name / origin.key[:16]
 
@@ -299,11 +299,11 @@ def _is_origin(recorded):
     )
 
 
-def _plain(value):
+def _make_plain(value):
     """A value after conversion to JSON and back."""
-    return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+    return [_make_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
-def _value_text(value):
+def _format_value(value):
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= MAX_TEXT_LENGTH else text[: MAX_TEXT_LENGTH - 3] + "..."

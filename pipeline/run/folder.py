@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from deploy.errors import UserError
 from deploy.files import lock_file, refuse_linked_folder, remove_leftovers
-from deploy.terminal import command_text
+from deploy.terminal import format_command
 
 if TYPE_CHECKING:
     from pipeline.run.artifacts import Origin
@@ -26,12 +26,12 @@ FILES = {
 DELETE_ITS_FOLDER = "delete its folder and run the command again"
 
 
-def _inside(name, meaning):
+def _make_path_property(name, meaning):
     """A property of a folder: the path of a file or folder in it."""
     return property(lambda folder: folder.path / name, doc=meaning)
 
 
-def checks_of(bundle: Path) -> Path:
+def find_checks_folder(bundle: Path) -> Path:
     """The folder for the check results of a bundle: ``checks`` in its run, or else in itself.
 
     A copied bundle's ``deploy.pyz check`` writes there, too.
@@ -67,18 +67,16 @@ class RunFolder:
     def __post_init__(self):
         object.__setattr__(self, "path", Path(self.path))
 
-    experiment = _inside("experiment.toml", "The file of all settings, resolved.")
-    dataset = _inside("dataset.json", "The description of the recordings.")
-    cnn = _inside("cnn", "The folder of the CNN: weights, history and metrics.")
-    snn = _inside("snn", "The folder of the network that becomes the bundle, as that of the CNN.")
-    bundle = _inside("bundle", "The folder of the bundle.")
-    ladder = _inside("ladder.json", "The file of the loss ladder.")
+    experiment = _make_path_property("experiment.toml", "The file of all settings, resolved.")
+    dataset = _make_path_property("dataset.json", "The description of the recordings.")
+    bundle = _make_path_property("bundle", "The folder of the bundle.")
+    ladder = _make_path_property("ladder.json", "The file of the loss ladder.")
 
     def check(self, stage: str) -> Path:
         """The file of a stage's result on the check's samples."""
         return self.path / "checks" / f"{stage}.json"
 
-    def folder(self, name: str, origin: Origin | None = None) -> Path:
+    def find_folder(self, name: str, origin: Origin | None = None) -> Path:
         """The folder of an artifact, such as ``"cnn"`` or ``"snn"``.
 
         A run has only one of each, independently of the origin, unlike a
@@ -209,12 +207,12 @@ def require_run(run: RunFolder):
     if not run.experiment.is_file():
         raise UserError(
             f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
-            f"with {command_text('ladder', run.path)}"
+            f"with {format_command('ladder', run.path)}"
         )
 
 
 @contextlib.contextmanager
-def working_in(path, of_results: bool = False):
+def lock_run(path, of_results: bool = False):
     """Lock a folder for a run, or for results; nothing is left of it if nothing is saved.
 
     Parameters

@@ -41,7 +41,7 @@ def press(motion, gain, least, p, size=(GRID, GRID)):
     """
     step = motion.time_s[1] - motion.time_s[0]
     places = TaxelMap.grid(*size)
-    rows, columns = _profiles(motion.down, motion.right, motion.force, p, size)
+    rows, columns = _compute_profiles(motion.down, motion.right, motion.force, p, size)
     reach = rows.max(axis=0)[places.row] * columns.max(axis=0)[places.column] * gain
     taxels = np.flatnonzero(reach > least)
     felt = rows[:, places.row[taxels]] * columns[:, places.column[taxels]]
@@ -124,12 +124,12 @@ def spread_force(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     -------
     ndarray of float32, shape (n_times, n_taxels)
     """
-    rows, columns = _profiles(down, right, force, p, size)
+    rows, columns = _compute_profiles(down, right, force, p, size)
     places = TaxelMap.grid(*size)
     return rows[:, places.row] * columns[:, places.column]
 
 
-def _profiles(down, right, force, p, size):
+def _compute_profiles(down, right, force, p, size):
     """The two factors of the pressure: over the rows, with the force, and over the columns."""
     rows, columns = (
         np.exp(-0.5 * (np.abs(along[:, None] - np.arange(n)) / p.spread) ** p.falloff)

@@ -32,7 +32,7 @@ def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s:
     rows, columns = size
     times = []
     taxels = []
-    for row, column in _hot_taxels_of_session(session, p):
+    for row, column in _draw_hot_taxels(session, p):
         rate = p.hot_rate * np.exp(p.hot_rate_spread * rng.standard_normal())
         if row < rows and column < columns:
             times.append(_draw_bouts(rng, start_s, end_s, rate, refractory_s, p.bout_s))
@@ -48,7 +48,7 @@ def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s:
     return time, taxel, np.where(is_rise, 1, -1)
 
 
-def _hot_taxels_of_session(session, p):
+def _draw_hot_taxels(session, p):
     """(row, column) of each hot taxel of a session."""
     for share, taxels in p.sessions:
         if session < share:

@@ -66,7 +66,7 @@ class Writer:
         For each digit, the index of this person's habitual way of writing it.
     offsets : ndarray, shape (10, n_ways, rank)
         For each digit and way of writing it, this person's standard normal draws; see
-        :meth:`pipeline.simulation.shape_model.Allograph.strokes`.
+        :meth:`pipeline.simulation.shape_model.Allograph.make_strokes`.
     backwards : ndarray of float, shape (10,)
         From 0 to 1: a digit is drawn from its end to its beginning if this is less than the share
         of the people who do so (``backwards`` in ``parameters.toml``).
@@ -168,7 +168,7 @@ def write(digit: int, shape: Shape, who: Writer, p) -> tuple:
     tuple of ndarray, shape (n, 2)
         As in a :class:`Trace`.
     """
-    strokes = p.shapes.allographs[digit][shape.way].strokes(shape.along)
+    strokes = p.shapes.allographs[digit][shape.way].make_strokes(shape.along)
     strokes = tuple(even_out(stroke, who.even) for stroke in strokes)
     if who.backwards[digit] < p.writers.backwards[digit]:
         return tuple(stroke[::-1] for stroke in strokes[::-1])

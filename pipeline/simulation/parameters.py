@@ -85,14 +85,14 @@ class Parameters:
     people: int = PEOPLE
     chunked: float = 0.0
 
-    def fingerprint(self) -> str:
+    def compute_hash(self) -> str:
         """Hexadecimal SHA-256 over every value."""
         values = {
-            field.name: _plain(getattr(self, field.name))
+            field.name: _make_plain(getattr(self, field.name))
             for field in dataclasses.fields(self)
             if field.name != "shapes"
         }
-        text = json.dumps([values, self.shapes.fingerprint()], sort_keys=True)
+        text = json.dumps([values, self.shapes.compute_hash()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -119,7 +119,7 @@ def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
     """
     assumed = tomllib.loads(ASSUMED.read_text("utf-8"))
     sections = {
-        name: _section(name, {**entries, **fit["sections"].get(name, {})})
+        name: _read_group(name, {**entries, **fit["sections"].get(name, {})})
         for name, entries in assumed.items()
     }
     return Parameters(
@@ -134,7 +134,7 @@ def _make_form(values):
     return Form(**{key: _freeze(value) for key, value in values.items()})
 
 
-def _section(name, values):
+def _read_group(name, values):
     """A section as a dataclass."""
     values = {key: _freeze(value) for key, value in values.items()}
     return dataclasses.make_dataclass(name, values, frozen=True)(**values)
@@ -144,7 +144,7 @@ def _freeze(value):
     return tuple(map(_freeze, value)) if isinstance(value, list) else value
 
 
-def _plain(value):
+def _make_plain(value):
     """A section, the forms or a number as plain values."""
     if isinstance(value, tuple):
         return [dataclasses.asdict(form) for form in value]

@@ -73,7 +73,7 @@ class Allograph:
         """Number of components."""
         return len(self.components)
 
-    def strokes(self, along) -> tuple:
+    def make_strokes(self, along) -> tuple:
         """The strokes of one digit.
 
         Parameters
@@ -135,7 +135,7 @@ class ShapeModel:
         """For each digit the cumulative sums of the shares of its allographs."""
         return tuple(map(_accumulate_shares, self.allographs))
 
-    def arrays(self) -> dict:
+    def to_arrays(self) -> dict:
         """The parameters as arrays, for a file; the inverse of :meth:`from_arrays`."""
         arrays = {
             "about": np.array(json.dumps(self.about, sort_keys=True)),
@@ -148,7 +148,7 @@ class ShapeModel:
 
     @classmethod
     def from_arrays(cls, arrays: dict) -> ShapeModel:
-        """The model of :meth:`arrays`."""
+        """The model of :meth:`to_arrays`."""
         ways = []
         for digit in range(DIGITS):
             ways.append(_unpack({part: arrays[f"{digit}.{part}"] for part in PARTS}))
@@ -183,10 +183,10 @@ class ShapeModel:
             self, allographs=tuple(_scale_deviations(ways, factor) for ways in self.allographs)
         )
 
-    def fingerprint(self) -> str:
+    def compute_hash(self) -> str:
         """Hexadecimal SHA-256 over the parameters as they are stored."""
         digest = hashlib.sha256()
-        for name, array in sorted(self.arrays().items()):
+        for name, array in sorted(self.to_arrays().items()):
             if name != "about":
                 digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
@@ -289,4 +289,4 @@ def read(path) -> ShapeModel:
 
 def write(path, model: ShapeModel):
     """Write a model to a file; equal models give equal bytes."""
-    write_arrays(path, **model.arrays())
+    write_arrays(path, **model.to_arrays())

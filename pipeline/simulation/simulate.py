@@ -9,7 +9,7 @@ import numpy as np
 from joblib import delayed
 
 from deploy.errors import UserError
-from pipeline.jobs import results_of
+from pipeline.jobs import call_in_processes
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.chunks import chunk_events
 from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
@@ -118,7 +118,7 @@ def simulate(
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
     parts = []
     work = (delayed(_simulate_batch)(seed, batch, parameters, size) for batch in batches)
-    with results_of(work, jobs) as results:
+    with call_in_processes(work, jobs) as results:
         for done in results:
             parts += done
             if advance:
@@ -139,7 +139,7 @@ def describe_source(
 ) -> Source:
     """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
     parameters = parameters or load()
-    content = [VERSION, int(seed), _check_counts(samples_per_digit), parameters.fingerprint()]
+    content = [VERSION, int(seed), _check_counts(samples_per_digit), parameters.compute_hash()]
     if tuple(size) != SIZE:
         content.append(list(size))
     digest = hashlib.sha256(json.dumps(content).encode())
@@ -346,7 +346,7 @@ def _receive(touches, p, size):
     signal[0] = 0
     for touch, end, own in zip(touches, ends, columns, strict=True):
         signal[1:end, own] = touch.felt
-    stretches = [signal[part] for part in _stretches(ends, first)]
+    stretches = [signal[part] for part in _find_stretches(ends, first)]
     film = Creep(first[-1], STEP_S, p.skin)
     for stretch in stretches:
         film.advance(stretch)
@@ -391,7 +391,7 @@ def _read_out(written, touch, p, size):
     return aces.make_bursts(1e9 * seconds, taxel, polarity, p.aces)
 
 
-def _stretches(ends, first):
+def _find_stretches(ends, first):
     """Rows between the ends of two recordings, and the columns of those that continue.
 
     Parameters

@@ -119,7 +119,7 @@ class Writing:
             self._parts = [join_events(self._parts)]
         return self._parts[0] if self._parts else Events(*(np.empty(0),) * 4)
 
-    def point(self, point: PenPoint):
+    def add_point(self, point: PenPoint):
         """Add a point of the pen.
 
         Simulated steps do not change: an earlier point counts as one at :attr:`time_s`.
@@ -160,7 +160,7 @@ class Writing:
         if n <= 0 or not self._points:
             return Events(*(np.empty(0),) * 4)
         time = START_S + STEP_S * np.arange(self._row + 1, self._row + n + 1)
-        down, right, force = self._tip(time)
+        down, right, force = self._locate_tip(time)
         if self._last is None:
             self._last = down[0], right[0], 0.0
         # A row's speed is computed from the previous row; the next one is not known yet.
@@ -184,7 +184,7 @@ class Writing:
             self._parts.append(events)
         return events
 
-    def _tip(self, time):
+    def _locate_tip(self, time):
         """Position and force of the tip at some times, each shape (n,)."""
         knots = np.array([(p.time_s, p.down, p.right, p.pressure) for p in self._points])
         down, right, pressure = (np.interp(time, knots[:, 0], knots[:, i]) for i in (1, 2, 3))

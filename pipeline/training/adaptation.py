@@ -24,7 +24,7 @@ from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
 from deploy.check.bundle import Bundle
-from deploy.check.intervals import wilson_interval
+from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold
@@ -228,24 +228,24 @@ class _Problem:
         self._kept = kept.responses.astype(float)
         self._classes = np.eye(len(weights))
         self._kept_labels = self._classes[kept.labels]
-        self._kept_logits = self._logits(weights, self._kept)
+        self._kept_logits = self._compute_logits(weights, self._kept)
         self._unit = max(np.sqrt((self._kept**2).sum(axis=1).mean()), 1e-12)
         every = np.concatenate([self._kept, person.select_with_copies(np.arange(len(person)))[0]])
         self._directions = np.linalg.eigh(every.T @ every)[1][:, -MAX_DIRECTIONS:]
 
-    def _logits(self, weights, responses):
+    def _compute_logits(self, weights, responses):
         return self._scale * (responses @ weights.T + self.bias)
 
     def log_odds(self, weights, responses):
         """Logarithm of the softmax, shape (n_samples, classes)."""
-        return log_softmax(self._logits(weights, responses), axis=1)
+        return log_softmax(self._compute_logits(weights, responses), axis=1)
 
     def solve(self, responses, labels, kept, pull, rehearsal):
         """The refitted weights."""
         units = self._directions / self._unit
         own = responses @ units
         others = self._kept[kept] @ units
-        logits = self._logits(self.weights, responses), self._kept_logits[kept]
+        logits = self._compute_logits(self.weights, responses), self._kept_logits[kept]
         targets = self._classes[labels], self._kept_labels[kept]
 
         def loss(flat):
@@ -370,7 +370,7 @@ class Responder:
         batches = [np.empty((0, readout.by_class.shape[1]))]
         for output in self.run_to_readout(samples):
             output = output[:, start:]
-            section = readout.section_of(start + np.arange(output.shape[1]))
+            section = readout.find_section(start + np.arange(output.shape[1]))
             sums = [output[:, section == k].sum(axis=1) for k in range(readout.sections)]
             batches.append(np.concatenate(sums, axis=1) / output.shape[1])
         return np.concatenate(batches)
@@ -429,7 +429,7 @@ def add_rehearsal(spec: NetworkSpec, inputs, labels, train, seed: int) -> Networ
 
 
 @dataclass(frozen=True)
-class Adapted:
+class Adaptation:
     """The result of fitting a bundle's readout to a person.
 
     Attributes
@@ -451,7 +451,7 @@ class Adapted:
     fitted: int = 0
 
 
-def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) -> Adapted:
+def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) -> Adaptation:
     """Fit a bundle's readout to one person's recordings.
 
     Parameters
@@ -481,7 +481,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     person = responder.make_person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
     fit = refit(readout.by_class, readout.bias, person, spec.rehearsal, seed, responder.scale)
-    new = ~_in_check(bundle, responder, recordings)
+    new = ~_mark_check_samples(bundle, responder, recordings)
     others = responder.compute_responses(bundle.checks.inputs)[new]
     others_before, others_after = (
         (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels[new]
@@ -489,7 +489,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     )
     fitted = int(np.sum(~new))
     if not fit.helps:
-        return Adapted(None, fit, others_before, others_after, fitted)
+        return Adaptation(None, fit, others_before, others_after, fitted)
     about = {
         "from": bundle.id,
         "writer": writer,
@@ -510,10 +510,10 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         },
     )
     adapted = _with_threshold(adapted, responder, recordings)
-    return Adapted(adapted, fit, others_before, others_after, fitted)
+    return Adaptation(adapted, fit, others_before, others_after, fitted)
 
 
-def _in_check(bundle, responder, recordings):
+def _mark_check_samples(bundle, responder, recordings):
     """Mark the samples of a bundle's check that are among some recordings, by their input."""
     samples = bundle.checks.inputs
     known = {
@@ -571,7 +571,7 @@ def _with_threshold(spec, responder, recordings):
     return spec.with_presentation(confidence=max(limit, chosen.confidence))
 
 
-def adaptation_text(adapted: Adapted, place) -> str:
+def format_adaptation(adapted: Adaptation, place) -> str:
     """The result of :func:`adapt` as text.
 
     Parameters
@@ -587,7 +587,7 @@ def adaptation_text(adapted: Adapted, place) -> str:
     if place is not None and len(others := adapted.others_before):
         compared.append(("the bundle's check, each sample from rest", others, adapted.others_after))
     for who, before, after in compared:
-        lines.append(f"{who}: {_share_text(before)} before, {_share_text(after)} after")
+        lines.append(f"{who}: {_format_share(before)} before, {_format_share(after)} after")
     if adapted.fitted:
         lines.append(
             f"{adapted.fitted} of the {adapted.fitted + len(adapted.others_before)} samples of the "
@@ -603,6 +603,6 @@ def adaptation_text(adapted: Adapted, place) -> str:
     return "\n".join(lines)
 
 
-def _share_text(right):
-    low, high = wilson_interval(int(right.sum()), len(right))
+def _format_share(right):
+    low, high = compute_wilson_interval(int(right.sum()), len(right))
     return f"{right.mean():.3f} ({low:.3f} to {high:.3f}, {len(right)} samples)"

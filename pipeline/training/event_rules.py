@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deploy.arithmetic import ceil_div, thin
+from deploy.arithmetic import divide_up, thin
 from pipeline.recordings.events import Recordings, Sensor, is_handwriting
 from pipeline.recordings.steps import EventTable, SpikeLimits
 from pipeline.run.settings import EventTraining, Input
@@ -100,7 +100,7 @@ class NetworkSize:
     budget : float
         Synaptic operations of a recording of `USUAL_EVENTS`, in multiples of the CNN's.
     passes : int
-        Passes over the training samples, in multiples of :func:`epochs_for`.
+        Passes over the training samples, in multiples of :func:`choose_epochs`.
     dropout : float
         Share of a layer's neurons whose spikes are left out, unless there are few samples.
     """
@@ -152,7 +152,7 @@ class InputChoice(NamedTuple):
     accuracy: float
     complete: float
 
-    def text(self, step_ms: float, sections: int) -> str:
+    def describe(self, step_ms: float, sections: int) -> str:
         """The choice and its reason in a line, with the number of sections that the network has."""
         how = f"each of {sections} sections" if sections > 1 else "the whole"
         return (
@@ -163,7 +163,7 @@ class InputChoice(NamedTuple):
         )
 
 
-def epochs_for(samples: int, batch_size: int) -> int:
+def choose_epochs(samples: int, batch_size: int) -> int:
     """Number of passes over the training samples, which has a suitable number of updates.
 
     Parameters
@@ -173,7 +173,7 @@ def epochs_for(samples: int, batch_size: int) -> int:
     batch_size : int
         Samples per update.
     """
-    batches = ceil_div(max(samples, 1), batch_size)
+    batches = divide_up(max(samples, 1), batch_size)
     updates = max(MIN_UPDATES, UPDATES_BY_ROOT_OF_SAMPLES * math.sqrt(samples))
     fewest = min(MIN_EPOCHS, MAX_UPDATES_OF_MIN_EPOCHS // batches)
     return max(round(updates / batches), fewest, 1)
@@ -220,7 +220,7 @@ def find_bin_ms(table: EventTable) -> float | None:
     return bin_ms if 1 <= bin_ms <= MAX_BIN_MS else None
 
 
-def dropout_for(size: NetworkSize, samples: int) -> float:
+def choose_dropout(size: NetworkSize, samples: int) -> float:
     """Dropout for touch that is not simulated handwriting."""
     return FEW_DROPOUT if samples < FEW_SAMPLES else size.dropout
 
@@ -256,9 +256,9 @@ def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -
         is_long = refractory * step_ms > MAX_REFRACTORY_MS
         if refractory and (is_long or lost[refractory] > MAX_LOST_EVENT_SHARE):
             continue
-        spikes = _spikes(table, some, step_ms, steps, refractory)
+        spikes = _count_spikes(table, some, step_ms, steps, refractory)
         accuracy[refractory] = {
-            sections: left_out_accuracy(_merge_sections(spikes, sections), target)
+            sections: measure_left_out_accuracy(_merge_sections(spikes, sections), target)
             for sections in SECTION_COUNTS
         }
     mean = {refractory: np.mean(list(each.values())) for refractory, each in accuracy.items()}
@@ -329,7 +329,7 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
     return 0
 
 
-def _spikes(table, indices, step_ms, steps, refractory):
+def _count_spikes(table, indices, step_ms, steps, refractory):
     """Spikes of each sample, finest section, taxel and polarity."""
     section = np.arange(steps) * SECTION_COUNTS[-1] // steps
     limits = SpikeLimits(refractory)
@@ -343,7 +343,7 @@ def _spikes(table, indices, step_ms, steps, refractory):
     return np.concatenate([np.stack(some, 1) for some in counts])
 
 
-def left_out_accuracy(inputs, labels) -> float:
+def measure_left_out_accuracy(inputs, labels) -> float:
     """Accuracy of ridge regression of the classes, each sample predicted from all others.
 
     With K the products of the inputs with each other and Y the classes, the fit is H Y with

@@ -25,7 +25,7 @@ from pipeline.run.settings import Settings
 
 
 @contextlib.contextmanager
-def keras_of_its_time():
+def emulate_keras_2_12():
     """Emulate the TensorFlow 2.12 environment that NengoDL 3.6 expects, while it is imported.
 
     - The name ``keras`` refers to Keras 2.  NengoDL imports names from ``keras.engine.functional``
@@ -59,7 +59,7 @@ def keras_of_its_time():
                 sys.modules[name] = module
 
 
-with warnings.catch_warnings(), keras_of_its_time():
+with warnings.catch_warnings(), emulate_keras_2_12():
     warnings.simplefilter("ignore")
     import nengo_dl
 
@@ -166,7 +166,7 @@ def _convert(settings, weights, neuron_type, synapse):
     snn = settings.snn
     architecture = parse(settings.cnn.architecture)
     gains = {
-        name: find_gain(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        name: find_gain(snn.get_max_rate(index), snn.tau_rc, snn.tau_ref)
         for index, name in enumerate(architecture.spiking)
     }
     model = build_cnn(architecture, activation=lambda index: tf.keras.layers.Activation(tf.nn.relu))
@@ -187,7 +187,7 @@ def _convert(settings, weights, neuron_type, synapse):
     for index, (name, gain) in enumerate(gains.items()):
         ensemble = converter.layers[model.get_layer(f"{name}_neurons").output].ensemble
         ensemble.neuron_type = neuron_type(
-            tau_rc=snn.tau_rc, tau_ref=snn.tau_ref, amplitude=1 / snn.max_rate(index)
+            tau_rc=snn.tau_rc, tau_ref=snn.tau_ref, amplitude=1 / snn.get_max_rate(index)
         )
         ensemble.gain = np.full(ensemble.n_neurons, gain)
         ensemble.bias = np.ones(ensemble.n_neurons)

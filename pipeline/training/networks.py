@@ -63,7 +63,7 @@ PRICED_STEPS = 100
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedNetwork:
     """A trained network, with methods to run it.
 
     Attributes
@@ -81,7 +81,7 @@ class Trained:
     weights: dict
     history: list = field(default_factory=list)
 
-    def logits(self, inputs) -> np.ndarray:
+    def compute_logits(self, inputs) -> np.ndarray:
         """Logits, shape (n_samples, classes)."""
         return predict(self._model, inputs)
 
@@ -96,7 +96,7 @@ class Trained:
         return model
 
 
-class TrainedCNN(Trained):
+class TrainedCNN(TrainedNetwork):
     """The paper's CNN; its activations are the outputs of ReLUs."""
 
     @staticmethod
@@ -105,7 +105,7 @@ class TrainedCNN(Trained):
         return build_cnn(parse(settings.cnn.architecture))
 
 
-class TrainedRates(Trained):
+class TrainedRates(TrainedNetwork):
     """The network with rate-LIF neurons; an activation of 1 means ``max_rate``."""
 
     @staticmethod
@@ -215,7 +215,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
 
     def neurons(index):
         return RateLIF(
-            snn.max_rate(index),
+            snn.get_max_rate(index),
             snn.tau_rc,
             snn.tau_ref,
             on_chip=on_chip,
@@ -225,7 +225,7 @@ def build_rate_network(settings: Settings) -> tf.keras.Model:
         )
 
     def gain(index):
-        return find_gain(snn.max_rate(index), snn.tau_rc, snn.tau_ref)
+        return find_gain(snn.get_max_rate(index), snn.tau_rc, snn.tau_ref)
 
     for rate in snn.max_rates:
         try:
@@ -242,7 +242,11 @@ def _compute_spike_costs(settings, architecture):
     seconds = PRICED_STEPS * DT
     return [
         (
-            settings.snn.spike_penalty * settings.snn.max_rate(index) * seconds * layer / operations
+            settings.snn.spike_penalty
+            * settings.snn.get_max_rate(index)
+            * seconds
+            * layer
+            / operations
         ).astype(np.float32)
         for index, layer in enumerate(synapses[1:])
     ]
@@ -319,7 +323,7 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     before = 1.0
     measured = select_measured(images, parse(settings.cnn.architecture))
     for name, output in TrainedCNN(settings, weights).compute_activations(measured).items():
-        scale = _reach(output)
+        scale = _find_reach(output)
         scaled[f"{name}.kernel"] = weights[f"{name}.kernel"] * (before / scale)
         scaled[f"{name}.bias"] = weights[f"{name}.bias"] / scale
         before = scale
@@ -327,7 +331,7 @@ def scale_to_unit(settings: Settings, weights: dict, images) -> dict:
     return scaled
 
 
-def _reach(activations) -> float:
+def _find_reach(activations) -> float:
     """The value that a layer's activations reach; 1 for a silent layer.
 
     If nearly all activations are 0, it is the largest one.
@@ -362,9 +366,9 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     measured = select_measured(images, parse(settings.cnn.architecture))
     outputs = TrainedCNN(settings, weights).compute_activations(measured)
     for index, (name, output) in enumerate(outputs.items()):
-        scale = _reach(output)
-        neurons = RateLIF(snn.max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)
-        shift, factor = _best_shift(neurons, output[output > 0] / scale)
+        scale = _find_reach(output)
+        neurons = RateLIF(snn.get_max_rate(index), snn.tau_rc, snn.tau_ref, on_chip=snn.is_on_chip)
+        shift, factor = _find_best_shift(neurons, output[output > 0] / scale)
         kernel = weights[f"{name}.kernel"]
         bias = weights[f"{name}.bias"]
         fitted[f"{name}.kernel"] = kernel * (before / scale * (1 + shift))
@@ -374,7 +378,7 @@ def fit_to_rates(settings: Settings, weights: dict, images) -> dict:
     return fitted
 
 
-def _best_shift(neurons, activations):
+def _find_best_shift(neurons, activations):
     """(b, c) of :func:`fit_to_rates` for one layer."""
     if len(activations) == 0:
         return 0.0, 1.0
@@ -382,7 +386,7 @@ def _best_shift(neurons, activations):
     wanted = np.quantile(activations, (np.arange(1000) + 0.5) / 1000)
     errors = []
     for shift in SHIFTS:
-        rates = neurons.rates(((1 + shift) * wanted - shift).astype(np.float32)).numpy()
+        rates = neurons.compute_rates(((1 + shift) * wanted - shift).astype(np.float32)).numpy()
         factor = float(rates @ wanted / max(rates @ rates, 1e-9))
         errors.append((float(np.square(factor * rates - wanted).sum()), shift, factor))
     return min(errors)[1:]
@@ -435,7 +439,7 @@ def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, se
     count = len(samples)
     rule = make_optimizer(schedule, count)
     rule.build(model.trainable_variables)
-    train_on = _compiled_batches(model, rule, schedule.batch_size)
+    train_on = _compile_training(model, rule, schedule.batch_size)
     batches = _compute_ahead(_draw_samples(model, samples, schedule, seed))
     for _ in range(schedule.epochs):
         sums = tf.zeros(2)
@@ -448,7 +452,7 @@ def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, se
         yield {"loss": loss, "accuracy": right}
 
 
-def _compiled_batches(model, rule, batch_size):
+def _compile_training(model, rule, batch_size):
     """``train_on(images, labels, noise, masks) -> [sum of losses, number of right answers]``."""
     variables = model.trainable_variables
 
@@ -489,7 +493,7 @@ def _draw_samples(model, samples, schedule, seed):
     images = samples.images
     labels = np.asarray(samples.labels, np.int32)
     numbers = sum(int(np.prod(layer.input_shape[1:])) for layer in (*noisy, *dropped))
-    some = _samples_ahead(schedule.batch_size, numbers, int(np.prod(images.shape[1:])))
+    some = _count_samples_ahead(schedule.batch_size, numbers, int(np.prod(images.shape[1:])))
     # Separate random streams, so that no number depends on how many are drawn at once.
     noises = [np.random.default_rng([seed, 0, 1 + index]) for index in range(len(noisy))]
     masks = [np.random.default_rng([seed, 1, 1 + index]) for index in range(len(dropped))]
@@ -515,7 +519,7 @@ def _draw_samples(model, samples, schedule, seed):
             yield shown, tf.constant(labels[order[part]]), drawn, kept
 
 
-def _samples_ahead(batch_size, numbers, pixels):
+def _count_samples_ahead(batch_size, numbers, pixels):
     """Samples that are drawn at once: whole batches, and whole groups of altered images."""
     unit = math.lcm(batch_size, ALTERED_AT_ONCE)
     groups = min(NOISE_AHEAD // (unit * max(numbers, 1)), IMAGES_AHEAD // (unit * max(pixels, 1)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from deploy.arithmetic import ceil_div
+from deploy.arithmetic import divide_up
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class TrainingSchedule:
 
     def count_batches(self, n_samples: int) -> int:
         """Number of updates in an epoch."""
-        return ceil_div(n_samples, self.batch_size)
+        return divide_up(n_samples, self.batch_size)
 
     def apply_settings(self, section, n_samples: int) -> TrainingSchedule:
         """This schedule with the values of a section of the settings that are not 0.
@@ -46,7 +46,7 @@ class TrainingSchedule:
         """
         return replace(
             self,
-            epochs=section.epochs or max(self.epochs, ceil_div(self.min_shown_samples, n_samples)),
+            epochs=section.epochs or max(self.epochs, divide_up(self.min_shown_samples, n_samples)),
             batch_size=section.batch_size or self.batch_size,
             learning_rate=section.learning_rate or self.learning_rate,
         )

@@ -72,7 +72,7 @@ def _convolution(rng, name, before, size):
     stride = int(rng.choice([1, 1, 2, 3]))
     filters = int(rng.choice([1, 3, 4]))
     operation = DeployedConvolution(filters, kernel, stride, padding)
-    block = [int(rng.integers(1, n + 1)) for n in operation.shape(read)]
+    block = [int(rng.integers(1, n + 1)) for n in operation.compute_shape(read)]
     weights = _weights(rng, size, (kernel, kernel, before[2], filters))
     return Layer(
         name=name,
@@ -159,8 +159,8 @@ def images_for(spec, n, seed=0):
     """Images between 0 and 1, some pixels of them black, shape (n, n_pixels), or event frames."""
     rng = np.random.default_rng(seed)
     if not spec.stimulus.static:
-        shape = (n, *spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps))
-        return spec.stimulus.flat((rng.random(shape) < 0.2).astype(np.uint8))
+        shape = (n, *spec.stimulus.find_sample_shape(spec.input_shape, spec.presentation.steps))
+        return spec.stimulus.flatten((rng.random(shape) < 0.2).astype(np.uint8))
     shape = (n, int(np.prod(spec.input_shape)))
     return rng.random(shape) * (rng.random(shape) < 0.7)
 

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from deploy.tables import align_rows
-from deploy.terminal import printable, remark, show
+from deploy.terminal import escape_control, remark, show
 from tests.command import ROOT, environment
 from tests.pipeline.handmade import archive, good_members
 
@@ -13,7 +13,7 @@ OBEYED = "\x1b[2J\x1b]0;mine\x07\u202e\r\nx"
 
 
 def test_what_a_terminal_would_obey_is_escaped(capsys):
-    assert printable("é\u4e2d a\x1b[2J\n") == "é\u4e2d a\\x1b[2J\\n"
+    assert escape_control("é\u4e2d a\x1b[2J\n") == "é\u4e2d a\\x1b[2J\\n"
     show(f"one {OBEYED[:4]}\ntwo")
     remark("three \x07")
     assert capsys.readouterr() == ("one \\x1b[2J\ntwo\n", "three \\x07\n")

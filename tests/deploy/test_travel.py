@@ -89,17 +89,17 @@ def result_in(bundle, target):
 def test_host_with_other_versions(monkeypatch, package, version, fact):
     real = host.version
     monkeypatch.setattr(host, "version", lambda name: version if name == package else real(name))
-    assert missing(host.complaint(), fact, *([version] if version != "3.2.0" else [])) == []
+    assert missing(host.describe_missing(), fact, *([version] if version != "3.2.0" else [])) == []
 
 
 def test_host_without_a_package(monkeypatch):
     monkeypatch.setattr(host, "PACKAGES", {"no-such-package": ((1,), (2,), "")})
-    assert "'no-such-package>=1,<2'" in host.complaint()
+    assert "'no-such-package>=1,<2'" in host.describe_missing()
 
 
 def test_host_with_an_old_python(monkeypatch):
     monkeypatch.setattr(host, "OLDEST_PYTHON", (3, 99))
-    assert f"Python {platform.python_version()} " in host.complaint()
+    assert f"Python {platform.python_version()} " in host.describe_missing()
 
 
 old_python = pytest.mark.skipif(
@@ -122,7 +122,9 @@ def test_python_38_gives_the_same_result(home, copied):
 def test_python_38_answers_a_bundle_of_events(tmp_path):
     """With taxels that rest and an estimator: each sample is decided in a step of its own."""
     rng = np.random.default_rng(0)
-    estimator = {name: 0.3 * rng.normal(size=shape) for name, shape in Estimator.shapes(3).items()}
+    estimator = {
+        name: 0.3 * rng.normal(size=shape) for name, shape in Estimator.list_shapes(3).items()
+    }
     spec = replace(
         events_spec(confidence=0.7),
         stimulus=EventFrames(0.01, refractory=1),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.files import sha256_of
+from deploy.files import hash_file
 from experiments import handwriting as fit
 from experiments.__main__ import main
 from pipeline.simulation import shape_model
@@ -46,7 +46,7 @@ def test_it_is_what_people_do():
         assert downwards == pytest.approx(2 / 3, abs=0.02)
     rng = np.random.default_rng(1)
     way = max(model.allographs[4], key=lambda way: way.share)
-    drawn = [way.strokes(way.within @ rng.standard_normal(way.rank)) for _ in range(500)]
+    drawn = [way.make_strokes(way.within @ rng.standard_normal(way.rank)) for _ in range(500)]
     assert np.std([strokes[0][-1, 1] - strokes[0][0, 1] for strokes in drawn]) < 0.15
 
 
@@ -79,25 +79,25 @@ def test_offsets_of_persons_and_what_differs_within_one():
     between, within = np.array([[1.0, 0.3], [0.3, 0.2]]), np.diag([0.5, 0.9])
     offsets = rng.multivariate_normal([0, 0], between, 400)
     scores = offsets[writers] + rng.multivariate_normal([0, 0], within, len(writers))
-    found = fit._covariances(scores, writers)
+    found = fit._estimate_covariances(scores, writers)
     for covariance, true in zip(found, (between, within), strict=True):
         np.testing.assert_allclose(covariance, true, atol=0.15)
-        root = fit._root(covariance)
+        root = fit._compute_root(covariance)
         np.testing.assert_allclose(root @ root.T, covariance, atol=0.05)
 
 
 def test_loyalty_by_hand():
     # Everybody has one way: loyal.  Everybody has both alike: not at all.
-    assert fit._loyalty(np.array([[10, 0], [0, 10]])) == pytest.approx(1)
-    assert fit._loyalty(np.array([[10, 10], [10, 10]])) == 0
+    assert fit._estimate_loyalty(np.array([[10, 0], [0, 10]])) == pytest.approx(1)
+    assert fit._estimate_loyalty(np.array([[10, 10], [10, 10]])) == 0
     # One of ways alone.
-    assert fit._loyalty(np.array([[10], [10]])) == 1
+    assert fit._estimate_loyalty(np.array([[10], [10]])) == 1
     # A share q of one's own of two, the rest of either: same way with (1 + q^2) / 2.
     q = 0.6
     mine, other = (1 + q) / 2, (1 - q) / 2
     many = 100_000
     usage = np.rint(np.array([[mine, other], [other, mine]]) * many).astype(int)
-    assert fit._loyalty(usage) == pytest.approx(q, abs=1e-3)
+    assert fit._estimate_loyalty(usage) == pytest.approx(q, abs=1e-3)
 
 
 def test_strokes_of_a_mean_are_the_mean():
@@ -105,7 +105,7 @@ def test_strokes_of_a_mean_are_the_mean():
     mean = np.concatenate([down.ravel(), across.ravel(), [np.log(12 / 20)]])
     nothing = np.zeros((1, 1))
     way = Allograph(1.0, (20, 12), mean, np.zeros((1, len(mean))), nothing, nothing)
-    first, second = way.strokes(np.zeros(1))
+    first, second = way.make_strokes(np.zeros(1))
     assert (len(first), len(second)) == (20, 12)
     np.testing.assert_allclose(first[[0, -1]], [[-0.5, 0.15], [0.5, -0.15]], atol=0.06)
     np.testing.assert_allclose(second[:, 0], 0, atol=1e-9)
@@ -116,9 +116,9 @@ def test_round_trip(tmp_path):
     model = fit.estimate(people(), about={"source": "made up"})
     shape_model.write(path, model)
     again = shape_model.read(path)
-    assert again.fingerprint() == model.fingerprint()
+    assert again.compute_hash() == model.compute_hash()
     assert again.about == {"source": "made up", "writers": 6, "digits": 600}
-    assert replace(again, tempo=0.5).fingerprint() != model.fingerprint()
+    assert replace(again, tempo=0.5).compute_hash() != model.compute_hash()
 
 
 def test_the_built_in_model_says_where_it_is_from_and_is_small():
@@ -142,7 +142,7 @@ def test_the_command_estimates_the_built_in_model(shared_data, tmp_path):
     assert call("handwriting", file, "--out", out, main=main) == 0
     again = shape_model.read(out)
     assert again.about == BUILT_IN.about
-    assert again.about["sha256"] == sha256_of(file)
+    assert again.about["sha256"] == hash_file(file)
     assert [len(ways) for ways in again.allographs] == [len(w) for w in BUILT_IN.allographs]
     for one, other in zip(again.allographs, BUILT_IN.allographs, strict=True):
         for way, stored in zip(one, other, strict=True):

@@ -38,7 +38,7 @@ def test_it_learns(trained):
 def test_the_counts_are_those_of_the_last_epoch(trained, data):
     frames, labels, _, test = data
     network, history, counts = trained
-    layers = [spikes.numpy() for _, spikes in network.layers(frames[:, test])]
+    layers = [spikes.numpy() for _, spikes in network.compute_layers(frames[:, test])]
     assert [s.shape for s in layers] == [(40, 9, 9, 9, 4), (40, 9, 7, 7, 6), (40, 9, 3)]
     assert all(s.any() for s in layers)
     np.testing.assert_array_equal(layers[-1].sum(0), counts)

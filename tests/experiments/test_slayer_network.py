@@ -71,8 +71,8 @@ def weigh(response, kernel, layer=None):
     if kernel.ndim == 2:
         return response.reshape(len(response), -1) @ kernel
     before = response.shape[1:]
-    frames = np.pad(response, [(0, 0), *layer.pads(before), (0, 0)])
-    out = np.zeros((len(frames), *layer.shape(before)))
+    frames = np.pad(response, [(0, 0), *layer.compute_padding(before), (0, 0)])
+    out = np.zeros((len(frames), *layer.compute_shape(before)))
     for y, x in np.ndindex(out.shape[1:3]):
         row, column = y * layer.stride, x * layer.stride
         window = frames[:, row : row + layer.kernel, column : column + layer.kernel]
@@ -108,7 +108,7 @@ def network_of(notation, seed=0, **scales):
 
 def layers_of(network, sample):
     """Potential and spikes of each layer for one sample."""
-    layers = network.layers(sample[:, None])
+    layers = network.compute_layers(sample[:, None])
     return [(potential.numpy()[:, 0], spikes.numpy()[:, 0]) for potential, spikes in layers]
 
 
@@ -217,7 +217,7 @@ def test_weight_gradients_agree_with_finite_differences(reference, small):
     """Of the loss's gradient through all layers, in both kinds of weights."""
     network, events = small
     desired = np.array([[8.0, 1, 1], [1, 1, 8]], np.float32)
-    loss, counts, gradients = network.gradients(events, desired)
+    loss, counts, gradients = network.compute_gradients(events, desired)
     kernels, samples = [k.numpy().astype(float) for k in network.kernels], np.moveaxis(events, 1, 0)
     bases = [forward(reference, network, kernels, sample) for sample in samples]
     np.testing.assert_array_equal(counts, [b["spikes"][-1].sum(0) for b in bases])

@@ -13,7 +13,7 @@ from experiments.__main__ import OTHERS, main
 from pipeline.results.study import Case
 from pipeline.run.artifacts import Library
 from pipeline.run.settings import Settings
-from pipeline.sources import recordings_of
+from pipeline.sources import load_named_recordings
 from pipeline.training.adaptation import add_rehearsal
 from tests.command import call, missing
 from tests.experiments.test_tables import row
@@ -23,8 +23,8 @@ BY_NAME = {experiment.name: experiment for experiment in studies.EXPERIMENTS}
 
 def cases_of(experiment, seeds=(0,)):
     """The cases on random splits, without what would be chosen for recordings."""
-    settings = studies.wanted_settings(experiment, experiment.lines, Settings())
-    return studies.cases_of(experiment, experiment.lines, settings, seeds, ("random",))
+    settings = studies.list_settings(experiment, experiment.lines, Settings())
+    return studies.list_cases(experiment, experiment.lines, settings, seeds, ("random",))
 
 
 @pytest.mark.parametrize("experiment", studies.EXPERIMENTS, ids=lambda e: e.name)
@@ -33,7 +33,7 @@ def test_the_lines_of_an_experiment_are_cases(experiment):
     assert len(set(names)) == len(names)
     assert set(itertools.chain(*experiment.pairs)) <= set(names)
     cases = cases_of(experiment, (0, 1))
-    keys = {case.key("0") for case in cases}
+    keys = {case.compute_key("0") for case in cases}
     assert len(keys) == len(cases) == 2 * len(names)  # no two lines are the same measurement
 
 
@@ -60,14 +60,14 @@ def test_the_paper_is_beside_random_splits_only():
         for seed in range(3)
         for split in ("random", "writers")
     ]
-    found = tables.table(rows, against=BY_NAME["table2"].pairs)
+    found = tables.make_table(rows, against=BY_NAME["table2"].pairs)
     random, writers = (
         studies.make_cells(BY_NAME["table2"], found, s) for s in ("random", "writers")
     )
     assert [line[-1] for line in random] == ["paper, real data", "0.89 (0.01)", "0.86 (0.02)"]
     assert len(writers[0]) == len(random[0]) - 1
     titles = {line.name: line.title for line in BY_NAME["table2"].lines}
-    pairs = [tuple(cells[:3]) for cells in tables.comparisons_cells(found, titles)[1:]]
+    pairs = [tuple(cells[:3]) for cells in tables.make_comparison_cells(found, titles)[1:]]
     assert (titles["loihi"], titles["cnn"], "random") in pairs
     text = studies.format_result(BY_NAME["table2"], found)
     assert missing(text, "random splits", "writers splits", "this row", "against", "Holm") == []
@@ -162,14 +162,14 @@ def test_what_a_readout_is_fitted_to_is_not_what_it_is_tested_on():
 def test_people_are_fitted_one_by_one(tiny_run, monkeypatch):
     monkeypatch.setattr(adapt, "EACH", (2,))
     bundle = read_bundle(tiny_run / "bundle")
-    recordings = recordings_of(Settings().with_values({"data": {"samples_per_digit": 60}}))
+    recordings = load_named_recordings(Settings().with_values({"data": {"samples_per_digit": 60}}))
     some = recordings.subset(np.arange(0, len(recordings), 10))
     some = replace(some, writers=np.arange(len(some)) % 2)
     inputs = bundle.checks.inputs, bundle.checks.labels
     spec = bundle.spec
     if spec.rehearsal is None:
         spec = add_rehearsal(spec, *inputs, np.arange(len(inputs[1])), 0)
-    found = list(adapt.fitted_to_people(spec, inputs, some, draws=1, seed=0))
+    found = list(adapt.measure_fits_to_people(spec, inputs, some, draws=1, seed=0))
     assert {(row["who"], row["each"]) for row in found} == {(0, 2), (1, 2)}
     for person in found:
         assert all(0 <= person[name] <= 1 for name in adapt.MEASURES)
@@ -178,7 +178,7 @@ def test_people_are_fitted_one_by_one(tiny_run, monkeypatch):
 
 
 def test_fast_is_compared_with_the_emulator_in_turns(tiny_run):
-    found = speed.of_bundle(read_bundle(tiny_run / "bundle"), samples=10)
+    found = speed.measure_on_bundle(read_bundle(tiny_run / "bundle"), samples=10)
     assert found["identical"]
     assert found["ratio"] > 0
     slow, fast = found["samples_per_second"]
@@ -186,7 +186,7 @@ def test_fast_is_compared_with_the_emulator_in_turns(tiny_run):
 
 
 def test_fast_simulator_is_compared_with_nengoloihis_in_turns():
-    found = speed.of_network("a channel", lambda: speed.channel(20), 8)
+    found = speed.measure_on_network("a channel", lambda: speed.build_channel(20), 8)
     assert found["identical"]
     assert found["ratio_emulator"] > 0
 
@@ -195,23 +195,23 @@ def test_a_figure_of_a_document(tmp_path, monkeypatch):
     monkeypatch.setattr(studies, "RESULTS", tmp_path)
     result = {"rows": [{"name": "a", "mean": 0.1234}], "n": 7}
     (tmp_path / "some.json").write_text(json.dumps(result))
-    assert document.figure("some rows a mean .3f") == "0.123"
-    assert document.figure("some rows 0 mean 100*.1f") == "12.3"
+    assert document.read_figure("some rows a mean .3f") == "0.123"
+    assert document.read_figure("some rows 0 mean 100*.1f") == "12.3"
     text = "x <!-- figure: some n d -->old\ntext<!-- /figure --> y"
     assert document.with_parts(text) == "x <!-- figure: some n d -->7<!-- /figure --> y"
     for wrong in ("some rows b mean .3f", "none n d", "some rows a mean .q"):
         with pytest.raises(ValueError, match="figure"):
-            document.figure(wrong)
+            document.read_figure(wrong)
 
 
 @pytest.mark.parametrize("path", sorted(studies.RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_every_result_is_a_table_of_the_documents(path):
     """Its lines exist, and none has an interval that the statistics would not give."""
-    assert document.part(path.stem)
+    assert document.make_part(path.stem)
     content = json.loads(path.read_text())
     for entry in content.get("rows", ()):
         if entry.get("values") and len(entry["values"]) > 1 and "split" in entry:
-            expected = tables.table(
+            expected = tables.make_table(
                 [
                     {**row(entry["name"], seed, [0], entry["split"]), "accuracy": value,
                      "n_train": entry["n_train"], "n_test": entry["n_test"]}

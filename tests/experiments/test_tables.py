@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.tables import estimate, holm, table
+from experiments.tables import correct_by_holm, estimate, make_table
 
 
 def row(name, seed, right, split="random", n_train=80, n_test=None, **more):
@@ -48,15 +48,15 @@ def test_there_is_no_interval_of_fewer_than_three_splits(values):
 
 
 def test_holm_by_hand():
-    assert holm([0.01, 0.04, None, 0.03]) == pytest.approx([0.03, 0.06, None, 0.06])
-    assert holm([0.9, 0.8]) == [1.0, 1.0]
-    assert holm([]) == []
+    assert correct_by_holm([0.01, 0.04, None, 0.03]) == pytest.approx([0.03, 0.06, None, 0.06])
+    assert correct_by_holm([0.9, 0.8]) == [1.0, 1.0]
+    assert correct_by_holm([]) == []
 
 
 def test_the_shares_are_those_of_the_split_whatever_was_evaluated():
     """Ten of 100 test samples say as little about other splits as all of them (issue: 200)."""
     rows = [row("chip", seed, [1] * (7 + seed) + [0] * (3 - seed), n_test=100) for seed in range(3)]
-    (entry,) = table(rows)["rows"]
+    (entry,) = make_table(rows)["rows"]
     assert entry["n_test"] == 100
     expected = estimate([0.7, 0.8, 0.9], 80, 100)["ci95"]
     np.testing.assert_allclose(entry["ci95"], expected)
@@ -65,7 +65,7 @@ def test_the_shares_are_those_of_the_split_whatever_was_evaluated():
 def test_differences_are_paired_on_the_samples_that_both_have():
     ones = [row("a", seed, [1, 1, 0, 0]) for seed in range(3)]
     others = [row("b", seed, [1, 0]) for seed in range(3)]
-    (found,) = table([*ones, *others], against=[("b", "a")])["comparisons"]
+    (found,) = make_table([*ones, *others], against=[("b", "a")])["comparisons"]
     assert (found["a"], found["b"], found["split"]) == ("b", "a", "random")
     assert found["mean"] == -0.5  # on samples 0 and 1; a loss is negative
     assert found["agreement"] == 0.5
@@ -74,7 +74,7 @@ def test_differences_are_paired_on_the_samples_that_both_have():
 
 def test_a_single_split_has_wilson_and_mcnemar():
     rows = [row("a", 0, [1] * 9 + [0]), row("b", 0, [0] * 10)]
-    found = table(rows, against=[("a", "b"), ("a", "missing")])
+    found = make_table(rows, against=[("a", "b"), ("a", "missing")])
     np.testing.assert_allclose(found["rows"][0]["ci95"], [0.5958, 0.9821], atol=1e-4)
     (compared,) = found["comparisons"]
     assert compared["p"] == pytest.approx(2 / 2**9)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.variants import VARIANTS, durations_ns, vary
+from experiments.variants import VARIANTS, measure_durations_ns, vary
 from pipeline.recordings.steps import EventTable
 from tests.pipeline.handmade import assert_same, recordings
 
@@ -83,7 +83,7 @@ def test_every_recording_keeps_its_events_in_order_of_time(variant):
             columns = [np.stack([e.taxel, e.polarity, e.columns], 1) for e in (before, after)]
             assert sorted(columns[0].tolist()) == sorted(columns[1].tolist())
     if variant in ("even", "shuffled", "no-polarity"):
-        np.testing.assert_array_equal(durations_ns(varied), durations_ns(made))
+        np.testing.assert_array_equal(measure_durations_ns(varied), measure_durations_ns(made))
 
 
 def test_as_it_is_nothing_changes(three):
@@ -91,4 +91,4 @@ def test_as_it_is_nothing_changes(three):
 
 
 def test_durations(three):
-    assert durations_ns(three).tolist() == [1000, 0, 0]
+    assert measure_durations_ns(three).tolist() == [1000, 0, 0]

@@ -7,9 +7,9 @@ def convolve(frame, layer, weights):
     """W s of one frame, in int64."""
     if layer.kind == "dense":
         return frame.reshape(-1) @ weights
-    (top, bottom), (left, right) = layer.pads(frame.shape)
+    (top, bottom), (left, right) = layer.compute_padding(frame.shape)
     padded = np.pad(frame, ((top, bottom), (left, right), (0, 0)))
-    rows, columns, filters = layer.shape(frame.shape)
+    rows, columns, filters = layer.compute_shape(frame.shape)
     result = np.zeros((rows, columns, filters), np.int64)
     for r in range(rows):
         for c in range(columns):
@@ -26,7 +26,7 @@ def decay(x, keep):
 def run(layer, integers, frames):
     """Spikes, currents and voltages (before the reset) of a layer, each (steps, neurons)."""
     weights = integers.weights.astype(np.int64)
-    n = int(np.prod(layer.shape(frames.shape[1:])))
+    n = int(np.prod(layer.compute_shape(frames.shape[1:])))
     bias = np.tile(integers.bias.astype(np.int64), n // len(integers.bias))
     u = v = np.zeros(n, np.int64)
     while True:  # to where the bias alone leads
@@ -52,7 +52,7 @@ def network(architecture, integers, frames):
     for name, layer in zip(architecture.names, architecture.layers[:-1], strict=False):
         s, _, _ = run(layer, integers[name], signal)
         spikes.append(s)
-        signal = s.reshape(len(frames), *layer.shape(signal.shape[1:]))
+        signal = s.reshape(len(frames), *layer.compute_shape(signal.shape[1:]))
     return spikes
 
 

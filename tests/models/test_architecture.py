@@ -63,20 +63,20 @@ def test_weights_by_hand():
 
 def test_same_padding_puts_what_is_odd_at_the_end():
     # 10 values, kernel 4, stride 2: 5 outputs take (5 - 1) 2 + 4 - 10 = 2 zeros
-    assert Convolution(1, 4, 2, "same").pads((10, 10, 1)) == ((1, 1), (1, 1))
+    assert Convolution(1, 4, 2, "same").compute_padding((10, 10, 1)) == ((1, 1), (1, 1))
     # kernel 4, stride 1: 3 zeros, one before; kernel 2, stride 2: none
-    assert Convolution(1, 4, 1, "same").pads((10, 7, 1)) == ((1, 2), (1, 2))
-    assert Convolution(1, 2, 2, "same").pads((10, 9, 1)) == ((0, 0), (0, 1))
+    assert Convolution(1, 4, 1, "same").compute_padding((10, 7, 1)) == ((1, 2), (1, 2))
+    assert Convolution(1, 2, 2, "same").compute_padding((10, 9, 1)) == ((0, 0), (0, 1))
 
 
 def test_fan_out_by_hand():
     # Four windows of 3 at stride 2 on 9 values begin at 0, 2, 4, 6; two filters.
     line = np.array([1, 1, 2, 1, 2, 1, 2, 1, 1])
-    fan_out = Convolution(2, 3, 2).fan_out((9, 9, 1))
+    fan_out = Convolution(2, 3, 2).count_fan_out((9, 9, 1))
     np.testing.assert_array_equal(fan_out[:, :, 0], 2 * np.outer(line, line))
     # Of 7 values pooled by 3 the last is not read.
-    np.testing.assert_array_equal(Pooling(3).fan_out((7, 3, 1))[:, 0, 0], [1] * 6 + [0])
-    np.testing.assert_array_equal(Dense(5).fan_out((2, 2)), np.full((2, 2), 5))
+    np.testing.assert_array_equal(Pooling(3).count_fan_out((7, 3, 1))[:, 0, 0], [1] * 6 + [0])
+    np.testing.assert_array_equal(Dense(5).count_fan_out((2, 2)), np.full((2, 2), 5))
 
 
 @pytest.mark.parametrize("padding", ["valid", "same"])
@@ -88,11 +88,11 @@ def test_shape_and_fan_out_are_tensorflows(kernel, stride, padding):
     layer, shape = Convolution(3, kernel, stride, padding), (7, 10, 2)
     frame = tf.Variable(tf.zeros((1, *shape)))
     with tf.GradientTape() as tape:
-        ones = tf.ones(layer.kernel_shape(shape))
+        ones = tf.ones(layer.compute_kernel_shape(shape))
         result = tf.nn.conv2d(frame, ones, stride, padding.upper())
-    assert result.shape[1:] == layer.shape(shape)
+    assert result.shape[1:] == layer.compute_shape(shape)
     gradient = tape.gradient(result, frame)[0]
-    np.testing.assert_array_equal(layer.fan_out(shape), gradient.numpy())
+    np.testing.assert_array_equal(layer.count_fan_out(shape), gradient.numpy())
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7])
@@ -103,9 +103,9 @@ def test_pooling_is_tensorflows(size):
     frame = tf.Variable(tf.zeros((1, *shape)))
     with tf.GradientTape() as tape:
         result = tf.nn.avg_pool2d(frame, size, size, "VALID") * size**2
-    assert result.shape[1:] == layer.shape(shape)
+    assert result.shape[1:] == layer.compute_shape(shape)
     gradient = tape.gradient(result, frame)[0]
-    np.testing.assert_allclose(layer.fan_out(shape), gradient.numpy())
+    np.testing.assert_allclose(layer.count_fan_out(shape), gradient.numpy())
 
 
 @pytest.mark.parametrize(

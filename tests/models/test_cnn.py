@@ -29,7 +29,7 @@ def test_keras_layers_with_other_variables_than_declared_are_refused(monkeypatch
     def without_bias(layer, name, gain=None):
         return tf.keras.layers.Dense(10, name=name, use_bias=False)
 
-    monkeypatch.setattr(Dense, "keras_layer", without_bias)
+    monkeypatch.setattr(Dense, "make_keras_layer", without_bias)
     with pytest.raises(ValueError, match=r"declare output\.bias"):
         build_cnn(PAPER)
 

@@ -92,7 +92,7 @@ def test_the_gradient_is_that_of_the_smoothed_rate(on_chip):
         return 1 / (interval * layer.max_rate)
 
     gradients = []
-    for function, dtype in ((layer.rates, tf.float32), (smoothed, tf.float64)):
+    for function, dtype in ((layer.compute_rates, tf.float32), (smoothed, tf.float64)):
         points = tf.constant(z, dtype)
         with tf.GradientTape() as tape:
             tape.watch(points)

@@ -8,8 +8,8 @@ import pytest
 from models.nir.equations import METHODS
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
-from pipeline.kinds.nir.conversion import conversion_notes
-from pipeline.kinds.nir.importing import Stepped, settings_of_nir
+from pipeline.kinds.nir.conversion import list_conversion_notes
+from pipeline.kinds.nir.importing import Stepping, make_nir_settings
 from pipeline.run.settings import Settings
 from tests.models.nir_graphs import affine, cuba_lif, lif, network_of
 
@@ -140,16 +140,16 @@ def test_declared_shapes_of_subgraphs_are_ignored():
 def test_the_step_of_recordings_is_not_the_graphs():
     """An image has no steps; snnTorch's 0.1 ms remain, on events too."""
     path = CASES / "image-step.nir"
-    changes = settings_of_nir(path, step=20.0)
+    changes = make_nir_settings(path, step=20.0)
     assert changes["input"] == {"kind": "image"}
     network = read_nir(path)
-    stepped = Stepped.of(Settings().with_values(changes), network)
-    assert stepped == Stepped(1e-4, "euler", "value")
+    stepping = Stepping.of(Settings().with_values(changes), network)
+    assert stepping == Stepping(1e-4, "euler", "value")
     held = np.load(CASES / "image-step-image.npy").reshape(1, 1, 64).repeat(100, 1)
     assert simulate(network, held).outputs.sum(1).tolist() == [[100, 58]]
-    events = Settings().with_values(settings_of_nir(path, 20.0, "events"))
+    events = Settings().with_values(make_nir_settings(path, 20.0, "events"))
     assert (events.input.step, events.nir.step) == (20.0, 0.0)
-    assert Stepped.of(events, network) == stepped
+    assert Stepping.of(events, network) == stepping
 
 
 BY_HAND = {  # inputs 1, 0, 1
@@ -186,8 +186,10 @@ def test_steps_by_hand(method):
 def test_doubtful_times_are_named_with_the_setting(node, step, problem):
     network = network_of((4,), affine(np.random.default_rng(0), 2, 4), node)
     settings = Settings().with_values({"input": {"kind": "events", "step": 20.0}})
-    stepped = Stepped(step, "exact")
-    lines = [line for line in conversion_notes(network, (), stepped, settings) if problem in line]
+    stepping = Stepping(step, "exact")
+    lines = [
+        line for line in list_conversion_notes(network, (), stepping, settings) if problem in line
+    ]
     assert len(lines) == 1
     assert "'n1'" in lines[0]
     assert "nir.step" in lines[0]

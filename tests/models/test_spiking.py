@@ -42,7 +42,7 @@ def test_the_forward_pass_is_the_integers_of_plain_numpy(text):
     frames = frames_for(network)
     outputs, spikes = network(tf.constant(frames), dtype=tf.float64)
     in_float32 = network(tf.constant(frames))[1]
-    integers = network.integers()
+    integers = network.compute_integers()
     for sample in range(frames.shape[1]):
         expected = spiking_in_numpy.network(network.architecture, integers, frames[:, sample])
         for layer, whole, single in zip(expected, spikes, in_float32, strict=True):
@@ -71,7 +71,7 @@ def test_each_part_of_a_sample_has_its_output_weights():
 @pytest.mark.parametrize("text", ARCHITECTURES)
 def test_nengoloihis_emulator_makes_the_same_spikes(text):
     network = network_of(text, biases=0.0)
-    frames, integers = frames_for(network), network.integers()
+    frames, integers = frames_for(network), network.compute_integers()
     for sample in range(frames.shape[1]):
         expected = spiking_in_numpy.network(network.architecture, integers, frames[:, sample])
         spikes, _ = emulate(network.architecture, integers, frames[:, sample])
@@ -169,7 +169,7 @@ def test_the_gradient_of_a_weight_is_that_of_the_current_it_scales():
         _, spikes = network(tf.constant(frames), dtype=tf.float64)
         loss = tf.reduce_sum(spikes[0])
     kernel = network.variables_by_name["dense1.kernel"]
-    layer = network.integers()["dense1"]
+    layer = network.compute_integers()["dense1"]
     s, u, v = spiking_in_numpy.run(network.architecture.layers[0], layer, frames[:, 0])
     by_q = spiking_in_numpy.gradients(np.ones(s.shape), u, s, v, layer, 4.0)[0]
     largest = np.abs(kernel.numpy()).max()
@@ -197,10 +197,12 @@ def test_rounding_of_biases_and_floors_is_nengoloihis():
     )
     mantissa, exponent = bias_to_manexp(values)
     np.testing.assert_array_equal(
-        spiking._twelve_bits(tf.constant(values)), mantissa * 2.0**exponent
+        spiking._round_to_twelve_bits(tf.constant(values)), mantissa * 2.0**exponent
     )
     x = np.geomspace(1, 2**23, 1000)
-    np.testing.assert_array_equal(spiking._power_of_two(tf.constant(x)), 2 ** np.round(np.log2(x)))
+    np.testing.assert_array_equal(
+        spiking._round_to_power_of_two(tf.constant(x)), 2 ** np.round(np.log2(x))
+    )
 
 
 def test_weights_there_and_back():
@@ -212,8 +214,8 @@ def test_weights_there_and_back():
     other.set_weights(weights)
     for name, value in other.get_weights().items():
         np.testing.assert_allclose(value, weights[name], rtol=1e-5)
-    for name, layer in other.integers().items():
-        mine = network.integers()[name]
+    for name, layer in other.compute_integers().items():
+        mine = network.compute_integers()[name]
         np.testing.assert_array_equal(layer.weights, mine.weights)
         assert (layer.threshold, layer.keep_u) == (mine.threshold, mine.keep_u)
     with pytest.raises(ValueError, match=r"conv1\.kernel"):

@@ -53,7 +53,7 @@ def test_gradients_are_those_of_tensorflow(text, monkeypatch):
     network = network_of(text)
     batch = batch_for(network)
     compiled = SpikingGradient(network.architecture, network.neuron)
-    result = compiled.gradients(values_of(network), batch, EARLY, PRICE)
+    result = compiled.compute_gradients(values_of(network), batch, EARLY, PRICE)
     loss, cost, gradients = in_tensorflow(network, batch)
     assert result.operations == pytest.approx(cost, rel=1e-3)
     assert result.loss == pytest.approx(loss, rel=1e-2)
@@ -72,7 +72,7 @@ def test_outputs_are_those_of_tensorflow(text):
     frames = frames_for(network, 6, 40)
     outputs, spikes = network(tf.constant(frames))
     compiled = SpikingGradient(network.architecture, network.neuron)
-    found, cost, rates = compiled.outputs(values_of(network), np.moveaxis(frames, 0, 1))
+    found, cost, rates = compiled.compute_outputs(values_of(network), np.moveaxis(frames, 0, 1))
     for layer, expected in zip(rates, spikes, strict=True):
         assert np.mean(layer != expected.numpy().sum(0)) < 0.01
     assert np.abs(found - np.moveaxis(outputs.numpy(), 0, 1)).mean() < 0.01
@@ -87,7 +87,7 @@ def test_sections_of_the_readout():
         kernel.assign(2.5 * kernel)
     batch = batch_for(network)
     compiled = SpikingGradient(network.architecture, network.neuron, network.starts)
-    result = compiled.gradients(values_of(network), batch, EARLY, PRICE)
+    result = compiled.compute_gradients(values_of(network), batch, EARLY, PRICE)
     _, _, gradients = in_tensorflow(network, batch)
     expected = gradients["output.kernel"]
     np.testing.assert_allclose(

@@ -17,8 +17,8 @@ from deploy.files import read_arrays
 from deploy.targets.registry import run_target
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
-from pipeline.kinds.nir.importing import Stepped
-from pipeline.kinds.nir.simulation import graph_inputs
+from pipeline.kinds.nir.importing import Stepping
+from pipeline.kinds.nir.simulation import make_graph_inputs
 from pipeline.run.settings import read_settings
 from pipeline.sources import load_dataset
 
@@ -51,9 +51,9 @@ def figures(graph, answers, run, target="fast"):
     dataset, network = load_dataset(settings), read_nir(graph)
     np.testing.assert_array_equal(dataset.split.test, theirs["test"])
     labels, frames = dataset.labels[theirs["test"]], dataset.inputs[theirs["test"]]
-    stepped, n = Stepped.of(settings, network), len(theirs["outputs"])
-    shown = graph_inputs(network, frames[:n], settings.steps)
-    outputs = simulate(network, shown, stepped.seconds, stepped.method).outputs
+    stepping, n = Stepping.of(settings, network), len(theirs["outputs"])
+    shown = make_graph_inputs(network, frames[:n], settings.steps)
+    outputs = simulate(network, shown, stepping.seconds, stepping.method).outputs
     outputs = outputs.reshape(theirs["outputs"].shape)
     near = np.abs(outputs - theirs["outputs"]) <= 1e-3 * np.abs(theirs["outputs"]).max()
     bundle = read_bundle(Path(run) / "bundle")

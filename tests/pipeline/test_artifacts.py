@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.files import read_json, write_json
-from pipeline.kinds import kind_of_network
+from pipeline.kinds import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.run.artifacts import Artifact, Library, Origin
 from pipeline.run.settings import PATHS, Settings, UndeclaredSetting
@@ -24,16 +24,16 @@ def changed(name, value):
 def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     origin = Origin.of(SETTINGS, ["cnn.epochs", "image"], contents={"recordings": "ab"})
     artifact = Artifact("cnn", tmp_path / "metrics.json", origin, (tmp_path / "weights.npz",))
-    assert artifact.state().state == "missing"
+    assert artifact.find_state().state == "missing"
     artifact.write({"accuracy": 0.5})
-    assert artifact.state().state == "missing"  # without its weights
+    assert artifact.find_state().state == "missing"  # without its weights
     artifact.files[0].write_bytes(b"")
-    state = artifact.state()
+    state = artifact.find_state()
     assert state.is_current
     assert state.record["accuracy"] == 0.5
     state.announce("training", pytest.fail)
     later = Origin.of(changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents)
-    state = replace(artifact, origin=later).state()
+    state = replace(artifact, origin=later).find_state()
     assert (state.state, state.to_json()["because"]) == (
         "outdated",
         ["cnn.epochs changed from automatic (0) to 2"],
@@ -45,7 +45,7 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
 def test_contents_settings_that_come_and_settings_that_go_are_told():
     before = Origin.of(SETTINGS, ["cnn.epochs", "seed"], contents={"recordings": "a" * 64})
     now = Origin.of(SETTINGS, ["cnn.model_sha256", "seed"], contents={"recordings": "b" * 64})
-    told = [str(change) for change in now.changes_since(before.to_json())]
+    told = [str(change) for change in now.list_changes_since(before.to_json())]
     assert told == [
         'cnn.model_sha256 changed from unused to ""',
         "cnn.epochs changed from automatic (0) to unused",
@@ -56,7 +56,7 @@ def test_contents_settings_that_come_and_settings_that_go_are_told():
 def test_an_origin_is_read_back_as_it_was_written(tmp_path):
     origin = Origin.of(SETTINGS, ["snn", "deployment", "data.skip_bad"])
     write_json(tmp_path / "x.json", {"made_from": origin.to_json()})
-    assert origin.changes_since(read_json(tmp_path / "x.json", "")["made_from"]) == ()
+    assert origin.list_changes_since(read_json(tmp_path / "x.json", "")["made_from"]) == ()
 
 
 def test_an_artifact_depends_on_all_that_it_uses():
@@ -82,7 +82,7 @@ def test_a_setting_that_is_not_declared_cannot_be_read():
             lambda s: s.stimulus,
             lambda s: s.make_presentation(),
             lambda s: asdict(s.cnn),
-            lambda s: s.flat(),
+            lambda s: s.flatten(),
             lambda s: replace(s, cnn=replace(s.cnn, epochs=3)),
             lambda s: s == SETTINGS,
         ):
@@ -91,15 +91,15 @@ def test_a_setting_that_is_not_declared_cannot_be_read():
     assert SETTINGS.cnn.batch_size == 8  # the settings themselves stay whole
 
 
-@given(st.sets(st.sampled_from(sorted(SETTINGS.flat()))))
+@given(st.sets(st.sampled_from(sorted(SETTINGS.flatten()))))
 def test_a_view_holds_the_declared_settings_and_paths(names):
-    view = SETTINGS.only(names)
-    for name, value in SETTINGS.flat().items():
+    view = SETTINGS.select(names)
+    for name, value in SETTINGS.flatten().items():
         if name in names or name in PATHS:
-            assert view.value(name) == value
+            assert view.get_value(name) == value
         else:
             with pytest.raises(UndeclaredSetting):
-                view.value(name)
+                view.get_value(name)
 
 
 def test_no_path_is_part_of_an_origin():
@@ -110,7 +110,7 @@ def test_no_path_is_part_of_an_origin():
         {"cnn": {"model": "/there/m.keras", "model_sha256": "a"}}
     )
     one, two = (
-        kind_of_network(s).bundle_origin(make_dataset_origin(s, "ab")) for s in (here, there)
+        find_kind(s).make_bundle_origin(make_dataset_origin(s, "ab")) for s in (here, there)
     )
     assert one == two
 
@@ -126,8 +126,8 @@ def test_a_published_split_does_not_depend_on_a_share():
 def test_variants_lie_side_by_side(tmp_path):
     library = Library(tmp_path)
     one, two = (Origin.of(changed("cnn.epochs", n), ["cnn"]) for n in (1, 2))
-    assert library.folder("cnn", one) != library.folder("cnn", two)
-    assert library.folder("cnn", one) == library.folder("cnn", one)
+    assert library.find_folder("cnn", one) != library.find_folder("cnn", two)
+    assert library.find_folder("cnn", one) == library.find_folder("cnn", one)
 
 
 IMAGE_DATA, EVENT_DATA = (
@@ -175,9 +175,9 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
         for settings in (SETTINGS, changed(name, value)):
             settings = replace(settings, input=replace(settings.input, kind=kind))
             dataset = make_dataset_origin(settings, "ab")
-            network = kind_of_network(settings)
-            made = {"dataset": dataset, "bundle": network.bundle_origin(dataset)}
-            made |= {step.name: network.origin(step.name, dataset) for step in network.steps}
+            network = find_kind(settings)
+            made = {"dataset": dataset, "bundle": network.make_bundle_origin(dataset)}
+            made |= {step.name: network.make_origin(step.name, dataset) for step in network.steps}
             del made["counts"]  # which depends on the dataset alone
             found.append(made)
         one, two = found

@@ -59,7 +59,7 @@ def test_workers_never_receive_ctrl_c():
     masked = partial(signal.pthread_sigmask, signal.SIG_BLOCK, [])
     here = masked()
     for processes in (2, 1):  # with 1 the calls are made in this process
-        with jobs.results_of([delayed(masked)() for _ in range(4)], processes) as results:
+        with jobs.call_in_processes([delayed(masked)() for _ in range(4)], processes) as results:
             assert masked() == here  # this process does
             assert [signal.SIGINT in mask for mask in results] == [processes == 2] * 4
         assert masked() == here

@@ -25,9 +25,9 @@ def test_a_value_of_the_user_is_never_replaced_also_if_it_is_the_default():
     own = Settings().with_values({"input": {"step": Settings().input.step}})
     chosen = apply_choices(own, CHOICES)
     assert chosen.input.step == Settings().input.step
-    assert chosen.provenance_of("input.step") is Provenance.USER
-    assert chosen.provenance_of("input.refractory") is Provenance.CHOSEN
-    assert chosen.provenance_of("input.kind") is Provenance.DEFAULT
+    assert chosen.find_provenance("input.step") is Provenance.USER
+    assert chosen.find_provenance("input.refractory") is Provenance.CHOSEN
+    assert chosen.find_provenance("input.kind") is Provenance.DEFAULT
     assert list_reasons(own, CHOICES) == ["short time constants"]
 
 
@@ -55,8 +55,8 @@ def test_what_is_chosen_stays_chosen_in_a_file(tmp_path):
     write_settings(tmp_path / "a.toml", chosen)
     read = read_settings(tmp_path / "a.toml")
     assert read == chosen
-    assert read.names_of(Provenance.USER) == ("seed",)
-    assert set(read.names_of(Provenance.CHOSEN)) == {choice.setting for choice in CHOICES}
+    assert read.list_names(Provenance.USER) == ("seed",)
+    assert set(read.list_names(Provenance.CHOSEN)) == {choice.setting for choice in CHOICES}
     assert read_own_settings(tmp_path / "a.toml") == own == read.without_choices()
 
 
@@ -86,7 +86,10 @@ def test_files_of_earlier_runs(tmp_path, given):
 def test_all_values_in_a_file_that_the_user_wrote_are_the_user_s(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text("[events]\ndropout = 0.1\nepochs = 4\n")
-    assert read_own_settings(path).names_of(Provenance.USER) == ("events.epochs", "events.dropout")
+    assert read_own_settings(path).list_names(Provenance.USER) == (
+        "events.epochs",
+        "events.dropout",
+    )
 
 
 def test_a_value_that_the_user_edits_is_the_user_s(tmp_path):
@@ -94,5 +97,5 @@ def test_a_value_that_the_user_edits_is_the_user_s(tmp_path):
     write_settings(path, apply_choices(Settings(), CHOICES))
     path.write_text(path.read_text().replace("\nstep = 20.0", "\nstep = 10.0"))
     own = read_own_settings(path)
-    assert own.names_of(Provenance.USER) == ("input.step",)
+    assert own.list_names(Provenance.USER) == ("input.step",)
     assert own.input.step == 10

@@ -3,9 +3,9 @@
 import pytest
 
 from deploy.errors import UserError
-from pipeline.run.folder import RunFolder, checks_of
+from pipeline.run.folder import RunFolder, find_checks_folder
 from pipeline.run.settings import Choice, Provenance, Settings, apply_choices, read_settings
-from pipeline.stages import open_locked_run
+from pipeline.workflow import open_locked_run
 from tests.command import call
 
 
@@ -53,7 +53,7 @@ def test_a_failed_command_leaves_no_folder(tmp_path, monkeypatch, arguments):
 def test_results_of_bundles_side_by_side_do_not_replace_each_other(tmp_path):
     (tmp_path / "experiment.toml").touch()
     names = ("bundle", "adapted/7", "copied/bundle")
-    folders = [checks_of(tmp_path / name) for name in names]
+    folders = [find_checks_folder(tmp_path / name) for name in names]
     assert folders == [
         tmp_path / name for name in ("checks", "adapted/7/checks", "copied/bundle/checks")
     ]
@@ -67,11 +67,11 @@ def test_what_was_chosen_is_no_setting_of_the_user(tmp_path):
     run.save_settings(chosen)
     read = read_settings(run.experiment)
     assert read == chosen
-    assert {name: read.provenance_of(name) for name in read.flat()} == {
-        name: chosen.provenance_of(name) for name in chosen.flat()
+    assert {name: read.find_provenance(name) for name in read.flatten()} == {
+        name: chosen.find_provenance(name) for name in chosen.flatten()
     }
-    assert set(read.names_of(Provenance.CHOSEN)) == set(values)
-    assert read.names_of(Provenance.USER) == ("seed",)
+    assert set(read.list_names(Provenance.CHOSEN)) == set(values)
+    assert read.list_names(Provenance.USER) == ("seed",)
     assert run.resolve_settings(None, {}) == own
     changed = run.resolve_settings(None, {"input": {"step": 5.0}})
     assert changed == own.with_values({"input": {"step": 5.0}})

@@ -206,7 +206,7 @@ def test_settings_come_from_folder_file_and_command_line_in_this_order(tmp_path)
 
 def test_every_setting_is_listed_with_its_meaning():
     described = describe(Settings())
-    assert [row["name"] for row in described] == list(Settings().flat())
+    assert [row["name"] for row in described] == list(Settings().flatten())
     assert {row["name"].split(".")[0] for row in described} == {
         e.name for e in fields(Settings) if e.init
     }

@@ -9,7 +9,7 @@ from typing import ClassVar, Tuple
 
 import numpy as np
 
-from ...arithmetic import ceil_div
+from ...arithmetic import divide_up
 from ...errors import UserError
 from ...loading import load
 from ..chip import Chip
@@ -30,16 +30,18 @@ class DeployedOperation:
     """A linear map from a layer's input, after average pooling, to its neurons.
 
     A subclass with numbers, such as the number of filters, is a frozen dataclass whose fields they
-    are.  It has `kind`, `shape`, `weight_shape` and `compute_sums`, which is its meaning: all
-    else follows from the sums.  The other methods are for operations whose defaults are not good
-    enough:
+    are.  It has `kind`, `compute_shape`, `compute_weight_shape` and `compute_sums`, which is its
+    meaning: all else follows from the sums.  The other methods are for operations whose defaults
+    are not good enough:
 
     ===========================  ===================================================================
     `to_file`, `from_file`       if a number is already in the layer's shape
-    `fan_out`, `make_matrix`,    if the sums of as many samples as there are inputs need much memory
+    `count_fan_out`,             if the sums of as many samples as there are inputs need much memory
+    `make_matrix`,
     `find_largest_weights`
-    `transform`, `resources`     if the chip needs no synapse from every input to every neuron
-    `nir_nodes`                  for the export to NIR, which is refused without it
+    `transform`,                 if the chip needs no synapse from every input to every neuron
+    `make_resources`
+    `make_nir_nodes`             for the export to NIR, which is refused without it
     ===========================  ===================================================================
 
     ``read_shape`` is the shape of the values that the weights read, those of the input after
@@ -65,7 +67,7 @@ class DeployedOperation:
 
     # --- the meaning ------------------------------------------------------------------------------
 
-    def shape(self, read_shape) -> Tuple[int, ...]:
+    def compute_shape(self, read_shape) -> Tuple[int, ...]:
         """Shape of the output.
 
         Raises
@@ -75,7 +77,7 @@ class DeployedOperation:
         """
         raise NotImplementedError
 
-    def weight_shape(self, read_shape) -> Tuple[int, ...]:
+    def compute_weight_shape(self, read_shape) -> Tuple[int, ...]:
         """Shape of the weights; of a readout in sections, that of one section."""
         raise NotImplementedError
 
@@ -87,14 +89,14 @@ class DeployedOperation:
         Parameters
         ----------
         weights : ndarray
-            In the shape of `weight_shape`.
+            In the shape of `compute_weight_shape`.
         values : ndarray, shape (n, ...)
             Values of n samples or steps, in ``read_shape`` each.
 
         Returns
         -------
         ndarray, shape (n, ...)
-            In `shape` each; of a readout in sections (n, sections * units).
+            In `compute_shape` each; of a readout in sections (n, sections * units).
         """
         raise NotImplementedError
 
@@ -114,19 +116,21 @@ class DeployedOperation:
         """
         return _find_synapses(self, tuple(read_shape))
 
-    def fan_out(self, read_shape) -> np.ndarray:
+    def count_fan_out(self, read_shape) -> np.ndarray:
         """Number of synapses of each value of the input, int64, of shape ``read_shape``."""
         has_synapse = self.find_synapses(read_shape) >= 0
         return has_synapse.sum(1, dtype=np.int64).reshape(read_shape)
 
-    def input_fan_out(self, input_shape, pool: int = 1) -> np.ndarray:
+    def count_input_fan_out(self, input_shape, pool: int = 1) -> np.ndarray:
         """Number of synapses of each value before pooling, of shape ``input_shape``.
 
         Values outside of complete windows have none.
         """
         if pool == 1:
-            return self.fan_out(input_shape)
-        return unpool(self.fan_out(compute_pooled_shape(input_shape, pool)), input_shape, pool)
+            return self.count_fan_out(input_shape)
+        return unpool(
+            self.count_fan_out(compute_pooled_shape(input_shape, pool)), input_shape, pool
+        )
 
     def make_matrix(self, weights: np.ndarray, read_shape) -> np.ndarray:
         """The weights as a matrix, shape (outputs, inputs)."""
@@ -153,7 +157,7 @@ class DeployedOperation:
             matrix = np.moveaxis(by_place, -1, 0).reshape(len(matrix), -1)
         return nengo.Dense(matrix.shape, init=matrix), None
 
-    def resources(self, layer, chip: Chip) -> Resources:
+    def make_resources(self, layer, chip: Chip) -> Resources:
         """Counts of what the layer needs of cores, for its `transform`."""
         return DiscreteResources(layer, chip)
 
@@ -184,9 +188,13 @@ class DeployedOperation:
         """The largest magnitude of a weight of each channel or unit, shape (channels,)."""
         synapses = self.find_synapses(read_shape)
         sizes = np.where(synapses < 0, 0, np.abs(weights.ravel())[synapses]).max(0)
-        return sizes.reshape(self.shape(read_shape)).reshape(-1, self.shape(read_shape)[-1]).max(0)
+        return (
+            sizes.reshape(self.compute_shape(read_shape))
+            .reshape(-1, self.compute_shape(read_shape)[-1])
+            .max(0)
+        )
 
-    def nir_nodes(self, layer, nir, area: float):
+    def make_nir_nodes(self, layer, nir, area: float):
         """Names and nodes of the export to NIR, without the pooling and the neurons.
 
         Parameters
@@ -217,7 +225,7 @@ def _make_units(read_shape) -> np.ndarray:
 @functools.lru_cache(maxsize=16)
 def _find_synapses(operation: DeployedOperation, read_shape) -> np.ndarray:
     """As `DeployedOperation.find_synapses`: the sums of units show which weight they have."""
-    weight_shape = operation.weight_shape(read_shape)
+    weight_shape = operation.compute_weight_shape(read_shape)
     numbers = np.arange(math.prod(weight_shape) + 1.0)
     units = _make_units(read_shape)
 
@@ -253,15 +261,15 @@ class Resources:
         self.layer = layer
         self.chip = chip
 
-    def input_axons(self, block) -> int:
+    def count_input_axons(self, block) -> int:
         """Number of input axons of all blocks."""
         raise NotImplementedError
 
-    def needs(self, ranges) -> Tuple[int, int]:
+    def count_needs(self, ranges) -> Tuple[int, int]:
         """Input axons and words of synapse memory of the block with these ranges of outputs."""
         raise NotImplementedError
 
-    def receiver(self, block):
+    def make_output_axon_counter(self, block):
         """A function for the previous layer: output axons of its block with these ranges."""
         raise NotImplementedError
 
@@ -269,23 +277,23 @@ class Resources:
 class DiscreteResources(Resources):
     """An axon for each input into each block, with a synapse to every neuron of the block."""
 
-    def input_axons(self, block):
+    def count_input_axons(self, block):
         return math.prod(self.layer.input_shape) * count_blocks(self.layer.shape, block)
 
-    def needs(self, ranges):
+    def count_needs(self, ranges):
         inputs = math.prod(self.layer.input_shape)
         return inputs, inputs * count_input_words(
             count_neurons(ranges), self.chip.weight_bits, self.chip
         )
 
-    def receiver(self, block):
+    def make_output_axon_counter(self, block):
         blocks = count_blocks(self.layer.shape, block)
         return lambda ranges: count_neurons(ranges) * blocks
 
 
 def count_blocks(shape, block) -> int:
     """Number of blocks of a layer."""
-    return math.prod(ceil_div(n, length) for n, length in zip(shape, block))
+    return math.prod(divide_up(n, length) for n, length in zip(shape, block))
 
 
 def count_neurons(ranges) -> int:
@@ -341,4 +349,4 @@ def count_list_words(synapses: int, bits: int, chip: Chip) -> int:
         Bits of each synapse.
     chip : Chip
     """
-    return ceil_div(synapses * bits + chip.synapse_header_bits, chip.synapse_word_bits)
+    return divide_up(synapses * bits + chip.synapse_header_bits, chip.synapse_word_bits)

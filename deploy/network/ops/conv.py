@@ -7,14 +7,14 @@ from typing import List, NamedTuple
 
 import numpy as np
 
-from ...arithmetic import ceil_div
+from ...arithmetic import divide_up
 from ...loading import Limit, limited_field, load
 from ..geometry import (
     compute_convolution_shape,
     compute_padded_kernel_size,
     count_convolution_fan_out,
     list_inputs_within,
-    windows,
+    list_windows,
 )
 from .base import (
     POPULATION_SLOTS,
@@ -48,7 +48,7 @@ class DeployedConvolution(DeployedOperation):
     stride : int
     padding : str
         ``"valid"`` or ``"same"``, as in TensorFlow; of an imported network also a number of zeros
-        on each side, such as ``"1"``: see :func:`deploy.network.geometry.windows`.
+        on each side, such as ``"1"``: see :func:`deploy.network.geometry.list_windows`.
     """
 
     filters: int = limited_field(AT_LEAST_1)
@@ -65,7 +65,7 @@ class DeployedConvolution(DeployedOperation):
     def from_file(cls, numbers, shape):
         return load(cls, {**numbers, "filters": shape[-1]})
 
-    def shape(self, read_shape):
+    def compute_shape(self, read_shape):
         shape = compute_convolution_shape(
             read_shape, self.kernel, self.filters, self.stride, self.padding
         )
@@ -74,7 +74,7 @@ class DeployedConvolution(DeployedOperation):
             raise ValueError(f"does not fit: its kernel is larger than its {rows}x{columns} input")
         return shape
 
-    def weight_shape(self, read_shape):
+    def compute_weight_shape(self, read_shape):
         return (self.kernel, self.kernel, read_shape[2], self.filters)
 
     def compute_sums(self, weights, values):
@@ -92,9 +92,9 @@ class DeployedConvolution(DeployedOperation):
         -------
         ndarray, shape (n, windows down, windows across, channels, kernel, kernel)
         """
-        pads = self.pads(values.shape[1:])
+        pads = self.compute_padding(values.shape[1:])
         padded = np.pad(values, ((0, 0), *pads, (0, 0)))
-        down, across, _ = self.shape(values.shape[1:])
+        down, across, _ = self.compute_shape(values.shape[1:])
         # The function sliding_window_view is newer than the NumPy of hosts with a board.
         n, row, column, channel = padded.strides
         return np.lib.stride_tricks.as_strided(
@@ -104,11 +104,13 @@ class DeployedConvolution(DeployedOperation):
             writeable=False,
         )
 
-    def pads(self, read_shape) -> tuple:
+    def compute_padding(self, read_shape) -> tuple:
         """Numbers of zeros padded to rows and columns: ((before, after), (before, after))."""
-        return tuple(windows(n, self.kernel, self.stride, self.padding)[1:] for n in read_shape[:2])
+        return tuple(
+            list_windows(n, self.kernel, self.stride, self.padding)[1:] for n in read_shape[:2]
+        )
 
-    def fan_out(self, read_shape):
+    def count_fan_out(self, read_shape):
         return count_convolution_fan_out(
             read_shape, self.kernel, self.filters, self.stride, self.padding
         )
@@ -151,10 +153,10 @@ class DeployedConvolution(DeployedOperation):
             return PaddedConvolution(zeros, init=kernel, **shapes), inputs
         return nengo.Convolution(padding=self.padding, init=kernel, **shapes), inputs
 
-    def resources(self, layer, chip):
+    def make_resources(self, layer, chip):
         return _ConvolutionResources(layer, chip)
 
-    def nir_nodes(self, layer, nir, area):
+    def make_nir_nodes(self, layer, nir, area):
         weights, padding = _pad_evenly(layer)
         yield (
             f"{layer.name}_weights",
@@ -188,10 +190,12 @@ def _fold_pooling(layer, kernel):
     cut = tuple(n * pool for n in layer.read_shape[:2])
     if operation.padding != "same":
         return kernel, (*cut, layer.input_shape[2])
-    zeros_before = [pool * before for before, _ in operation.pads(layer.read_shape)]
+    zeros_before = [pool * before for before, _ in operation.compute_padding(layer.read_shape)]
     for zeros in (0, pool):
         size = len(kernel) + zeros
-        front = [windows(n, size, stride, "same")[1] - pad for n, pad in zip(cut, zeros_before)]
+        front = [
+            list_windows(n, size, stride, "same")[1] - pad for n, pad in zip(cut, zeros_before)
+        ]
         if all(0 <= n <= zeros for n in front):
             break
     pads = [(n, zeros - n) for n in front]
@@ -206,7 +210,7 @@ def _pad_evenly(layer):
     padding = layer.operation.padding
     if padding != "same":
         return layer.weights, 0 if padding == "valid" else int(padding)
-    pads = layer.operation.pads(layer.read_shape)
+    pads = layer.operation.compute_padding(layer.read_shape)
     front = [(after - before, 0) for before, after in pads]
     return np.pad(layer.weights, (*front, (0, 0), (0, 0))), tuple(after for _, after in pads)
 
@@ -229,7 +233,7 @@ class _Reach(NamedTuple):
         """True for positions that are in a window."""
         return self.number > 0
 
-    def of_read_positions(self) -> _Reach:
+    def select_read_positions(self) -> _Reach:
         """The same without positions that are in no window."""
         return _Reach(*(values[self.is_read] for values in self))
 
@@ -242,10 +246,10 @@ class _Line(NamedTuple):
     stride: int
     before: int
 
-    def reach(self, first, last) -> _Reach:
+    def find_reach(self, first, last) -> _Reach:
         """For each input position the windows among ``first`` to ``last - 1`` that contain it."""
         at = np.arange(self.n) + self.before
-        lowest = np.maximum(ceil_div(at - self.kernel + 1, self.stride), first)
+        lowest = np.maximum(divide_up(at - self.kernel + 1, self.stride), first)
         highest = np.minimum(at // self.stride, last - 1)
         number = np.maximum(highest - lowest + 1, 0)
         return _Reach(lowest, number, at - lowest * self.stride)
@@ -256,7 +260,7 @@ def _make_lines(layer) -> List[_Line]:
     lines = []
     pool = layer.pool
     for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
-        _, before, _ = windows(read, operation.kernel, operation.stride, operation.padding)
+        _, before, _ = list_windows(read, operation.kernel, operation.stride, operation.padding)
         kernel = operation.kernel
         if operation.padding not in ("valid", "same"):  # the network is built with zeros at the end
             kernel = compute_padded_kernel_size(read, kernel, operation.stride, operation.padding)
@@ -273,23 +277,23 @@ class _ConvolutionResources(Resources):
         super().__init__(layer, chip)
         self.lines = _make_lines(layer)
 
-    def input_axons(self, block):
+    def count_input_axons(self, block):
         pixels = 1
         for line, n, length in zip(self.lines, self.layer.shape, block):
             blocks = list_ranges(n, length)
-            pixels *= sum(int(line.reach(*ends).is_read.sum()) for ends in blocks)
-        return pixels * self._channel_blocks(block)
+            pixels *= sum(int(line.find_reach(*ends).is_read.sum()) for ends in blocks)
+        return pixels * self._count_channel_blocks(block)
 
-    def needs(self, ranges):
-        """As `Resources.needs`.
+    def count_needs(self, ranges):
+        """As `Resources.count_needs`.
 
         Inputs at the same offset in their windows have the same synapses and share their lists,
         unless the targets of one are too far from those of the other.
         """
         row_range, column_range, _ = ranges
         rows, columns, filters = (last - first for first, last in ranges)
-        down = self.lines[0].reach(*row_range).of_read_positions()
-        across = self.lines[1].reach(*column_range).of_read_positions()
+        down = self.lines[0].find_reach(*row_range).select_read_positions()
+        across = self.lines[1].find_reach(*column_range).select_read_positions()
         first_row = down.lowest[:, None] - row_range[0]
         first_target = (first_row * columns + across.lowest - column_range[0]) * filters
         keys = np.broadcast_arrays(
@@ -311,12 +315,12 @@ class _ConvolutionResources(Resources):
         pixels = len(down.number) * len(across.number)
         return pixels, words
 
-    def receiver(self, block):
+    def make_output_axon_counter(self, block):
         row_blocks, column_blocks = (
             self._is_read_by(line, n, length)
             for line, n, length in zip(self.lines, self.layer.shape, block)
         )
-        slots = self._channel_blocks(block) * POPULATION_SLOTS
+        slots = self._count_channel_blocks(block) * POPULATION_SLOTS
 
         def output_axons(ranges):
             (first_row, last_row), (first_column, last_column), *_ = ranges
@@ -329,8 +333,8 @@ class _ConvolutionResources(Resources):
     @staticmethod
     def _is_read_by(line, n, length):
         """Whether each block along a dimension reads each input, bool, shape (blocks, inputs)."""
-        return np.stack([line.reach(*ends).is_read for ends in list_ranges(n, length)])
+        return np.stack([line.find_reach(*ends).is_read for ends in list_ranges(n, length)])
 
-    def _channel_blocks(self, block):
+    def _count_channel_blocks(self, block):
         """Number of blocks along the channels."""
-        return ceil_div(self.layer.shape[2], block[2])
+        return divide_up(self.layer.shape[2], block[2])

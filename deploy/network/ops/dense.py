@@ -42,10 +42,10 @@ class DeployedDense(DeployedOperation):
     def from_file(cls, numbers, shape):
         return load(cls, {**numbers, "units": shape[-1]})
 
-    def shape(self, read_shape):
+    def compute_shape(self, read_shape):
         return (self.units,)
 
-    def weight_shape(self, read_shape):
+    def compute_weight_shape(self, read_shape):
         return (self.units, math.prod(read_shape))
 
     def compute_sums(self, weights, values):
@@ -57,7 +57,7 @@ class DeployedDense(DeployedOperation):
     def find_largest_weights(self, weights, read_shape):
         return np.abs(weights).max(1)
 
-    def fan_out(self, read_shape):
+    def count_fan_out(self, read_shape):
         return np.full(read_shape, self.units, np.int64)
 
     def transform(self, layer, chip):
@@ -65,12 +65,12 @@ class DeployedDense(DeployedOperation):
             return _make_population_transform(layer)
         return super().transform(layer, chip)
 
-    def resources(self, layer, chip):
+    def make_resources(self, layer, chip):
         if reads_populations(layer, chip):
             return _PopulationResources(layer, chip)
-        return super().resources(layer, chip)
+        return super().make_resources(layer, chip)
 
-    def nir_nodes(self, layer, nir, area):
+    def make_nir_nodes(self, layer, nir, area):
         *sides, channels = layer.read_shape
         flatten = nir.Flatten({"input": np.array([channels, *sides])}, start_dim=0)
         yield f"{layer.name}_flatten", flatten
@@ -92,10 +92,10 @@ def reads_populations(layer, chip: Chip) -> bool:
     if layer.placement != "chip" or len(layer.input_shape) != 3:
         return False
     limit = chip.limits["input axons"]
-    return math.prod(layer.input_shape) > limit >= math.prod(_pixels_read(layer))
+    return math.prod(layer.input_shape) > limit >= math.prod(_find_pixels_read(layer))
 
 
-def _pixels_read(layer):
+def _find_pixels_read(layer):
     """(rows, columns) of the input inside of complete pooling windows."""
     return tuple(n * layer.pool for n in layer.read_shape[:2])
 
@@ -119,12 +119,12 @@ def _make_population_transform(layer):
 class _PopulationResources(Resources):
     """An axon for each pixel, with the channels as its atoms."""
 
-    def input_axons(self, block):
-        return math.prod(_pixels_read(self.layer)) * count_blocks(self.layer.shape, block)
+    def count_input_axons(self, block):
+        return math.prod(_find_pixels_read(self.layer)) * count_blocks(self.layer.shape, block)
 
-    def needs(self, ranges):
+    def count_needs(self, ranges):
         units = count_neurons(ranges)
-        pixels = math.prod(_pixels_read(self.layer))
+        pixels = math.prod(_find_pixels_read(self.layer))
         # In a divided layer, the pixels of a pooling window share their lists.
         is_divided = units < self.layer.size
         pixels_with_lists = math.prod(self.layer.read_shape[:2]) if is_divided else pixels
@@ -132,9 +132,9 @@ class _PopulationResources(Resources):
         words = count_axon_words(self.layer.input_shape[2], units, bits, self.chip)
         return pixels, pixels_with_lists * words
 
-    def receiver(self, block):
+    def make_output_axon_counter(self, block):
         blocks = count_blocks(self.layer.shape, block)
-        rows, columns = _pixels_read(self.layer)
+        rows, columns = _find_pixels_read(self.layer)
 
         def output_axons(ranges):
             sides = zip((rows, columns), ranges)

@@ -26,7 +26,7 @@ from nengo_loihi.emulator.interface import (
 )
 
 from .layout import Unsupported
-from .link import COUNTERS, ROWS, Arriving, Link
+from .link import COUNTERS, ROWS, ArrivingSpikes, Link
 
 FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
 FIXED_NOISE = ("mant_offset", "mult", "target_u")
@@ -120,7 +120,7 @@ class FastEmulator(EmulatorInterface):
         careful = bool(self.compartment.strict or self.synapses.strict or _warnings_are_errors())
         kept = link.copy() if careful else None
         try:
-            arriving = Arriving(self.inputs, self.t, steps)
+            arriving = ArrivingSpikes(self.inputs, self.t, steps)
             done = link.run(self, steps, arriving, careful)
         except Unsupported as reason:
             hand_over(self, reason)
@@ -130,7 +130,7 @@ class FastEmulator(EmulatorInterface):
             if done > 1:
                 link.run(self, done - 1, arriving, False)
                 self._finish(done - 1, arriving)
-            one_step_as_nengo_loihi(self)
+            run_step_as_nengo_loihi(self)
             return done
         self._finish(done, arriving)
         return done
@@ -140,7 +140,7 @@ class FastEmulator(EmulatorInterface):
         link = self._link
         self.t += done
         arriving.forget(self.inputs, done)
-        link.last_spikes = arriving.of_step(done - 1)
+        link.last_spikes = arriving.get_spikes(done - 1)
         if not link.draws:
             link.random.owed += done
             if link.random.is_shared:
@@ -292,7 +292,7 @@ def _connect(emulator, link):
     state = emulator.compartment
     synapses = emulator.synapses
     probes = emulator.probes
-    vars(state).update(link.state_arrays())
+    vars(state).update(link.list_state_arrays())
     _lock(emulator, link)
     link.learn_from(synapses)
     lists = vars(probes).pop("outputs")
@@ -365,7 +365,7 @@ def hand_over(emulator, reason):
     say_once(f"NengoLoihi's own emulator continues, because of {reason}")
 
 
-def one_step_as_nengo_loihi(emulator):
+def run_step_as_nengo_loihi(emulator):
     """Run one step of NengoLoihi; the kernel continues afterwards, unless the step failed."""
     link = emulator._link
     kind = type(emulator)

@@ -156,7 +156,7 @@ def skip_samples(state, n):
 
 
 @_jit()
-def _sample(state, into):
+def _draw_noise(state, into):
     """``RandomState.randint(-127, 128)``, as many as fit."""
     done = uint64(0)
     while done < uint64(len(into)):
@@ -169,7 +169,7 @@ def _sample(state, into):
 
 
 @_jit(inline="always")
-def _unit(high, low):
+def _draw_unit(high, low):
     """``RandomState.rand``, of two words."""
     a = float(int32(high >> uint32(5)))
     b = float(int32(low >> uint32(6)))
@@ -223,7 +223,7 @@ def _add(  # noqa: PLR0913 - Numba takes each array as an argument
 
 
 @_jit()
-def _empty_sums(block, block_now, sums, total):
+def _move_sums(block, block_now, sums, total):
     """Move the sums of 16 bits of a block to its input."""
     shift = int32(block[SHIFT])
     loaded = block_now[LOADED] != 0
@@ -281,7 +281,7 @@ def _wrap(x, spare):
 
 
 @_jit()
-def _currents(  # noqa: PLR0913 - Numba takes each array as an argument
+def _update_currents(  # noqa: PLR0913 - Numba takes each array as an argument
     first, last, keep, shift, loaded, sums, total, current
 ):
     """u <- wrap(decay(u) + wrap(q)); return the numbers of overflows of q and u."""
@@ -308,7 +308,7 @@ def _currents(  # noqa: PLR0913 - Numba takes each array as an argument
 
 
 @_jit()
-def _voltages(  # noqa: PLR0913 - Numba takes each array as an argument
+def _update_voltages(  # noqa: PLR0913 - Numba takes each array as an argument
     first, last, keep, v_min, v_max, bias, current, voltage
 ):
     """v <- clip(decay(v) + wrap(u + bias)); return the number of overflows of the sum."""
@@ -368,7 +368,7 @@ def _round_traces(rule, rate, traces, pending, drawn):
         x = x + magnitude if pending[first + i] else x
         size = abs(x)
         whole = int32(size)
-        above = size - whole > _unit(drawn[uint64(2) * i], drawn[uint64(2) * i + uint64(1)])
+        above = size - whole > _draw_unit(drawn[uint64(2) * i], drawn[uint64(2) * i + uint64(1)])
         y = int32(whole + int32(above))
         clipped |= int32(y > int32(127))
         y = int32(127) if y > int32(127) else y
@@ -453,7 +453,7 @@ def _clip(first, last, low, high, x):
 
 
 @_jit()
-def _float_traces(rule, rate, traces, pending):
+def _update_float_traces(rule, rate, traces, pending):
     decay = rate[DECAY]
     magnitude = rate[MAGNITUDE]
     for i in range(uint64(rule[TRACE0]), uint64(rule[TRACE1])):
@@ -463,7 +463,7 @@ def _float_traces(rule, rate, traces, pending):
 
 
 @_jit()
-def _float_learn(rule, rate, traces, errors, wide):
+def _learn_floats(rule, rate, traces, errors, wide):
     half = uint64(rule[ERROR1] - rule[ERROR0])
     error0 = uint64(rule[ERROR0])
     place = uint64(rule[WEIGHT0])
@@ -585,7 +585,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
             while first < last:
                 rows = int64(uint64(ROOM - blocks_now[b, SPENT]) // uint64(largest))
                 if rows == 0:
-                    _empty_sums(blocks[b], blocks_now[b], sums, total)
+                    _move_sums(blocks[b], blocks_now[b], sums, total)
                     continue
                 until = min(last, first + rows)
                 _add(heard, first, until, offset, entries, first_run, runs, narrow, sums)
@@ -606,7 +606,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
                 _log(log, WEIGHTS, _learn(rules[k], traces, errors, wide, drawn, scratch))
         # Compartments are updated.
         if is_noisy:
-            _sample(state, noisy)
+            _draw_noise(state, noisy)
         elif draws:
             skip_samples(state, n)
         over_q = int32(0)
@@ -615,7 +615,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
         for b in range(n_blocks):
             shift = int32(blocks[b, SHIFT])
             if is_noisy:
-                _empty_sums(blocks[b], blocks_now[b], sums, total)
+                _move_sums(blocks[b], blocks_now[b], sums, total)
                 for i in range(uint64(blocks[b, START]), uint64(blocks[b, STOP])):
                     noise = int32((noisy[i] + noise_offset[i]) * noise_scale[i])
                     total[i] += int32(0) if noise_on_voltage[i] else noise
@@ -628,8 +628,8 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
                 keep_v = constants[g, KEEP_V]
                 v_min = constants[g, V_MIN]
                 v_max = constants[g, V_MAX]
-                q, u = _currents(first, last, keep_u, shift, loaded, sums, total, current)
-                u2 = _voltages(first, last, keep_v, v_min, v_max, noisy, current, voltage)
+                q, u = _update_currents(first, last, keep_u, shift, loaded, sums, total, current)
+                u2 = _update_voltages(first, last, keep_v, v_min, v_max, noisy, current, voltage)
                 over_q |= q
                 over_u |= u
                 over_u2 |= u2
@@ -703,14 +703,14 @@ def advance_floats(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all
         for k in range(n_rules):
             _log(log, LOST, lost[k])
             if t % rules[k, TRACE_EPOCH] == 0:
-                _float_traces(rules[k], rates[k], traces, pending)
+                _update_float_traces(rules[k], rates[k], traces, pending)
         for k in range(n_rules):
             if t % rules[k, LEARN_EPOCH] == 0:
-                _float_learn(rules[k], rates[k], traces, errors, wide)
+                _learn_floats(rules[k], rates[k], traces, errors, wide)
         if is_noisy:
             _draw(state, 2 * n, drawn)
             for i in range(uint64(n)):
-                x = float32(-1.0 + 2.0 * _unit(drawn[uint64(2) * i], drawn[uint64(2) * i + 1]))
+                x = float32(-1.0 + 2.0 * _draw_unit(drawn[uint64(2) * i], drawn[uint64(2) * i + 1]))
                 noisy[i] = float32(x + noise_offset[i]) * noise_scale[i]
                 total[i] += float32(0) if noise_on_voltage[i] else noisy[i]
         for g in range(len(segments)):

@@ -79,22 +79,22 @@ def make_layout(emulator) -> Layout:
         read: NengoLoihi may read it later, never, or raise an error of its own.
     """
     try:
-        return _layout(emulator)
+        return _make_layout(emulator)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise Unsupported(f"a network that cannot be read ({error!r})") from error
 
 
-def _layout(emulator):
+def _make_layout(emulator):
     info = emulator.block_info
     state = emulator.compartment
     integers = state.dtype == np.int32
     for item in emulator.inputs:
         if type(item) is not SpikeInput:
             raise Unsupported(f"an input of the class {type(item).__name__}")
-    noise = _noise(state.noise, integers)
-    segments, constants, bounds = _segments(info, state, integers)
+    noise = _make_noise(state.noise, integers)
+    segments, constants, bounds = _make_segments(info, state, integers)
     pools = _Pools(emulator.synapses, info, integers)
-    routes, entries = _routes(emulator, pools)
+    routes, entries = _make_routes(emulator, pools)
     blocks = np.array(
         [
             (part.start, part.stop, pools.shifts[b], pools.is_wide[b], *bounds[b])
@@ -102,9 +102,9 @@ def _layout(emulator):
         ],
         np.int64,
     )
-    learning = _learning(emulator.synapses, pools, integers)
+    learning = _make_learning(emulator.synapses, pools, integers)
     recorded, widths, columns = _plan_probes(emulator.probes)
-    first_run, runs, narrow, wide = pools.arrays(state.dtype)
+    first_run, runs, narrow, wide = pools.to_arrays(state.dtype)
     return Layout(
         network=(
             segments, constants, blocks, routes, entries, first_run, runs, narrow, wide,
@@ -116,12 +116,14 @@ def _layout(emulator):
         recorded=recorded,
         widths=widths,
         columns=columns,
-        weights={synapse: pools.views(synapse, wide) for synapse in emulator.synapses.traces},
+        weights={
+            synapse: pools.view_weights(synapse, wide) for synapse in emulator.synapses.traces
+        },
         is_noisy=bool(np.any(state.noise.mult)),
     )  # fmt: skip
 
 
-def _segments(info, state, integers):
+def _make_segments(info, state, integers):
     """Segments, their constants, and the first and last segment of each block."""
     keep_u = (4095 if integers else 1) - state.decay_u
     keep_v = (4096 if integers else 1) - state.decay_v
@@ -145,7 +147,7 @@ def _segments(info, state, integers):
     return segments.astype(np.int64), np.ascontiguousarray(table[edges[:-1], :-1]), bounds
 
 
-def _noise(noise, integers):
+def _make_noise(noise, integers):
     scale_type = np.float64 if integers else np.float32
     if noise.mult.dtype != scale_type:
         raise Unsupported(f"noise of type {noise.mult.dtype}")
@@ -187,7 +189,7 @@ class _Pools:
         for block in info.blocks:
             items = [_Rows(synapse, block, synapses.dtype) for synapse in block.synapses]
             fixed = [rows for rows in items if integers and not rows.synapse.learning]
-            shift = _trailing_zeros(np.bitwise_or.reduce([0, *(rows.bits for rows in fixed)]))
+            shift = _count_trailing_zeros(np.bitwise_or.reduce([0, *(rows.bits for rows in fixed)]))
             self.shifts.append(shift)
             self.is_wide.append(False)
             for rows in items:
@@ -210,7 +212,7 @@ class _Pools:
         if max(self._sizes.values()) >= 2**31:
             raise Unsupported("more than 2 ** 31 weights")
 
-    def arrays(self, dtype):
+    def to_arrays(self, dtype):
         """``first_run, runs, narrow, wide``."""
         first_run = np.cumsum(np.concatenate([[0], *self._runs_of_row])).astype(np.int32)
         runs = np.concatenate([np.zeros((0, 3), np.int64), *self._runs]).astype(np.int32)
@@ -225,7 +227,7 @@ class _Pools:
         """Position in the wide pool at which the weights of a learning synapse begin."""
         return self._place[synapse]
 
-    def views(self, synapse, wide):
+    def view_weights(self, synapse, wide):
         """The weights of a synapse that learns, as parts of the wide pool."""
         width = len(synapse.weights[0].ravel()) if synapse.weights else 0
         first = self._place[synapse]
@@ -327,12 +329,12 @@ class _Rows:
         return np.stack([first, places, lengths], axis=1), per_row, pool
 
 
-def _trailing_zeros(bits):
+def _count_trailing_zeros(bits):
     bits = int(bits)
     return (bits & -bits).bit_length() - 1 if bits else 0
 
 
-def _routes(emulator, pools):
+def _make_routes(emulator, pools):
     """Connections from each input and block to each synapse, in the order of the emulator."""
     synapses = emulator.synapses
     info = emulator.block_info
@@ -353,7 +355,7 @@ def _routes(emulator, pools):
             if type(part) is not kind:
                 raise Unsupported(f"the class {type(part).__name__}")
         index, atom = _map_axons(axon, sender.n_neurons)
-        row, base = _rows_of(synapse, index, atom, pools)
+        row, base = _find_rows(synapse, index, atom, pools)
         part = synapses.slices[synapse]
         reach = np.where(row >= 0, base + pools.reach[synapse][1][row], 0)
         depth = np.where(row >= 0, base + pools.reach[synapse][0][row], 0)
@@ -387,10 +389,10 @@ def _routes(emulator, pools):
 def _map_axons(axon, n):
     """Axon and atom of the spike of each neuron of a source; a negative axon means none."""
     who = np.arange(n)
-    return _integers(axon.map_axon(who)), _integers(axon.map_atoms(who))
+    return _convert_to_integers(axon.map_axon(who)), _convert_to_integers(axon.map_atoms(who))
 
 
-def _integers(values):
+def _convert_to_integers(values):
     """Numbers of axons, atoms and the like as an array; others than integers are errors there."""
     values = np.asarray(values)
     if len(values) and values.dtype.kind not in "iu":
@@ -398,16 +400,18 @@ def _integers(values):
     return values.astype(np.int64)
 
 
-def _rows_of(synapse, index, atom, pools):
+def _find_rows(synapse, index, atom, pools):
     """The row of a synapse (-1: none) and the first compartment, for each axon and atom."""
     used = index >= 0
     base = np.zeros(len(index), np.int64)
     if synapse.axon_compartment_bases is not None:
-        base[used] = _integers(synapse.axon_compartment_bases)[index[used]]
+        base[used] = _convert_to_integers(synapse.axon_compartment_bases)[index[used]]
         used = used & (base >= 0)
     row = np.full(len(index), -1)
     of = synapse.axon_to_weight_map
-    row[used] = index[used] if of is None else _integers([of[i] for i in index[used].tolist()])
+    row[used] = (
+        index[used] if of is None else _convert_to_integers([of[i] for i in index[used].tolist()])
+    )
     n_atoms = pools.atoms[synapse]
     if np.any(used & (row < 0)):
         raise Unsupported("an axon that its synapse does not have")
@@ -416,7 +420,7 @@ def _rows_of(synapse, index, atom, pools):
     return np.where(used, row * n_atoms + atom, -1), np.where(used, base, 0)
 
 
-def _learning(synapses, pools, integers):
+def _make_learning(synapses, pools, integers):
     """``rules`` and ``rates``."""
     rules = []
     rates = []

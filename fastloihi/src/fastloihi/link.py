@@ -178,7 +178,7 @@ class Link:
             np.zeros(self._n, dtype),
         )
 
-    def state_arrays(self):
+    def list_state_arrays(self):
         """The arrays of the compartments, by their names in NengoLoihi."""
         arrays = dict(zip(ROWS, self.cells))
         arrays.update(zip(COUNTERS, self.counters))
@@ -262,7 +262,7 @@ class Link:
         return receiver.spikes_in
 
 
-class Arriving:
+class ArrivingSpikes:
     """Input spikes that arrive in some steps; a spike arrives one step after it was sent.
 
     Attributes
@@ -283,14 +283,14 @@ class Arriving:
             for column in columns:
                 column[0] = _NONE  # NengoLoihi's first step has no spikes of inputs
         self._lists = columns[0] if self._n == 1 else list(chain.from_iterable(zip(*columns)))
-        numbers = [_numbers(spikes) for spikes in self._lists if spikes is not _NONE]
+        numbers = [_convert_spikes(spikes) for spikes in self._lists if spikes is not _NONE]
         self.ends = np.array(list(accumulate(map(len, self._lists), initial=0)), np.int64)
         self.spikes = _NOTHING
         if self.ends[-1]:
             joined = numbers[0] if len(numbers) == 1 else np.concatenate(numbers)
             self.spikes = np.ascontiguousarray(joined, np.int64)
 
-    def of_step(self, step):
+    def get_spikes(self, step):
         """The spikes of each input in a step."""
         return self._lists[step * self._n : (step + 1) * self._n]
 
@@ -304,7 +304,7 @@ class Arriving:
                     del spikes[sent]
 
 
-def _numbers(spikes):
+def _convert_spikes(spikes):
     """Spikes of an input in a step as an array, if NengoLoihi would accept them."""
     if type(spikes) is list:
         spikes = np.asarray(spikes) if spikes else _NOTHING

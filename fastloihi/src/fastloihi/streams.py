@@ -134,7 +134,7 @@ class StreamEmulator:
                 raise Unsupported("a voltage of -2**31")
         return spikes, link.overflows.copy()
 
-    def constants(self):
+    def read_constants(self):
         """Integers of the compartments.
 
         Returns
@@ -159,7 +159,7 @@ class StreamEmulator:
         segments[:, kernel.REFRACTORY] = refractory + 1
         table[:, kernel.V_MIN] = v_min
 
-    def weights(self):
+    def read_weights(self):
         """All weights on the chip: (source, target, value) of each, int64 arrays.
 
         Sources are the neurons of the inputs, followed by the compartments; targets are

@@ -11,12 +11,12 @@ import math
 
 import numpy as np
 
-from deploy.tables import plural
+from deploy.tables import format_count
 from pipeline.kinds.architectures import (
+    count_operations_of_event,
     describe_choice,
-    event_architecture_for,
     is_for,
-    operations_of_input,
+    suggest_event_architecture,
 )
 from pipeline.kinds.presentation import choose_presentation, choose_step_ms, choose_time_constants
 from pipeline.paper import CNN_MACS
@@ -28,11 +28,11 @@ from pipeline.training.event_rules import (
     TAIL_STEPS,
     USUAL_EVENTS,
     NetworkSize,
+    choose_dropout,
+    choose_epochs,
     choose_input,
     choose_max_spikes,
     choose_size,
-    dropout_for,
-    epochs_for,
     find_bin_ms,
 )
 
@@ -133,7 +133,7 @@ class EventChoices:
             return
         if is_simulated and is_for(settings.events.architecture, sensor, CHANNELS):
             return
-        text = event_architecture_for(sensor, size, samples)
+        text = suggest_event_architecture(sensor, size, samples)
         reason = f"{describe_choice('events', text, sensor)}; size {size.name}"
         self.choices.insert(0, Choice("events.architecture", text, reason))
         if settings.is_open("events.budget"):
@@ -144,7 +144,7 @@ class EventChoices:
         if size.is_for(self.recordings.sensor, samples):
             budget = size.budget * max(1, events / USUAL_EVENTS)
         else:
-            received = events * operations_of_input(architecture) / CNN_MACS
+            received = events * count_operations_of_event(architecture) / CNN_MACS
             budget = OPERATIONS_BY_RECEIVED * received
         budget = float(min(round(max(budget, self.settings.events.budget), 1), MAX_BUDGET))
         if budget != self.settings.events.budget:
@@ -156,7 +156,7 @@ class EventChoices:
         size = self.size
         if size.passes == 1 or not settings.is_open("events.epochs"):
             return
-        usual = epochs_for(len(self.train), settings.events.batch_size)
+        usual = choose_epochs(len(self.train), settings.events.batch_size)
         reason = (
             f"{size.passes} times the usual {usual} passes over the training samples; "
             f"size {size.name} (another: --set events.epochs=...)"
@@ -174,7 +174,7 @@ class EventChoices:
     def _choose_dropout(self):
         size = self.size
         samples = len(self.train)
-        dropout = dropout_for(size, samples)
+        dropout = choose_dropout(size, samples)
         is_default = dropout == Settings().events.dropout
         if is_default or not self.settings.is_open("events.dropout"):
             return
@@ -193,7 +193,7 @@ class EventChoices:
         if is_open or not sections:  # what the user has set needs no estimate, which takes seconds
             chosen_input = self._estimate_input(presented)
             sections = sections or chosen_input.sections
-            reason = chosen_input.text(step_ms, sections)
+            reason = chosen_input.describe(step_ms, sections)
         if is_open:
             self._choose("input.refractory", chosen_input.refractory * step_ms, reason)
             reason = ""
@@ -209,7 +209,7 @@ class EventChoices:
         max_spikes = choose_max_spikes(self.table, self.train, presented.input, presented.steps)
         if max_spikes == 0:
             return
-        most = plural(max_spikes, "spike")
+        most = format_count(max_spikes, "spike")
         reason = (
             f"at most {most} of a taxel and polarity in a recording, so that one that fires "
             "all the time has little weight (another: --set input.max_spikes=...)"

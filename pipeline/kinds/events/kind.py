@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.arithmetic import ceil_div, thin
+from deploy.arithmetic import divide_up, thin
 from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
 from deploy.network.responses import read_output
 from deploy.network.spec import NetworkSpec, Presentation
-from deploy.tables import plural
+from deploy.tables import format_count
 from models import chain
 from models.architecture import parse
 from models.integers import from_integers
@@ -71,15 +71,15 @@ def _compute_logits(stage, inputs, samples, advance):
     """Logits at the end of each sample, which begins at rest."""
     from pipeline.training.events import TrainedOnEvents
 
-    network = TrainedOnEvents.of(inputs.settings, inputs.weights("events"))
-    return network.logits(samples.inputs.astype(np.uint8))[:, None]
+    network = TrainedOnEvents.of(inputs.settings, inputs.read_weights("events"))
+    return network.compute_logits(samples.inputs.astype(np.uint8))[:, None]
 
 
 def _respond(inputs, bundle, advance):
     """Respond to each sample from rest, delayed as on the chip."""
     from pipeline.training.events import TrainedOnEvents, delay_as_on_chip
 
-    network = TrainedOnEvents.of(inputs.settings, inputs.weights("events"))
+    network = TrainedOnEvents.of(inputs.settings, inputs.read_weights("events"))
     frames = bundle.checks.inputs.astype(np.uint8)
     outcome = network.run_on_frames(frames, advance)
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
@@ -92,6 +92,7 @@ class EventsKind(NetworkKind):
     """A spiking network trained on events in the chip's integers."""
 
     name = "events"
+    inputs = ("events",)
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "trained": Reference(
@@ -109,10 +110,6 @@ class EventsKind(NetworkKind):
     channels = 2
     grid = ("events.budget=0.6,0.9", "events.early=0.3,1")
 
-    @classmethod
-    def describes(cls, settings):
-        return settings.on_events
-
     @property
     def steps(self):
         training = ("training.json", "weights.npz")
@@ -129,10 +126,10 @@ class EventsKind(NetworkKind):
     def trained(self):
         return ("events", "threshold")
 
-    def shapes(self, name):
+    def list_shapes(self, name):
         parsed = parse(self.settings.events.architecture)
         sections = len(self.settings.section_starts)
-        return parsed.event_weight_shapes(sections) | Estimator.shapes(parsed.outputs)
+        return parsed.list_event_weight_shapes(sections) | Estimator.list_shapes(parsed.outputs)
 
     @staticmethod
     def _train(inputs, artifact):
@@ -140,12 +137,12 @@ class EventsKind(NetworkKind):
         from pipeline.training import events  # TensorFlow takes seconds to import
 
         settings = inputs.settings
-        samples = event_samples(inputs.dataset, settings.seed)
+        samples = hold_out_event_samples(inputs.dataset, settings.seed)
         n_train = len(samples.train)
-        design = events.EventDesign.of(settings).for_samples(n_train)
-        updates = design.epochs * ceil_div(n_train, design.batch_size)
-        epochs = plural(design.epochs, "epoch")
-        inputs.say(f"events: {epochs}, {plural(updates, 'update')}, on {n_train:,} samples")
+        design = events.EventDesign.of(settings).with_epochs_for(n_train)
+        updates = design.epochs * divide_up(n_train, design.batch_size)
+        epochs = format_count(design.epochs, "epoch")
+        inputs.say(f"events: {epochs}, {format_count(updates, 'update')}, on {n_train:,} samples")
         checkpoint = events.Checkpoint(artifact.folder / CHECKPOINT, artifact.origin.key)
         curve = thin(samples.held_out, MAX_CURVE_SAMPLES)
         trained, seconds = time_training(
@@ -171,46 +168,46 @@ class EventsKind(NetworkKind):
 
         settings = inputs.settings
         dataset = inputs.dataset
-        trained = TrainedOnEvents.of(settings, inputs.weights("events"))
-        samples = event_samples(dataset, settings.seed)
+        trained = TrainedOnEvents.of(settings, inputs.read_weights("events"))
+        samples = hold_out_event_samples(dataset, settings.seed)
         held_out = samples.held_out
         chosen = choose_confidence(settings, samples, trained, settings.seed)
-        training = inputs.artifact("events")
+        training = inputs.find_artifact("events")
         with reporting_damage(training.record, DELETE_ITS_FOLDER):
-            record = training.state().record
+            record = training.find_state().record
             seconds = float(record["seconds"])
             epochs = int(record["epochs"])
         metrics = make_training_record(trained, dataset, seconds, list_training_versions())
         metrics["epochs"] = epochs
         metrics["decides_by_itself"] = {**chosen._asdict(), "samples": len(held_out)}
         inputs.say(describe_accuracy("events", metrics))
-        inputs.say(f"threshold: {_decision_text(chosen, len(held_out))}")
+        inputs.say(f"threshold: {_describe_decision(chosen, len(held_out))}")
         return metrics
 
-    def spec(self, inputs, provenance):
+    def make_spec(self, inputs, provenance):
         from pipeline.training.events import EventDesign
 
         presentation = inputs.settings.make_presentation(
-            confidence_of(inputs.artifact("threshold"))
+            read_confidence(inputs.find_artifact("threshold"))
         )
         design = EventDesign.of(inputs.settings)
-        weights = inputs.weights("events")
+        weights = inputs.read_weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
         presentation, line = fit_gap(
             presentation, taus, inputs.settings.is_users("presentation.gap")
         )
         if line:
             inputs.say(line)
-        return spec_of_events(design, weights, presentation, provenance)
+        return make_event_spec(design, weights, presentation, provenance)
 
-    def choices(self, recordings, train):
+    def make_choices(self, recordings, train):
         return EventChoices(self.settings, recordings, train).choices
 
-    def notes(self, recordings):
+    def list_notes(self, recordings):
         return list_event_warnings(self.settings, recordings)
 
 
-def spec_of_events(
+def make_event_spec(
     design, weights: dict, presentation: Presentation, provenance: dict
 ) -> NetworkSpec:
     """Describe the spiking network trained on events.
@@ -233,7 +230,7 @@ def spec_of_events(
     from pipeline.training.events import build_network  # imports TensorFlow
 
     architecture = parse(design.architecture)
-    integers = build_network(design, weights).integers()
+    integers = build_network(design, weights).compute_integers()
     links = from_integers(architecture, weights, integers, design.starts)
     is_early = presentation.threshold < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
@@ -241,7 +238,7 @@ def spec_of_events(
     return chain.build_network_spec(links, stimulus, presentation, provenance, estimator)
 
 
-def event_samples(dataset: Dataset, seed: int) -> EventSamples:
+def hold_out_event_samples(dataset: Dataset, seed: int) -> EventSamples:
     """Hold out the validation samples or, if there are none, some of the training samples.
 
     Without validation samples, no training samples are held out if these would be too few to choose
@@ -251,9 +248,9 @@ def event_samples(dataset: Dataset, seed: int) -> EventSamples:
     ----------
     dataset : Dataset
     seed : int
-        Seed of :meth:`pipeline.recordings.splits.Split.held_out`.
+        Seed of :meth:`pipeline.recordings.splits.Split.hold_out`.
     """
-    train, held_out = dataset.split.held_out(seed)
+    train, held_out = dataset.split.hold_out(seed)
     if not len(dataset.split.validation) and len(held_out) < MIN_HELD_OUT:
         train = dataset.split.train
         held_out = held_out[:0]
@@ -285,10 +282,10 @@ def drop_unreliable_confidence(chosen: Threshold, samples: int) -> Threshold:
     return chosen if samples >= MIN_HELD_OUT else chosen._replace(confidence=1.0, share=1.0)
 
 
-def confidence_of(artifact) -> float | None:
+def read_confidence(artifact) -> float | None:
     """The confidence for early decisions in a network's record, or None."""
     with reporting_damage(artifact.record, DELETE_IT):
-        chosen = artifact.state().record["decides_by_itself"]
+        chosen = artifact.find_state().record["decides_by_itself"]
         if chosen is None:
             return None
         if not 0 <= chosen["confidence"] <= 1:
@@ -296,7 +293,7 @@ def confidence_of(artifact) -> float | None:
         return float(chosen["confidence"])
 
 
-def _decision_text(chosen, samples):
+def _describe_decision(chosen, samples):
     if chosen.confidence < 1:
         return (
             f"early decision at a confidence of {chosen.confidence:.4f}, after "

@@ -8,12 +8,12 @@ import math
 from dataclasses import dataclass, replace
 
 from deploy.errors import UserError
-from deploy.tables import plural
+from deploy.tables import format_count
 from models.architecture import parse
-from pipeline.kinds.architectures import architecture_for, describe_choice, is_for
-from pipeline.kinds.presentation import image_gap_choice
+from pipeline.kinds.architectures import describe_choice, is_for, suggest_architecture
+from pipeline.kinds.presentation import choose_image_gap
 from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_digits
-from pipeline.run.settings import Choice, Settings, names_in
+from pipeline.run.settings import Choice, Settings, list_names_in
 from pipeline.training.schedules import SCHEDULES
 
 # Passes over the training samples of a network on one image of recordings that are not simulated.
@@ -98,12 +98,12 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     is_sliced = settings.input.kind == "slices" or (
         # One image of a strip has hardly any shapes, so that time is needed to tell classes apart.
         is_strip
-        and all(map(settings.is_open, names_in("image")))
+        and all(map(settings.is_open, list_names_in("image")))
         and own_channels in (None, 2 * defaults.slices)
     )
     choices = _choose_normalisation(settings)
     channels = settings.image.channels
-    gap, reason = image_gap_choice(settings)
+    gap, reason = choose_image_gap(settings)
     if gap is not None:
         choices.append(Choice("presentation.gap", gap, reason))
     if is_sliced:
@@ -116,9 +116,9 @@ def choose_image_settings(settings: Settings, recordings: Recordings) -> list[Ch
     if is_own or (not is_sliced and is_for(cnn.architecture, sensor, channels)):
         return choices
     if is_sliced:
-        architecture = _architecture_of_slices(sensor, defaults, channels)
+        architecture = _make_architecture_of_slices(sensor, defaults, channels)
     else:
-        architecture = architecture_for(sensor, False, defaults.hidden, channels)
+        architecture = suggest_architecture(sensor, False, defaults.hidden, channels)
     _require_rates_fit(settings, architecture)
     chosen = describe_choice("cnn", architecture, sensor)
     return [Choice("cnn.architecture", architecture, chosen), *choices]
@@ -207,7 +207,7 @@ def _choose_training(settings, defaults):
     return choices
 
 
-def _architecture_of_slices(sensor: Sensor, defaults: SliceDefaults, channels: int) -> str:
+def _make_architecture_of_slices(sensor: Sensor, defaults: SliceDefaults, channels: int) -> str:
     """A convolution with a stride, then a dense layer; on a strip only the latter."""
     rows = sensor.rows
     columns = sensor.columns
@@ -225,6 +225,6 @@ def _require_rates_fit(settings, architecture):
     if len(rates) > layers:
         raise UserError(
             f"'snn.max_rates' has {len(rates)} rates, and {architecture}, chosen for the "
-            f"recordings, has {plural(layers, 'layer')} of neurons; give as many "
+            f"recordings, has {format_count(layers, 'layer')} of neurons; give as many "
             "rates or one, or choose cnn.architecture"
         )

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from deploy.arithmetic import thin
-from deploy.check.intervals import wilson_interval
+from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
-from deploy.files import copy_file, sha256_of
+from deploy.files import copy_file, hash_file
 from deploy.network.spec import NetworkSpec
-from deploy.tables import plural
+from deploy.tables import format_count
 from deploy.targets.fast import measure_firing_rates
 from models import chain
 from models.architecture import parse
@@ -20,8 +20,8 @@ from pipeline.kinds.architectures import plan_untrained
 from pipeline.kinds.diagnosis import (
     compare_rates,
     compute_fastest_rate,
+    describe_neurons,
     measure_activity,
-    training_lines,
 )
 from pipeline.kinds.image.choices import choose_image_augmentation, choose_image_settings
 from pipeline.kinds.imported import Imported, find_imported_file
@@ -39,14 +39,15 @@ from pipeline.kinds.records import (
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
-from pipeline.run.settings import Settings
+from pipeline.run.folder import RunFolder
+from pipeline.run.settings import Settings, read_settings
 from pipeline.training.schedules import make_cnn_schedule, make_snn_schedule
 
 
 def _compute_logits(stage, inputs, samples, advance):
     """Logits of a stage on images; with spikes those of each step."""
     settings = inputs.settings
-    weights = inputs.weights(ImageKind.references[stage].step)
+    weights = inputs.read_weights(ImageKind.references[stage].step)
     # Both import TensorFlow, which takes ten seconds and is not needed for a finished stage.
     if stage == "spiking-lif":
         from pipeline.training import nengodl
@@ -55,7 +56,7 @@ def _compute_logits(stage, inputs, samples, advance):
     from pipeline.training.networks import TrainedCNN, TrainedRates
 
     network = TrainedCNN if stage.startswith("cnn") else TrainedRates
-    logits = network(settings, weights).logits(samples.inputs)[:, None]
+    logits = network(settings, weights).compute_logits(samples.inputs)[:, None]
     if advance is not None:
         advance(len(logits))
     return logits
@@ -79,6 +80,7 @@ class ImageKind(NetworkKind):
     """CNN, rate-LIF network, spiking network: the paper's way."""
 
     name = "image"
+    inputs = ("image", "slices")
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "cnn": Reference(
@@ -121,10 +123,6 @@ class ImageKind(NetworkKind):
         "snn.max_rates=100,150",
         "snn.spike_penalty=0,0.05",
     )
-
-    @classmethod
-    def describes(cls, settings):
-        return not settings.on_events
 
     @property
     def remedy(self):
@@ -180,7 +178,7 @@ class ImageKind(NetworkKind):
             return None
         return Imported(cnn.model, cnn.model_sha256, "cnn", GIVE_MODEL_AGAIN)
 
-    def shapes(self, name):
+    def list_shapes(self, name):
         return parse(self.settings.cnn.architecture).weight_shapes
 
     @staticmethod
@@ -225,13 +223,15 @@ class ImageKind(NetworkKind):
                 f"rate-lif: its neurons are measured on {len(measured)} of {len(images)} training "
                 "samples, because they are many"
             )
-        for line in training_lines(metrics["neurons"]):
+        for line in describe_neurons(metrics["neurons"]):
             inputs.say(f"rate-lif: {line}")
         return metrics
 
-    def spec(self, inputs, provenance):
-        inputs.weights("cnn")  # a damaged CNN is found now, not when its predictions are compared
-        weights = inputs.weights("rate-lif")
+    def make_spec(self, inputs, provenance):
+        inputs.read_weights(
+            "cnn"
+        )  # a damaged CNN is found now, not when its predictions are compared
+        weights = inputs.read_weights("rate-lif")
         return describe_network(
             inputs.settings, weights, provenance, inputs.dataset.subset("train")
         )
@@ -247,19 +247,19 @@ class ImageKind(NetworkKind):
         rates = measure_firing_rates(spec, images, settings.seed, start, advance)
         if advance is not None:
             advance(len(bundle.checks) - len(images))
-        network = TrainedRates(settings, inputs.weights("rate-lif"))
+        network = TrainedRates(settings, inputs.read_weights("rate-lif"))
         activations = network.compute_activations(images)
         return compare_rates(spec, rates, activations)
 
-    def choices(self, recordings, train):
+    def make_choices(self, recordings, train):
         return choose_image_settings(self.settings, recordings)
 
     def require_presentable(self, dataset):
         require_images_fit(dataset.inputs, self.settings)
 
     def require_usable(self, inputs):
-        artifact = inputs.artifact("cnn")
-        if self.settings.cnn.model and not artifact.state().is_current:
+        artifact = inputs.find_artifact("cnn")
+        if self.settings.cnn.model and not artifact.find_state().is_current:
             if self.settings.is_open("image.normalisation"):
                 _require_images_of_model(artifact.folder, self.settings, inputs.dataset)
             read_usable_model(artifact.folder, self.settings, inputs.dataset)
@@ -290,11 +290,13 @@ def describe_network(settings: Settings, weights: dict, provenance: dict, data) 
     if settings.deployment.readout == "chip":
         from pipeline.training.networks import TrainedRates
 
-        range_of = TrainedRates(settings, weights).logits(images), labels
-    return to_spec(settings, weights, provenance, range_of)
+        range_of = TrainedRates(settings, weights).compute_logits(images), labels
+    return make_image_spec(settings, weights, provenance, range_of)
 
 
-def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) -> NetworkSpec:
+def make_image_spec(
+    settings: Settings, weights: dict, provenance: dict, range_of=None
+) -> NetworkSpec:
     """As :func:`describe_network`; ``range_of`` is that of :func:`models.chain.from_rates`."""
     architecture = parse(settings.cnn.architecture)
     synapse = settings.deployment.synapse
@@ -308,8 +310,10 @@ def to_spec(settings: Settings, weights: dict, provenance: dict, range_of=None) 
 def _describe_need(settings):
     """The cores and chips that the spiking network will need."""
     plan = plan_untrained(settings.cnn.architecture, False, settings.deployment)
-    cores = plural(len(plan.cores), "core")
-    return f"{cores} on {plural(plan.chips, 'chip')}, see 'stmnist deploy plan' for each layer"
+    cores = format_count(len(plan.cores), "core")
+    return (
+        f"{cores} on {format_count(plan.chips, 'chip')}, see 'stmnist deploy plan' for each layer"
+    )
 
 
 def _train_cnn(settings, dataset, weights=None):
@@ -342,9 +346,12 @@ def _adopt(model, settings, dataset, say):
     taken = TrainedCNN(settings, model.weights)
     if not model.replaced:
         return taken, 0.0
-    logits = [predict(make_original_network(model), dataset.inputs), taken.logits(dataset.inputs)]
+    logits = [
+        predict(make_original_network(model), dataset.inputs),
+        taken.compute_logits(dataset.inputs),
+    ]
     trained, seconds = _train_cnn(settings, dataset, model.weights)
-    logits.append(trained.logits(dataset.inputs))
+    logits.append(trained.compute_logits(dataset.inputs))
     rows = [
         measure_accuracies(one.argmax(1) == dataset.labels, dataset)["accuracy"] for one in logits
     ]
@@ -369,7 +376,7 @@ def _train_further(name, function, inputs, artifact):
     samples = _collect_samples(dataset, augmentation)
     epochs = make_snn_schedule(settings.snn, len(samples)).epochs
     trained, seconds = time_training(
-        name, epochs, function, settings, samples, settings.seed, inputs.weights("cnn")
+        name, epochs, function, settings, samples, settings.seed, inputs.read_weights("cnn")
     )
     write_network(artifact.folder, trained, not len(dataset.split.validation))
     metrics = make_training_record(trained, dataset, seconds, list_training_versions())
@@ -381,7 +388,7 @@ def _measure_activity(settings, trained, images):
     fastest = compute_fastest_rate(settings.snn.tau_ref)
     outputs = trained.compute_activations(images)
     return {
-        name: measure_activity(output * settings.snn.max_rate(index), fastest)
+        name: measure_activity(output * settings.snn.get_max_rate(index), fastest)
         for index, (name, output) in enumerate(outputs.items())
     }
 
@@ -398,7 +405,7 @@ MAX_COMPARED_SAMPLES = 500
 GIVE_MODEL_AGAIN = "give it again with 'stmnist convert RUN --model FILE' (and --retrain if used)"
 
 
-def settings_of_model(path: Path, retrain: bool = False, before: Settings | None = None) -> dict:
+def make_model_settings(path: Path, retrain: bool = False, before: Settings | None = None) -> dict:
     """Changes of the settings with which a user's Keras model replaces the CNN.
 
     Parameters
@@ -420,7 +427,7 @@ def settings_of_model(path: Path, retrain: bool = False, before: Settings | None
     skin = before.skin
     grid = (skin.rows, skin.columns, before.image.channels) if skin.rows and skin.columns else None
     model = read_keras(path, retrain, grid)
-    sha256 = sha256_of(path)
+    sha256 = hash_file(path)
     rates = Settings().snn.max_rates[: max(len(model.architecture.spiking), 1)]
     return {
         "input": {"kind": "image"},
@@ -432,6 +439,19 @@ def settings_of_model(path: Path, retrain: bool = False, before: Settings | None
         },
         "snn": {"recipe": "loihi" if retrain else "as-is", "max_rates": rates},
     }
+
+
+def keep_images(run: RunFolder) -> dict:
+    """Changes of the settings that keep a run's images: a user's model was trained on them.
+
+    Empty for a new run and for one of another kind.
+    """
+    if not run.experiment.exists():
+        return {}
+    settings = read_settings(run.experiment)
+    if settings.nir.file or not ImageKind.describes(settings):
+        return {}
+    return {"image": asdict(settings.image)}
 
 
 def copy_of_model(folder: Path, settings: Settings) -> Path:
@@ -450,7 +470,7 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
     folder : Path
         Folder of the CNN.
     settings : Settings
-        Settings from :func:`settings_of_model`.
+        Settings from :func:`make_model_settings`.
     dataset : Dataset
 
     Returns
@@ -471,7 +491,9 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
     logits = predict(make_original_network(model), images)
     right = int((logits.argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)
-    if wilson_interval(right, len(labels))[0] <= likeliest + MIN_KNOWN_SHARE * (1 - likeliest):
+    if compute_wilson_interval(right, len(labels))[0] <= likeliest + MIN_KNOWN_SHARE * (
+        1 - likeliest
+    ):
         raise UserError(
             f"{path}: hardly better than chance on this run's training samples (accuracy "
             f"{right / len(labels):.3f}, {likeliest:.3f} by always predicting the same class); "
@@ -491,7 +513,7 @@ def _read_model(folder, settings, dataset):
         without = read_keras(path, retrain, shape, pixels=False)
         model = _choose_scale(model, without, dataset)
     imported = settings.cnn.model_sha256, settings.cnn.architecture
-    if (sha256_of(path), str(model.architecture)) != imported:
+    if (hash_file(path), str(model.architecture)) != imported:
         raise UserError(f"{path}: has changed; {GIVE_MODEL_AGAIN}")
     return path, model
 

@@ -14,27 +14,31 @@ from models import chain
 from models.integers import FLOOR, round_chain, round_to_integers
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
-from pipeline.kinds.nir.importing import Stepped
+from pipeline.kinds.nir.importing import Stepping
 from pipeline.run.settings import Settings
 
 # Lowest voltage, in thresholds, above which the end of the chip's registers is mentioned.
 FLOOR_IN_THRESHOLDS = -8
 
 
-def record_convention(network: NirNetwork, stepped: Stepped) -> dict:
+def record_convention(network: NirNetwork, stepping: Stepping) -> dict:
     """What a graph was recognised as and how it is run, for the bundle's provenance."""
     convention = network.convention
     return {
         "framework": convention.framework,
         "recognised_by": convention.evidence,
-        "equation": convention.equation if stepped.method == convention.method else stepped.method,
-        "method": stepped.method,
-        "step_seconds": stepped.seconds,
-        "reset": stepped.reset,
+        "equation": convention.equation
+        if stepping.method == convention.method
+        else stepping.method,
+        "method": stepping.method,
+        "step_seconds": stepping.seconds,
+        "reset": stepping.reset,
     }
 
 
-def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, settings: Settings):
+def list_conversion_notes(
+    network: NirNetwork, layers: tuple, stepping: Stepping, settings: Settings
+):
     """Yield how a graph is read, what its conversion changes and what may be wrong.
 
     Parameters
@@ -42,20 +46,20 @@ def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, setti
     network : NirNetwork
     layers : tuple of Link
         As :func:`models.nir.chain.from_nir` gives them.
-    stepped : Stepped
+    stepping : Stepped
     settings : Settings
     """
     convention = network.convention
-    record = record_convention(network, stepped)
+    record = record_convention(network, stepping)
     yield (
         f"read as {convention.framework}, by {convention.evidence}: {record['equation']}; a step "
-        f"is {1000 * stepped.seconds:g} ms of the graph's time, reset: {stepped.reset}"
+        f"is {1000 * stepping.seconds:g} ms of the graph's time, reset: {stepping.reset}"
     )
     is_as_recognised = (settings.nir.step, settings.nir.method) == (0, "auto")
     if convention.doubt and is_as_recognised and settings.nir.reset == "auto":
         yield f"{WARNING}{convention.doubt}"
     for node in network.nodes:
-        yield from _doubtful_times(node, stepped.seconds, settings.steps)
+        yield from _list_doubtful_times(node, stepping.seconds, settings.steps)
     for layer in layers:
         windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
         is_matrix = layer.neurons is not None and layer.kind == "dense"
@@ -80,7 +84,7 @@ def conversion_notes(network: NirNetwork, layers: tuple, stepped: Stepped, setti
             yield f"{node}: only its longer time constant is kept"
 
 
-def _doubtful_times(node, step, steps):
+def _list_doubtful_times(node, step, steps):
     """Yield a warning for time constants that no network is trained with."""
     for name in ("tau", "tau_syn", "tau_mem"):
         if name not in node.parameters:
@@ -98,9 +102,9 @@ def _doubtful_times(node, step, steps):
             )
 
 
-def spec_of_nir(
+def make_nir_spec(
     network: NirNetwork,
-    stepped: Stepped,
+    stepping: Stepping,
     stimulus: Stimulus,
     presentation: Presentation,
     samples,
@@ -111,7 +115,7 @@ def spec_of_nir(
     Parameters
     ----------
     network : NirNetwork
-    stepped : Stepped
+    stepping : Stepped
     stimulus : Stimulus
     presentation : Presentation
     samples : ndarray
@@ -120,13 +124,13 @@ def spec_of_nir(
         Stored in the bundle.
     """
     read = range(presentation.readout_start, presentation.steps)
-    links = from_nir(network, stepped.seconds, stepped.method, samples.shape[-3:], read)
-    spikes = input_spikes(stimulus, samples, presentation.steps)
+    links = from_nir(network, stepping.seconds, stepping.method, samples.shape[-3:], read)
+    spikes = count_input_spikes(stimulus, samples, presentation.steps)
     links = round_chain(links, spikes, stimulus.area / LOIHI.dt)
     return chain.build_network_spec(links, stimulus, presentation, provenance)
 
 
-def input_spikes(stimulus, samples, steps):
+def count_input_spikes(stimulus, samples, steps):
     """Spikes of the input neurons, 0 or 1, shape (n_samples, steps, values)."""
     if isinstance(stimulus, EventFrames):
         return samples.reshape(*samples.shape[:2], -1).astype(float)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.files import sha256_of
+from deploy.files import hash_file
 from deploy.network.chip import LOIHI
 from models.integers import round_to_integers
 from models.nir.chain import from_nir
@@ -26,7 +26,7 @@ GIVE_AGAIN = "give it again with 'stmnist convert RUN --nir FILE'"
 
 
 @dataclass(frozen=True)
-class Stepped:
+class Stepping:
     """How a graph is run: the chip's steps in the graph's time, the equations, the reset.
 
     Attributes
@@ -44,7 +44,7 @@ class Stepped:
     reset: str = "value"
 
     @classmethod
-    def of(cls, settings: Settings, network: NirNetwork) -> Stepped:
+    def of(cls, settings: Settings, network: NirNetwork) -> Stepping:
         """The values of the settings, or those of the graph's convention where they have none."""
         nir = settings.nir
         convention = network.convention
@@ -58,7 +58,7 @@ class Stepped:
         return cls(seconds, method, reset)
 
 
-def graph_in(folder: Path, settings: Settings) -> NirNetwork:
+def read_copy_of_graph(folder: Path, settings: Settings) -> NirNetwork:
     """The run's copy of the graph, in the folder of its network.
 
     Raises
@@ -68,12 +68,12 @@ def graph_in(folder: Path, settings: Settings) -> NirNetwork:
     """
     path = folder / GRAPH
     network = read_nir(path)
-    if sha256_of(path) != settings.nir.sha256:
+    if hash_file(path) != settings.nir.sha256:
         raise UserError(f"{path}: has changed since it was imported; {DELETE_ITS_FOLDER}")
     return network
 
 
-def settings_of_nir(
+def make_nir_settings(
     path, step: float | None = None, kind: str | None = None, before: Settings | None = None
 ) -> dict:
     """Changes of the settings with which a NIR graph replaces the trained network.
@@ -98,7 +98,7 @@ def settings_of_nir(
     path = Path(path)
     before = before or Settings()
     network = read_nir(path)
-    sha256 = sha256_of(path)
+    sha256 = hash_file(path)
     nir = {"file": str(path.absolute()), "sha256": sha256}
     is_known = before.nir.sha256 == sha256
     was_graph = is_known or before.nir.file == nir["file"]
@@ -106,7 +106,7 @@ def settings_of_nir(
         shape = network.input_shape
         is_image = before.input.kind != "events" and shape[0] == before.image.channels
         is_known |= was_graph and (len(shape) == 1 or is_image)
-        kind = before.input.kind if is_known else _kind_of(path, shape)
+        kind = before.input.kind if is_known else _find_input_kind(path, shape)
     changes = {"input": {"kind": kind}, "nir": nir}
     if not (was_graph and before.input.kind == kind):
         nir["step"] = 0.0
@@ -115,7 +115,7 @@ def settings_of_nir(
     return changes
 
 
-def _kind_of(path, shape):
+def _find_input_kind(path, shape):
     """The kind of input for this shape."""
     if len(shape) == 3 and shape[0] in (1, 2):
         return "image" if shape[0] == 1 else "events"
@@ -134,7 +134,7 @@ def _kind_of(path, shape):
     )
 
 
-def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
+def find_graph(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     """The graph that was imported, from the user's file or else from the run's copy.
 
     Parameters
@@ -158,7 +158,7 @@ def graph_for(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     if not is_file(source, settings.nir.sha256):
         raise UserError(f"{source}: has changed; {GIVE_AGAIN}")
     classes = len(dataset.recordings.sensor.classes)
-    require_fit(network, shape_of_inputs(dataset), classes, source, settings.on_events)
+    require_fit(network, find_input_shape(dataset), classes, source, settings.on_events)
     return source, network
 
 
@@ -179,14 +179,14 @@ def refuse_early(settings: Settings, strict: bool = False):
     """
     source = settings.nir.file
     network = read_nir(source)
-    stepped = Stepped.of(settings, network)
-    if strict and stepped.reset != "value":
+    stepping = Stepping.of(settings, network)
+    if strict and stepping.reset != "value":
         raise UserError(
             f"{source}: trained with a reset by subtraction ('nir.reset'), and the chip resets to "
             "v_reset; train it with a reset to zero, or convert it without --strict"
         )
     try:
-        first, *others = from_nir(network, stepped.seconds, stepped.method)
+        first, *others = from_nir(network, stepping.seconds, stepping.method)
         height = settings.stimulus.area / LOIHI.dt
         for layer in (replace(first, weights=first.weights * height), *others):
             if layer.neurons is not None:
@@ -232,6 +232,6 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events:
         )
 
 
-def shape_of_inputs(dataset) -> tuple:
+def find_input_shape(dataset) -> tuple:
     """(rows, columns, channels) of the inputs of a run's networks."""
     return dataset.inputs.shape[-3:]

@@ -12,27 +12,27 @@ import numpy as np
 from deploy.errors import UserError
 from models.nir.graph import read_nir
 from pipeline.kinds import counts
-from pipeline.kinds.events.kind import DECISION_SETTINGS, confidence_of
+from pipeline.kinds.events.kind import DECISION_SETTINGS, read_confidence
 from pipeline.kinds.imported import Imported, is_file
 from pipeline.kinds.kind import NetworkKind
-from pipeline.kinds.nir.conversion import record_convention, spec_of_nir
+from pipeline.kinds.nir.conversion import make_nir_spec, record_convention
 from pipeline.kinds.nir.importing import (
     GIVE_AGAIN,
     GRAPH,
-    Stepped,
-    graph_for,
-    graph_in,
+    Stepping,
+    find_graph,
+    read_copy_of_graph,
     require_fit,
 )
 from pipeline.kinds.nir.measures import import_graph
 from pipeline.kinds.nir.simulation import (
     NUMPY,
-    graph_responses,
-    predictions_of,
+    compute_graph_responses,
+    compute_predictions,
     simulate_samples,
 )
 from pipeline.kinds.normalisation import require_images_of_network
-from pipeline.kinds.presentation import choose_presentation, current_taus, fit_gap
+from pipeline.kinds.presentation import choose_presentation, fit_gap, list_current_taus
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import list_event_warnings, require_images_fit
@@ -58,23 +58,23 @@ IMAGE_READS = ("presentation", "image", "deployment.input_rate", "deployment.inp
 def _compute_logits(stage, inputs, samples, advance):
     """Outputs of the graph at each step."""
     settings = inputs.settings
-    network = graph_in(inputs.artifact("nir").folder, settings)
-    stepped = Stepped.of(settings, network)
-    return simulate_samples(network, stepped, samples.inputs, settings, advance)[0]
+    network = read_copy_of_graph(inputs.find_artifact("nir").folder, settings)
+    stepping = Stepping.of(settings, network)
+    return simulate_samples(network, stepping, samples.inputs, settings, advance)[0]
 
 
 def _respond(inputs, bundle, advance):
-    folder = inputs.artifact("nir").folder
-    return graph_responses(folder, inputs.settings, bundle, advance)
+    folder = inputs.find_artifact("nir").folder
+    return compute_graph_responses(folder, inputs.settings, bundle, advance)
 
 
 def _require_images_of_graph(source, network, settings, dataset):
     """Refuse images that are normalised in another way than those that the graph was trained on."""
-    stepped = Stepped.of(settings, network)
+    stepping = Stepping.of(settings, network)
 
     def classify(images):
-        outputs, _ = simulate_samples(network, stepped, images, settings)
-        return predictions_of(outputs, settings)
+        outputs, _ = simulate_samples(network, stepping, images, settings)
+        return compute_predictions(outputs, settings)
 
     require_images_of_network(source, settings, dataset, classify, MAX_COMPARED_SAMPLES)
 
@@ -134,25 +134,27 @@ class NirKind(NetworkKind):
         """Make the user's graph the run's network."""
         return import_graph(artifact.folder, inputs.settings, inputs.dataset, inputs.say)
 
-    def spec(self, inputs, provenance):
+    def make_spec(self, inputs, provenance):
         settings = inputs.settings
         dataset = inputs.dataset
-        graph = inputs.artifact("nir")
-        network = graph_in(graph.folder, settings)
-        presentation = settings.make_presentation(confidence_of(graph))
+        graph = inputs.find_artifact("nir")
+        network = read_copy_of_graph(graph.folder, settings)
+        presentation = settings.make_presentation(read_confidence(graph))
         rng = np.random.default_rng([settings.seed, 0x41B])
         chosen = np.sort(rng.permutation(dataset.split.train)[:CALIBRATION_SAMPLES])
         samples = dataset.inputs[chosen]
-        stepped = Stepped.of(settings, network)
-        provenance = {**provenance, "nir": record_convention(network, stepped)}
-        spec = spec_of_nir(network, stepped, settings.stimulus, presentation, samples, provenance)
+        stepping = Stepping.of(settings, network)
+        provenance = {**provenance, "nir": record_convention(network, stepping)}
+        spec = make_nir_spec(
+            network, stepping, settings.stimulus, presentation, samples, provenance
+        )
         is_users = settings.is_users("presentation.gap")
-        presentation, line = fit_gap(presentation, current_taus(spec), is_users)
+        presentation, line = fit_gap(presentation, list_current_taus(spec), is_users)
         if line:
             inputs.say(line)
         return replace(spec, presentation=presentation)
 
-    def choices(self, recordings, train):
+    def make_choices(self, recordings, train):
         settings = self.settings
         from_rest = [Choice(name, value) for name, value in FROM_REST.items()]
         if not settings.on_events:
@@ -176,12 +178,12 @@ class NirKind(NetworkKind):
             require_images_fit(dataset.inputs, self.settings)
 
     def require_usable(self, inputs):
-        artifact = inputs.artifact("nir")
-        if artifact.state().is_current:
+        artifact = inputs.find_artifact("nir")
+        if artifact.find_state().is_current:
             return
-        source, network = graph_for(artifact.folder, self.settings, inputs.dataset)
+        source, network = find_graph(artifact.folder, self.settings, inputs.dataset)
         if not self.settings.on_events and self.settings.is_open("image.normalisation"):
             _require_images_of_graph(source, network, self.settings, inputs.dataset)
 
-    def notes(self, recordings):
+    def list_notes(self, recordings):
         return list_event_warnings(self.settings, recordings) if self.settings.on_events else []

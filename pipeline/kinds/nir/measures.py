@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.check.intervals import wilson_interval
+from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.files import copy_file
 from deploy.network.decision import choose_threshold, delay_outputs
@@ -16,9 +16,9 @@ from deploy.network.stimulus import find_last_steps
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
 from pipeline.kinds.events.kind import drop_unreliable_confidence
-from pipeline.kinds.nir.conversion import conversion_notes, record_convention
-from pipeline.kinds.nir.importing import GRAPH, Stepped, graph_for, shape_of_inputs
-from pipeline.kinds.nir.simulation import NUMPY, predictions_of, simulate_samples
+from pipeline.kinds.nir.conversion import list_conversion_notes, record_convention
+from pipeline.kinds.nir.importing import GRAPH, Stepping, find_graph, find_input_shape
+from pipeline.kinds.nir.simulation import NUMPY, compute_predictions, simulate_samples
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.splits import Split
@@ -65,36 +65,36 @@ def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) 
     Raises
     ------
     UserError
-        As :func:`graph_for`.
+        As :func:`find_graph`.
     """
     begun = time.perf_counter()
-    source, network = graph_for(folder, settings, dataset)
-    stepped = Stepped.of(settings, network)
-    layers = from_nir(network, stepped.seconds, stepped.method, shape_of_inputs(dataset))
-    for line in conversion_notes(network, layers, stepped, settings):
+    source, network = find_graph(folder, settings, dataset)
+    stepping = Stepping.of(settings, network)
+    layers = from_nir(network, stepping.seconds, stepping.method, find_input_shape(dataset))
+    for line in list_conversion_notes(network, layers, stepping, settings):
         say(f"nir: {line}")
     cost = None
-    if stepped.reset != "value":
-        cost = reset_cost(network, stepped, settings, dataset)
+    if stepping.reset != "value":
+        cost = measure_reset_cost(network, stepping, settings, dataset)
         say(RESET_TEXT.format(**cost))
     part = "test" if len(dataset.split.test) else "validation"
-    index = dataset.split.indices(part)
+    index = dataset.split.get_indices(part)
     with progress("simulate nir", len(index)) as advance:
         inputs = dataset.inputs[index]
-        outputs, spikes = simulate_samples(network, stepped, inputs, settings, advance)
+        outputs, spikes = simulate_samples(network, stepping, inputs, settings, advance)
     _refuse_runaway(network, spikes, settings.steps)
-    right = predictions_of(outputs, settings) == dataset.labels[index]
+    right = compute_predictions(outputs, settings) == dataset.labels[index]
     accuracy = float(right.mean())
-    interval = wilson_interval(int(right.sum()), len(right))
+    interval = compute_wilson_interval(int(right.sum()), len(right))
     metrics = {
         "simulated": dataset.recordings.source.simulated,
         "accuracy": {part: accuracy},
         f"{part}_accuracy_ci95": list(interval),
         f"n_{part}": len(index),
         "epochs": 0,
-        "convention": record_convention(network, stepped),
+        "convention": record_convention(network, stepping),
         "reset": cost,
-        "decides_by_itself": choose_confidence(network, stepped, layers, settings, dataset),
+        "decides_by_itself": choose_confidence(network, stepping, layers, settings, dataset),
         "versions": NUMPY,
     }
     if source != folder / GRAPH:
@@ -117,7 +117,7 @@ def _replace_network(folder, source):
     copy_file(source, folder / GRAPH)
 
 
-def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict:
+def measure_reset_cost(network: NirNetwork, stepping: Stepping, settings, dataset) -> dict:
     """Effect of the chip's reset on the predictions of a graph that was trained with another.
 
     Returns
@@ -131,8 +131,8 @@ def reset_cost(network: NirNetwork, stepped: Stepped, settings, dataset) -> dict
     inputs = dataset.inputs[chosen]
     labels = dataset.labels[chosen]
     chip, trained = (
-        predictions_of(simulate_samples(network, run, inputs, settings)[0], settings)
-        for run in (replace(stepped, reset="value"), stepped)
+        compute_predictions(simulate_samples(network, run, inputs, settings)[0], settings)
+        for run in (replace(stepping, reset="value"), stepping)
     )
     return {
         "samples": len(chosen),
@@ -164,13 +164,13 @@ def _refuse_runaway(network, spikes, steps):
             )
 
 
-def choose_confidence(network, stepped, layers, settings, dataset):
+def choose_confidence(network, stepping, layers, settings, dataset):
     """The confidence for early decisions of networks on events."""
     if not settings.on_events or network.outputs < 2:
         return None
     held_out = draw_held_out(dataset.split, settings.seed)
     inputs = dataset.inputs[held_out]
-    outputs = simulate_samples(network, stepped, inputs, settings)[0]
+    outputs = simulate_samples(network, stepping, inputs, settings)[0]
     sums = delay_outputs(np.cumsum(outputs, 1), len(layers))
     loss = settings.presentation.early_loss
     threshold = choose_threshold(sums, dataset.labels[held_out], find_last_steps(inputs), loss)
@@ -186,5 +186,5 @@ def draw_held_out(split: Split, seed: int) -> np.ndarray:
     Held-out samples are in the order of the recordings, which is usually that of the classes, so
     they are drawn at random.
     """
-    held_out = split.held_out(seed)[1]
+    held_out = split.hold_out(seed)[1]
     return np.random.default_rng([seed, 0xDEC]).permutation(held_out)[:MAX_CONFIDENCE_SAMPLES]

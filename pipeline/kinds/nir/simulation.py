@@ -12,22 +12,22 @@ from deploy.network.responses import Responses, read_output
 from models.nir.chain import merges_polarities
 from models.nir.graph import NirNetwork
 from models.nir.simulator import SAMPLES_AT_ONCE, simulate
-from pipeline.kinds.nir.importing import Stepped, graph_in
+from pipeline.kinds.nir.importing import Stepping, read_copy_of_graph
 from pipeline.run.settings import Settings
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}
 
 
-def simulate_samples(network, stepped, inputs, settings, advance=None):
+def simulate_samples(network, stepping, inputs, settings, advance=None):
     """Simulate the graph on samples of a run.
 
     Parameters
     ----------
     network : NirNetwork
-    stepped : Stepped
+    stepping : Stepped
     inputs : ndarray
-        Images or frames of events, as in :func:`graph_inputs`.
+        Images or frames of events, as in :func:`make_graph_inputs`.
     settings : Settings
     advance : callable, optional
         Called with the number of samples done since the last call.
@@ -42,10 +42,12 @@ def simulate_samples(network, stepped, inputs, settings, advance=None):
     counts = []
     for start in range(0, len(inputs), SAMPLES_AT_ONCE):
         batch = inputs[start : start + SAMPLES_AT_ONCE]
-        presented = graph_inputs(network, batch, settings.steps)
-        found = simulate(network, presented, stepped.seconds, stepped.method, stepped.reset)
+        presented = make_graph_inputs(network, batch, settings.steps)
+        found = simulate(network, presented, stepping.seconds, stepping.method, stepping.reset)
         outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
-        counts.append({n: _in_places(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()})
+        counts.append(
+            {n: _put_in_chip_order(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()}
+        )
         if advance is not None:
             advance(len(batch))
     joined = {}
@@ -54,13 +56,13 @@ def simulate_samples(network, stepped, inputs, settings, advance=None):
     return np.concatenate(outputs), joined
 
 
-def predictions_of(outputs, settings):
+def compute_predictions(outputs, settings):
     """Predictions from the mean outputs in the readout window."""
     start = 0 if settings.on_events else settings.presentation.readout_start
     return outputs[:, start:].mean(1).argmax(1)
 
 
-def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
+def make_graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
     """Samples of a run in the form of a graph's input.
 
     Parameters
@@ -84,12 +86,14 @@ def graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
     return first.reshape(*first.shape[:2], *network.input_shape)
 
 
-def _in_places(values):
+def _put_in_chip_order(values):
     """Values (n, channels, rows, columns), or flat, converted to the chip's order and flattened."""
     return (np.moveaxis(values, 1, -1) if values.ndim > 2 else values).reshape(len(values), -1)
 
 
-def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=None) -> Responses:
+def compute_graph_responses(
+    folder: Path, settings: Settings, bundle: Bundle, advance=None
+) -> Responses:
     """Responses of the original graph to a bundle's samples, in floating point, each from rest.
 
     Parameters
@@ -101,11 +105,11 @@ def graph_responses(folder: Path, settings: Settings, bundle: Bundle, advance=No
     advance : callable, optional
         Called with the number of samples done since the last call.
     """
-    network = graph_in(folder, settings)
+    network = read_copy_of_graph(folder, settings)
     inputs = bundle.checks.inputs
     spec = bundle.spec
-    stepped = Stepped.of(settings, network)
-    outputs, counts = simulate_samples(network, stepped, inputs, settings, advance)
+    stepping = Stepping.of(settings, network)
+    outputs, counts = simulate_samples(network, stepping, inputs, settings, advance)
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which read_output adds

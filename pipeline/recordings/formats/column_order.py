@@ -86,7 +86,7 @@ def settle_orders(recordings) -> tuple:
             f"recordings have four columns without names, and not all in one order; {NAME_THEM}"
         )
     order = max(common, key=lambda order: _count_times(tables, order))  # the first of equal ones
-    return [_in_order(recording, order) for recording in recordings], order
+    return [_put_in_order(recording, order) for recording in recordings], order
 
 
 def _count_times(recordings, order):
@@ -99,7 +99,7 @@ def _count_times_in(table, order):
     return len(np.unique(table[:, order.index("t")]))
 
 
-def _in_order(recording, order):
+def _put_in_order(recording, order):
     if not recording.orders:
         return recording
     if recording.orders[0] == order:
@@ -119,10 +119,10 @@ def _find_orders(table) -> tuple:
     is_place = ((table >= 0) & (table <= MAX_PLACE) & (table == np.floor(table))).all(axis=0)
     is_polarity = np.isin(table, (-1, 0, 1)).all(axis=0)
     fits = {"t": is_time, "x": is_place, "y": is_place, "p": is_polarity}
-    possible = [order for order in ORDERS if _fits_all_columns(order, fits)]
+    possible = [order for order in ORDERS if _is_possible(order, fits)]
     return tuple(sorted(possible, key=lambda order: -_count_times_in(table, order)))
 
 
-def _fits_all_columns(order, fits):
+def _is_possible(order, fits):
     """True if each column can be what it is called in an order."""
     return all(fits[name][index] for index, name in enumerate(order))

@@ -15,7 +15,7 @@ from pipeline.recordings.formats.recording import (
     MAX_EVENTS,
     BadRecording,
     EventRecording,
-    column_of,
+    find_column,
     find_columns,
     make_recording,
 )
@@ -120,13 +120,13 @@ def _write_numbers(body, separator):
 def _split_names(line, separator):
     """The names of columns in a line; empty if it has none."""
     words = [word.strip().strip('"').lower() for word in line.split(separator)]
-    return words if any(map(column_of, words)) else []
+    return words if any(map(find_column, words)) else []
 
 
 def _find_names_in_remark(line):
     """The names of all columns in a remark, as NumPy writes them; empty if they are not there."""
     words = re.findall(r"[^,;#%\s]+", line.lower())
-    return words if set(map(column_of, words)) >= set(ARRAYS) else []
+    return words if set(map(find_column, words)) >= set(ARRAYS) else []
 
 
 def _split_values(line, separator):

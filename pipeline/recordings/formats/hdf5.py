@@ -75,7 +75,7 @@ def read_hdf5(content: bytes, name: str) -> EventRecording:
             (entry,) = found.values()
             events: np.ndarray | dict
             if isinstance(entry, h5py.Group):
-                events = {column: _read_dataset(entry[column]) for column in _columns_of(entry)}
+                events = {column: _read_dataset(entry[column]) for column in _list_columns(entry)}
             else:
                 events = _read_dataset(entry)
     except (BadRecording, MemoryError):
@@ -101,7 +101,7 @@ def _find_events(file):
     waiting = [("", file)]
     while waiting:
         path, group = waiting.pop()
-        if _columns_of(group):
+        if _list_columns(group):
             named[path or "/"] = group
         for name in group:
             number += 1
@@ -137,7 +137,7 @@ def _find_named(names) -> list:
         return []
 
 
-def _columns_of(group) -> list:
+def _list_columns(group) -> list:
     """Names of a group's data sets of columns; an empty list if one is missing."""
     import h5py
 
@@ -184,10 +184,10 @@ def _make_stemnist_recording(events, name) -> EventRecording:
             "p": events[columns["p"]],
         }
     )
-    return replace(recording, size=(STEMNIST_SIDE,) * 2, writer=_writer_in(name))
+    return replace(recording, size=(STEMNIST_SIDE,) * 2, writer=_read_writer(name))
 
 
-def _writer_in(name) -> int:
+def _read_writer(name) -> int:
     """Number of the person in the name of a file of STEMNIST, or -1.
 
     A name without a number gets one from its characters, the same in every file.

@@ -88,15 +88,15 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     Raises
     ------
     BadRecording
-        Not a MAT file, or not a recording; see :func:`events_of`.
+        Not a MAT file, or not a recording; see :func:`read_spiketrain`.
     """
     wanted = (VARIABLE, "simulated", "written", "writer")
     variables = read_variables(content, lambda name, shape: name in wanted)
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
-    simulated, written, writer = (_number(variables.get(name)) for name in wanted[1:])
+    simulated, written, writer = (_read_number(variables.get(name)) for name in wanted[1:])
     spiketrain = np.asarray(variables[VARIABLE])
-    events = events_of(spiketrain, n_taxels)
+    events = read_spiketrain(spiketrain, n_taxels)
     return MatRecording(
         events=events,
         simulated=bool(simulated),
@@ -121,14 +121,14 @@ def read_mat(content: bytes, name: str = "") -> EventRecording:
     )
 
 
-def _number(variable):
+def _read_number(variable):
     """A variable's value if it is one finite number, else None: the name may have another use."""
     values = np.ravel([] if variable is None else variable)
     is_number = values.size == 1 and values.dtype.kind in "fiub" and np.isfinite(values[0])
     return values[0] if is_number else None
 
 
-def events_of(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
+def read_spiketrain(spiketrain, n_taxels: int | None = N_TAXELS) -> Events:
     """Check a ``spiketrain`` and turn it into physical events.
 
     Parameters
@@ -233,10 +233,10 @@ def _refuse_too_large(name, shape, item_size):
         )
 
 
-def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
+def make_spiketrain(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
     """The published form of a recording, shape (n_taxels + 1, n_columns).
 
-    Inverse of :func:`events_of`.
+    Inverse of :func:`read_spiketrain`.
     """
     time_ns, taxel, polarity = expand_bursts(events)
     spiketrain = np.zeros((n_taxels + 1, len(time_ns)))
@@ -245,7 +245,7 @@ def spiketrain_of(events: Events, n_taxels: int = N_TAXELS) -> np.ndarray:
     return spiketrain
 
 
-def recording_bytes(recording: MatRecording) -> bytes:
+def encode_recording(recording: MatRecording) -> bytes:
     """A recording as a compressed MATLAB 5 file; inverse of :func:`read_recording`."""
     variables: dict[
         str, float | np.ndarray
@@ -256,8 +256,8 @@ def recording_bytes(recording: MatRecording) -> bytes:
         variables["writer"] = float(recording.writer)
     if recording.written:
         variables["written"] = 1.0
-    variables[VARIABLE] = spiketrain_of(recording.events, recording.n_taxels)
-    return _mat_bytes(variables)
+    variables[VARIABLE] = make_spiketrain(recording.events, recording.n_taxels)
+    return _encode(variables)
 
 
 def read_lookup_table(content: bytes) -> TaxelMap:
@@ -294,15 +294,13 @@ def _is_table(_, shape):
     return True
 
 
-def lookup_table_bytes(taxels: TaxelMap) -> bytes:
+def encode_lookup_table(taxels: TaxelMap) -> bytes:
     """A lookup table as a MATLAB 5 file; inverse of :func:`read_lookup_table`."""
     address = np.arange(1, len(taxels) + 1)
-    return _mat_bytes(
-        {"LUT": np.stack([address, taxels.row + 1, taxels.column + 1], 1).astype(float)}
-    )
+    return _encode({"LUT": np.stack([address, taxels.row + 1, taxels.column + 1], 1).astype(float)})
 
 
-def _mat_bytes(variables):
+def _encode(variables):
     buffer = io.BytesIO()
     scipy.io.savemat(buffer, variables, do_compression=True)
     content = bytearray(buffer.getvalue())

@@ -323,7 +323,7 @@ def find_columns(names) -> dict:
     """
     chosen = {}
     for axis, known in COLUMN_NAMES.items():
-        candidates = [name for name in names if column_of(name) == axis]
+        candidates = [name for name in names if find_column(name) == axis]
         if not candidates:
             listed = ", ".join(str(name) for name in list(names)[:6])
             remedy = NO_POLARITY if axis == "p" else "expected x, y, t and p"
@@ -337,7 +337,7 @@ def find_columns(names) -> dict:
     return chosen
 
 
-def column_of(name) -> str:
+def find_column(name) -> str:
     """Which of x, y, t and p a column is, by its name; empty for none of them."""
     plain = _split_unit(name)[0]
     return next((axis for axis, known in COLUMN_NAMES.items() if plain in known), "")

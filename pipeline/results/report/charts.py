@@ -13,7 +13,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from PIL import Image
 
-from pipeline.look import colour
+from pipeline.look import find_colour
 
 WIDTH = 360
 CHART = 440
@@ -51,7 +51,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Raster:
-    """Events or spikes over time, a panel of :func:`timeline`.
+    """Events or spikes over time, a panel of :func:`draw_timeline`.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Raster:
 
 @dataclass(frozen=True)
 class Lines:
-    """Curves between 0 and 1 over time, with levels and points, a panel of :func:`timeline`."""
+    """Curves from 0 to 1 over time, with levels and points, a panel of :func:`draw_timeline`."""
 
     title: str
     series: tuple
@@ -77,15 +77,15 @@ class Lines:
     points: tuple = ()
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """A share in percent, rounded as the same share in a terminal is (to three decimals)."""
     return f"{100 * round(share, 3):.1f}\u00a0%"
 
 
-def line_chart(
+def draw_line_chart(
     series, x_label: str, y_label: str, description: str = "", least=None, points=(), levels=()
 ) -> Markup:
-    """Lines over a common x axis; the names are in a separate legend, see :func:`legend`.
+    """Lines over a common x axis; the names are in a separate legend, see :func:`draw_legend`.
 
     Parameters
     ----------
@@ -106,27 +106,27 @@ def line_chart(
     lowest = every_y.min() if least is None else least
     x_axis = _Axis(every_x.min(), every_x.max(), LEFT, CHART - RIGHT)
     y_axis = _Axis(lowest, every_y.max(), HEIGHT - BOTTOM, TOP)
-    marks = [_axes(x_axis, y_axis, x_label, y_label)]
+    marks = [_draw_axes(x_axis, y_axis, x_label, y_label)]
     for number, one in enumerate(series, 1):
         if one.intervals:
             low, high = zip(*one.intervals, strict=True)
-            around = _points(x_axis, y_axis, (*one.x, *one.x[::-1]), (*low, *high[::-1]))
+            around = _format_points(x_axis, y_axis, (*one.x, *one.x[::-1]), (*low, *high[::-1]))
             marks.append(f'<polygon class="band s{number}" points="{around}"/>')
-        marks.append(_line(x_axis, y_axis, one, number))
+        marks.append(_draw_line(x_axis, y_axis, one, number))
     for level, name in levels:
         height = y_axis(level)
         marks.append(_segment("reference", LEFT, height, CHART - RIGHT, height))
         # On the side of the line where no curve ends.
         aside = 16 if any(one.y[-1] > level for one in series) else -6
-        marks.append(_text(CHART - RIGHT, height + aside, f"{name} {level:.1f}", "end"))
+        marks.append(_draw_text(CHART - RIGHT, height + aside, f"{name} {level:.1f}", "end"))
     for x, y, name in points:
-        marks.append(_dot(x_axis(x), y_axis(y), f"{name}: {y:.1f} %"))
+        marks.append(_draw_dot(x_axis(x), y_axis(y), f"{name}: {y:.1f} %"))
         aside = 18 if any(0 <= level - y < 9 for level, _ in levels) else -9
-        marks.append(_text(x_axis(x), y_axis(y) + aside, f"{name} {y:.1f}", "end"))
-    return _svg(CHART, HEIGHT, marks, description)
+        marks.append(_draw_text(x_axis(x), y_axis(y) + aside, f"{name} {y:.1f}", "end"))
+    return _make_svg(CHART, HEIGHT, marks, description)
 
 
-def interval(value: float, low: float, high: float, least: float) -> Markup:
+def draw_interval(value: float, low: float, high: float, least: float) -> Markup:
     """A value with its interval, for a cell of a table.
 
     Parameters
@@ -138,14 +138,14 @@ def interval(value: float, low: float, high: float, least: float) -> Markup:
     """
     axis = _Axis(least, 1, 8, WIDTH / 2, exact=True)
     y = 10
-    said = f"{percent(value)}, {percent(low)} to {percent(high)}"
-    dot = _dot(axis(value), y, said)
+    said = f"{format_percent(value)}, {format_percent(low)} to {format_percent(high)}"
+    dot = _draw_dot(axis(value), y, said)
     line = _segment("line s1", axis(low), y, axis(high), y)
     edges = (_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
-    return _svg(WIDTH / 2 + 8, 2 * y, [*edges, _title(said), line, dot], said, "interval")
+    return _make_svg(WIDTH / 2 + 8, 2 * y, [*edges, _make_title(said), line, dot], said, "interval")
 
 
-def timeline(panels, extent: float, x_label: str, description: str = "", mark=None) -> Markup:
+def draw_timeline(panels, extent: float, x_label: str, description: str = "", mark=None) -> Markup:
     """Panels below each other over one time axis.
 
     Parameters
@@ -162,7 +162,7 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
     top = FIRST_PANEL
     for panel in panels:
         bottom = top + PANEL
-        marks.append(_text(LEFT, top - 6, panel.title, "start"))
+        marks.append(_draw_text(LEFT, top - 6, panel.title, "start"))
         marks.append(_segment("axis", LEFT, bottom, TIMELINE - RIGHT, bottom))
         draw = _draw_raster if isinstance(panel, Raster) else _draw_curves
         marks += draw(panel, x_axis, top)
@@ -170,12 +170,12 @@ def timeline(panels, extent: float, x_label: str, description: str = "", mark=No
     end = top - PANEL_GAP
     if mark is not None:
         marks.append(_segment("reference", x_axis(mark), FIRST_PANEL, x_axis(mark), end))
-    for tick in x_axis.ticks():
+    for tick in x_axis.list_ticks():
         marks.append(_segment("axis", x_axis(tick), end, x_axis(tick), end + 4))
         anchor = "end" if x_axis(tick) > TIMELINE - 2 * RIGHT else "middle"
-        marks.append(_text(x_axis(tick), end + 18, x_axis.label(tick), anchor))
-    marks.append(_text((LEFT + TIMELINE) / 2, end + 36, x_label, "middle"))
-    return _svg(TIMELINE, end + 42, marks, description, "timeline")
+        marks.append(_draw_text(x_axis(tick), end + 18, x_axis.format_label(tick), anchor))
+    marks.append(_draw_text((LEFT + TIMELINE) / 2, end + 36, x_label, "middle"))
+    return _make_svg(TIMELINE, end + 42, marks, description, "timeline")
 
 
 def _draw_raster(panel: Raster, x_axis, top) -> list:
@@ -183,8 +183,8 @@ def _draw_raster(panel: Raster, x_axis, top) -> list:
     bottom = top + PANEL
     y_axis = _Axis(0, panel.rows, top, bottom, exact=True)
     marks = [
-        _text(LEFT - 7, top + 10, "0", "end"),
-        _text(LEFT - 7, bottom, str(panel.rows - 1), "end"),
+        _draw_text(LEFT - 7, top + 10, "0", "end"),
+        _draw_text(LEFT - 7, bottom, str(panel.rows - 1), "end"),
     ]
     height = max(2.0, PANEL / panel.rows)
     for name, times, units in panel.groups:
@@ -203,17 +203,17 @@ def _draw_curves(panel: Lines, x_axis, top) -> list:
     marks = []
     for tick in (0, 0.5, 1):
         marks.append(_segment("grid", LEFT, y_axis(tick), right, y_axis(tick)))
-        marks.append(_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
+        marks.append(_draw_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
     for level in panel.levels:
         marks.append(_segment("axis level", LEFT, y_axis(level), right, y_axis(level)))
     for number, series in enumerate(panel.series, 1):
-        marks.append(_line(x_axis, y_axis, series, number, 100))
+        marks.append(_draw_line(x_axis, y_axis, series, number, 100))
     for x, y in panel.points:
-        marks.append(_dot(x_axis(x), y_axis(y), f"{100 * y:.1f} %", "end"))
+        marks.append(_draw_dot(x_axis(x), y_axis(y), f"{100 * y:.1f} %", "end"))
     return marks
 
 
-def thumbnail(values, description: str = "", positions=None) -> Markup:
+def draw_thumbnail(values, description: str = "", positions=None) -> Markup:
     """A tactile image as a small picture, one pixel or dot for each taxel.
 
     Parameters
@@ -226,10 +226,12 @@ def thumbnail(values, description: str = "", positions=None) -> Markup:
     """
     values = np.asarray(values, float)
     if positions is not None:
-        return _dots(values[0] / (np.abs(values).max(initial=0) or 1), positions, description)
+        return _draw_dots(values[0] / (np.abs(values).max(initial=0) or 1), positions, description)
     pixels = np.zeros((*values.shape, 4), np.uint8)
     for sign, name in ((1, "on"), (-1, "off")):
-        pixels[np.sign(values) == sign, :3] = [int(colour(name)[i : i + 2], 16) for i in (1, 3, 5)]
+        pixels[np.sign(values) == sign, :3] = [
+            int(find_colour(name)[i : i + 2], 16) for i in (1, 3, 5)
+        ]
     pixels[..., 3] = np.rint(255 * np.abs(values) / (np.abs(values).max(initial=0) or 1))
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
@@ -239,7 +241,7 @@ def thumbnail(values, description: str = "", positions=None) -> Markup:
     )
 
 
-def _dots(shades, positions, description):
+def _draw_dots(shades, positions, description):
     """Taxels where they are, a dot for each, with shades from -1 to 1."""
     radius = 0.45 / len(positions) ** 0.5
     marks = [
@@ -254,7 +256,7 @@ def _dots(shades, positions, description):
     )
 
 
-def legend(names) -> Markup:
+def draw_legend(names) -> Markup:
     """The legend of a chart: names of the series with their lines."""
     items = (
         f'<li><svg class="key" viewBox="0 0 30 6" aria-hidden="true"><line class="line s{number}" '
@@ -284,49 +286,53 @@ class _Axis:
     def __call__(self, value):
         return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
 
-    def ticks(self):
+    def list_ticks(self):
         first = np.ceil(self.low / self.step - 1e-9) * self.step + 0.0  # no "-0"
         return np.arange(first, self.high + self.step * 1e-6, self.step)
 
-    def label(self, value):
+    def format_label(self, value):
         value = 0.0 if abs(value) < self.step * 1e-6 else value  # no "-0"
         return f"{value:.6g}"
 
 
-def _axes(x_axis, y_axis, x_label, y_label):
+def _draw_axes(x_axis, y_axis, x_label, y_label):
     marks = []
-    for tick in y_axis.ticks():
+    for tick in y_axis.list_ticks():
         marks.append(_segment("grid", x_axis.start, y_axis(tick), x_axis.end, y_axis(tick)))
-        marks.append(_text(x_axis.start - 7, y_axis(tick) + 4, y_axis.label(tick), "end"))
-    for tick in x_axis.ticks():
+        marks.append(
+            _draw_text(x_axis.start - 7, y_axis(tick) + 4, y_axis.format_label(tick), "end")
+        )
+    for tick in x_axis.list_ticks():
         marks.append(_segment("axis", x_axis(tick), y_axis.start, x_axis(tick), y_axis.start + 4))
-        marks.append(_text(x_axis(tick), y_axis.start + 18, x_axis.label(tick), "middle"))
+        marks.append(
+            _draw_text(x_axis(tick), y_axis.start + 18, x_axis.format_label(tick), "middle")
+        )
     marks.append(_segment("axis", x_axis.start, y_axis.start, x_axis.end, y_axis.start))
     middle = (x_axis.start + x_axis.end) / 2
-    marks.append(_text(middle, y_axis.start + 35, x_label, "middle"))
-    marks.append(_text(0, 12, y_label, "start"))
+    marks.append(_draw_text(middle, y_axis.start + 35, x_label, "middle"))
+    marks.append(_draw_text(0, 12, y_label, "start"))
     return "".join(marks)
 
 
-def _line(x_axis, y_axis, series, number, scale=1):
+def _draw_line(x_axis, y_axis, series, number, scale=1):
     """A line of percentages, or of shares, which a scale of 100 makes percentages."""
-    points = _points(x_axis, y_axis, series.x, series.y)
+    points = _format_points(x_axis, y_axis, series.x, series.y)
     dots = ""
     if len(series.x) <= MAX_TOOLTIPS:
         dots = "".join(
             f'<circle class="hit" cx="{x_axis(x):.1f}" cy="{y_axis(y):.1f}" r="6">'
-            f"{_title(f'{series.name}: {scale * y:.1f} % at {x:.4g}')}</circle>"
+            f"{_make_title(f'{series.name}: {scale * y:.1f} % at {x:.4g}')}</circle>"
             for x, y in zip(series.x, series.y, strict=True)
         )
-    title = _title(f"{series.name}: {scale * series.y[-1]:.1f} % at the end")
+    title = _make_title(f"{series.name}: {scale * series.y[-1]:.1f} % at the end")
     return f'<g>{title}<polyline class="line s{number}" points="{points}"/>{dots}</g>'
 
 
-def _points(x_axis, y_axis, x, y):
+def _format_points(x_axis, y_axis, x, y):
     return " ".join(f"{x_axis(a):.1f},{y_axis(b):.1f}" for a, b in zip(x, y, strict=True))
 
 
-def _title(text):
+def _make_title(text):
     return f"<title>{escape(text)}</title>"
 
 
@@ -334,17 +340,17 @@ def _segment(name, x1, y1, x2, y2):
     return f'<line class="{name}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
 
 
-def _dot(x, y, said, name="dot"):
-    return f'<circle class="{name}" cx="{x:.1f}" cy="{y:.1f}" r="4.5">{_title(said)}</circle>'
+def _draw_dot(x, y, said, name="dot"):
+    return f'<circle class="{name}" cx="{x:.1f}" cy="{y:.1f}" r="4.5">{_make_title(said)}</circle>'
 
 
-def _text(x, y, text, anchor):
+def _draw_text(x, y, text, anchor):
     return (
         f'<text class="label" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
     )
 
 
-def _svg(width, height, marks, description, name="chart"):
+def _make_svg(width, height, marks, description, name="chart"):
     return Markup(
         f'<svg class="{name}" viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="{escape(description)}">{"".join(marks)}</svg>'

@@ -7,15 +7,15 @@ from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage
 from deploy.preflight.plan import make_plan
-from deploy.terminal import command_text
-from pipeline.kinds import kind_of_network
+from deploy.terminal import format_command
+from pipeline.kinds import find_kind
 from pipeline.kinds.records import read_history
 from pipeline.progress import progress
-from pipeline.results.ladder import ladder_stages, select_deployed_result
+from pipeline.results.ladder import list_stages, select_deployed_result
 from pipeline.results.other_recordings import FOLDER as OTHERS
 from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
-from pipeline.results.status import find_outdated, status_of
+from pipeline.results.status import find_outdated, list_states
 from pipeline.run.folder import RunFolder, require_run
 from pipeline.run.settings import read_settings
 
@@ -40,8 +40,8 @@ def gather(folder: RunFolder) -> Inputs:
     require_run(folder)
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
-    kind = kind_of_network(settings)
-    stages = [stage for stage in ladder_stages(kind) if folder.check(stage).exists()]
+    kind = find_kind(settings)
+    stages = [stage for stage in list_stages(kind) if folder.check(stage).exists()]
     results = [read_result(folder.check(stage)) for stage in stages]
     for stage, result in zip(stages, results, strict=True):
         if result["target"] != stage or not {*result["spikes"]} <= {*bundle.spec.spiking_layers}:
@@ -50,7 +50,7 @@ def gather(folder: RunFolder) -> Inputs:
     if not results:
         raise UserError(
             f"{folder.path / 'checks'}: no check result of the present bundle; "
-            f"run {command_text('ladder', folder.path)} first"
+            f"run {format_command('ladder', folder.path)} first"
         )
     chosen = choose_samples(select_deployed_result(results))
     with progress("replay samples", len(chosen)) as advance:
@@ -59,7 +59,7 @@ def gather(folder: RunFolder) -> Inputs:
     metrics: dict = {}
     histories: dict = {}
     for reference in kind.references.values():
-        titles.setdefault(folder.folder(kind.step(reference.step).folder), reference.title)
+        titles.setdefault(folder.find_folder(kind.step(reference.step).folder), reference.title)
     for path, title in titles.items():
         if (path / "metrics.json").exists():
             metrics[title] = _test_accuracy(path / "metrics.json")
@@ -74,8 +74,8 @@ def gather(folder: RunFolder) -> Inputs:
         histories=histories,
         plan=make_plan(bundle.spec, MANY_CHIPS).to_json(),
         replays=replays,
-        outdated=find_outdated(status_of(folder)),
-        others=_others(folder, bundle),
+        outdated=find_outdated(list_states(folder)),
+        others=_read_others(folder, bundle),
     )
 
 
@@ -86,7 +86,7 @@ def _test_accuracy(path):
         return {"accuracy": float(metrics["accuracy"]["test"]), "n_test": int(metrics["n_test"])}
 
 
-def _others(folder, bundle):
+def _read_others(folder, bundle):
     """Results of the bundle on other recordings; see :mod:`pipeline.results.other_recordings`."""
     files = sorted(Path(folder.path / "checks" / OTHERS).glob("*.json"))
     results = [read_result(path, REMEDY) for path in files]

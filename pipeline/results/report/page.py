@@ -10,19 +10,19 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.check.bundle import Bundle
-from deploy.check.energy import MAC, estimate_energy, joules_text
-from deploy.check.intervals import wilson_interval
+from deploy.check.energy import MAC, estimate_energy, format_joules
+from deploy.check.intervals import compute_wilson_interval
 from deploy.check.results import compare_results
 from deploy.network.provenance import read_positions
 from deploy.network.responses import compute_seconds_per_sample
-from deploy.tables import SIGNIFICANCE, list_names, p_text, plural
+from deploy.tables import SIGNIFICANCE, format_count, format_p, list_names
 from deploy.targets.registry import TARGETS
 from pipeline import look
 from pipeline.kinds import list_compared_stages, list_references
-from pipeline.results.ladder import count_confusions, ladder_rows, select_deployed_result
+from pipeline.results.ladder import count_confusions, make_rows, select_deployed_result
 from pipeline.results.report import charts, prose
 from pipeline.run.settings import PATHS, Settings
-from pipeline.stages import settings_of_network
+from pipeline.workflow import list_network_settings
 
 # Intervals of time of a small picture of a strip.
 BINS = 40
@@ -100,44 +100,44 @@ def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["p"] = p_text
-    environment.filters["percent"] = charts.percent
-    environment.filters["interval"] = prose.interval
+    environment.filters["p"] = format_p
+    environment.filters["percent"] = charts.format_percent
+    environment.filters["interval"] = prose.format_interval
     package = resources.files("pipeline.results.report")
     spec = inputs.bundle.spec
     result = inputs.deployed_result
     provenance = spec.provenance
     estimate = estimate_energy(spec, result) if result["spikes"] else None
-    layers = layer_table(inputs.bundle, inputs.plan, result, estimate)
-    groups = _groups(inputs)
+    layers = make_layer_table(inputs.bundle, inputs.plan, result, estimate)
+    groups = _group_samples(inputs)
     return environment.get_template("report.html.j2").render(
         vars(inputs),
         style=look.STYLE + package.joinpath("report.css").read_text(encoding="utf-8"),
         made=(now or datetime.datetime.now(datetime.UTC)).strftime("%Y-%m-%d %H:%M UTC"),
         package=__version__,
         **{name: provenance[name] for name in ("source", "source_sha256", "simulated")},
-        warnings=_warnings(provenance, result),
-        settings=_settings(inputs),
+        warnings=_list_warnings(provenance, result),
+        settings=_list_settings(inputs),
         seed=inputs.settings.seed,
-        verdict=verdict(inputs.results, inputs.bundle),
-        ladder=_ladder(inputs.results),
-        time=_over_time(inputs),
-        per_class=class_table(inputs),
-        matrix=_matrix(inputs),
+        verdict=make_verdict(inputs.results, inputs.bundle),
+        ladder=_make_ladder(inputs.results),
+        time=_draw_over_time(inputs),
+        per_class=make_class_table(inputs),
+        matrix=_make_confusion_matrix(inputs),
         groups=groups,
-        frequent_mistake=_frequent_mistake(groups, inputs),
-        over_time=over_time(spec),
-        stories=_stories(inputs, groups),
+        frequent_mistake=_find_frequent_mistake(groups, inputs),
+        over_time=has_time(spec),
+        stories=_make_stories(inputs, groups),
         prose=prose,
-        plural=plural,
-        curves=_learning_curves(inputs.histories),
+        format_count=format_count,
+        curves=_draw_learning_curves(inputs.histories),
         layers=layers,
         neurons_on_chip=sum(row["neurons"] or 0 for row in layers if row["name"] != "input"),
         energy=None if estimate is None else _format_energy(estimate),
     )
 
 
-def _warnings(provenance, result):
+def _list_warnings(provenance, result):
     """What is wrong with the recordings, and the classes that the check has no samples of."""
     lines = list(provenance.get("warnings", []))
     if absent := result.get("classes_without_samples"):
@@ -146,21 +146,21 @@ def _warnings(provenance, result):
     return lines
 
 
-def _settings(inputs):
+def _list_settings(inputs):
     """The settings that the bundle was made with, and the files that it was made from."""
-    files = {name: path for name in PATHS if (path := inputs.settings.value(name))}
-    values = files | settings_of_network(inputs.bundle.spec)
+    files = {name: path for name in PATHS if (path := inputs.settings.get_value(name))}
+    values = files | list_network_settings(inputs.bundle.spec)
     unset = [name for name, value in values.items() if name.endswith(".epochs") and value == 0]
     return values | dict.fromkeys(unset, "0, the default number")
 
 
-def title_of(stage: str) -> str:
+def find_title(stage: str) -> str:
     """The title of a network or target."""
     described = list_references().get(stage) or TARGETS[stage]
     return described.title
 
 
-def verdict(results: list, bundle: Bundle) -> dict:
+def make_verdict(results: list, bundle: Bundle) -> dict:
     """Compare the deployed network with its references, and count its operations.
 
     Parameters
@@ -186,7 +186,7 @@ def verdict(results: list, bundle: Bundle) -> dict:
         compared = compare_results(by_stage[name], deployed)
         against.append(
             {
-                "title": title_of(name),
+                "title": find_title(name),
                 "accuracy": by_stage[name]["accuracy"],
                 "change": -compared.accuracy_drop,
                 "p": compared.p_value,
@@ -196,35 +196,35 @@ def verdict(results: list, bundle: Bundle) -> dict:
     operations = sum(deployed["synaptic_operations"].values()) / deployed["n_samples"]
     products = sum(bundle.spec.multiply_accumulates.values())
     return {
-        "title": title_of(deployed["target"]),
+        "title": find_title(deployed["target"]),
         "against": against,
         "operations": operations or None,
         "ratio": operations / products if operations else None,
     }
 
 
-def class_table(inputs: Inputs) -> list:
-    """Recall and precision of each class in the deployed network's answers.
+def make_class_table(inputs: Inputs) -> list:
+    """Recall and precision of each class in the deployed network's predictions.
 
-    Recall is the share of a class's samples that are answered with it, and precision the share of
-    the answers with a class that are right; None where there is nothing to divide by.
+    Recall is the share of a class's samples that are predicted as it, and precision the share of
+    the predictions of a class that are right; None where there is nothing to divide by.
     """
-    matrix = _confusion(inputs)
+    matrix = _count_confusions(inputs)
     shown = matrix.sum(1)
-    answered = matrix.sum(0)
+    predicted = matrix.sum(0)
     right = np.diag(matrix)
     return [
         {
             "name": name,
             "n": int(shown[i]),
             "recall": float(right[i] / shown[i]) if shown[i] else None,
-            "precision": float(right[i] / answered[i]) if answered[i] else None,
+            "precision": float(right[i] / predicted[i]) if predicted[i] else None,
         }
         for i, name in enumerate(inputs.classes)
     ]
 
 
-def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list:
+def make_layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list:
     """Each layer: operation, output shape, weights, neurons, place, activity per sample.
 
     ``rate`` is in spikes per second and neuron, ``microjoules`` an estimate for the chip;
@@ -252,7 +252,7 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
             "shape": "x".join(map(str, np.atleast_1d(shape))),
             "weights": weights,
             "neurons": neurons,
-            "where": plural(used, "core").replace(" ", "\u00a0") if used else "host",
+            "where": format_count(used, "core").replace(" ", "\u00a0") if used else "host",
             "spikes": None if spikes is None else spikes / n,
             "rate": None if spikes is None else spikes / n / neurons / seconds,
             "operations": None if operations is None else operations / n,
@@ -274,30 +274,32 @@ def layer_table(bundle: Bundle, plan: dict, result: dict, estimate=None) -> list
     return rows
 
 
-def _ladder(results):
-    rows = ladder_rows(results)
+def _make_ladder(results):
+    rows = make_rows(results)
     lowest = np.floor(min(row["accuracy_ci95"][0] for row in rows) * 20) / 20
     for row in rows:
-        row["title"] = title_of(row["stage"])
-        row["chart"] = charts.interval(row["accuracy"], *row["accuracy_ci95"], lowest)
+        row["title"] = find_title(row["stage"])
+        row["chart"] = charts.draw_interval(row["accuracy"], *row["accuracy_ci95"], lowest)
     return {"rows": rows, "least": float(lowest), "n": results[0]["n_samples"]}
 
 
-def _over_time(inputs):
+def _draw_over_time(inputs):
     """Accuracy over the recording (events), or over the steps of the presentation (images)."""
     result = inputs.deployed_result
     n_samples = result["n_samples"]
-    times, accuracies, label = _accuracy_by_time(result, inputs.bundle.spec)
+    times, accuracies, label = _measure_accuracy_by_time(result, inputs.bundle.spec)
     if len(accuracies) < 2:
         return None
-    intervals = (wilson_interval(round(n_samples * share), n_samples) for share in accuracies)
+    intervals = (
+        compute_wilson_interval(round(n_samples * share), n_samples) for share in accuracies
+    )
     series = charts.Series(
-        title_of(result["target"]),
+        find_title(result["target"]),
         tuple(times),
         tuple(100 * share for share in accuracies),
         tuple((100 * low, 100 * high) for low, high in intervals),
     )
-    early = _early_decision(result)
+    early = _find_early_decision(result)
     points = [(times[-1], 100 * result["accuracy"], "end")]
     if early:
         points.append((100 * early["share_of_writing_mean"], 100 * early["accuracy"], "early"))
@@ -305,7 +307,7 @@ def _over_time(inputs):
     levels = [(100 * accuracy, "logistic regression") for accuracy in counts]
     middle = times[-1] / 2
     return {
-        "chart": charts.line_chart(
+        "chart": charts.draw_line_chart(
             [series], label, "accuracy, %", "Accuracy over time", 0, points, levels
         ),
         "half": accuracies[int(np.searchsorted(times, middle))] if times[0] <= middle else None,
@@ -315,7 +317,7 @@ def _over_time(inputs):
     }
 
 
-def _accuracy_by_time(result, spec):
+def _measure_accuracy_by_time(result, spec):
     """Times, the accuracy at each, and what the times are."""
     written = result.get("while_written")
     if written:
@@ -328,7 +330,7 @@ def _accuracy_by_time(result, spec):
     return times, accuracies, "milliseconds of the presentation"
 
 
-def _early_decision(result):
+def _find_early_decision(result):
     """The record of early decisions; None if the network makes none."""
     early = (result.get("while_written") or {}).get("by_itself")
     return early if early and early["confidence"] < 1 else None
@@ -341,13 +343,13 @@ def _list_predictions(inputs) -> tuple:
     return labels, [sample["prediction"] for sample in samples]
 
 
-def _confusion(inputs):
+def _count_confusions(inputs):
     return count_confusions(*_list_predictions(inputs), len(inputs.classes))
 
 
-def _matrix(inputs):
+def _make_confusion_matrix(inputs):
     """Rows of (name, cells): count, shade in percent, and whether it is on the diagonal."""
-    matrix = _confusion(inputs)
+    matrix = _count_confusions(inputs)
     if len(matrix) > MAX_MATRIX_CLASSES:
         return None
     shares = matrix / np.maximum(matrix.sum(1, keepdims=True), 1)
@@ -364,18 +366,18 @@ def _matrix(inputs):
     return rows
 
 
-def over_time(spec) -> bool:
+def has_time(spec) -> bool:
     """True if small pictures show taxels over time: of events of taxels in an unknown order."""
     return not spec.stimulus.static and spec.input_shape[0] == 1 and read_positions(spec) is None
 
 
-def _groups(inputs):
+def _group_samples(inputs):
     """Thumbnails of all samples by class and prediction, frequent mistakes first."""
     groups = defaultdict(list)
     positions = read_positions(inputs.bundle.spec)
     images = inputs.bundle.checks.inputs
     static = inputs.bundle.spec.stimulus.static
-    if over_time(inputs.bundle.spec):
+    if has_time(inputs.bundle.spec):
         starts = np.linspace(0, images.shape[1], BINS, endpoint=False).astype(int)
         images = np.add.reduceat(images.sum((2, -1)), starts, axis=1).swapaxes(1, 2)
     else:
@@ -395,7 +397,7 @@ def _groups(inputs):
             "index": index,
             "id": sample,
             "has_story": index in inputs.replays,
-            "picture": charts.thumbnail(images[index], sample, positions),
+            "picture": charts.draw_thumbnail(images[index], sample, positions),
         }
 
     described = []
@@ -405,14 +407,14 @@ def _groups(inputs):
                 "key": f"{label}-{prediction}",
                 "right": label == prediction,
                 "shown": inputs.classes[label],
-                "answered": inputs.classes[prediction],
+                "prediction": inputs.classes[prediction],
                 "samples": [describe(index) for index in groups[label, prediction]],
             }
         )
     return described
 
 
-def _frequent_mistake(groups, inputs):
+def _find_frequent_mistake(groups, inputs):
     """The most frequent mistake, if it occurs more than twice; otherwise None."""
     first = groups[0]  # wrong predictions come first, the most frequent before the others
     if first["right"] or len(first["samples"]) <= 2:
@@ -421,13 +423,13 @@ def _frequent_mistake(groups, inputs):
     word = "class " if is_number else ""
     return {
         "n": len(first["samples"]),
-        "of": int(_confusion(inputs).sum(1)[inputs.classes.index(first["shown"])]),
+        "of": int(_count_confusions(inputs).sum(1)[inputs.classes.index(first["shown"])]),
         "shown": word + first["shown"],
-        "answered": word + first["answered"],
+        "prediction": word + first["prediction"],
     }
 
 
-def _stories(inputs, groups):
+def _make_stories(inputs, groups):
     """Samples one by one: events, spikes of the layers and probabilities on one time axis."""
     pictures = {}
     for group in groups:
@@ -435,17 +437,17 @@ def _stories(inputs, groups):
     stories = []
     for index, replay in inputs.replays.items():
         sample = inputs.deployed_result["samples"][index]
-        story = _story(inputs.bundle.spec, inputs.classes, sample, replay)
+        story = _make_story(inputs.bundle.spec, inputs.classes, sample, replay)
         stories.append({"index": index, "picture": pictures[index], **story})
     return stories
 
 
-def _story(spec, classes, sample, replay):
+def _make_story(spec, classes, sample, replay):
     """What the template needs of a replayed sample, but for its picture."""
     step_ms = 1000 * spec.stimulus.step_seconds
     at_ms = (spec.presentation.readout_start + 1 + np.arange(len(replay.chances))) * step_ms
     decided_ms = at_ms[replay.decided]
-    probability = replay.chances[replay.decided, replay.answer]
+    probability = replay.chances[replay.decided, replay.prediction]
     is_early = replay.decided < len(at_ms) - 1
     label = sample["label"]
     prediction = sample["prediction"]
@@ -467,17 +469,17 @@ def _story(spec, classes, sample, replay):
         "id": sample["id"],
         "right": label == prediction,
         "shown": classes[label],
-        "answered": classes[prediction],
+        "prediction": classes[prediction],
         "probability": float(replay.chances[-1, prediction]),
-        "early": (decided_ms, classes[replay.answer], probability) if is_early else None,
-        "chart": charts.timeline(
+        "early": (decided_ms, classes[replay.prediction], probability) if is_early else None,
+        "chart": charts.draw_timeline(
             [*layers, lines],
             spec.presentation.steps * step_ms,
             "milliseconds since the start of the presentation",
             f"Spikes and probabilities over time, sample {sample['id']}",
             mark=decided_ms if is_early else None,
         ),
-        "legend": charts.legend(
+        "legend": charts.draw_legend(
             f"{curve.name} (true)" if curve.name == classes[label] else curve.name
             for curve in curves
         ),
@@ -500,7 +502,7 @@ def choose_drawn_steps(n: int) -> np.ndarray:
     return np.append(np.arange(0, n - 1, every), n - 1)
 
 
-def _learning_curves(histories):
+def _draw_learning_curves(histories):
     """Accuracy of each network on training and held-out samples."""
     prefixes = {"": "training", "val_": "held out", "test_": "some test samples, not trained on"}
     curves = []
@@ -513,15 +515,17 @@ def _learning_curves(histories):
                 percents = tuple(100 * row[column] for row in rows)
                 series.append(charts.Series(title, epochs, percents))
         if series:
-            chart = charts.line_chart(series, "epoch", "accuracy, %", f"Learning curve: {name}")
-            legend = charts.legend([curve.name for curve in series])
+            chart = charts.draw_line_chart(
+                series, "epoch", "accuracy, %", f"Learning curve: {name}"
+            )
+            legend = charts.draw_legend([curve.name for curve in series])
             curves.append({"title": name, "chart": chart, "legend": legend})
     return curves
 
 
 def _format_energy(estimate):
     return {
-        "loihi": joules_text(estimate.chip_joules),
+        "loihi": format_joules(estimate.chip_joules),
         "share_of_updates": estimate.share_of_updates,
-        **{device: joules_text(estimate.cnn_joules(device)) for device in MAC},
+        **{device: format_joules(estimate.estimate_cnn_joules(device)) for device in MAC},
     }

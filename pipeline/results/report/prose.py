@@ -2,69 +2,70 @@
 
 from markupsafe import Markup, escape
 
-from deploy.tables import p_text
+from deploy.tables import format_p
 from deploy.targets.registry import TARGETS
 from pipeline.kinds import list_references
-from pipeline.results.report.charts import percent
+from pipeline.results.report.charts import format_percent
 
 # Highest probability that is printed: none is certain.
 MAX_PROBABILITY = 0.999
 
 
-def points(change: float) -> str:
+def format_points(change: float) -> str:
     """A difference of accuracies in points, with its sign, such as ``"−0.5"``."""
     return f"{100 * change + 0.0:+.1f}".replace("-", "−")
 
 
-def p_value(p: float) -> Markup:
+def format_p_value(p: float) -> Markup:
     """The p value of a test, such as ``"p = 0.03"`` or ``"p < 0.001"``, without a line break."""
     sign = "=&nbsp;" if p >= 0.001 else ""
-    return Markup(f"p&nbsp;{sign}") + escape(p_text(p))
+    return Markup(f"p&nbsp;{sign}") + escape(format_p(p))
 
 
-def interval(bounds) -> str:
+def format_interval(bounds) -> str:
     """A 95 % interval in percent."""
     low, high = bounds
-    return f"{percent(low)} to {percent(high)}"
+    return f"{format_percent(low)} to {format_percent(high)}"
 
 
-def stage_note(stage: str) -> str:
+def find_stage_note(stage: str) -> str:
     """What a stage of the ladder is, in a few words."""
     described = list_references().get(stage) or TARGETS[stage]
     return described.note or described.title
 
 
-def verdict_text(verdict: dict, result: dict, plan: dict, simulated: bool) -> Markup:
+def describe_verdict(verdict: dict, result: dict, plan: dict, simulated: bool) -> Markup:
     """The accuracy of the deployed network, compared with its references."""
     what = "simulated test samples" if simulated else "test samples"
+    accuracy = format_percent(result["accuracy"])
     sentences = [
-        escape(
-            f"{verdict['title']}: {percent(result['accuracy'])} of {result['n_samples']} {what} "
-            "are right."
-        )
+        escape(f"{verdict['title']}: {accuracy} of {result['n_samples']} {what} are right.")
     ]
     for other in verdict["against"]:
         difference = "no significant difference"
         if other["significant"]:
             difference = f"significantly {'less' if other['change'] > 0 else 'more'}"
-        begin = f"{other['title']}: {percent(other['accuracy'])}, {difference} ("
-        sentences.append(escape(begin) + p_value(other["p"]) + ").")
+        begin = f"{other['title']}: {format_percent(other['accuracy'])}, {difference} ("
+        sentences.append(escape(begin) + format_p_value(other["p"]) + ").")
     if not plan["fits"]:
         sentences.append(Markup("It does not fit on the chip."))
     return Markup(" ").join(sentences)
 
 
-def losses_text(verdict: dict) -> Markup:
+def describe_losses(verdict: dict) -> Markup:
     """The loss from each reference to the deployed network."""
     return Markup(" ").join(
-        escape(f"From {other['title']} to {verdict['title']}: {points(other['change'])} points, ")
-        + p_value(other["p"])
+        escape(
+            f"From {other['title']} to {verdict['title']}: "
+            f"{format_points(other['change'])} points, "
+        )
+        + format_p_value(other["p"])
         + "."
         for other in verdict["against"]
     )
 
 
-def ladder_text(ladder: dict) -> str:
+def describe_ladder(ladder: dict) -> str:
     """What the rows and columns of the ladder are."""
     baseline = ""
     if ladder["rows"][0]["stage"] == "counts":
@@ -72,7 +73,7 @@ def ladder_text(ladder: dict) -> str:
     return f"Each stage predicts the same {ladder['n']} test samples.{baseline}"
 
 
-def stories_text(groups: list, stories: list, time: dict | None, has_estimator: bool) -> str:
+def describe_stories(groups: list, stories: list, time: dict | None, has_estimator: bool) -> str:
     """Which samples are shown over time, and what their panels are."""
     n_wrong = sum(len(group["samples"]) for group in groups if not group["right"])
     n_shown = sum(not story["right"] for story in stories)
@@ -94,11 +95,11 @@ def stories_text(groups: list, stories: list, time: dict | None, has_estimator: 
     return " ".join(sentences)
 
 
-def story_text(story: dict, n_classes: int) -> str:
+def describe_story(story: dict, n_classes: int) -> str:
     """A sample's name, its probability at the end, and its early decision."""
     chance = "no better than a guess"
     if story["probability"] * n_classes >= 1.01:
-        chance = percent(min(story["probability"], MAX_PROBABILITY))
+        chance = format_percent(min(story["probability"], MAX_PROBABILITY))
     text = f"{story['id']}, {chance} at the end"
     if not story["early"]:
         return text
@@ -106,26 +107,28 @@ def story_text(story: dict, n_classes: int) -> str:
     is_right = "right" if prediction == story["shown"] else "wrong"
     return (
         f"{text}; early decision after {at_ms:.0f} ms (line): {prediction}, {is_right}, "
-        f"{percent(min(probability, MAX_PROBABILITY))}"
+        f"{format_percent(min(probability, MAX_PROBABILITY))}"
     )
 
 
-def time_text(time: dict, accuracy: float) -> str:
+def describe_time(time: dict, accuracy: float) -> str:
     """How accurate early decisions are, and what half of a recording tells."""
     sentences = []
     early = time["early"]
     if early:
+        share = format_percent(early["share_of_writing_mean"])
         sentences.append(
             f"{time['name']} decides early when its confidence reaches "
-            f"{percent(early['confidence'])}: after {percent(early['share_of_writing_mean'])} of "
-            f"the recording on average, {percent(early['accuracy'])} right "
-            f"({interval(early['accuracy_ci95'])})."
+            f"{format_percent(early['confidence'])}: after {share} of "
+            f"the recording on average, {format_percent(early['accuracy'])} right "
+            f"({format_interval(early['accuracy_ci95'])})."
         )
     if time["half"] is not None:
         whole = "recording" if time["on_events"] else "presentation"
+        half = format_percent(time["half"])
         sentences.append(
-            f"If the prediction were read after half of the {whole}, {percent(time['half'])} would "
-            f"be right; at the end of the presentation it is {percent(accuracy)}."
+            f"If the prediction were read after half of the {whole}, {half} would "
+            f"be right; at the end of the presentation it is {format_percent(accuracy)}."
         )
     if time["on_events"]:
         sentences.append("At 100 %, the last event, some spikes have not reached the output.")
@@ -134,7 +137,7 @@ def time_text(time: dict, accuracy: float) -> str:
     return " ".join(sentences)
 
 
-def time_caption(time: dict, has_counts: bool) -> str:
+def describe_time_axis(time: dict, has_counts: bool) -> str:
     """What the curve, the dots and the dashed line of accuracy over time are."""
     dots = "Dot: end of the presentation"
     if time["early"]:
@@ -146,9 +149,9 @@ def time_caption(time: dict, has_counts: bool) -> str:
     )
 
 
-def other_text(result: dict) -> Markup:
+def describe_result_on_others(result: dict) -> Markup:
     """The target, the interval and the warnings of a check on other recordings."""
-    text = escape(f"{result['target']}, {interval(result['accuracy_ci95'])}")
+    text = escape(f"{result['target']}, {format_interval(result['accuracy_ci95'])}")
     if result["simulated"]:
         text += "; simulated recordings"
     data = result["data"]
@@ -164,7 +167,7 @@ def other_text(result: dict) -> Markup:
     return text
 
 
-def energy_text(energy: dict) -> Markup:
+def describe_energy(energy: dict) -> Markup:
     """The estimate of energy, and what it is made of."""
     return Markup(
         "Energy is an <strong>estimate</strong> from published energies per operation: "
@@ -174,7 +177,7 @@ def energy_text(energy: dict) -> Markup:
         "the host, spikes to and from the chip and memory traffic are left out."
     ).format(
         loihi=energy["loihi"].replace("u", "µ"),
-        share=percent(energy["share_of_updates"]),
+        share=format_percent(energy["share_of_updates"]),
         cpu=energy["cpu"].replace("u", "µ"),
         gpu=energy["gpu"].replace("u", "µ"),
     )

@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.check.bundle import Bundle
-from deploy.network.decision import confidence, decide, probabilities
+from deploy.network.decision import compute_confidence, compute_probabilities, decide
 from deploy.network.responses import compute_running_sums, select_readout
 from deploy.targets.fast import Emulation
 
-# Number of classes whose probability is drawn: decision, answer at the end, the right one, rivals.
+# Number of classes whose probability is drawn: the decision, the prediction at the end, the right
+# one, and rivals.
 SHOWN_CLASSES = 4
 
 
@@ -43,14 +44,14 @@ class Replay:
     layers : tuple of Spikes
     chances : ndarray of float, shape (steps - readout_start, classes)
         Probabilities of the classes at each step; the largest is the confidence.
-    decided, answer : int
+    decided, prediction : int
         Index in ``chances`` of the decision, the last one if none is early, and its class.
     """
 
     layers: tuple
     chances: np.ndarray
     decided: int
-    answer: int
+    prediction: int
 
     def choose_classes(self, label: int) -> list:
         """The classes whose probability is drawn, for a sample of a class."""
@@ -98,12 +99,12 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
     presentation = spec.presentation
     sizes = {"input": int(np.prod(spec.input_shape))}
     sizes |= {layer.name: layer.size for layer in spec.layers}
-    for stream in presentation.streams(len(bundle.checks)):
+    for stream in presentation.list_streams(len(bundle.checks)):
         here = sorted(chosen & set(range(stream.start, stream.stop)))
         if not here:
             continue
         packed: list[dict] = []
-        samples = spec.stimulus.flat(bundle.checks.inputs[stream.start : here[-1] + 1])
+        samples = spec.stimulus.flatten(bundle.checks.inputs[stream.start : here[-1] + 1])
         samples = np.asarray(samples)[None]
         output = emulation.run(samples, packed.append).output[0]
         sums = compute_running_sums(spec, select_readout(spec, output[:, presentation.gap :]))
@@ -111,13 +112,15 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         decided, predictions = decide(sums, limit, spec.estimator, presentation.readout_start)
         if spec.stimulus.static and limit == 1:  # trained on means, without a threshold for sums
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
-        chances = probabilities(sums, confidence(sums, spec.estimator, presentation.readout_start))
+        chances = compute_probabilities(
+            sums, compute_confidence(sums, spec.estimator, presentation.readout_start)
+        )
         for index in here:
             layers = []
             for name in spec.spiking_layers:
                 bits = packed[index - stream.start][name][0, presentation.gap :]
                 steps, neurons = np.nonzero(np.unpackbits(bits, axis=1, count=sizes[name]))
-                layers.append(_spikes(spec, name, sizes[name], steps, neurons))
+                layers.append(_draw_layer_spikes(spec, name, sizes[name], steps, neurons))
             at = index - stream.start
             replays[index] = Replay(
                 tuple(layers), chances[at], int(decided[at]), int(predictions[at])
@@ -127,7 +130,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
     return {index: replays[index] for index in indices}
 
 
-def _spikes(spec, name, size, steps, neurons):
+def _draw_layer_spikes(spec, name, size, steps, neurons):
     if name != "input" or spec.stimulus.static:
         return Spikes(name, "neurons", size, (("s1", steps, neurons),))
     taxels = neurons // 2

@@ -7,6 +7,7 @@ from pipeline.run.settings.schema import (
     AUTOMATIC_AT_0,
     CNN,
     IMPORTED,
+    INPUTS,
     KEPT_IF_USERS,
     NIR,
     NORMALISATIONS,
@@ -26,12 +27,12 @@ from pipeline.run.settings.schema import (
     SkinSize,
     SplitShares,
     UndeclaredSetting,
+    find_value,
+    list_names_in,
     merge_values,
-    names_in,
     put,
-    value_in,
 )
-from pipeline.run.settings.text import describe, parse_assignments, settings_text
+from pipeline.run.settings.text import describe, format_settings, parse_assignments
 from pipeline.run.settings.toml import read_own_settings, read_settings, write_settings
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "AUTOMATIC_AT_0",
     "CNN",
     "IMPORTED",
+    "INPUTS",
     "KEPT_IF_USERS",
     "NIR",
     "NORMALISATIONS",
@@ -63,14 +65,14 @@ __all__ = [
     "UndeclaredSetting",
     "apply_choices",
     "describe",
+    "find_value",
+    "format_settings",
+    "list_names_in",
     "list_reasons",
     "merge_values",
-    "names_in",
     "parse_assignments",
     "put",
     "read_own_settings",
     "read_settings",
-    "settings_text",
-    "value_in",
     "write_settings",
 ]

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.loading import Limit, WrongValue, between, load, one_of
+from deploy.loading import Limit, WrongValue, between, key_of, load, one_of
 from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import NotationError, parse
@@ -28,6 +28,9 @@ AUGMENTATIONS = ("auto", "time", "slight", "space", "none")
 SNN_RECIPES = ("loihi", "paper", "as-is")
 # The name of the built-in recordings.
 SIMULATED = "simulated"
+# Values of ``input.kind``, each with the sort of samples that networks get: images, or frames of
+# events.  :func:`pipeline.kinds.register_kind` adds those of another kind of network.
+INPUTS = {"image": "images", "slices": "images", "events": "frames"}
 NORMALISATIONS = ("max", "sum", "sqrt-max", "sqrt-clip", "none")
 
 
@@ -73,7 +76,7 @@ class _DeclaredProvenance(dict):
 
 
 class SettingsGroup:
-    """Base of the settings and their groups; see :meth:`Settings.only`."""
+    """Base of the settings and their groups; see :meth:`Settings.select`."""
 
     def __getattribute__(self, name):
         value = object.__getattribute__(self, name)
@@ -146,7 +149,7 @@ class Input(SettingsGroup):
     #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``slices``:
     #: the same with an image for each of several slices of time and each polarity, all at once,
     #: which tells the order of events; ``events``: the sensor's events.
-    kind: Annotated[str, one_of("image", "slices", "events")] = "image"
+    kind: Annotated[str, key_of(INPUTS)] = "image"
     #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
     step: Annotated[float, STEP] = 10.0
     #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
@@ -283,7 +286,7 @@ class SNN(SettingsGroup):
         """True if the rate-based network has the chip's rates and 8-bit weights."""
         return self.recipe != "paper"
 
-    def max_rate(self, index: int) -> float:
+    def get_max_rate(self, index: int) -> float:
         """The maximum rate of layer of neurons ``index``, counted from 0."""
         return self.max_rates[min(index, len(self.max_rates) - 1)]
 
@@ -460,11 +463,15 @@ class Settings(SettingsGroup):
                 settings = replace(settings, data=replace(settings.data, source=source))
             _check_relations(settings)
             for file, content in IMPORTED.items():
-                if self.value(file) and settings.value(content) and not settings.value(file):
+                if (
+                    self.get_value(file)
+                    and settings.get_value(content)
+                    and not settings.get_value(file)
+                ):
                     raise WrongValue(file, "must be kept; train others in a new RUN")
         except WrongValue as error:
-            raise UserError(f"{origin}: {error}{_suggestion(error)}") from error
-        named = [name for name in self.flat() if value_in(changes, name) is not None]
+            raise UserError(f"{origin}: {error}{_suggest_name(error)}") from error
+        named = [name for name in self.flatten() if find_value(changes, name) is not None]
         return settings.with_provenance(self.provenance | dict.fromkeys(named, provenance))
 
     def with_named_values(
@@ -482,33 +489,33 @@ class Settings(SettingsGroup):
         object.__setattr__(settings, "provenance", provenance)
         return settings
 
-    def provenance_of(self, name: str) -> Provenance:
+    def find_provenance(self, name: str) -> Provenance:
         """Where the value of a setting comes from.
 
         A value that is not the default is the user's unless it was chosen: the user may have
         edited the file of the settings.
         """
-        is_default = self.value(name) == default_of(name)
+        is_default = self.get_value(name) == find_default(name)
         if is_default and name in CHOSEN_AT_DEFAULT:
             return Provenance.DEFAULT
         return self.provenance.get(name, Provenance.DEFAULT if is_default else Provenance.USER)
 
-    def names_of(self, provenance: Provenance) -> tuple:
+    def list_names(self, provenance: Provenance) -> tuple:
         """Dotted names of the settings whose values have this provenance."""
-        return tuple(name for name in self.flat() if self.provenance_of(name) is provenance)
+        return tuple(name for name in self.flatten() if self.find_provenance(name) is provenance)
 
     def is_users(self, name: str) -> bool:
         """True if the value of a setting is the user's, so that no rule may replace it."""
-        return self.provenance_of(name) is Provenance.USER
+        return self.find_provenance(name) is Provenance.USER
 
     def is_open(self, name: str) -> bool:
         """True if a setting was neither set nor chosen, so that it may be chosen."""
-        return self.provenance_of(name) is Provenance.DEFAULT
+        return self.find_provenance(name) is Provenance.DEFAULT
 
     def without_choices(self) -> Settings:
         """What the user has set: values that were chosen for recordings have their defaults."""
-        names = self.names_of(Provenance.CHOSEN)
-        defaults = {name: default_of(name) for name in names}
+        names = self.list_names(Provenance.CHOSEN)
+        defaults = {name: find_default(name) for name in names}
         return self.with_named_values(defaults, provenance=Provenance.DEFAULT)
 
     def make_presentation(self, confidence: float | None = None) -> Presentation:
@@ -552,13 +559,13 @@ class Settings(SettingsGroup):
     @property
     def on_events(self) -> bool:
         """True if the input of the chip is events, not images."""
-        return self.input.kind == "events"
+        return INPUTS[self.input.kind] == "frames"
 
-    def value(self, name: str):
+    def get_value(self, name: str):
         """The value of a setting by its dotted name, such as ``"cnn.epochs"``."""
         return functools.reduce(getattr, name.split("."), self)
 
-    def only(self, names) -> Settings:
+    def select(self, names) -> Settings:
         """Only the named settings; reading any other raises `UndeclaredSetting`.
 
         Parameters
@@ -567,7 +574,7 @@ class Settings(SettingsGroup):
             Dotted names.  :data:`PATHS` remain readable too.
         """
         names = {*names, *PATHS}
-        declared = {name: self.provenance_of(name) for name in KEPT_IF_USERS if name in names}
+        declared = {name: self.find_provenance(name) for name in KEPT_IF_USERS if name in names}
         view = _restrict(self, names, "")
         return view.with_provenance(_DeclaredProvenance(declared))
 
@@ -575,15 +582,15 @@ class Settings(SettingsGroup):
         """The settings as plain values."""
         return {name: value for name, value in asdict(self).items() if name != "provenance"}
 
-    def flat(self) -> dict:
+    def flatten(self) -> dict:
         """Values by their dotted names, as ``--set`` takes them."""
-        return {name: getattr(section, entry) for name, section, entry in entries_of(self)}
+        return {name: getattr(section, entry) for name, section, entry in list_entries(self)}
 
 
 @functools.cache
-def default_of(name: str):
+def find_default(name: str):
     """The default of a setting by its dotted name."""
-    return Settings().value(name)
+    return Settings().get_value(name)
 
 
 def put(values: dict, name: str, value, origin: str):
@@ -616,7 +623,7 @@ def put(values: dict, name: str, value, origin: str):
     values[last] = value
 
 
-def value_in(values: dict, name: str):
+def find_value(values: dict, name: str):
     """A value of nested ones by its dotted name, or None."""
     value: Any = values
     for key in name.split("."):
@@ -634,10 +641,10 @@ def merge_values(old: dict, changes: dict) -> dict:
     }
 
 
-def _suggestion(error):
+def _suggest_name(error):
     """The known name that is most similar to an unknown one."""
     unknown = error.problem == "is unknown"
-    near = difflib.get_close_matches(error.name, Settings().flat(), n=1) if unknown else []
+    near = difflib.get_close_matches(error.name, Settings().flatten(), n=1) if unknown else []
     return f" (did you mean {near[0]!r}?)" if near else ""
 
 
@@ -653,20 +660,20 @@ def _restrict(section, kept, prefix):
     return view
 
 
-def names_in(section: str) -> tuple:
+def list_names_in(section: str) -> tuple:
     """Dotted names of the settings of a section, or the name itself if it is a setting's."""
     value = functools.reduce(getattr, section.split("."), Settings())
     if not isinstance(value, SettingsGroup):
         return (section,)
-    return tuple(name for name, _, _ in entries_of(value, f"{section}."))
+    return tuple(name for name, _, _ in list_entries(value, f"{section}."))
 
 
-def entries_of(settings, prefix=""):
+def list_entries(settings, prefix=""):
     """(dotted name, section that has it, name there) of every setting."""
     for entry in (entry for entry in fields(settings) if entry.init):
         value = getattr(settings, entry.name)
         if hasattr(value, "__dataclass_fields__"):
-            yield from entries_of(value, f"{prefix}{entry.name}.")
+            yield from list_entries(value, f"{prefix}{entry.name}.")
         else:
             yield prefix + entry.name, settings, entry.name
 
@@ -703,14 +710,14 @@ def _check_relations(s: Settings):
     )
     for file, content in IMPORTED.items():
         given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
-        require(s.value(content) or not s.value(file), file, given)
+        require(s.get_value(content) or not s.get_value(file), file, given)
     require(
         1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3,
         "snn.max_rates",
         f"1 to {n_spiking} rates above 0, one per layer of neurons",
     )
     for name in ("events.tau_u_ms", "events.tau_v_ms"):
-        taus = s.value(name)
+        taus = s.get_value(name)
         require(
             1 <= len(taus) <= len(layers) - 1 and min(taus) > 0 and max(taus) <= MAX_TAU_MS,
             name,

@@ -9,15 +9,15 @@ import textwrap
 import tomllib
 
 from deploy.errors import UserError
-from pipeline.run.settings.schema import Settings, entries_of, put
-from pipeline.run.settings.toml import toml_text
+from pipeline.run.settings.schema import Settings, list_entries, put
+from pipeline.run.settings.toml import format_toml
 
 
 def describe(settings: Settings) -> list:
     """Every setting: a dict of ``name``, ``value``, ``default``, ``meaning`` and ``section``."""
-    defaults = Settings().flat()
-    entries = list(entries_of(settings))
-    meanings = {type(section): _meanings(type(section)) for _, section, _ in entries}
+    defaults = Settings().flatten()
+    entries = list(list_entries(settings))
+    meanings = {type(section): _read_meanings(type(section)) for _, section, _ in entries}
     return [
         {
             "name": name,
@@ -30,7 +30,7 @@ def describe(settings: Settings) -> list:
     ]
 
 
-def settings_text(described: list, width: int = 80) -> str:
+def format_settings(described: list, width: int = 80) -> str:
     """The result of :func:`describe` as text; a star marks values that are not the default."""
     lines = []
     section = None
@@ -38,8 +38,8 @@ def settings_text(described: list, width: int = 80) -> str:
         if row["section"] != section:
             section = row["section"]
             lines += ["", f"# {section}"]
-        value = toml_text(row["value"])
-        default = toml_text(row["default"])
+        value = format_toml(row["value"])
+        default = format_toml(row["default"])
         star, otherwise = ("*", f"  (default {default})") if value != default else (" ", "")
         lines.append(f"{star} {row['name']} = {value}{otherwise}")
         text = textwrap.fill(row["meaning"], width - 6, break_on_hyphens=False)
@@ -72,7 +72,7 @@ def parse_assignments(assignments) -> dict:
             value = tomllib.loads(f"value = {text}")["value"]
         except (ValueError, RecursionError):
             value = text.strip()
-        default = Settings().flat().get(name.strip())
+        default = Settings().flatten().get(name.strip())
         if isinstance(default, tuple) and not isinstance(value, list):
             value = [value]
         elif isinstance(default, str) and not isinstance(value, str):
@@ -81,7 +81,7 @@ def parse_assignments(assignments) -> dict:
     return values
 
 
-def _meanings(section: type) -> dict:
+def _read_meanings(section: type) -> dict:
     """The comment above each entry of a section, in one line and without its markup."""
     meanings = {}
     words = []

@@ -27,10 +27,10 @@ def read_settings(path) -> Settings:
     values, chosen, given = _read(path)
     settings = Settings().with_values(values, str(path))
     if given is None:
-        given = [] if chosen else settings.names_of(Provenance.USER)
+        given = [] if chosen else settings.list_names(Provenance.USER)
     provenance = dict.fromkeys(given, Provenance.USER)
     for name, value in chosen.items():
-        is_edited = _without_lists(value) != _without_lists(settings.value(name))
+        is_edited = _without_lists(value) != _without_lists(settings.get_value(name))
         provenance[name] = Provenance.USER if is_edited else Provenance.CHOSEN
     return settings.with_provenance(provenance)
 
@@ -64,7 +64,7 @@ def _read(path):
     chosen = values.pop("chosen", {})
     given = values.pop("given", None)
     for name, kind, named in (("chosen", dict, chosen), ("given", list, given or [])):
-        if not isinstance(named, kind) or not {*map(str, named)} <= Settings().flat().keys():
+        if not isinstance(named, kind) or not {*map(str, named)} <= Settings().flatten().keys():
             raise UserError(
                 f"{path}: {name!r} lists something that is not a setting; delete that line"
             )
@@ -80,25 +80,25 @@ def write_settings(path, settings: Settings):
     settings : Settings
     """
     sections = settings.to_json()
-    names = settings.names_of(Provenance.CHOSEN)
-    chosen = [f'"{name}" = {toml_text(settings.value(name))}' for name in names]
-    given = toml_text(settings.names_of(Provenance.USER))
+    names = settings.list_names(Provenance.CHOSEN)
+    chosen = [f'"{name}" = {format_toml(settings.get_value(name))}' for name in names]
+    given = format_toml(settings.list_names(Provenance.USER))
     lines = ["# Every setting of this experiment; 'stmnist settings' lists their meanings."]
     if chosen:
         lines += ["# Chosen for the recordings, and again if these change; edit the values below:"]
         lines += [f"chosen = {{{', '.join(chosen)}}}", ""]
     lines += ["# Set by the user, and therefore never chosen:", f"given = {given}", ""]
-    lines += [f"{k} = {toml_text(v)}" for k, v in sections.items() if not isinstance(v, dict)]
+    lines += [f"{k} = {format_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):
-            lines += ["", f"[{name}]", *(f"{k} = {toml_text(v)}" for k, v in section.items())]
+            lines += ["", f"[{name}]", *(f"{k} = {format_toml(v)}" for k, v in section.items())]
     with replacing(path, "w") as file:
         file.write("\n".join(lines) + "\n")
 
 
-def toml_text(value) -> str:
+def format_toml(value) -> str:
     """The value of a setting as TOML writes it."""
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(toml_text, value)) + "]"
+        return "[" + ", ".join(map(format_toml, value)) + "]"
     # TOML's text, numbers and booleans are JSON's, except for one character that TOML escapes.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -64,7 +64,7 @@ def train_epochs(
     """
     history = [] if checkpoint is None else _resume(checkpoint, state, epochs)
     if advance is not None and history:
-        advance(len(history), _note(history))
+        advance(len(history), _make_note(history))
     for epoch in range(len(history), epochs):
         begun = time.perf_counter()
         row = {"epoch": epoch + 1, **train(epoch), "seconds": time.perf_counter() - begun}
@@ -72,7 +72,7 @@ def train_epochs(
         if checkpoint is not None:
             _store(checkpoint, state, history)
         if advance is not None:
-            advance(1, _note(history))
+            advance(1, _make_note(history))
     return history
 
 
@@ -97,7 +97,7 @@ def _resume(checkpoint, state, epochs):
             return []
         if [row["epoch"] for row in history] != list(range(1, len(history) + 1)):
             raise ValueError("epochs that do not follow each other")
-        _note(history)
+        _make_note(history)
         for name, variable in state.items():
             if isinstance(variable, np.ndarray):
                 variable[...] = kept[name]
@@ -106,5 +106,5 @@ def _resume(checkpoint, state, epochs):
         return history
 
 
-def _note(history):
+def _make_note(history):
     return f"accuracy {history[-1]['accuracy']:.3f}" if history else ""

@@ -13,7 +13,7 @@ from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.steps import EventTable, SpikeLimits, make_spike_frames
 from pipeline.run.settings import EventTraining, Input, Settings
-from pipeline.training.event_rules import epochs_for
+from pipeline.training.event_rules import choose_epochs
 
 # Shares of the training samples with hot and with dead taxels. On ST-MNIST a quarter of each cost
 # 1.4 points without faults; with none, one hot taxel cost 6. With a twentieth it costs 3.5.
@@ -40,7 +40,7 @@ class EventDesign:
     starts : tuple of int
         First step of each section of a sample.
     epochs, batch_size : int
-        0 epochs: as many as :func:`pipeline.training.event_rules.epochs_for` says.
+        0 epochs: as many as :func:`pipeline.training.event_rules.choose_epochs` says.
     learning_rate : float
         Learning rate of Adam after a short warm-up; it then falls to 0 along a half cosine.
     average : float
@@ -103,11 +103,11 @@ class EventDesign:
         del values["parts"], values["part"], values["size"]
         return cls(**values, alteration=how)
 
-    def for_samples(self, samples: int) -> EventDesign:
+    def with_epochs_for(self, samples: int) -> EventDesign:
         """The design with its number of epochs, for some number of training samples."""
         if self.epochs:
             return self
-        return replace(self, epochs=epochs_for(samples, self.batch_size))
+        return replace(self, epochs=choose_epochs(samples, self.batch_size))
 
     @property
     def stimulus(self) -> EventFrames:
@@ -124,6 +124,6 @@ class EventDesign:
             beta=self.beta,
         )
 
-    def network(self, seed: int = 0) -> SpikingNetwork:
+    def make_network(self, seed: int = 0) -> SpikingNetwork:
         """The network with its initial weights."""
         return SpikingNetwork(parse(self.architecture), self.neuron, seed, self.starts)

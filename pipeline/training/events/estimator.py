@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from deploy.network.decision import HIDDEN, Estimator, estimator_inputs
+from deploy.network.decision import HIDDEN, Estimator, make_estimator_inputs
 from models.keras.keras2 import tf
 
 # Hyperparameters of the training.
@@ -39,7 +39,7 @@ def train_estimator(outputs, right, seed: int) -> Estimator:
     """
     right = np.concatenate(right).astype(np.float32)
     inputs, middle, spread = _scale_inputs(outputs)
-    model, untouched = _estimator_model(inputs.shape[1])
+    model, untouched = _make_model(inputs.shape[1])
     for variable, value in zip(model.optimizer.variables, untouched, strict=True):
         variable.assign(value)
     for index, layer in enumerate(model.layers):
@@ -71,7 +71,7 @@ def _scale_inputs(outputs):
     for sample in outputs:
         begin = end
         end = end + len(sample)
-        inputs[begin:end] = (estimator_inputs(sample) - middle) / spread
+        inputs[begin:end] = (make_estimator_inputs(sample) - middle) / spread
     return inputs, middle, spread
 
 
@@ -79,13 +79,13 @@ def _sum_rows(outputs, values):
     """The sum over all steps, added in their order as by :func:`numpy.sum` of all at once."""
     total = None
     for sample in outputs:
-        rows = values(estimator_inputs(sample))
+        rows = values(make_estimator_inputs(sample))
         total = np.sum(rows if total is None else np.vstack([total, rows]), axis=0)
     return total
 
 
 @functools.lru_cache(maxsize=1)
-def _estimator_model(inputs):
+def _make_model(inputs):
     """A model and the initial values of its optimiser, reused with new initial weights.
 
     All trainings of a process share it because tracing its training step takes a second.

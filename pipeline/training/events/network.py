@@ -91,7 +91,7 @@ class TrainedOnEvents:
             weights=np.repeat([1, 1 / COPIES], [len(held_out), len(often)]),
         )
 
-    def logits(self, frames) -> np.ndarray:
+    def compute_logits(self, frames) -> np.ndarray:
         """Outputs at the last step, delayed as on the chip, shape (n_samples, classes)."""
         return delay_as_on_chip(self.run_on_frames(frames).outputs, self.design)[:, -1]
 
@@ -136,7 +136,7 @@ def run_on_frames(design: EventDesign, weights: dict, frames, advance=None) -> N
     """
     network = build_network(design, weights)
     run = _compile(design)
-    values = _now(network.variables_by_name)
+    values = _read_values(network.variables_by_name)
     by_batch = []
     for start in range(0, len(frames), 100):
         batch = frames[start : start + 100]
@@ -153,7 +153,7 @@ def run_on_frames(design: EventDesign, weights: dict, frames, advance=None) -> N
 
 def build_network(design: EventDesign, weights: dict) -> SpikingNetwork:
     """The network of a design with trained weights."""
-    network = design.network()
+    network = design.make_network()
     network.set_weights(weights)
     return network
 
@@ -187,7 +187,7 @@ def _compile_network(architecture, neuron, starts):
         name: tf.TensorSpec(v.shape, v.dtype) for name, v in network.variables_by_name.items()
     }
 
-    @tf.function(autograph=False, input_signature=(_frames_of(network), variables))
+    @tf.function(autograph=False, input_signature=(_make_frames_signature(network), variables))
     def run(frames, values):
         outputs, spikes = network(frames, dtype=tf.float64, values=values)
         costs = count_operations(network.architecture, frames, spikes)
@@ -196,11 +196,11 @@ def _compile_network(architecture, neuron, starts):
     return run
 
 
-def _frames_of(network):
+def _make_frames_signature(network):
     """A tensor specification of frames with any number of steps, so that tracing occurs once."""
     return tf.TensorSpec((None, None, *network.architecture.input_shape), tf.uint8)
 
 
-def _now(variables):
+def _read_values(variables):
     """Current values of the variables, for :func:`_compile`."""
     return {name: tf.convert_to_tensor(variable) for name, variable in variables.items()}

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deploy.arithmetic import ceil_div
+from deploy.arithmetic import divide_up
 from deploy.errors import UserError
 from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
@@ -82,7 +82,7 @@ def train_events(  # noqa: PLR0913 - the last three have defaults; callers name 
     """
     make_deterministic(seed)  # of the estimator
     train = np.asarray(train)
-    design = design.for_samples(len(train))
+    design = design.with_epochs_for(len(train))
     train = train[np.diff(table.offsets)[train] > 0]
     if not len(train):
         raise UserError("no training sample has an event; give other recordings")
@@ -92,9 +92,9 @@ def train_events(  # noqa: PLR0913 - the last three have defaults; callers name 
         history = train_epochs(
             trainer.train_epoch, design.epochs, trainer.state, checkpoint, watch, advance
         )
-        outputs, right = trainer.outputs_in_time(_choose_some(train, seed))
+        outputs, right = trainer.compute_outputs_in_time(_choose_some(train, seed))
     estimator = train_estimator(outputs, right, seed)
-    return TrainedOnEvents(design, {**trainer.weights, **estimator.arrays()}, history)
+    return TrainedOnEvents(design, {**trainer.weights, **estimator.to_arrays()}, history)
 
 
 def _choose_some(train, seed):
@@ -120,8 +120,8 @@ class Trainer:
         self.labels = labels
         self.train = train
         self.seed = seed
-        self.batches = ceil_div(len(train), design.batch_size)
-        self._network = design.network(seed)
+        self.batches = divide_up(len(train), design.batch_size)
+        self._network = design.make_network(seed)
         self._gradient = SpikingGradient(parse(design.architecture), design.neuron, design.starts)
         variables = self._network.variables_by_name.items()
         values = {name: variable.numpy() for name, variable in variables}
@@ -144,7 +144,7 @@ class Trainer:
         """Train for one epoch, counted from 0; returns the epoch's row of the history."""
         rng = np.random.default_rng([self.seed, epoch, 0xE7E])
         sums = np.zeros(3)
-        for index, batch in enumerate(self._batches(rng)):
+        for index, batch in enumerate(self._draw_batches(rng)):
             sums += self._train_on(batch, rng, epoch * self.batches + index)
         self.table.release()
         loss, accuracy, cost = sums / self.batches
@@ -154,13 +154,13 @@ class Trainer:
         """Accuracy and operations on samples without augmentation, for the history."""
         right = []
         costs = []
-        for some, _, outputs, cost in self._outputs(indices, self._frames):
+        for some, _, outputs, cost in self._compute_outputs(indices, self._make_frames):
             right.append(outputs[:, -1].argmax(-1) == self.labels[some])
             costs.append(cost)
         cost = float(np.concatenate(costs).mean()) / CNN_MACS
         return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
 
-    def outputs_in_time(self, indices) -> tuple:
+    def compute_outputs_in_time(self, indices) -> tuple:
         """Delayed outputs up to the effect of the last event, and whether they are right.
 
         Each sample is used without augmentation and once augmented.  The network overfits the
@@ -174,8 +174,8 @@ class Trainer:
         rng = np.random.default_rng([self.seed, 0x10D6E])
         every = []
         right = []
-        for frames_of in (self._frames, lambda some: self._alter(some, rng)[0]):
-            for some, frames, outputs, _ in self._outputs(indices, frames_of):
+        for frames_of in (self._make_frames, lambda some: self._alter(some, rng)[0]):
+            for some, frames, outputs, _ in self._compute_outputs(indices, frames_of):
                 lengths = find_last_steps(frames) + 1 + TAIL_STEPS
                 delayed = delay_as_on_chip(outputs, self.design)
                 for sample, index, length in zip(delayed, some, lengths, strict=True):
@@ -188,7 +188,7 @@ class Trainer:
         count = min(len(self.train), MAX_CALIBRATION_SAMPLES)
         some = self.train[np.linspace(0, len(self.train) - 1, count).astype(int)]
         duration_ms = max(float(self.table.duration_ms[some].mean()), self.design.step_ms)
-        frames = self._frames(some)
+        frames = self._make_frames(some)
         self._scale_to_rate(values, frames, FIRST_RATE_HZ * duration_ms / 1000)
 
     def _scale_to_rate(self, values, frames, spikes):
@@ -200,7 +200,7 @@ class Trainer:
             for _ in range(12):
                 middle = (low + high) / 2
                 values[f"{name}.kernel"] = (first * np.exp(middle)).astype(np.float32)
-                counts = self._gradient.outputs(values, frames)[2][index]
+                counts = self._gradient.compute_outputs(values, frames)[2][index]
                 low, high = (low, middle) if counts.mean() > spikes else (middle, high)
 
     def _train_on(self, batch, rng, number):
@@ -212,7 +212,7 @@ class Trainer:
         # The operations are those of the batch before: a sum over the whole batch would keep the
         # states of all its samples.
         price = design.price / CNN_MACS if self._cost > design.budget else 0.0
-        result = self._gradient.gradients(
+        result = self._gradient.compute_gradients(
             self._optimizer.values,
             Batch(frames, self.labels[batch], last_step, gains),
             design.early,
@@ -231,7 +231,7 @@ class Trainer:
         kept = rng.random((samples, neurons), np.float32) >= dropout
         return kept / np.float32(1 - dropout)
 
-    def _batches(self, rng):
+    def _draw_batches(self, rng):
         """Training samples in random order, in batches of samples of similar length."""
         size = self.design.batch_size
         order = rng.permutation(self.train)
@@ -248,23 +248,23 @@ class Trainer:
         """Frames and last steps of augmented samples."""
         n = len(indices)
         events = self.design.alter_samples(rng, self.table, indices)
-        last_step = (events.durations_ms(n) / self.design.step_ms).astype(np.int64)
+        last_step = (events.measure_durations_ms(n) / self.design.step_ms).astype(np.int64)
         steps = int(last_step.max()) + 1 + TAIL_STEPS
         frames = self.design.make_frames(events, n, steps, self.table.size)
         return np.moveaxis(frames, 0, 1), last_step
 
-    def _frames(self, indices):
+    def _make_frames(self, indices):
         """Frames of samples without augmentation."""
         step_ms = self.design.step_ms
         steps = int(self.table.duration_ms[indices].max() / step_ms) + 1 + TAIL_STEPS
         return np.moveaxis(self.design.make_frames_of_samples(self.table, indices, steps), 0, 1)
 
-    def _outputs(self, indices, frames_of):
+    def _compute_outputs(self, indices, frames_of):
         """For some samples at a time: indices, frames, outputs and operations."""
         indices = np.asarray(indices)
         order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
         for start in range(0, len(order), EVALUATED_TOGETHER):
             some = order[start : start + EVALUATED_TOGETHER]
             frames = frames_of(some)
-            outputs, costs, _ = self._gradient.outputs(self._optimizer.means, frames)
+            outputs, costs, _ = self._gradient.compute_outputs(self._optimizer.means, frames)
             yield some, frames, outputs, costs

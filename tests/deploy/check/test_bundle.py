@@ -9,7 +9,7 @@ import pytest
 from deploy.check import bundle as bundles
 from deploy.check.bundle import FILES, CheckSet, read_bundle, write_bundle
 from deploy.errors import UserError
-from deploy.files import read_arrays, read_json, sha256_of, write_json
+from deploy.files import hash_file, read_arrays, read_json, write_json
 from tests.deploy.networks import bundle_at, events_spec, random_checks, random_frames, small_spec
 
 
@@ -21,7 +21,7 @@ def bundle(tmp_path):
 def test_round_trip(bundle):
     read = read_bundle(bundle.path)
     checks = random_checks(small_spec(), 7)
-    assert read.id == bundle.id == sha256_of(bundle.path / "MANIFEST.json")
+    assert read.id == bundle.id == hash_file(bundle.path / "MANIFEST.json")
     assert read.spec == small_spec()
     np.testing.assert_array_equal(read.spec.layers[0].weights, small_spec().layers[0].weights)
     np.testing.assert_array_equal(read.checks.inputs, np.float32(checks.inputs))
@@ -35,7 +35,7 @@ def test_the_files_of_the_contract(bundle):
     }
     manifest = read_json(bundle.path / "MANIFEST.json", "")
     for name in FILES:
-        assert manifest["files"][name] == sha256_of(bundle.path / name)
+        assert manifest["files"][name] == hash_file(bundle.path / name)
 
 
 def test_the_same_inputs_make_the_same_id_and_others_another(bundle, tmp_path):
@@ -67,7 +67,7 @@ def test_a_changed_byte_or_a_missing_file_is_refused_by_name(bundle, name):
 def with_its_hash(bundle, file):
     """Give a file that was changed a hash that fits, as another version might."""
     manifest = read_json(bundle.path / "MANIFEST.json", "")
-    manifest["files"][file] = sha256_of(bundle.path / file)
+    manifest["files"][file] = hash_file(bundle.path / file)
     write_json(bundle.path / "MANIFEST.json", manifest)
     return bundle.path
 
@@ -143,7 +143,7 @@ def test_an_interruption_leaves_the_earlier_bundle(bundle, tmp_path, monkeypatch
     def interrupt():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(bundles, "zipapp_bytes", interrupt)
+    monkeypatch.setattr(bundles, "make_zipapp", interrupt)
     with pytest.raises(KeyboardInterrupt):
         bundle_at(bundle.path, small_spec(seed=1))
     assert read_bundle(bundle.path).id == bundle.id

@@ -2,13 +2,13 @@
 
 import pytest
 
-from deploy.check.energy import CHIP, MAC, estimate_energy, estimate_text
+from deploy.check.energy import CHIP, MAC, estimate_energy, format_estimate
 from deploy.check.run import run_check
-from deploy.check.text import summary
+from deploy.check.text import format_result
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from deploy.targets.registry import run_target
-from pipeline.run.folder import checks_of
+from pipeline.run.folder import find_checks_folder
 from tests.command import call
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
 
@@ -32,7 +32,7 @@ def test_small_network_by_hand():
     # 4 x 4 positions of 4 filters of 3 x 3; 3 x 3 of 8 of 2 x 2 x 4; 72 x 10
     macs = [16 * 4 * 9, 9 * 8 * 16, 720]
     assert [layer.multiply_accumulates for layer in value.layers] == macs
-    assert value.cnn_joules("cpu") == pytest.approx((sum(macs) + 64 + 72 + 10) * 8.6e-9)
+    assert value.estimate_cnn_joules("cpu") == pytest.approx((sum(macs) + 64 + 72 + 10) * 8.6e-9)
     assert value.presentation_seconds == 0.03
 
 
@@ -60,8 +60,8 @@ def test_one_definition_of_synaptic_operations(tmp_path):
     assert result["synaptic_operations"]["output"] == output > 0
     total = sum(result["synaptic_operations"].values()) / len(bundle.checks)
     assert value.synaptic_operations == pytest.approx(total)
-    assert f"operations a sample: {total:.0f}," in summary(result)
-    assert estimate_text(value).startswith("ESTIMATE")
+    assert f"operations a sample: {total:.0f}," in format_result(result)
+    assert format_estimate(value).startswith("ESTIMATE")
 
 
 def test_result_without_counts_is_refused():
@@ -75,10 +75,10 @@ def test_energy_of_a_bundle_that_never_ran_names_the_target_to_run(tmp_path, cap
     said = f"stmnist check run {bundle.path} --target fast"
     assert said in " ".join(capsys.readouterr().err.split())
     # A result of another bundle does not hide one of this.
-    fast = checks_of(bundle.path) / "fast.json"
+    fast = find_checks_folder(bundle.path) / "fast.json"
     run_check(bundle, "fast", fast)
     other = {**read_json(fast, ""), "bundle": "0" * 64, "target": "emulator"}
-    write_json(checks_of(bundle.path) / "emulator.json", other)
+    write_json(find_checks_folder(bundle.path) / "emulator.json", other)
     assert call("deploy", "energy", bundle.path) == 0
 
 
@@ -104,4 +104,4 @@ def test_constants_and_cnn_are_those_of_keras_spiking():
     value = estimate_energy(spec, counted(spec))
     energy = keras_spiking.ModelEnergy(cnn)
     for device in MAC:
-        assert energy.total_energy(device) == pytest.approx(value.cnn_joules(device))
+        assert energy.total_energy(device) == pytest.approx(value.estimate_cnn_joules(device))

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.check.intervals import mcnemar, wilson_interval
+from deploy.check.intervals import compute_mcnemar_p, compute_wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -18,16 +18,16 @@ from deploy.check.intervals import mcnemar, wilson_interval
     ],
 )
 def test_wilson_against_published_values(correct, n, low, high):
-    assert wilson_interval(correct, n) == pytest.approx((low, high), abs=5e-5)
+    assert compute_wilson_interval(correct, n) == pytest.approx((low, high), abs=5e-5)
 
 
 @given(n=st.integers(1, 1000), share=st.floats(0, 1))
 def test_wilson_holds_the_share_and_is_symmetric(n, share):
     correct = round(share * n)
-    low, high = wilson_interval(correct, n)
+    low, high = compute_wilson_interval(correct, n)
     assert 0 <= low <= correct / n + 1e-12
     assert correct / n - 1e-12 <= high <= 1
-    mirrored = wilson_interval(n - correct, n)
+    mirrored = compute_wilson_interval(n - correct, n)
     assert mirrored == pytest.approx((1 - high, 1 - low), abs=1e-9)
 
 
@@ -35,7 +35,7 @@ def test_mcnemar_by_hand():
     def of(only_a, only_b, both=5):
         a = np.array([1] * only_a + [0] * only_b + [1] * both, bool)
         b = np.array([0] * only_a + [1] * only_b + [1] * both, bool)
-        return mcnemar(a, b)
+        return compute_mcnemar_p(a, b)
 
     assert of(0, 0) == 1
     assert of(1, 0) == 1

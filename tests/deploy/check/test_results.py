@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from deploy.check.results import compare_results, loss_text, read_result
+from deploy.check.results import compare_results, describe_loss, read_result
 from deploy.errors import UserError
 from deploy.files import write_json
 from tests.command import call, missing
@@ -132,7 +132,7 @@ def test_the_comparison_for_a_program(pair, capsys):
 def test_a_loss_that_is_no_chance_is_said():
     many = tuple(range(10)) * 4
     trained = result(many, many, target="cnn")
-    assert loss_text(trained, result(many, many, target="fast")) is None
-    assert loss_text(trained, result((1, *many[1:]), many, target="fast")) is None
-    line = loss_text(trained, result((0,) * 40, many, target="fast"))
+    assert describe_loss(trained, result(many, many, target="fast")) is None
+    assert describe_loss(trained, result((1, *many[1:]), many, target="fast")) is None
+    line = describe_loss(trained, result((0,) * 40, many, target="fast"))
     assert missing(line, "fast", "cnn", "0.100", "1.000", "McNemar") == []

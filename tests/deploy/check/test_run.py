@@ -8,7 +8,7 @@ import pytest
 
 from deploy import __version__
 from deploy.check.run import run_check
-from deploy.check.text import summary
+from deploy.check.text import format_result
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import ImageSpikes
@@ -60,7 +60,7 @@ def test_the_result_has_the_contracts_entries(bundle, whole):
     labels = set(bundle.checks.labels.tolist())
     assert whole["classes_without_samples"] == [str(k) for k in range(10) if k not in labels]
     assert len(whole["classes_without_samples"]) >= 3
-    assert whole["classes_without_samples"][-1] in summary(whole).splitlines()[-1]
+    assert whole["classes_without_samples"][-1] in format_result(whole).splitlines()[-1]
     assert whole["wall_seconds"] > 0
 
 

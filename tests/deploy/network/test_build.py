@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from deploy.network.blocks import BlockNeeds, choose_block, choose_blocks, find_rescaled_layers
 from deploy.network.build import build
 from deploy.network.chip import LOIHI
-from deploy.network.geometry import windows
+from deploy.network.geometry import list_windows
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.ops.base import count_blocks, list_ranges
 from deploy.network.ops.conv import DeployedConvolution
@@ -52,7 +52,8 @@ def matrix_by_hand(layer):
     else:
         operation = layer.operation
         before = [
-            windows(n, operation.kernel, operation.stride, operation.padding)[1] for n in read[:2]
+            list_windows(n, operation.kernel, operation.stride, operation.padding)[1]
+            for n in read[:2]
         ]
         for i in range(layer.shape[0]):
             for j in range(layer.shape[1]):
@@ -160,7 +161,9 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
     layer = replace(away_from_zero(layer), block_shape=block)
     plan = make_plan(spec_of(layer.input_shape, layer, after))
     needs = BlockNeeds(layer)
-    receiver = BlockNeeds(after).resources.receiver(choose_blocks((after,))["after"])
+    receiver = BlockNeeds(after).resources.make_output_axon_counter(
+        choose_blocks((after,))["after"]
+    )
     cores = [core.used for core in plan.cores if core.layer == layer.name]
     assert count_blocks(layer.shape, block) == len(cores)
     import itertools
@@ -180,7 +183,7 @@ def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
             # a word more at most for each input, of which some reach nothing
             assert words <= 1.6 * used["synapse words"] + max(40, np.prod(layer.input_shape))
         assert receiver(parts) == used["output axons"]
-    assert total == needs.input_axons(block)
+    assert total == needs.count_input_axons(block)
 
 
 def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
@@ -221,9 +224,9 @@ def test_blocks_fit_by_the_count_of_nengo_loihi_too():
 
 
 def test_a_window_along_one_dimension_by_hand():
-    assert windows(10, 3, 2, "valid") == (4, 0, 0)
-    assert windows(10, 3, 2, "same") == (5, 0, 1)
-    assert windows(2, 3, 1, "valid")[0] < 1
+    assert list_windows(10, 3, 2, "valid") == (4, 0, 0)
+    assert list_windows(10, 3, 2, "same") == (5, 0, 1)
+    assert list_windows(2, 3, 1, "valid")[0] < 1
 
 
 def test_layers_whose_blocks_are_scaled_separately():

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from deploy.network.decision import (
     Estimator,
     choose_threshold,
-    confidence,
+    compute_confidence,
     decide,
-    estimator_inputs,
+    make_estimator_inputs,
 )
 
 
@@ -19,10 +19,10 @@ def outputs_of(*samples):
 
 
 def test_confidence_by_hand():
-    assert confidence([[1, 1], [np.log(3), 0]]).tolist() == pytest.approx([0.5, 0.75])
-    assert confidence(np.ones(10)) == pytest.approx(0.1)
-    assert confidence(np.zeros((3, 10))).tolist() == [0, 0, 0]  # no spike has arrived
-    assert 1 - 1e-15 < confidence([1000.0, 0.0, -1000.0]) < 1
+    assert compute_confidence([[1, 1], [np.log(3), 0]]).tolist() == pytest.approx([0.5, 0.75])
+    assert compute_confidence(np.ones(10)) == pytest.approx(0.1)
+    assert compute_confidence(np.zeros((3, 10))).tolist() == [0, 0, 0]  # no spike has arrived
+    assert 1 - 1e-15 < compute_confidence([1000.0, 0.0, -1000.0]) < 1
 
 
 def test_a_threshold_of_1_waits_for_the_end_however_sure_the_outputs_are():
@@ -74,20 +74,22 @@ def test_a_higher_threshold_never_decides_earlier(seed):
 
 def estimator_of(classes, seed=0):
     rng = np.random.default_rng(seed)
-    arrays = {name: rng.normal(size=shape) for name, shape in Estimator.shapes(classes).items()}
+    arrays = {
+        name: rng.normal(size=shape) for name, shape in Estimator.list_shapes(classes).items()
+    }
     return Estimator.from_arrays(arrays, classes)
 
 
 def test_what_an_estimator_goes_by_by_hand():
     # Two classes with shares of 1/4 and 3/4, in the sixth step; before it there was nothing.
-    told = estimator_inputs(np.log([[1.0, 3.0]]), first=5)
+    told = make_estimator_inputs(np.log([[1.0, 3.0]]), first=5)
     low, high = np.log(0.25), np.log(0.75)
     np.testing.assert_allclose(told, [[high, low, 0, 1, low, high, 5, *[0, np.log(3)] * 2]])
 
 
 def test_what_an_estimator_is_told_of_the_steps_before():
     outputs = np.stack([np.arange(8.0), np.arange(8.0) ** 2], -1)
-    changes = estimator_inputs(np.stack([outputs, 2 * outputs]))[..., -4:]
+    changes = make_estimator_inputs(np.stack([outputs, 2 * outputs]))[..., -4:]
     for t in range(8):
         expected = [outputs[t] - (outputs[t - lag] if t >= lag else 0) for lag in (2, 5)]
         np.testing.assert_allclose(changes[0, t], np.concatenate(expected))
@@ -103,21 +105,21 @@ def test_an_estimator_of_one_unit_by_hand():
     simple = Estimator(tuple(kernels), tuple(biases))
     expected = 1 / (1 + np.exp(-(np.maximum(np.arange(6) - 2, 0) - 1)))
     growing = np.tile(np.arange(1.0, 7)[:, None], (3, 1, 2))
-    np.testing.assert_allclose(confidence(growing, simple), [expected] * 3)
-    np.testing.assert_allclose(confidence(growing[0, :2], simple, first=4), expected[4:])
+    np.testing.assert_allclose(compute_confidence(growing, simple), [expected] * 3)
+    np.testing.assert_allclose(compute_confidence(growing[0, :2], simple, first=4), expected[4:])
     steps, classes = decide(growing[:1], 0.6, simple)
     assert (steps.tolist(), classes.tolist()) == ([4], [0])
     assert decide(growing[:1, :3], 0.6, simple, first=3)[0].tolist() == [1]
     # In silence the confidence stays; before the first output there is none.
     heard = np.stack([growing[0, n] for n in (0, 1, 1, 2, 2, 2)])
-    np.testing.assert_allclose(confidence(heard, simple), expected[[0, 1, 1, 3, 3, 3]])
+    np.testing.assert_allclose(compute_confidence(heard, simple), expected[[0, 1, 1, 3, 3, 3]])
     heard[:2] = 0
-    np.testing.assert_allclose(confidence(heard, simple), [0, 0, *expected[[2, 3, 3, 3]]])
+    np.testing.assert_allclose(compute_confidence(heard, simple), [0, 0, *expected[[2, 3, 3, 3]]])
 
 
 def test_an_estimators_arrays_there_and_back():
     estimator = estimator_of(10)
-    again = Estimator.from_arrays({**estimator.arrays(), "output.weights": np.zeros(3)}, 10)
+    again = Estimator.from_arrays({**estimator.to_arrays(), "output.weights": np.zeros(3)}, 10)
     outputs = np.random.default_rng(1).normal(size=(4, 7, 10))
     np.testing.assert_array_equal(estimator(outputs), again(outputs))
     assert Estimator.from_arrays({"output.weights": np.zeros(3)}, 10) is None

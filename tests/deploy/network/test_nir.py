@@ -10,7 +10,7 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import read_arrays
-from deploy.network.nir import input_spikes, make_nir_graph, write_nir
+from deploy.network.nir import make_graph_input, make_nir_graph, write_nir
 from deploy.network.spec import DT
 from deploy.targets.registry import run_target
 from tests.deploy.network.test_build import matrix_by_hand
@@ -61,7 +61,7 @@ def test_output_neurons_and_neurons_without_a_filter():
 def test_input_spikes_are_the_encoders():
     spec = small_spec()
     images = random_checks(spec, 7).inputs
-    spikes = input_spikes(spec, images)
+    spikes = make_graph_input(spec, images)
     assert set(np.unique(spikes)) == {0, 2}  # 1 ms of an area of 1 / 500
     counted = run_target(spec, images, "nengo").spikes["input"]
     np.testing.assert_array_equal(spikes.sum((1, 2, 3, 4)) / 2, counted)
@@ -97,7 +97,7 @@ def test_norse_gives_what_the_reference_gives_without_what_nir_leaves_out(tmp_pa
     spec = paper_spec(steps=60, gap=10)
     images = random_checks(spec, 20).inputs
     write_nir(tmp_path / "network.nir", spec)
-    np.savez(tmp_path / "in.npz", spikes=input_spikes(spec, images))
+    np.savez(tmp_path / "in.npz", spikes=make_graph_input(spec, images))
     subprocess.run(
         [
             str(READER), str(ROOT / "tests" / "nir_reader" / "run_norse.py"),

@@ -18,7 +18,7 @@ from tests.deploy.networks import events_spec, small_spec
 
 @given(st.integers(0, 300), st.integers(1, 50))
 def test_streams_cut_the_samples_in_order(n, length):
-    streams = Presentation(stream_length=length).streams(n)
+    streams = Presentation(stream_length=length).list_streams(n)
     assert [i for s in streams for i in range(n)[s]] == list(range(n))
     assert all(s.stop - s.start == length for s in streams[:-1])
 
@@ -50,7 +50,7 @@ def test_each_step_is_read_with_the_weights_of_its_part():
     readout = spec.layers[-1]
     weights = np.concatenate([readout.weights, 10 * readout.weights, 100 * readout.weights])
     in_parts = replace(readout, weights=weights, starts=(0, 1, 3))
-    assert in_parts.section_of(np.arange(5)).tolist() == [0, 1, 1, 2, 2]
+    assert in_parts.find_section(np.arange(5)).tolist() == [0, 1, 1, 2, 2]
     spec = replace(spec, layers=(*spec.layers[:-1], in_parts))
     spikes = np.random.default_rng(0).normal(size=(2, 5, weights.shape[1]))
     shown = select_readout(spec, spikes @ weights.T)

@@ -59,7 +59,7 @@ def specs(draw):
 @given(specs())
 def test_round_trip_through_json_text(spec):
     text = json.dumps(spec.to_json(), allow_nan=False)
-    assert_same(NetworkSpec.from_json(json.loads(text), spec.arrays()), spec)
+    assert_same(NetworkSpec.from_json(json.loads(text), spec.to_arrays()), spec)
 
 
 @given(
@@ -77,7 +77,7 @@ def test_any_value_in_any_place_is_taken_or_refused_in_one_line(place, junk, pic
         target = target[key]
     target[sorted(target)[pick % len(target)]] = junk
     try:
-        NetworkSpec.from_json(value, spec.arrays())
+        NetworkSpec.from_json(value, spec.to_arrays())
     except UserError as error:
         assert "\n" not in str(error)  # noqa: PT017 - anything else is a crash
 
@@ -127,12 +127,12 @@ def changed(path, value):
 )
 def test_what_does_not_fit_is_named(path, value, fact):
     with pytest.raises(UserError, match=fact):
-        NetworkSpec.from_json(changed(path, value), paper_spec().arrays())
+        NetworkSpec.from_json(changed(path, value), paper_spec().to_arrays())
 
 
 def test_weights_must_be_finite_and_fit():
     spec = paper_spec()
-    broken = {**spec.arrays(), "conv2.weights": spec.layers[1].weights * np.nan}
+    broken = {**spec.to_arrays(), "conv2.weights": spec.layers[1].weights * np.nan}
     with pytest.raises(UserError, match=r"'conv2': weights.*NaN"):
         NetworkSpec.from_json(spec.to_json(), broken)
     broken["conv2.weights"] = np.array([["a"]])

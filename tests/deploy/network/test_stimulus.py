@@ -41,7 +41,7 @@ def test_an_event_is_one_spike_in_its_step(target):
     else:
         simulator = nengo_loihi.Simulator(built.network, target=target, precompute=True)
     with simulator as sim:
-        shown = list(show(built, sim, spec.stimulus.flat(frames)))
+        shown = list(show(built, sim, spec.stimulus.flatten(frames)))
     gap = spec.presentation.gap
     for one, frame in zip(shown, frames, strict=True):
         assert not one.spikes["input"][:gap].any()
@@ -60,7 +60,7 @@ def test_an_event_arrives_as_a_spike_of_height_one():
         changed = replace(spec, layers=(replace(layer, weights=weights), *spec.layers[1:]))
         built = build(changed)
         with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
-            (shown,) = show(built, sim, changed.stimulus.flat(frames))
+            (shown,) = show(built, sim, changed.stimulus.flatten(frames))
         fires[weight] = shown.spikes["conv1"].any()
     assert fires == {15.0: False, 25.0: True}
 
@@ -89,7 +89,7 @@ def test_operations_of_events_by_hand():
     spec = events_spec()
     counts = {"input": np.zeros((1, 72)), "conv1": np.zeros((1, 36)), "dense1": np.zeros((1, 5))}
     counts["input"][0, 0] = 2  # a corner reaches one position of 4 filters
-    operations = spec.synaptic_operations(counts)
+    operations = spec.count_synaptic_operations(counts)
     assert operations["conv1"].tolist() == [2 * 4]
 
 
@@ -105,9 +105,9 @@ def test_a_pixel_spikes_at_most_once_a_step():
     for rate, most in ((500.0, 2.0), (1000.0, 1.0)):
         stimulus = ImageSpikes(rate)
         images[1, 2, 3] = most
-        assert stimulus.complaint(images, (6, 6, 1), 30) is None
+        assert stimulus.find_problem(images, (6, 6, 1), 30) is None
         images[1, 2, 3] = 1.01 * most
-        said = stimulus.complaint(images, (6, 6, 1), 30)
+        said = stimulus.find_problem(images, (6, 6, 1), 30)
         assert f"{1.01 * most:g}" in said
         assert f"{rate:g}" in said
 
@@ -126,15 +126,15 @@ def test_a_taxel_that_spikes_while_it_rests_is_refused():
     spec = events_spec()
     resting = replace(spec, stimulus=EventFrames(0.01, refractory=2))
     assert resting.stimulus.shortest_interval == 3
-    assert NetworkSpec.from_json(resting.to_json(), resting.arrays()) == resting
+    assert NetworkSpec.from_json(resting.to_json(), resting.to_arrays()) == resting
     steps = spec.presentation.steps
-    frames = np.zeros((1, *spec.stimulus.sample_shape(spec.input_shape, steps)), np.uint8)
+    frames = np.zeros((1, *spec.stimulus.find_sample_shape(spec.input_shape, steps)), np.uint8)
     frames[0, [0, 3], 2, 2, 0] = 1
-    assert resting.stimulus.complaint(frames, spec.input_shape, steps) is None
+    assert resting.stimulus.find_problem(frames, spec.input_shape, steps) is None
     frames[0, 5, 2, 2, 0] = 1
-    assert spec.stimulus.complaint(frames, spec.input_shape, steps) is None
-    assert "2 steps" in resting.stimulus.complaint(frames, spec.input_shape, steps)
-    assert "shape" in resting.stimulus.complaint(frames.ravel(), spec.input_shape, steps)
+    assert spec.stimulus.find_problem(frames, spec.input_shape, steps) is None
+    assert "2 steps" in resting.stimulus.find_problem(frames, spec.input_shape, steps)
+    assert "shape" in resting.stimulus.find_problem(frames.ravel(), spec.input_shape, steps)
     with pytest.raises(ValueError, match=r"refractory.* 0 to 10000"):
         EventFrames(0.01, refractory=-1)
 
@@ -152,9 +152,9 @@ def test_a_taxel_has_at_most_so_many_spikes_in_a_sample():
     frames[0, :, 0, 0] = 1
     frames[1, [0, 3, 5], 0, 0] = 1
     frames[:, 2, 0, 1] = 1
-    flat = EventFrames(0.01, max_spikes=2).flat(frames)
+    flat = EventFrames(0.01, max_spikes=2).flatten(frames)
     assert flat.dtype == frames.dtype
     assert flat[0, :, 0].tolist() == [1, 1, 0, 0, 0, 0]
     assert flat[1, :, 0].tolist() == [1, 0, 0, 1, 0, 0]
     assert flat[:, :, 1].sum(1).tolist() == [1, 1]
-    np.testing.assert_array_equal(EventFrames(0.01).flat(frames), frames.reshape(2, 6, 2))
+    np.testing.assert_array_equal(EventFrames(0.01).flatten(frames), frames.reshape(2, 6, 2))

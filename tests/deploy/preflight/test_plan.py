@@ -15,7 +15,7 @@ from deploy.network.nir import write_nir
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
-from deploy.preflight.resources import synapse_words
+from deploy.preflight.resources import count_words_of_synapses
 from tests.command import missing
 from tests.deploy.networks import bundle_at, conv, dense, paper_spec, readout, small_spec
 
@@ -55,7 +55,7 @@ def test_synapse_words_by_hand():
 
     synapse = Synapse(1)
     synapse.set_weights(np.ones((1, 70)))
-    assert synapse_words(synapse, LOIHI) == 9 + 1
+    assert count_words_of_synapses(synapse, LOIHI) == 9 + 1
 
 
 @pytest.mark.parametrize(

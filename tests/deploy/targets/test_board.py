@@ -10,7 +10,7 @@ import pytest
 from deploy import cli
 from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
-from deploy.check.text import summary
+from deploy.check.text import format_result
 from deploy.errors import UserError
 from deploy.targets import board as hardware
 from deploy.targets.options import BoardOptions
@@ -76,7 +76,7 @@ def test_every_spike_is_the_emulators(nxsdk, spec):
     if spec.stimulus.static:
         images = random_checks(spec, 7).inputs.reshape(7, -1)
     else:
-        images = spec.stimulus.flat(random_frames(spec, 7, share=0.3))
+        images = spec.stimulus.flatten(random_frames(spec, 7, share=0.3))
     streams = [images[:3], images[3:6], images[6:]]
     for mine, theirs in zip(
         hardware.run_loihi(spec, streams), run_emulator(spec, streams), strict=True
@@ -281,7 +281,7 @@ def test_power_is_taken_down_apart_from_idle(nxsdk, bundle, tmp_path):
         "dynamic_mw": 5.0,
         "step_microseconds": 10.0,
     }
-    text = summary(result)
+    text = format_result(result)
     assert missing(text, "NxSDK 1.0.0", "3 connections", "5 mW", "25 mW") == []
 
 

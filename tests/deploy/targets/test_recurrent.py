@@ -31,11 +31,11 @@ def frames_of(count=4, steps=40, seed=0):
 
 def test_description_and_arrays_are_read_back():
     spec = recurrent_spec()
-    again = NetworkSpec.from_json(spec.to_json(), spec.arrays())
+    again = NetworkSpec.from_json(spec.to_json(), spec.to_arrays())
     np.testing.assert_array_equal(again.layers[0].recurrent, spec.layers[0].recurrent)
     with pytest.raises(UserError, match="recurrent"):
         NetworkSpec.from_json(
-            spec.to_json(), {**spec.arrays(), "dense1.recurrent": np.ones((12, 11))}
+            spec.to_json(), {**spec.to_arrays(), "dense1.recurrent": np.ones((12, 11))}
         )
 
 
@@ -60,7 +60,7 @@ def test_spikes_come_back_one_step_later(target):
 def test_operations_and_the_plan_count_the_loop():
     spec = recurrent_spec()
     spikes = {"input": np.ones((1, 24)), "dense1": np.ones((1, 12))}
-    counted = spec.synaptic_operations(spikes)
+    counted = spec.count_synaptic_operations(spikes)
     assert counted["dense1"].tolist() == [24 * 12 + 12 * 12]
     assert spec.multiply_accumulates["dense1"] == 24 * 12 + 12 * 12
     plan = make_plan(spec)

@@ -17,7 +17,7 @@ from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
 from deploy.targets.registry import TARGETS, find_target, run_target
-from deploy.targets.simulators import _loihi_simulator
+from deploy.targets.simulators import _make_simulator
 from tests.deploy.fast_networks import loud_spec, random_spec
 from tests.deploy.networks import conv, random_checks, readout, small_spec
 
@@ -61,7 +61,7 @@ def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
     if target == "nengo":
         simulator = nengo.Simulator(built.network, progress_bar=False, optimize=False)
     else:
-        simulator = _loihi_simulator(
+        simulator = _make_simulator(
             built.network, {"simreal": "simreal", "emulator": "sim"}[target]
         )
     with simulator as sim:
@@ -154,7 +154,7 @@ ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.hardware
 )
 def test_what_no_integers_can_hold_is_refused_alike(spec):
     """A spike of 1,000 makes weights beside which the threshold is 0: an AssertionError of one."""
-    shape = spec.stimulus.sample_shape(spec.input_shape, spec.presentation.steps)
+    shape = spec.stimulus.find_sample_shape(spec.input_shape, spec.presentation.steps)
     lines = set()
     for run in (
         *(

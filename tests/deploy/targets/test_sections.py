@@ -23,7 +23,7 @@ def spec():
     weights = (factors * readout.weights).reshape(-1, readout.weights.shape[1])
     readout = replace(readout, weights=weights, starts=(0, 12, 30))
     made = replace(plain, layers=(*plain.layers[:-1], readout))
-    return NetworkSpec.from_json(made.to_json(), made.arrays())
+    return NetworkSpec.from_json(made.to_json(), made.to_arrays())
 
 
 def test_all_targets_read_the_same(spec):

@@ -14,7 +14,7 @@ from tests.command import call, missing
 
 def test_options_and_what_is_set_besides(tmp_path):
     assignments = ["check.samples=50", "cnn.epochs=7"]
-    given = options.Requested(seed=3, samples=50, assignments=assignments)
+    given = options.RequestedSettings(seed=3, samples=50, assignments=assignments)
     with options.resolve_settings(tmp_path / "run", given) as (folder, resolved):
         assert folder.path == tmp_path / "run"
         assert (resolved.seed, resolved.check.samples, resolved.cnn.epochs) == (3, 50, 7)
@@ -30,7 +30,7 @@ def test_options_and_what_is_set_besides(tmp_path):
 )
 def test_an_option_and_another_value_of_its_setting_are_refused(option, given, assignment):
     with pytest.raises(UserError, match=f"^{option}: .*{assignment}"):
-        options.Requested(assignments=[assignment], **given).changes()
+        options.RequestedSettings(assignments=[assignment], **given).list_changes()
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from pipeline.kinds.diagnosis import (
     compare_layer,
     compare_rates,
     compute_fastest_rate,
-    layers_text,
+    format_layers,
     measure_activity,
 )
 from pipeline.kinds.image import kind
@@ -112,7 +112,7 @@ def test_a_large_networks_rates_are_compared_on_fewer_samples(run, monkeypatch):
     assert call("ladder", run) == 0
     layers = read_json(run / "ladder.json", "")["layers"]
     assert {0 < layer["n_samples"] <= 6 for layer in layers} == {True}
-    assert f"on {layers[0]['n_samples']} samples" in layers_text(layers)
+    assert f"on {layers[0]['n_samples']} samples" in format_layers(layers)
 
 
 def test_a_large_networks_activations_are_measured_on_fewer_samples(monkeypatch):

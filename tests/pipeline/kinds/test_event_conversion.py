@@ -9,7 +9,7 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
-from pipeline.kinds.events.kind import spec_of_events
+from pipeline.kinds.events.kind import make_event_spec
 from pipeline.run.settings import Settings
 from pipeline.training.events import EventDesign, build_network, run_on_frames
 from tests.pipeline.handmade import event_table
@@ -56,8 +56,8 @@ def test_every_spike_is_that_of_the_trained_network(architecture, starts, target
     )
     # Each sample of a stream ends in silence long enough that nothing is left of it.
     presentation = Presentation(steps=STEPS + GAP, gap=GAP, readout_start=0, stream_length=3)
-    spec = spec_of_events(design, weights, presentation, {})
-    spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
+    spec = make_event_spec(design, weights, presentation, {})
+    spec = NetworkSpec.from_json(spec.to_json(), spec.to_arrays())
     assert make_plan(spec).problems == []
     indices = np.arange(len(table))
     frames = np.moveaxis(
@@ -80,7 +80,7 @@ def test_every_spike_is_that_of_the_trained_network(architecture, starts, target
         np.testing.assert_array_equal(
             found.decisions[sample, begun + late :], mine[sample, begun : STEPS + GAP - late]
         )
-    counted = spec.synaptic_operations(
+    counted = spec.count_synaptic_operations(
         {"input": frames.sum(1).reshape(len(table), -1), **expected.spikes}
     )
     np.testing.assert_allclose(np.stack(list(counted.values()), 1), expected.operations)
@@ -92,8 +92,8 @@ def test_the_lower_voltage_bound_that_was_trained_is_deployed():
     for floor in (-1.0, -2.0):
         design = EventDesign(architecture=architecture, floor=floor)
         weights = trained_like(architecture)
-        spec = spec_of_events(design, weights, presentation, {})
-        integers = build_network(design, weights).integers()
+        spec = make_event_spec(design, weights, presentation, {})
+        integers = build_network(design, weights).compute_integers()
         for layer in spec.layers[:-1]:
             trained = integers[layer.name]
             expected = trained.floor / trained.threshold
@@ -104,7 +104,9 @@ def test_the_lower_voltage_bound_that_was_trained_is_deployed():
 def test_the_estimator_decides_on_the_chip_as_in_training():
     design = EventDesign(architecture="10x10x2-12c4s2-32-10o")
     rng, weights, table = np.random.default_rng(0), trained_like(design.architecture), table_of()
-    weights |= {name: rng.normal(0, 0.3, shape) for name, shape in Estimator.shapes(10).items()}
+    weights |= {
+        name: rng.normal(0, 0.3, shape) for name, shape in Estimator.list_shapes(10).items()
+    }
     indices, steps = np.arange(len(table)), STEPS + GAP
     frames = np.moveaxis(table.make_frames(indices, design.step_ms, steps, design.limits), 0, 1)
     shown = run_on_frames(design, weights, frames)
@@ -119,8 +121,8 @@ def test_the_estimator_decides_on_the_chip_as_in_training():
     presentation = Presentation(
         steps=steps, gap=GAP, readout_start=0, stream_length=3, confidence=limit
     )
-    spec = spec_of_events(design, weights, presentation, {})
-    spec = NetworkSpec.from_json(spec.to_json(), spec.arrays())
+    spec = make_event_spec(design, weights, presentation, {})
+    spec = NetworkSpec.from_json(spec.to_json(), spec.to_arrays())
     np.testing.assert_array_equal(run_target(spec, frames, "fast").stopped_at, expected + 1)
 
 
@@ -130,7 +132,7 @@ def test_a_long_silence_is_silent():
     for name in ("conv1.bias", "dense1.bias"):
         weights[name] = np.full_like(weights[name], 5.0)
     presentation = Presentation(steps=1000, gap=0, readout_start=0, stream_length=1)
-    spec = spec_of_events(design, weights, presentation, {})
+    spec = make_event_spec(design, weights, presentation, {})
     found = run_target(spec, np.zeros((1, 1000, 10, 10, 2), np.uint8), "emulator")
     assert {name: int(n.sum()) for name, n in found.spikes.items()} == {
         "input": 0, "conv1": 0, "dense1": 0,

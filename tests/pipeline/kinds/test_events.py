@@ -5,7 +5,7 @@ import pytest
 
 from deploy.network.decision import Threshold
 from pipeline.kinds.events import kind as events
-from pipeline.kinds.events.kind import choose_confidence, event_samples
+from pipeline.kinds.events.kind import choose_confidence, hold_out_event_samples
 from pipeline.run.settings import Settings
 from pipeline.sources import load_dataset
 from pipeline.training.events import TrainedOnEvents
@@ -29,7 +29,7 @@ def choice(monkeypatch):
 def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = load_dataset(settings)
-    samples = event_samples(dataset, 3)
+    samples = hold_out_event_samples(dataset, 3)
     chosen = choose_confidence(settings, samples, TrainedOnEvents.of(settings, {}), 3)
     return dataset.split, samples, chosen
 

@@ -7,8 +7,8 @@ import pytest
 
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import parse
-from pipeline.kinds import choose_settings, kind_of_network
-from pipeline.kinds.architectures import architecture_for, event_architecture_for
+from pipeline.kinds import choose_settings, find_kind
+from pipeline.kinds.architectures import suggest_architecture, suggest_event_architecture
 from pipeline.kinds.image import choices
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.writing import write_recordings
@@ -16,7 +16,7 @@ from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.training.event_rules import SIZES as NETWORK_SIZES
-from pipeline.training.event_rules import epochs_for
+from pipeline.training.event_rules import choose_epochs
 from tests.command import missing
 from tests.own_sensor import CLASSES, gestures, write_folder
 
@@ -38,7 +38,7 @@ SIZES = [
 def test_there_is_an_architecture_for_every_sensor(size, on_events):
     for n in (2, 300):
         sensor = Sensor(*size, classes=tuple(map(str, range(n))))
-        architecture = parse(architecture_for(sensor, on_events))
+        architecture = parse(suggest_architecture(sensor, on_events))
         assert architecture.input_shape == (*size, 2 if on_events else 1)
         assert architecture.outputs == n
         assert len(architecture.layers) >= 2
@@ -46,8 +46,8 @@ def test_there_is_an_architecture_for_every_sensor(size, on_events):
 
 
 def test_the_paper_s_layers_where_they_fit():
-    assert architecture_for(Sensor(), False) == Settings().cnn.architecture
-    assert architecture_for(Sensor(9, 12, classes=CLASSES), False) == "9x12-6c4-24c3-4o"
+    assert suggest_architecture(Sensor(), False) == Settings().cnn.architecture
+    assert suggest_architecture(Sensor(9, 12, classes=CLASSES), False) == "9x12-6c4-24c3-4o"
 
 
 def settings_of(source, **changes):
@@ -157,8 +157,8 @@ def test_what_was_chosen_stays_and_is_held_against_the_recordings(own):
 
 def changed_names(settings):
     """Names of the settings that are chosen."""
-    chosen = choose_settings(settings).flat()
-    return {name for name, value in settings.flat().items() if chosen[name] != value}
+    chosen = choose_settings(settings).flatten()
+    return {name for name, value in settings.flatten().items() if chosen[name] != value}
 
 
 def test_simulated_recordings_need_only_another_image():
@@ -173,7 +173,7 @@ def test_simulated_recordings_need_only_another_image():
 def test_what_no_core_can_hold_is_told_before_training(kind, architecture, resource):
     section = "cnn" if kind == "image" else "events"
     changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
-    problems = kind_of_network(settings_of("own", **changes)).chip_problems()
+    problems = find_kind(settings_of("own", **changes)).list_chip_problems()
     assert all(line.startswith(f"{architecture}: ") for line in problems)
     assert all("layer dense1" in line for line in problems)
     assert any(not missing(line, resource, 4096) for line in problems)
@@ -188,9 +188,9 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
     for n in (2, 300):
         sensor = Sensor(*size, classes=tuple(map(str, range(n))))
         section = "cnn" if kind == "image" else "events"
-        architecture = architecture_for(sensor, kind == "events")
+        architecture = suggest_architecture(sensor, kind == "events")
         changes = {"input": {"kind": kind}, section: {"architecture": architecture}}
-        assert kind_of_network(settings_of("own", **changes)).chip_problems() == ()
+        assert find_kind(settings_of("own", **changes)).list_chip_problems() == ()
 
 
 @pytest.mark.parametrize(
@@ -202,9 +202,9 @@ def test_the_chosen_architectures_fit_the_chip(size, kind):
     ],
 )
 def test_an_architecture_for_every_size(size, expected):
-    assert event_architecture_for(Sensor(), NETWORK_SIZES[size], 5000) == expected
+    assert suggest_event_architecture(Sensor(), NETWORK_SIZES[size], 5000) == expected
     strip = Sensor(1, 39, classes=CLASSES)
-    few = parse(event_architecture_for(strip, NETWORK_SIZES[size], 500)).layers[0].units
+    few = parse(suggest_event_architecture(strip, NETWORK_SIZES[size], 500)).layers[0].units
     assert few == {"small": 128, "standard": 256, "large": 384}[size]
 
 
@@ -232,7 +232,7 @@ def test_the_large_size_is_trained_longer():
         }
     )
     chosen = choose_settings(settings)
-    usual = epochs_for(160, chosen.events.batch_size)
+    usual = choose_epochs(160, chosen.events.batch_size)
     assert chosen.events.epochs == NETWORK_SIZES["large"].passes * usual > usual
     of_user = settings.with_values({"events": {"epochs": 7}})
     assert choose_settings(of_user).events.epochs == 7

@@ -8,9 +8,9 @@ import pytest
 
 from deploy.errors import UserError
 from models.architecture import parse
-from pipeline.commands.stages import _images_of
-from pipeline.kinds import find_compared_stage, kind_of_network
+from pipeline.kinds import find_compared_stage, find_kind
 from pipeline.kinds.image.choices import choose_image_augmentation
+from pipeline.kinds.image.kind import keep_images
 from pipeline.kinds.imported import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
@@ -25,7 +25,7 @@ def settings(**sections):
 
 def choose(own, made):
     """The values that are chosen, as ``with_values`` takes them, and the reasons."""
-    choices = kind_of_network(own).choices(made, np.arange(len(made)))
+    choices = find_kind(own).make_choices(made, np.arange(len(made)))
     changes = {}
     for choice in choices:
         put(changes, choice.setting, choice.value, "test")
@@ -50,7 +50,7 @@ def test_a_strip_gets_polarities_and_slices_of_time_as_channels():
     assert changes["snn"] == {"dropout": 0.5}
     assert changes["deployment"] == {"input_rate": 60.0}
     assert len(lines) == 5
-    chosen = kind_of_network(settings(**changes))
+    chosen = find_kind(settings(**changes))
     assert chosen.channels == 16
 
 
@@ -88,7 +88,7 @@ def test_slices_of_time_on_a_grid_have_a_convolution_with_a_stride():
     assert (changes["snn"], changes["deployment"]) == ({"dropout": 0.1}, {"input_rate": 60.0})
     assert len(lines) == 5
     chosen = settings(**SLICES).with_values(changes)
-    assert kind_of_network(chosen).channels == 16
+    assert find_kind(chosen).channels == 16
 
 
 def test_what_the_user_sets_of_slices_is_kept():
@@ -138,12 +138,12 @@ def test_what_the_user_sets_is_kept():
 
 def test_a_model_for_a_run_gets_the_images_of_the_run(tmp_path):
     run = RunFolder(tmp_path)
-    assert _images_of(run) == {}
+    assert keep_images(run) == {}
     image = Image("polarities", 4, 400.0, "sqrt-clip")
     run.save_settings(settings(image=asdict(image)))
-    assert _images_of(run) == {"image": asdict(image)}
+    assert keep_images(run) == {"image": asdict(image)}
     run.save_settings(settings(input={"kind": "events"}))
-    assert _images_of(run) == {}
+    assert keep_images(run) == {}
 
 
 def test_a_model_of_one_s_own_keeps_the_images_that_it_is_for():
@@ -161,7 +161,7 @@ def test_a_model_of_one_s_own_keeps_the_images_that_it_is_for():
 def test_a_network_of_one_s_own_gets_these_channels_if_it_has_as_many(cnn):
     changes, _ = choose(settings(cnn=cnn), recordings(1, 30))
     assert "cnn" not in changes
-    assert kind_of_network(settings(cnn=cnn, image=changes["image"])).channels == 16
+    assert find_kind(settings(cnn=cnn, image=changes["image"])).channels == 16
     assert ("snn" in changes) == ("model" not in cnn)
 
 
@@ -179,7 +179,7 @@ def test_a_default_that_the_user_gives_is_kept(tmp_path):
     assert changed["image"] == {"normalisation": "sqrt-clip"}
     own = given.with_values({"seed": 3})
     run = RunFolder(tmp_path)
-    choices = kind_of_network(own).choices(recordings(1, 30), np.arange(10))
+    choices = find_kind(own).make_choices(recordings(1, 30), np.arange(10))
     run.save_settings(apply_choices(own, choices))
     again = run.resolve_settings(None, {})  # by a later command
     assert again == own
@@ -206,7 +206,7 @@ def test_a_grid_gets_the_paper_s_image_and_layers():
     ],
 )
 def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, against):
-    stages = kind_of_network(settings(**sections)).reference_stages
+    stages = find_kind(settings(**sections)).reference_stages
     assert find_compared_stage(stages) == against
     assert ("cnn-matched" in stages) == (against == "cnn-matched")
 
@@ -214,7 +214,7 @@ def test_losses_are_stated_against_the_cnn_with_the_same_training(sections, agai
 @pytest.mark.parametrize("sections", [{}, {"input": {"kind": "events"}}], ids=["image", "events"])
 @pytest.mark.parametrize("size", [(1, 19), (2, 3), (9, 12)])
 def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
-    kind = kind_of_network(settings(cnn={"architecture": "5x5-6c4-3o"}, **sections))
+    kind = find_kind(settings(cnn={"architecture": "5x5-6c4-3o"}, **sections))
     with pytest.raises(UserError) as caught:
         kind.require_fit(recordings(*size))
     suggested = parse(re.search(r"such as (\S+), not", str(caught.value))[1])

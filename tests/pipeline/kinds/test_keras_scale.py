@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.keras.keras2 import tf
-from pipeline.kinds.image.kind import read_usable_model, settings_of_model
+from pipeline.kinds.image.kind import make_model_settings, read_usable_model
 from pipeline.run.settings import Settings
 
 
@@ -36,7 +36,7 @@ def test_the_training_samples_tell_where_images_ended(tmp_path, dataset, largest
     hidden = np.stack([-mean, mean], 1), np.array([0.5, -0.5])
     model.set_weights([*hidden, np.eye(2), np.zeros(2)])
     model.save(tmp_path / "model.keras")
-    settings = Settings().with_values(settings_of_model(tmp_path / "model.keras"))
+    settings = Settings().with_values(make_model_settings(tmp_path / "model.keras"))
     _, read = read_usable_model(tmp_path / "cnn", settings, dataset)
     assert read.input_scale == largest
     assert ("end at 1" in read.notes[-1]) == (largest == 1.0)

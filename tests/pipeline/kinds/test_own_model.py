@@ -10,7 +10,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
 from models.architecture import parse
-from pipeline import stages
+from pipeline import workflow
 from pipeline.kinds.records import read_weights
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings, read_settings
@@ -106,7 +106,7 @@ def test_the_cnn_of_the_run_answers_as_the_model_does(run, files, dataset):
     assert settings.cnn.architecture == ARCHITECTURE
     assert settings.snn.recipe == "as-is"
     weights = weights_in(run, "cnn", settings)
-    logits = TrainedCNN(settings, weights).logits(dataset.inputs)
+    logits = TrainedCNN(settings, weights).compute_logits(dataset.inputs)
     expected = np.load(files / "probabilities.npy")
     scores = np.exp(logits - logits.max(1, keepdims=True))
     np.testing.assert_allclose(scores / scores.sum(1, keepdims=True), expected, atol=1e-5)
@@ -125,10 +125,12 @@ def test_without_retraining_the_weights_are_only_fitted(run, dataset):
         if name.endswith("kernel"):
             np.testing.assert_allclose(snn[name], factor * array, rtol=1e-4, atol=1e-6)
     images = dataset.subset("train")[0]
-    wanted = TrainedCNN(settings, cnn).logits(images)
+    wanted = TrainedCNN(settings, cnn).compute_logits(images)
 
     def error(weights):
-        return np.std(TrainedRates(settings, weights).logits(images) - wanted) / np.std(wanted)
+        return np.std(TrainedRates(settings, weights).compute_logits(images) - wanted) / np.std(
+            wanted
+        )
 
     assert error(snn) < 0.25
     assert error(snn) < 0.5 * error(scale_to_unit(settings, cnn, images))
@@ -246,10 +248,10 @@ def test_a_file_that_is_no_model(tmp_path, capsys):
 def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     path, folder = tmp_path / "model.keras", tmp_path / "run"
     path.write_bytes((files / "good.keras").read_bytes())
-    changes = stages.settings_of_model(path, retrain=False)
+    changes = workflow.make_model_settings(path, retrain=False)
     settings = Settings().with_values({**changes, "data": {"samples_per_digit": 60}}, "test")
     path.write_bytes((files / "other.keras").read_bytes())
     from deploy.errors import UserError
 
     with pytest.raises(UserError, match=r"model\.keras: .*--model"):
-        stages.open_experiment(RunFolder(folder), settings, load_dataset(settings)).make("cnn")
+        workflow.open_experiment(RunFolder(folder), settings, load_dataset(settings)).make("cnn")

@@ -9,10 +9,10 @@ from pipeline.kinds.presentation import (
     MAX_SHARE_LEFT,
     MAX_STEPS,
     MIN_STEPS,
+    choose_image_gap,
     choose_step_ms,
+    count_silent_steps,
     fit_gap,
-    image_gap_choice,
-    silent_steps,
 )
 from pipeline.recordings.writing import write_recordings
 from pipeline.run.settings import Settings
@@ -21,7 +21,7 @@ from tests.own_sensor import CLASSES, gestures
 
 @pytest.mark.parametrize("tau", [0.1, 1, 3, 30, 300])
 def test_after_the_gap_a_current_adds_little_to_a_voltage(tau):
-    steps = silent_steps(tau)
+    steps = count_silent_steps(tau)
     current = np.exp(-np.arange(steps, steps + 60 * max(tau, 1)) / tau)
     assert current.sum() <= MAX_SHARE_LEFT
     assert steps == 0 or current.sum() * np.exp(1 / tau) > MAX_SHARE_LEFT
@@ -86,7 +86,7 @@ def test_a_gap_that_the_trained_network_outlasts_is_longer(gap, stream_length, i
     given = Presentation(steps=60, gap=gap, stream_length=stream_length)
     taus = {"conv1.tau_u": 3.0, "dense1.tau_u": 300.0}
     longer, line = fit_gap(given, taus, is_users=False)
-    assert longer.gap == (silent_steps(300.0) if is_short else gap)
+    assert longer.gap == (count_silent_steps(300.0) if is_short else gap)
     assert ("presentation.gap=" in line and "dense1" in line) is is_short
     kept, warning = fit_gap(given, taus, is_users=True)
     assert kept == given
@@ -105,7 +105,7 @@ def test_a_gap_that_the_trained_network_outlasts_is_longer(gap, stream_length, i
 )
 def test_the_gap_between_images_follows_their_currents(presentation, synapse, expected):
     values = {"presentation": presentation, "deployment": {"synapse": synapse}}
-    gap, reason = image_gap_choice(Settings().with_values(values))
+    gap, reason = choose_image_gap(Settings().with_values(values))
     assert gap == expected
     assert (str(expected) in reason) == (expected is not None)
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from pipeline.live.deciding import Answer, Curve
+from pipeline.live.deciding import Curve, NetworkOutput
 from pipeline.recordings.events import DIGITS, Sensor
 from pipeline.simulation import parameters
 
@@ -25,7 +25,7 @@ class Parrot:
     def begin(self):
         return self
 
-    def answer(self, events, time_s):
+    def compute_output(self, events, time_s):
         shares = np.full(self.classes, 0.1 / self.classes)
         label = len(events) % self.classes
         shares[label] += 0.9
@@ -33,7 +33,7 @@ class Parrot:
         every = np.tile(shares, (len(events), 1))
         curve = Curve(seconds, values, np.full(len(events), label), every)
         spikes = {"input": np.zeros((3, 13), np.uint8)}
-        return Answer(np.log(shares), spikes, curve, curve.first(self.threshold))
+        return NetworkOutput(np.log(shares), spikes, curve, curve.find_first(self.threshold))
 
 
 @contextmanager

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import Bundle, read_bundle
-from deploy.network.decision import confidence
+from deploy.network.decision import compute_confidence
 from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import run_target as answers_of
-from pipeline.live.deciding import Curve, EventDecider, decider_of
+from pipeline.live.deciding import Curve, EventDecider, make_decider
 from pipeline.recordings.dataset import make_inputs, make_inputs_for
 from pipeline.recordings.events import Events, Sensor
 from pipeline.recordings.steps import EventTable, SpikeLimits
@@ -26,7 +26,7 @@ def bundle(tiny_run):
 
 @pytest.fixture(scope="module")
 def decider(bundle):
-    return decider_of(bundle, Sensor())
+    return make_decider(bundle, Sensor())
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +39,9 @@ def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, r
     images = make_inputs_for(spec, recordings)
     expected = answers_of(spec, images, "fast")
     for index in range(len(recordings)):
-        said = decider.begin().answer(recordings[index], 2.0)
+        said = decider.begin().compute_output(recordings[index], 2.0)
         np.testing.assert_array_equal(said.scores, expected.scores[index])
-        assert said.curve.last().label == expected.predictions[index]
+        assert said.curve.find_last().label == expected.predictions[index]
         counts = {name: int(np.unpackbits(rows).sum()) for name, rows in said.spikes.items()}
         assert counts == {name: n[index] for name, n in expected.spikes.items()}
 
@@ -49,24 +49,24 @@ def test_a_whole_recordings_answer_is_that_of_the_target_fast(bundle, decider, r
 def test_it_decides_on_part_of_a_recording_and_not_on_nothing(decider, recordings):
     events = recordings[0]
     part = Events(*(getattr(events, n)[:40] for n in ("time_ns", "taxel", "polarity", "columns")))
-    said = decider.begin().answer(part, 0.5)
+    said = decider.begin().compute_output(part, 0.5)
     shares = said.curve.shares[-1]
     assert shares.sum() == pytest.approx(1)
-    assert said.curve.last().confidence == pytest.approx(shares.max(), abs=1e-3)
+    assert said.curve.find_last().confidence == pytest.approx(shares.max(), abs=1e-3)
     assert said.decided is None
-    assert 0 <= said.curve.last().label <= 9
-    assert decider.begin().answer(Events(*(np.empty(0),) * 4), 0.2) is None
+    assert 0 <= said.curve.find_last().label <= 9
+    assert decider.begin().compute_output(Events(*(np.empty(0),) * 4), 0.2) is None
 
 
 def test_no_early_decision_after_the_time_of_the_training():
     curve = Curve(np.arange(1, 5), np.array([0.5, 0.7, 0.95, 0.99]), np.full(4, 3), np.eye(4))
-    assert curve.first(0.9) == curve.first(0.9, until_s=3) == (3, 0.95, 3.0, True)
-    assert curve.first(0.9, until_s=2.9) is None
-    assert curve.first(None) is None
+    assert curve.find_first(0.9) == curve.find_first(0.9, until_s=3) == (3, 0.95, 3.0, True)
+    assert curve.find_first(0.9, until_s=2.9) is None
+    assert curve.find_first(None) is None
 
 
 def test_layers_are_as_many_bytes_as_the_page_reads(bundle, decider, recordings):
-    said = decider.begin().answer(recordings[0], 2.0)
+    said = decider.begin().compute_output(recordings[0], 2.0)
     assert list(decider.layers) == list(bundle.spec.spiking_layers)
     assert decider.steps + decider.first_step == bundle.spec.presentation.steps
     for name, neurons in decider.layers.items():
@@ -93,7 +93,7 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
     """Longer than the presentation: as the target answers with as many steps as it takes."""
     slow = replace(recordings.events, time_ns=4 * recordings.events.time_ns)
     slow = replace(recordings, events=slow)
-    decider = decider_of(clocked, Sensor())
+    decider = make_decider(clocked, Sensor())
     spec = clocked.spec.with_presentation(steps=600, stream_length=1)
     frames = EventTable.of(slow).make_frames(np.arange(len(slow)), 10.0, 600, SpikeLimits(1))
     expected = answers_of(spec, np.moveaxis(frames, 0, 1), "fast")
@@ -103,8 +103,8 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
         end = round((max(2.0, last - first + 0.01 * (len(spec.layers) + 2))) / 0.01)
         longer += end > 200
         is_slow = last - first >= 2
-        said = decider.begin().answer(slow[index], math.inf)
-        assert said.curve.last().label == expected.decisions[index, min(end, 600) - 1]
+        said = decider.begin().compute_output(slow[index], math.inf)
+        assert said.curve.find_last().label == expected.decisions[index, min(end, 600) - 1]
         assert said.exceeds_training == is_slow  # and its confidence means nothing
     assert longer > 3
 
@@ -112,7 +112,7 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
 def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
     clocked, recordings
 ):
-    decider = decider_of(clocked, Sensor())
+    decider = make_decider(clocked, Sensor())
     assert isinstance(decider, EventDecider)
     assert decider.clocked
     spec = clocked.spec.with_presentation(stream_length=1)
@@ -130,21 +130,23 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
             so_far = events.time_ns < time_s * 1e9
             names = ("time_ns", "taxel", "polarity", "columns")
             known = Events(*(getattr(events, name)[so_far] for name in names))
-            said = deciding.answer(known, time_s)
+            said = deciding.compute_output(known, time_s)
             if expected.decisions[index, step - 1] < 0:
                 assert said is None
                 continue
-            assert said.curve.last().label == expected.decisions[index, step - 1]
+            assert said.curve.find_last().label == expected.decisions[index, step - 1]
             after = spec.presentation.gap + step
             assert all(not rows[after:].any() for rows in said.spikes.values())
-        at_the_end = deciding.answer(events, math.inf)
+        at_the_end = deciding.compute_output(events, math.inf)
         np.testing.assert_array_equal(at_the_end.scores, expected.scores[index])
         summed = expected.scores[index] * 200
-        assert at_the_end.curve.shares[-1].max() == pytest.approx(confidence(summed), abs=1e-3)
-        assert at_the_end.curve.last().confidence == pytest.approx(confidence(summed))
+        assert at_the_end.curve.shares[-1].max() == pytest.approx(
+            compute_confidence(summed), abs=1e-3
+        )
+        assert at_the_end.curve.find_last().confidence == pytest.approx(compute_confidence(summed))
         # The moment of the early decision is the step of the check, whenever the page asks.
         stopped = expected.stopped_at[index]
-        if confidence(summed) >= spec.presentation.confidence or stopped < 200:
+        if compute_confidence(summed) >= spec.presentation.confidence or stopped < 200:
             assert at_the_end.decided.seconds == pytest.approx(first_s + 0.01 * stopped)
             # Random weights with a bias can be confident before any output.
             assert expected.decisions[index, stopped - 1] in (-1, at_the_end.decided.label)
@@ -156,5 +158,5 @@ def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, re
     events = recordings[0]
     names = ("time_ns", "taxel", "polarity", "columns")
     first = Events(*(getattr(events, name)[:1] for name in names))
-    deciding = decider_of(clocked, Sensor()).begin()
-    assert deciding.answer(first, events.time_ns[0] * 1e-9 + 0.009) is None
+    deciding = make_decider(clocked, Sensor()).begin()
+    assert deciding.compute_output(first, events.time_ns[0] * 1e-9 + 0.009) is None

@@ -6,7 +6,7 @@ import pytest
 
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
-from pipeline.live.network import SHIPPED, about, record_folder, sensor_of
+from pipeline.live.network import SHIPPED, describe_for_page, find_record_folder, find_sensor
 from pipeline.recordings.events import Sensor
 from tests.own_sensor import CLASSES
 
@@ -22,24 +22,24 @@ def changed(shape=(9, 12, 2), inputs=None, **provenance) -> Bundle:
 
 
 def test_the_network_of_the_package_is_for_digits():
-    sensor = sensor_of(BUNDLE)
+    sensor = find_sensor(BUNDLE)
     assert sensor == Sensor()
-    assert record_folder(BUNDLE, sensor) == "written"
-    assert about(BUNDLE, sensor, "written")["digits"] is True
+    assert find_record_folder(BUNDLE, sensor) == "written"
+    assert describe_for_page(BUNDLE, sensor, "written")["digits"] is True
 
 
 def test_a_data_set_of_ones_own_has_its_words_and_a_folder_of_its_own():
     names = [*CLASSES, *(f"Klasse {n}" for n in range(6))]
     bundle = changed(classes=names, source="Über/own data (2).zip", polarities=1)
-    sensor = sensor_of(bundle)
+    sensor = find_sensor(bundle)
     assert sensor == Sensor(9, 12, 1, classes=tuple(names))
-    assert record_folder(bundle, sensor) == "written-own-data-2"
-    told = about(bundle, sensor, "x")
+    assert find_record_folder(bundle, sensor) == "written-own-data-2"
+    told = describe_for_page(bundle, sensor, "x")
     assert (told["classes"], told["digits"], told["rows"]) == (names, False, 9)
-    assert record_folder(changed(source="../.."), sensor) == "written-9x12"
+    assert find_record_folder(changed(source="../.."), sensor) == "written-9x12"
 
 
 @pytest.mark.parametrize("shape", [(100,), (10, 10, 1), (10, 10, 3)])
 def test_a_network_that_reads_no_sensor_is_refused(shape):
     with pytest.raises(UserError, match="shape"):
-        sensor_of(changed(shape))
+        find_sensor(changed(shape))

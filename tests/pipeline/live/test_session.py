@@ -70,14 +70,14 @@ def test_events_come_while_writing_and_are_those_that_are_kept(session, keeper):
 
 
 def test_the_answer_is_to_all_events_so_far(session):
-    assert session.ask() is session.spikes() is None
+    assert session.ask() is session.make_spikes_message() is None
     replies = written(session)
-    assert session.spikes() is None  # nothing has been asked yet
+    assert session.make_spikes_message() is None  # nothing has been asked yet
     n = sum(len(reply["ns"]) for reply in of(replies, "events"))
     answer = session.ask()()
     assert (answer["events"], answer["decision"]) == (n, n % 10)
     assert sum(answer["shares"]) == pytest.approx(1)
-    spikes = session.spikes()
+    spikes = session.make_spikes_message()
     seconds = spikes["seconds"]
     assert answer["confidence"] == pytest.approx(1)
     verdict = answer["verdict"]
@@ -97,8 +97,8 @@ class Waits(Parrot):
 
     threshold = None
 
-    def answer(self, events, time_s):
-        answer = super().answer(events, time_s)
+    def compute_output(self, events, time_s):
+        answer = super().compute_output(events, time_s)
         end = events.time_ns[-1] * 1e-9 + 1 if np.isinf(time_s) else time_s
         curve = replace(
             answer.curve,

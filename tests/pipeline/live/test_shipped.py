@@ -8,10 +8,10 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.files import read_json
 from deploy.targets.registry import run_target
-from pipeline.live.network import SHIPPED, sensor_of
+from pipeline.live.network import SHIPPED, find_sensor
 from pipeline.recordings.events import Sensor
 from pipeline.run.settings import read_settings
-from pipeline.sources import identity_of
+from pipeline.sources import find_identity
 from tests.command import ROOT, call
 
 RECIPE = SHIPPED.with_name("shipped.toml")
@@ -25,9 +25,9 @@ def bundle():
 
 def test_it_is_of_its_recipe_and_of_the_built_in_recordings(bundle):
     provenance, settings = bundle.spec.provenance, read_settings(RECIPE)
-    assert provenance["source_sha256"] == identity_of(settings)[0], AGAIN
+    assert provenance["source_sha256"] == find_identity(settings)[0], AGAIN
     assert provenance["simulated"] is True
-    made_from, flat = provenance["made_from"]["settings"], settings.flat()
+    made_from, flat = provenance["made_from"]["settings"], settings.flatten()
     for name, recorded in made_from.items():
         value = list(flat[name]) if isinstance(flat[name], tuple) else flat[name]
         assert value in (recorded, "auto"), AGAIN
@@ -36,7 +36,7 @@ def test_it_is_of_its_recipe_and_of_the_built_in_recordings(bundle):
 
 def test_it_is_small_and_has_all_that_the_page_needs(bundle):
     assert sum(file.stat().st_size for file in SHIPPED.iterdir()) <= 1_000_000
-    assert sensor_of(bundle) == Sensor()
+    assert find_sensor(bundle) == Sensor()
     assert bundle.spec.rehearsal is not None
     assert bundle.spec.estimator is not None
 

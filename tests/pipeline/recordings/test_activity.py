@@ -7,9 +7,9 @@ import pytest
 
 from pipeline.recordings.activity import (
     find_hot_taxels,
+    format_polarity_order,
     measure_activity,
     measure_polarity_order,
-    polarity_text,
 )
 from pipeline.sources import load_recordings
 from tests.pipeline.handmade import recordings
@@ -55,7 +55,7 @@ def test_the_polarity_that_comes_first():
     exchanged = [(time, taxel, -polarity, n) for time, taxel, polarity, n in rises]
     order = measure_polarity_order(recordings(exchanged, rises[:1]))
     assert order["fall_first"] == 0.5
-    assert "exchanged" in polarity_text(order)
+    assert "exchanged" in format_polarity_order(order)
     assert measure_polarity_order(recordings(rises[:1]))["rise_first"] is None
 
 

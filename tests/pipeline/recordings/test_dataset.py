@@ -11,8 +11,8 @@ from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.splits import split_of
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import SIMULATED, Settings, UndeclaredSetting
-from pipeline.sources import identity_of, load_dataset, recordings_of
-from pipeline.stages import open_run
+from pipeline.sources import find_identity, load_dataset, load_named_recordings
+from pipeline.workflow import open_run
 from tests.own_sensor import write_folder
 from tests.pipeline.handmade import archive, good_members
 
@@ -30,19 +30,19 @@ def dataset():
 def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
     source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
     settings = SMALL.with_values({"data": {"source": source}}, "test")
-    seen = make_dataset_origin(settings, *identity_of(settings)).view(settings)
-    assert len(recordings_of(seen)) == (20 if own else 60)
+    seen = make_dataset_origin(settings, *find_identity(settings)).view(settings)
+    assert len(load_named_recordings(seen)) == (20 if own else 60)
 
 
 def test_other_simulated_people_are_other_recordings():
     more = SMALL.with_values({"data": {"writers": 5, "samples_per_digit": 5}}, "test")
-    recordings = recordings_of(more)
+    recordings = load_named_recordings(more)
     assert set(recordings.writers) == set(range(5))
-    assert recordings.source.sha256 == identity_of(more)[0]
+    assert recordings.source.sha256 == find_identity(more)[0]
     assert recordings.source.name == "simulated, seed 0, 5 people"
     fewer = more.with_values({"data": {"writers": 3}}, "test")
-    assert set(recordings_of(fewer).writers) == set(range(3))
-    assert identity_of(fewer)[0] != identity_of(more)[0]
+    assert set(load_named_recordings(fewer).writers) == set(range(3))
+    assert find_identity(fewer)[0] != find_identity(more)[0]
 
 
 def test_inputs_and_labels_are_those_of_the_recordings(dataset):
@@ -76,12 +76,12 @@ def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_pat
 def test_inputs_are_made_with_the_settings_of_a_view_and_no_others(dataset):
     settings = dataset.settings
     image = tuple(f"image.{name}" for name in vars(Settings().image)) + ("input.kind",)
-    seen = dataset.restrict_to(settings.only(image))
+    seen = dataset.restrict_to(settings.select(image))
     assert seen.inputs is dataset.inputs
     signed = settings.with_values({"image": {"aggregation": "signed"}})
-    assert not np.array_equal(dataset.restrict_to(signed.only(image)).inputs, dataset.inputs)
+    assert not np.array_equal(dataset.restrict_to(signed.select(image)).inputs, dataset.inputs)
     with pytest.raises(UndeclaredSetting):
-        _ = dataset.restrict_to(settings.only(["input.kind"])).inputs
+        _ = dataset.restrict_to(settings.select(["input.kind"])).inputs
 
 
 def test_too_few_samples_are_one_line_with_the_source(tmp_path):
@@ -113,7 +113,7 @@ def test_more_frames_than_fit_into_memory_are_made_when_they_are_taken(monkeypat
     settings = Settings().with_values(
         {"data": {"samples_per_digit": 3}, "input": {"kind": "events"}}
     )
-    recordings = recordings_of(settings)
+    recordings = load_named_recordings(settings)
     at_once = make_inputs(recordings, settings)
     monkeypatch.setattr("pipeline.recordings.dataset.MAX_FRAME_BYTES", 0)
     on_demand = make_inputs(recordings, settings)

@@ -36,7 +36,7 @@ def test_a_check_has_the_number_of_faults_that_was_asked_for():
     faults = place_faults(FaultCounts(2, 3), np.random.default_rng(0), durations_ms, PLACES, SIZE)
     dead = ~faults.live
     assert dead.reshape(3, -1).sum(1).tolist() == [3, 3, 3]
-    hot = faults.hot_events()
+    hot = faults.draw_hot_events()
     for sample, duration_ms in enumerate(durations_ms):
         own = hot.select(hot.sample == sample)
         assert len(taxels_of(own)) == (2 if duration_ms else len(taxels_of(own)))
@@ -57,7 +57,7 @@ def test_a_sensor_with_one_polarity_has_no_hot_off_events():
     hot = place_faults(
         FaultCounts(1, 0), np.random.default_rng(0), [800.0], PLACES, SIZE, polarities=1
     )
-    assert set(hot.hot_events().polarity) == {0}
+    assert set(hot.draw_hot_events().polarity) == {0}
 
 
 def test_more_faults_than_taxels_are_refused():
@@ -79,7 +79,7 @@ def test_faults_of_training_samples():
     }
     in_sample = np.bincount(hot.sample, minlength=n)
     assert in_sample.max() <= 2 * MAX_HOT_TAXELS
-    events = faults.hot_events()
+    events = faults.draw_hot_events()
     assert events.time_ms.min() >= 0
     assert events.time_ms.max() <= duration_ms
     # Dead taxels, from the beginning or from later on.

@@ -8,12 +8,12 @@ from pipeline.recordings.events import Events, TaxelMap, expand_bursts
 from pipeline.recordings.formats.mat import (
     HEADER,
     MatRecording,
-    events_of,
-    lookup_table_bytes,
+    encode_lookup_table,
+    encode_recording,
+    make_spiketrain,
     read_lookup_table,
     read_recording,
-    recording_bytes,
-    spiketrain_of,
+    read_spiketrain,
 )
 from pipeline.recordings.formats.recording import BadRecording
 from tests.pipeline.handmade import events, mat5, spiketrain
@@ -85,7 +85,7 @@ def test_a_file_that_is_no_recording(content, fact):
 
 
 def test_flipped_bytes_give_a_reason_or_a_recording():
-    content = recording_bytes(MatRecording(events(), True, 3))
+    content = encode_recording(MatRecording(events(), True, 3))
     refused = 0
     for position in range(0, len(content), 3):
         damaged = bytearray(content)
@@ -108,17 +108,17 @@ def test_an_event_in_more_columns_than_are_counted():
     array = np.zeros((101, n), np.float32)
     array[3] = 1
     with pytest.raises(BadRecording, match="65,535 "):
-        events_of(np.vstack([array[:-1], np.arange(n)[None] * 16e-9]))
+        read_spiketrain(np.vstack([array[:-1], np.arange(n)[None] * 16e-9]))
 
 
 def test_round_trip_of_a_recording():
     written = MatRecording(events(), simulated=True, writer=22)
-    content = recording_bytes(written)
+    content = encode_recording(written)
     read = read_recording(content)
     for name in ("time_ns", "taxel", "polarity", "columns"):
         np.testing.assert_array_equal(getattr(read.events, name), getattr(written.events, name))
     assert (read.simulated, read.writer) == (True, 22)
-    assert recording_bytes(read) == content
+    assert encode_recording(read) == content
 
 
 def test_the_real_recording_comes_back_column_by_column(real_recording):
@@ -126,7 +126,7 @@ def test_the_real_recording_comes_back_column_by_column(real_recording):
     assert not recording.simulated
     read = recording.events
     assert (read.time_ns % 16 == 0).all()
-    again = events_of(spiketrain_of(read))
+    again = read_spiketrain(make_spiketrain(read))
     for found, expected in zip(expand_bursts(again), expand_bursts(read), strict=True):
         np.testing.assert_array_equal(found, expected)
 
@@ -167,15 +167,15 @@ def test_a_bad_lookup_table(table, fact):
 
 def test_round_trip_of_a_lookup_table():
     table = TaxelMap(row=np.arange(100) // 10, column=np.arange(100) % 10)
-    read = read_lookup_table(lookup_table_bytes(table))
+    read = read_lookup_table(encode_lookup_table(table))
     np.testing.assert_array_equal(read.row, table.row)
     np.testing.assert_array_equal(read.column, table.column)
 
 
 def test_round_trip_of_what_a_hand_has_written():
     few = Events([160, 3200], [3, 4], [1, -1], [4, 2])
-    content = recording_bytes(MatRecording(few, True, 3, True))
+    content = encode_recording(MatRecording(few, True, 3, True))
     read = read_recording(content)
-    assert recording_bytes(read) == content
+    assert encode_recording(read) == content
     assert (read.simulated, read.writer, read.written) == (True, 3, True)
     assert scipy.io.loadmat(io.BytesIO(content))["written"].item() == 1  # others read it too

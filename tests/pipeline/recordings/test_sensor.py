@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.terminal import WARNING
-from pipeline.recordings.events import Sensor, reading_text
+from pipeline.recordings.events import Sensor, describe_recordings
 from pipeline.recordings.images import make_tactile_images
-from pipeline.recordings.sensor import ReadingOptions, class_order
-from pipeline.recordings.source import read_source, reading_lines
+from pipeline.recordings.sensor import ReadingOptions, make_sort_key
+from pipeline.recordings.source import describe_reading, read_source
 from pipeline.recordings.strays import find_strays
 from pipeline.run.settings import Image
 from pipeline.sources import SimulatedSource, load_recordings
@@ -59,7 +59,7 @@ def test_the_unit_of_time_is_recognised_and_said(tmp_path, scale, kind, unit):
     read = read_source(tmp_path / "own.zip", jobs=1)
     expected = np.concatenate([t for (_, _, t, _), _ in gestures(4)])
     np.testing.assert_allclose(read.events.time_ns * 1e-9, expected, atol=6e-4)
-    text = reading_text(read)
+    text = describe_recordings(read)
     facts = ("16 recordings", f"{ROWS} rows", f"{COLUMNS} columns", "4 classes", f" {unit}")
     assert missing(text, *facts) == []
 
@@ -147,7 +147,7 @@ def test_one_event_that_enlarges_the_sensor_is_said_with_its_file(
     setting = {"x": f"skin.columns={COLUMNS}", "y": f"skin.rows={ROWS}"}[axis]
     facts = (name, "1 event", f"{axis} = {place}", f"{rows} rows x {columns} columns", setting)
     assert missing(line, *facts) == []
-    assert f"{WARNING}own.zip: {line}" in reading_lines("own.zip", read)
+    assert f"{WARNING}own.zip: {line}" in describe_reading("own.zip", read)
     stated = read_source(tmp_path / "own.zip", jobs=1, reading=ReadingOptions(rows, columns))
     assert stated.source.warnings == ()
 
@@ -206,10 +206,10 @@ def test_another_number_of_taxels_than_the_others(tmp_path):
 @example(["²", "2", "٣"])
 @given(st.lists(st.text(max_size=8)))
 def test_names_have_one_order(names):
-    assert sorted(sorted(names, key=class_order, reverse=True), key=class_order) == sorted(
-        names, key=class_order
+    assert sorted(sorted(names, key=make_sort_key, reverse=True), key=make_sort_key) == sorted(
+        names, key=make_sort_key
     )
-    assert sorted(["b10", "b9", "a", "10", "9"], key=class_order) == ["9", "10", "a", "b9", "b10"]
+    assert sorted(["b10", "b9", "a", "10", "9"], key=make_sort_key) == ["9", "10", "a", "b9", "b10"]
 
 
 def test_a_simulated_skin_of_another_size():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from deploy.files import sha256_of
+from deploy.files import hash_file
 from pipeline.recordings import source
 from pipeline.recordings.events import Sensor, TaxelMap
-from pipeline.recordings.formats.mat import lookup_table_bytes
+from pipeline.recordings.formats.mat import encode_lookup_table
 from pipeline.recordings.source import list_source, read_source
 from pipeline.recordings.writing import write_zip
 from pipeline.sources import load_recordings
@@ -88,7 +88,7 @@ def test_a_source_is_a_folder_of_folders_of_classes(tmp_path, end, around):
 
 
 def test_the_published_archive(tmp_path):
-    table = lookup_table_bytes(recordings([]).taxels)
+    table = encode_lookup_table(recordings([]).taxels)
     put(tmp_path / "st.zip", {**good_members(2), "data_submission/LUT.mat": table})
     read = read_source(tmp_path / "st.zip", jobs=2)
     assert read.sensor == Sensor()
@@ -273,7 +273,7 @@ def test_bad_positions(tmp_path, table, fact):
 
 def test_a_look_up_table_beside_numbered_taxels(tmp_path):
     """LUT.mat gives the places of taxels that files of events number by x, in one row."""
-    table = lookup_table_bytes(TaxelMap(np.arange(7) // 4, 2 * (np.arange(7) % 4)))
+    table = encode_lookup_table(TaxelMap(np.arange(7) // 4, 2 * (np.arange(7) % 4)))
     path = put(tmp_path / "s.zip", {**members(), "LUT.mat": table})
     read = read_source(path, jobs=1)
     assert (read.sensor.rows, read.sensor.columns) == (2, 7)
@@ -306,9 +306,9 @@ def test_recordings_come_back_from_a_zip(tmp_path):
     read = read_source(tmp_path / "out.zip", jobs=1)
     assert_same(read, made, source=False)
     assert read.source.simulated
-    first = sha256_of(tmp_path / "out.zip")
+    first = hash_file(tmp_path / "out.zip")
     write_zip(tmp_path / "out.zip", made)
-    assert sha256_of(tmp_path / "out.zip") == first
+    assert hash_file(tmp_path / "out.zip") == first
     parts = recordings([(0, 5, 1, 4)], [(0, 9, 1, 1)], parts=("train", "test"))
     write_zip(tmp_path / "p.zip", source_with_ids(parts))
     assert read_source(tmp_path / "p.zip", jobs=1).parts == ("train", "test")
@@ -324,12 +324,12 @@ def source_with_ids(made):
 
 def test_the_content_is_that_of_the_files_that_are_read(tmp_path):
     one, other = (put(tmp_path / name, members()) for name in ("one", "other"))
-    first = source.content_hash(list_source(one))
-    assert source.content_hash(list_source(other)) == first
+    first = source.hash_content(list_source(one))
+    assert source.hash_content(list_source(other)) == first
     put(other, {"README.md": b"new"})
-    assert source.content_hash(list_source(other)) == first
+    assert source.hash_content(list_source(other)) == first
     put(other, {"a/9.npz": strip(9)})
-    assert source.content_hash(list_source(other)) != first
+    assert source.hash_content(list_source(other)) != first
 
 
 def test_recordings_are_read_once(tmp_path, monkeypatch):

@@ -39,11 +39,11 @@ def test_by_hand():
 def test_places_of_own_recordings_count_from_0_as_their_x_and_y():
     source = replace(SOURCE, time_unit="ms")
     own = replace(by_hand(), source=source, sensor=Sensor(12, 10, classes=tuple("0123456789")))
-    values = statistics.statistics_json(own)
+    values = statistics.make_statistics_json(own)
     mean = (10 / 6 + 10) / 2 - 1
     assert values["classes"]["4"]["row_mean"][0] == pytest.approx(mean)
     assert (values["sensor"]["rows"], values["time_unit"]) == (12, "ms")
-    text = statistics.statistics_text(own)
+    text = statistics.format_statistics(own)
     facts = ("12 rows x 10 columns", "milliseconds", "columns from 0", f"{mean:.2f}")
     assert missing(text, *facts) == []
 

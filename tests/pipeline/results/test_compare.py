@@ -6,9 +6,9 @@ import shutil
 
 import pytest
 
-from deploy.check.intervals import fisher, wilson_interval
+from deploy.check.intervals import compute_fisher_p, compute_wilson_interval
 from deploy.errors import UserError
-from pipeline.kinds import kind_of_network
+from pipeline.kinds import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.results import compare
 from pipeline.results.compare import (
@@ -16,8 +16,8 @@ from pipeline.results.compare import (
     compare_accuracies,
     compare_runs,
     compute_inference,
+    format_runs,
     read_runs,
-    runs_text,
 )
 from pipeline.run.settings import Settings
 from tests.command import call, missing
@@ -33,7 +33,7 @@ def result(stage, predictions, labels=LABELS, ids=None, operations=None, **more)
         "target": stage,
         "n_samples": len(labels),
         "accuracy": right / len(labels),
-        "accuracy_ci95": list(wilson_interval(right, len(labels))),
+        "accuracy_ci95": list(compute_wilson_interval(right, len(labels))),
         "samples": [
             {"id": name, "label": label, "prediction": prediction}
             for name, label, prediction in zip(ids, labels, predictions, strict=True)
@@ -47,7 +47,7 @@ def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more
     spec = spec or small_spec()
     spec.provenance["source_sha256"] = source
     settings = Settings().with_values(changes or {}, "here")
-    origin = kind_of_network(settings).bundle_origin(make_dataset_origin(settings, source))
+    origin = find_kind(settings).make_bundle_origin(make_dataset_origin(settings, source))
     spec.provenance["made_from"] = origin.to_json()
     return Run(name, settings, spec, cores, 1, {r["target"]: r for r in results}, **more)
 
@@ -93,14 +93,14 @@ def test_other_samples_are_not_paired(other):
     found = compare_accuracies(a, run("b", **other), "nengo")
     assert not found["paired"]
     assert found["only_a"] is None
-    text = runs_text(compare_runs([a, run("b", **other)]))
+    text = format_runs(compare_runs([a, run("b", **other)]))
     assert "unpaired" in text
 
 
 def test_the_test_of_what_is_not_paired_by_hand():
     # Of the tables with four of each kind: 3 of 4 against 1 of 4, or more uneven, either way.
-    assert fisher(3, 4, 1, 4) == pytest.approx((16 + 1 + 1 + 16) / 70)
-    assert fisher(2, 4, 2, 4) == pytest.approx(1)
+    assert compute_fisher_p(3, 4, 1, 4) == pytest.approx((16 + 1 + 1 + 16) / 70)
+    assert compute_fisher_p(2, 4, 2, 4) == pytest.approx(1)
 
 
 def test_settings_that_differ_and_no_others():
@@ -112,7 +112,7 @@ def test_settings_that_differ_and_no_others():
         {"name": "snn.max_rates", "values": [[150.0], [100.0]]},
     ]
     assert compare_runs([a, a])["settings"] == []
-    assert "seed" not in runs_text(compare_runs([a, a]))
+    assert "seed" not in format_runs(compare_runs([a, a]))
 
 
 def test_where_a_network_comes_from():
@@ -151,7 +151,7 @@ def test_time_to_decide_of_events():
     compared = compare_runs([run("a", [result("fast", ALL)]), events])
     assert compared["runs"][0]["writing"] is None
     assert compared["runs"][1]["writing"]["share"] == 0.82
-    text = runs_text(compared)
+    text = format_runs(compared)
     assert missing(text, "82%", "image", "events") == []
     early["confidence"] = 1.0  # decides at the end
     assert compare_runs([run("a", [answer]), events])["runs"][1]["writing"] is None
@@ -161,8 +161,8 @@ def test_simulated_and_other_samples_are_told_apart():
     real = small_spec()
     real.provenance["simulated"] = False
     runs = [run("a", [result("cnn", ALL)]), run("b", [result("cnn", ALL)], spec=real)]
-    assert "8 samples" in runs_text(compare_runs(runs))
-    assert "simulated" not in runs_text(compare_runs([runs[1], runs[1]]))
+    assert "8 samples" in format_runs(compare_runs(runs))
+    assert "simulated" not in format_runs(compare_runs([runs[1], runs[1]]))
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from deploy.network.spec import Presentation
 from pipeline.kinds.reference import compute_responses
 from pipeline.results.ladder import (
     find_losing_stages,
-    ladder_json,
-    ladder_rows,
-    ladder_text,
-    points_text,
+    format_ladder,
+    format_points,
+    make_ladder_json,
+    make_rows,
 )
 from tests.command import call, missing
 
@@ -41,7 +41,7 @@ EMULATOR = result("emulator", [0, 1, 2, 3, 4, 5, 0, 0, 8, 1])  # 7 right, 1 diff
 
 
 def test_the_ladder_by_hand():
-    first, second, third = ladder_rows([CNN, RATE, EMULATOR])
+    first, second, third = make_rows([CNN, RATE, EMULATOR])
     assert (first["stage"], first["accuracy"]) == ("cnn", 0.9)
     assert (first["change"], first["disagreements"], first["mcnemar_p"]) == (None, None, None)
     assert second["change"] == pytest.approx(-0.3)
@@ -53,15 +53,15 @@ def test_the_ladder_by_hand():
 
 
 def test_a_loss_is_negative():
-    text = ladder_text(ladder_json([RATE, EMULATOR]))
+    text = format_ladder(make_ladder_json([RATE, EMULATOR]))
     assert missing(text.splitlines()[-1], "rate-lif", "emulator", "+10.0 points") == []
-    assert points_text(-0.04) == "+0.0 points"
-    assert points_text(-0.5) == "-0.5 points"
+    assert format_points(-0.04) == "+0.0 points"
+    assert format_points(-0.5) == "-0.5 points"
 
 
 def test_results_of_different_bundles_make_no_ladder():
     with pytest.raises(UserError, match=r"b{12}.*c{12}"):
-        ladder_rows([CNN, result("nengo", LABELS, bundle="c" * 64)])
+        make_rows([CNN, result("nengo", LABELS, bundle="c" * 64)])
 
 
 def layer(name, correlation):
@@ -82,18 +82,18 @@ def beyond_chance(ladder):
 
 
 def test_a_loss_that_chance_explains_is_no_warning():
-    ladder = ladder_json([CNN, result("rate-lif", LABELS), EMULATOR], LAYERS)
+    ladder = make_ladder_json([CNN, result("rate-lif", LABELS), EMULATOR], LAYERS)
     assert ladder["last_against_trained_p"] == pytest.approx(0.25)
     assert find_losing_stages(ladder) == []
-    assert "loses" not in ladder_text(ladder)
+    assert "loses" not in format_ladder(ladder)
 
 
 def test_a_stage_that_loses_too_much_brings_the_layers():
     better = result("rate-lif", LABELS)
-    ladder = beyond_chance(ladder_json([CNN, better, EMULATOR], LAYERS))
+    ladder = beyond_chance(make_ladder_json([CNN, better, EMULATOR], LAYERS))
     assert ladder["least_faithful_layer"] == "conv2"
     assert find_losing_stages(ladder) == [("rate-lif", "emulator", pytest.approx(30))]
-    text = ladder_text(ladder)
+    text = format_ladder(ladder)
     assert re.search(r"emulator .*\b30\.0 points .*rate-lif", text)
     assert re.search(r"conv2 +0\.8700 +0\.500 +0\.0100", text)
 
@@ -105,13 +105,13 @@ def test_losses_are_stated_against_the_matched_cnn():
         of_eighty("cnn-matched", 72),
         of_eighty("emulator", 70),
     )
-    text = ladder_text(ladder_json([of_eighty("counts", 50), cnn, matched, last]))
+    text = format_ladder(make_ladder_json([of_eighty("counts", 50), cnn, matched, last]))
     assert "from cnn-matched to emulator: -2.5 points" in text
     assert "from counts to emulator: +25.0 points" in text
 
 
 def test_what_the_cnn_loses_is_no_matter_of_firing_rates():
-    assert find_losing_stages(ladder_json([CNN, RATE])) == []
+    assert find_losing_stages(make_ladder_json([CNN, RATE])) == []
 
 
 def of_eighty(target, right):
@@ -128,18 +128,18 @@ def of_eighty(target, right):
 
 def test_the_deployed_network_is_compared_with_the_simplest_classifier():
     cnn, worse, better = of_eighty("cnn", 70), of_eighty("emulator", 54), of_eighty("emulator", 70)
-    ladder = ladder_json([of_eighty("counts", 60), cnn, worse])
+    ladder = make_ladder_json([of_eighty("counts", 60), cnn, worse])
     assert ladder["against_counts"]["difference"] == pytest.approx(-6 / 80)
     assert ladder["against_counts"]["mcnemar_p"] == pytest.approx(2 * 0.5**6)
-    lines = ladder_text(ladder).splitlines()
+    lines = format_ladder(ladder).splitlines()
     assert missing(lines[-1], "emulator", "event counts", "try") == []
     assert any("from cnn to emulator: -20.0 points" in line for line in lines)
-    text = ladder_text(ladder_json([of_eighty("counts", 60), cnn, better]))
+    text = format_ladder(make_ladder_json([of_eighty("counts", 60), cnn, better]))
     assert "try" not in text
     assert "from counts to emulator: +12.5 points" in text
-    chance = ladder_json([of_eighty("counts", 58), cnn, worse])
-    assert "try" not in ladder_text(chance)  # four samples are no evidence
-    assert ladder_json([cnn, worse])["against_counts"] is None
+    chance = make_ladder_json([of_eighty("counts", 58), cnn, worse])
+    assert "try" not in format_ladder(chance)  # four samples are no evidence
+    assert make_ladder_json([cnn, worse])["against_counts"] is None
 
 
 def test_the_emulators_answers_are_the_fast_targets(tiny_run, tmp_path):

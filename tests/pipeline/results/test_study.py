@@ -10,7 +10,7 @@ from deploy.errors import CheckFailed, UserError
 from pipeline.results import study
 from pipeline.results.study import Case, Workers
 from pipeline.run.settings import Settings
-from pipeline.sources import load_dataset, recordings_of
+from pipeline.sources import load_dataset, load_named_recordings
 
 SMALL = Settings().with_values(
     {"data": {"samples_per_digit": 12}, "split": {"validation_fraction": 0.25}}, "test"
@@ -31,7 +31,7 @@ def test_rows_are_measured_once_and_what_is_missing_later(tmp_path):
     cases = [Case("a", SMALL, "cnn", seed) for seed in range(2)]
     more = [*cases, Case("a", SMALL, "cnn", 2)]
     for some in (cases, more, more):
-        rows, failed = study.study(some, tmp_path, "0", ONE, print, counting)
+        rows, failed = study.run_study(some, tmp_path, "0", ONE, print, counting)
         assert [r["seed"] for r in rows] == [case.seed for case in some]
         assert failed == {}
     assert (tmp_path / "calls").read_text().split() == ["a", "0", "a", "1", "a", "2"]
@@ -40,17 +40,17 @@ def test_rows_are_measured_once_and_what_is_missing_later(tmp_path):
 def test_a_failure_is_said_and_the_others_stand(tmp_path):
     cases = [Case("a", SMALL, "cnn", seed) for seed in (2, 3)]
     said = []
-    rows, failed = study.study(cases, tmp_path, "0", ONE, said.append, counting)
+    rows, failed = study.run_study(cases, tmp_path, "0", ONE, said.append, counting)
     assert [r["seed"] for r in rows] == [2]
     assert "seed 3 is not measured" in failed[cases[1]]
     assert said == ["seed 3 is not measured"]
     with pytest.raises(CheckFailed):
-        study.study(cases[1:], tmp_path, "0", ONE, said.append, counting)
+        study.run_study(cases[1:], tmp_path, "0", ONE, said.append, counting)
 
 
 def test_a_worker_with_other_recordings_is_refused(tmp_path):
     with pytest.raises(CheckFailed):
-        study.study([Case("a", SMALL, "cnn")], tmp_path, "1", ONE, print, counting)
+        study.run_study([Case("a", SMALL, "cnn")], tmp_path, "1", ONE, print, counting)
 
 
 def test_the_key_of_a_case_is_of_all_that_it_depends_on():
@@ -63,9 +63,9 @@ def test_the_key_of_a_case_is_of_all_that_it_depends_on():
         replace(case, stage="fast"),
         replace(case, settings=SMALL.with_values({"cnn": {"epochs": 7}}, "")),
     ]
-    keys = {one.key("0") for one in (case, *others)} | {case.key("1")}
+    keys = {one.compute_key("0") for one in (case, *others)} | {case.compute_key("1")}
     assert len(keys) == 8
-    assert replace(case, name="b").key("0") == case.key("0")
+    assert replace(case, name="b").compute_key("0") == case.compute_key("0")
 
 
 def test_cases_that_differ_in_deployment_share_networks():
@@ -78,7 +78,7 @@ def test_cases_that_differ_in_deployment_share_networks():
 
 def test_validation_samples_are_never_test_samples():
     whole = load_dataset(SMALL)
-    dataset = study.dataset_of(Case("a", SMALL, "fast", part="validation"))
+    dataset = study.make_dataset(Case("a", SMALL, "fast", part="validation"))
     assert len(dataset.split.test) == 0
     assert len(dataset.split.validation) == 24  # of 96 that are not for testing
     assert not {*dataset.split.train, *dataset.split.validation} & {*whole.split.test}
@@ -91,8 +91,8 @@ def test_a_small_study_of_a_network(tmp_path):
     settings = Settings().with_values({**tiny, "presentation": {"steps": 30}}, "test")
     stages = ("cnn", "rate-lif", "spiking-lif", "fast")
     cases = [Case(stage, settings, stage) for stage in stages]
-    sha256 = recordings_of(settings).source.sha256
-    rows, failed = study.study(cases, tmp_path, sha256, ONE, print)
+    sha256 = load_named_recordings(settings).source.sha256
+    rows, failed = study.run_study(cases, tmp_path, sha256, ONE, print)
     assert failed == {}
     assert json.loads(json.dumps(rows)) == rows
     for found in rows:

@@ -85,13 +85,13 @@ def test_pareto_front_by_hand():
         (4, 1),  # its equal is on it too
         (5, 5),  # beaten by all
     ]
-    assert sweep.pareto_front(costs).tolist() == [True, True, False, True, True, False]
-    assert sweep.pareto_front([(7, 7, 7)]).tolist() == [True]
+    assert sweep.find_pareto_front(costs).tolist() == [True, True, False, True, True, False]
+    assert sweep.find_pareto_front([(7, 7, 7)]).tolist() == [True]
 
 
 @given(arrays(int, st.tuples(st.integers(1, 12), st.just(3)), elements=st.integers(0, 4)))
 def test_whatever_is_off_the_front_is_beaten_from_on_it(costs):
-    front = sweep.pareto_front(costs)
+    front = sweep.find_pareto_front(costs)
     assert front.any()
     for cost in costs[~front]:
         assert any((other <= cost).all() and (other < cost).any() for other in costs[front])
@@ -193,12 +193,12 @@ def test_a_sweep_is_resumed(tiny_sweep, tmp_path, capsys):
 
 
 def test_a_sweep_that_has_no_point_yet_is_no_run(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(sweep, "study", lambda *arguments: 1 / 0)
+    monkeypatch.setattr(sweep, "run_study", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         call("sweep", tmp_path / "out", *TINY, *GRID)
     assert call("train", tmp_path / "out") == 2
     assert "results of a sweep" in capsys.readouterr().err
-    monkeypatch.setattr(sweep, "study", lambda *arguments: ([], {}))
+    monkeypatch.setattr(sweep, "run_study", lambda *arguments: ([], {}))
     assert call("sweep", tmp_path / "out", *TINY, *GRID) == 0
 
 

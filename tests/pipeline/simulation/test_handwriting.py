@@ -137,7 +137,7 @@ def test_places_vary_as_the_form_says():
 
 def test_some_people_write_a_1_as_one_straight_line():
     straight = shape_model.load().allographs[1][-1]
-    (line,) = straight.strokes(np.zeros(3))
+    (line,) = straight.make_strokes(np.zeros(3))
     np.testing.assert_allclose(line[[0, -1], 0], [-0.5, 0.5], atol=1e-9)
     assert np.ptp(line[:, 1]) < 0.2
     assert (np.diff(line[:, 0]) > 0).all()

@@ -72,10 +72,10 @@ def written(seed=0, rate_s=0.01, p=P, pieces=None, pressure=0.5):
     """A line downwards in half a second, told at a rate; ``pieces`` divides the time otherwise."""
     writing = Writing([seed], p)
     for t in np.arange(0, 0.5, rate_s):
-        writing.point(PenPoint(START_S + t, 1 + 14 * t, 4.5, pressure, True))
+        writing.add_point(PenPoint(START_S + t, 1 + 14 * t, 4.5, pressure, True))
         if pieces is None:
             writing.advance(START_S + t)
-    writing.point(PenPoint(START_S + 0.5, 8, 4.5, pressure, False))
+    writing.add_point(PenPoint(START_S + 0.5, 8, 4.5, pressure, False))
     for until in pieces or [writing.settled_s]:
         writing.advance(until)
     return writing
@@ -117,7 +117,7 @@ def test_a_rough_skin_scrapes_more_however_fast_the_pen_is():
 
 def test_a_pen_that_rests_is_silent_after_a_while():
     writing = Writing([0], P)
-    writing.point(PenPoint(START_S, 4, 4, 0.5, True))
+    writing.add_point(PenPoint(START_S, 4, 4, 0.5, True))
     writing.advance(START_S + 0.5)
     assert len(writing.events) > 0
     assert len(writing.advance(START_S + 1.5)) <= 2
@@ -127,12 +127,12 @@ def test_nothing_happens_before_the_pen_comes_or_when_time_goes_back():
     writing = Writing([0], P)
     assert len(writing.advance(3.0)) == 0
     assert writing.time_s == START_S
-    writing.point(PenPoint(START_S, 4, 4, 0.5, True))
+    writing.add_point(PenPoint(START_S, 4, 4, 0.5, True))
     writing.advance(START_S + 0.2)
     now = writing.time_s
     assert len(writing.advance(START_S)) == 0
     assert writing.time_s == now
-    writing.point(PenPoint(START_S, 4, 5, 0.5, True))  # told late: counts as from now
+    writing.add_point(PenPoint(START_S, 4, 5, 0.5, True))  # told late: counts as from now
     writing.advance(START_S + 0.3)
     assert writing.time_s > now
 
@@ -143,7 +143,7 @@ def test_nothing_happens_before_the_pen_comes_or_when_time_goes_back():
 )
 def test_points_that_no_pen_makes_are_refused(place, why):
     with pytest.raises(ValueError, match=why):
-        Writing([0], P).point(PenPoint(START_S, *place, 0.5, True))
+        Writing([0], P).add_point(PenPoint(START_S, *place, 0.5, True))
 
 
 def drawn(size, polarities=2):
@@ -151,7 +151,7 @@ def drawn(size, polarities=2):
     writing = Writing([1], P, size, polarities)
     for share in np.linspace(0, 1, 30):
         down, right = (share * (side - 1) for side in size)
-        writing.point(PenPoint(START_S + 0.5 * share, down, right, 0.5, True))
+        writing.add_point(PenPoint(START_S + 0.5 * share, down, right, 0.5, True))
         writing.advance(START_S + 0.5 * share)
     writing.advance(START_S + 0.6)
     return writing

@@ -13,7 +13,7 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
-from pipeline.kinds.image.kind import describe_network, to_spec
+from pipeline.kinds.image.kind import describe_network, make_image_spec
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.results.other_recordings import find_trained_on
 from pipeline.results.report.figures import animation
@@ -86,7 +86,7 @@ def images(n=4, size=(10, 10, 1)):
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_the_network_in_nengodl_is_the_keras_one(architecture):
     chosen, weights = settings_of(architecture), random_weights(architecture)
-    trained = training.TrainedRates(chosen, weights).logits(images())
+    trained = training.TrainedRates(chosen, weights).compute_logits(images())
     with untraced():
         ours = nengodl.run(chosen, weights, images(), 1, spiking=False, batch=4)
     assert trained.std() > 0.1
@@ -127,9 +127,9 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(architectur
     shown = dict(steps=700, gap=0, readout_start=150, stream_length=1)
     chosen = settings_of(architecture, "loihi", **shown)
     weights = random_weights(architecture)
-    rates = training.TrainedRates(chosen, weights).logits(images())
-    spec = to_spec(chosen, weights, {})
-    assert NetworkSpec.from_json(spec.to_json(), spec.arrays()) == spec
+    rates = training.TrainedRates(chosen, weights).compute_logits(images())
+    spec = make_image_spec(chosen, weights, {})
+    assert NetworkSpec.from_json(spec.to_json(), spec.to_arrays()) == spec
     scores = run_target(spec, images(), "fast").scores
     assert np.corrcoef(scores.ravel(), rates.ravel())[0, 1] > 0.97
     assert make_plan(spec).problems == []
@@ -137,7 +137,7 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(architectur
 
 def test_what_is_folded_counts_as_the_architecture_does():
     architecture = "10x10-3a-6c3p-10o"
-    spec = to_spec(settings_of(architecture), random_weights(architecture), {})
+    spec = make_image_spec(settings_of(architecture), random_weights(architecture), {})
     assert [layer.name for layer in spec.layers] == ["conv1", "output"]
     assert spec.layers[0].pool == 3
     ours, whole = spec.multiply_accumulates, parse(architecture).multiply_accumulates
@@ -158,7 +158,7 @@ def test_training_with_strides_pooling_and_dense_layers():
         single = training.train_rate_network(settings, samples, 0, cnn.weights)
     shapes = parse(settings.cnn.architecture).weight_shapes
     assert {name: array.shape for name, array in single.weights.items()} == shapes
-    assert np.isfinite(single.logits(images())).all()
+    assert np.isfinite(single.compute_logits(images())).all()
     assert set(single.compute_activations(images())) == {"conv1", "dense1"}
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from deploy.network.decision import confidence
+from deploy.network.decision import compute_confidence
 from pipeline.training.events.estimator import train_estimator
 
 
@@ -23,8 +23,8 @@ def answers(samples=400, seed=0):
 def test_an_estimator_knows_more_than_the_lead():
     estimator = train_estimator(*answers(), seed=0)
     outputs, right = answers(100, seed=1)
-    sure = np.concatenate([confidence(sample, estimator) for sample in outputs])
-    lead = np.concatenate([confidence(sample) for sample in outputs])
+    sure = np.concatenate([compute_confidence(sample, estimator) for sample in outputs])
+    lead = np.concatenate([compute_confidence(sample) for sample in outputs])
     right = np.concatenate(right)
 
     def loss(p):
@@ -38,6 +38,6 @@ def test_an_estimator_knows_more_than_the_lead():
 
 def test_same_seed_same_estimator():
     one, two, other = (train_estimator(*answers(50), seed=seed) for seed in (1, 1, 2))
-    for name, array in one.arrays().items():
-        np.testing.assert_array_equal(array, two.arrays()[name])
-    assert any((one.arrays()[name] != other.arrays()[name]).any() for name in one.arrays())
+    for name, array in one.to_arrays().items():
+        np.testing.assert_array_equal(array, two.to_arrays()[name])
+    assert any((one.to_arrays()[name] != other.to_arrays()[name]).any() for name in one.to_arrays())

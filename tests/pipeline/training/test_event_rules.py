@@ -42,7 +42,7 @@ def test_what_place_tells_needs_no_parts_and_the_longest_period():
     reading = event_rules.choose_input(*table_of(events), np.arange(120), 10.0, 100)
     assert (reading.sections, reading.refractory) == (1, max(event_rules.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
-    assert "sections" not in reading.text(10.0, reading.sections)
+    assert "sections" not in reading.describe(10.0, reading.sections)
 
 
 def test_a_period_that_loses_most_events_is_not_chosen():
@@ -90,15 +90,17 @@ def test_left_out_accuracy_is_that_of_fits_without_the_sample():
             scores = kernel[out, rest] @ np.linalg.solve(inner, classes[rest])
             right += scores.argmax() == labels[out]
         best = max(best, right / 24)
-    assert event_rules.left_out_accuracy(inputs, labels) == pytest.approx(best)
+    assert event_rules.measure_left_out_accuracy(inputs, labels) == pytest.approx(best)
 
 
 @pytest.mark.parametrize(
     ("samples", "expected"), [(576, 80), (1079, 58), (5271, event_rules.MIN_EPOCHS)]
 )
 def test_the_number_of_updates_is_fixed(samples, expected):
-    assert event_rules.epochs_for(samples, 32) == expected
+    assert event_rules.choose_epochs(samples, 32) == expected
 
 
 def test_few_samples_have_as_many_updates():
-    assert event_rules.epochs_for(200, 32) * 7 == pytest.approx(event_rules.MIN_UPDATES, rel=0.01)
+    assert event_rules.choose_epochs(200, 32) * 7 == pytest.approx(
+        event_rules.MIN_UPDATES, rel=0.01
+    )

@@ -107,7 +107,7 @@ def test_weights_have_the_names_and_shapes_of_the_architecture(trained):
     arrays = {k: np.shape(v) for k, v in trained.weights.items() if np.ndim(v)}
     expected = dict(architecture.weight_shapes)
     del expected["output.bias"]  # the readout is a sum of spikes' weights and nothing else
-    assert arrays == {**expected, **Estimator.shapes(3)}
+    assert arrays == {**expected, **Estimator.list_shapes(3)}
     assert trained.weights["conv1.tau_u"] > 0
     assert trained.estimator(np.zeros((5, 3))).shape == (5,)
 
@@ -120,7 +120,7 @@ def test_answers_are_the_chips_integers(trained, data):
     frames = table.make_frames(VALIDATION, DESIGN.step_ms, 64, DESIGN.limits)
     for index in (0, 7):
         conv, dense = spiking_in_numpy.network(
-            network.architecture, network.integers(), frames[:, index]
+            network.architecture, network.compute_integers(), frames[:, index]
         )
         np.testing.assert_array_equal(answers.spikes["conv1"][index], conv.sum(0))
         np.testing.assert_array_equal(answers.spikes["dense1"][index], dense.sum(0))

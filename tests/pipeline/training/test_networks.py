@@ -36,7 +36,7 @@ def cnn(stripes):
 
 def test_the_weights_are_the_trained_ones(cnn, stripes):
     images, labels = stripes
-    found = accuracy(cnn.logits(images), labels)
+    found = accuracy(cnn.compute_logits(images), labels)
     assert found >= cnn.history[-1]["accuracy"] - 0.02
     assert found > 0.9
 
@@ -64,7 +64,7 @@ def test_rate_networks_learn(cnn, stripes, recipe):
     trained = training.train_rate_network(
         chosen, training.TrainingSamples(*stripes), 0, cnn.weights
     )
-    assert accuracy(trained.logits(images), labels) > 0.9
+    assert accuracy(trained.compute_logits(images), labels) > 0.9
 
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="only one core is allowed")
@@ -153,8 +153,8 @@ def test_scaling_to_unit_keeps_the_function(cnn, stripes):
     images, _ = stripes
     scaled = training.scale_to_unit(settings(), cnn.weights, images)
     np.testing.assert_allclose(
-        training.TrainedCNN(settings(), scaled).logits(images),
-        cnn.logits(images),
+        training.TrainedCNN(settings(), scaled).compute_logits(images),
+        cnn.compute_logits(images),
         rtol=1e-3,
         atol=1e-3,
     )
@@ -170,7 +170,7 @@ def test_validation_samples_are_watched_and_not_trained_on():
         chosen, training.TrainingSamples(images, labels, None, (images[:8], labels[:8])), 0
     )
     unwatched = training.train_cnn(chosen, training.TrainingSamples(images, labels), 0)
-    logits = watched.logits(images[:8])
+    logits = watched.compute_logits(images[:8])
     right = float(np.mean(logits.argmax(1) == labels[:8]))
     shares = np.exp(logits - logits.max(1, keepdims=True))
     shares /= shares.sum(1, keepdims=True)
@@ -184,20 +184,20 @@ def test_validation_samples_are_watched_and_not_trained_on():
 def test_the_best_shift_brings_a_lif_neuron_near_a_rectified_unit():
     """By hand: at z = 1 the rate is max_rate whatever the shift, and it beats no shift."""
     from models.cnn import RateLIF
-    from pipeline.training.networks import _best_shift
+    from pipeline.training.networks import _find_best_shift
 
     neurons = RateLIF(150.0, on_chip=True)
     wanted = np.linspace(0.001, 1, 500)
-    shift, factor = _best_shift(neurons, wanted)
+    shift, factor = _find_best_shift(neurons, wanted)
     assert 0 < shift < 0.5
 
     def error(shift, factor):
-        rates = neurons.rates(((1 + shift) * wanted - shift).astype(np.float32)).numpy()
+        rates = neurons.compute_rates(((1 + shift) * wanted - shift).astype(np.float32)).numpy()
         return np.sqrt(np.mean((factor * rates - wanted) ** 2))
 
-    plain = neurons.rates(wanted.astype(np.float32)).numpy()
+    plain = neurons.compute_rates(wanted.astype(np.float32)).numpy()
     assert error(shift, factor) < 0.5 * error(0.0, plain @ wanted / (plain @ plain))
-    assert _best_shift(neurons, np.empty(0)) == (0.0, 1.0)
+    assert _find_best_shift(neurons, np.empty(0)) == (0.0, 1.0)
 
 
 def test_dropout_keeps_the_mean():
@@ -228,7 +228,7 @@ def test_the_matched_cnn_is_trained_like_the_rate_network(cnn, stripes):
     chosen = settings(epochs=8, batch_size=16)
     matched = training.train_matched(chosen, training.TrainingSamples(*stripes), 0, cnn.weights)
     assert [row["epoch"] for row in matched.history] == list(range(1, 9))
-    assert accuracy(matched.logits(images), labels) > 0.9
+    assert accuracy(matched.compute_logits(images), labels) > 0.9
     untrained = training.scale_to_unit(chosen, cnn.weights, images)
     assert not np.allclose(matched.weights["conv1.kernel"], untrained["conv1.kernel"])
     # It starts from the CNN's function, not from new weights.
@@ -246,4 +246,4 @@ def test_altered_images_take_the_place_of_the_samples(stripes):
     few = Settings().with_values({"cnn": {"epochs": 8, "batch_size": 16}})
     trained = training.train_cnn(few, training.TrainingSamples(*stripes, altered), 0)
     assert len(seen) == 8
-    assert np.mean(trained.logits(images).argmax(1) == (labels - 1) % 10) > 0.8
+    assert np.mean(trained.compute_logits(images).argmax(1) == (labels - 1) % 10) > 0.8

@@ -10,13 +10,13 @@ from matplotlib.text import Text
 
 from deploy.errors import UserError
 from deploy.files import replacing
-from deploy.terminal import WARNING, printable, remark
-from pipeline.look import colour
+from deploy.terminal import WARNING, escape_control, remark
+from pipeline.look import find_colour
 
 FORMATS = ("png", "svg", "pdf")
 
 # From no event to the most.
-SHADES = LinearSegmentedColormap.from_list("events", ["#ffffff", colour("on")])
+SHADES = LinearSegmentedColormap.from_list("events", ["#ffffff", find_colour("on")])
 
 
 def format_of(path: Path) -> str:
@@ -33,9 +33,9 @@ def format_of(path: Path) -> str:
     return ending
 
 
-def plain(name: str) -> str:
+def escape_formula(name: str) -> str:
     """A name in which Matplotlib does not interpret dollar signs as a formula."""
-    return printable(name).replace("$", r"\$")
+    return escape_control(name).replace("$", r"\$")
 
 
 def add_fonts(figure):

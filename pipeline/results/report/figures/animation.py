@@ -9,7 +9,7 @@ from deploy.check.bundle import Bundle
 from deploy.files import replacing, require_ending
 from deploy.network.provenance import read_classes, read_positions
 from deploy.tables import shorten_name
-from pipeline.look import colour
+from pipeline.look import find_colour
 from pipeline.results.report.figures import SHADES
 from pipeline.results.report.samples import replay
 
@@ -120,7 +120,7 @@ class _Animation:
         heights = [1.0] * len(self._played.layers) + [1.4]
         size = (10, 1.2 + 1.2 * len(heights))
         self._figure = figure = Figure(figsize=size, layout="constrained", dpi=90)
-        figure.set_facecolor(colour("panel"))
+        figure.set_facecolor(find_colour("panel"))
         figure.get_layout_engine().set(w_pad=0.12, h_pad=0.06)
         left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
         axes = left.subplots(2, 1, height_ratios=[1.6, 1])
@@ -143,7 +143,7 @@ class _Animation:
         axes.set_axis_off()
         middle = {"x": 0.5, "ha": "center", "va": "center"}
         size = min(48, 400 / max(map(len, self._names)))
-        bold = {"size": size, "color": colour("soft"), "weight": "bold"}
+        bold = {"size": size, "color": find_colour("soft"), "weight": "bold"}
         self._prediction = axes.text(y=0.7, s="…", **bold, **middle)
         self._verdict = axes.text(y=0.15, s="", size=14, **middle)
 
@@ -151,8 +151,8 @@ class _Animation:
         """Add the present time, and what is shown from the decision on: its line, and a veil."""
         for axes in panels:
             axes.spines[:].set_visible(False)
-        self._clocks = [axes.axvline(0, color=colour("soft"), linewidth=1) for axes in panels]
-        solid = {"color": colour("ink"), "linewidth": 2, "visible": False}
+        self._clocks = [axes.axvline(0, color=find_colour("soft"), linewidth=1) for axes in panels]
+        solid = {"color": find_colour("ink"), "linewidth": 2, "visible": False}
         self._ends = [axes.axvline(self._decided_ms, **solid) for axes in panels]
         # What comes after the decision does not count, and is faded.
         faded = {"color": "white", "alpha": 0.6, "linewidth": 0, "zorder": 2.4, "visible": False}
@@ -169,7 +169,7 @@ class _Animation:
             for group, steps, rows in layer.groups:
                 name = "ink" if group == "s1" else group
                 tall = {"markersize": max(1, 60 / layer.size), "label": NAMES.get(group)}
-                line = axes.plot([], [], "|", color=colour(name), **tall)[0]
+                line = axes.plot([], [], "|", color=find_colour(name), **tall)[0]
                 marks.append((line, self._step_ms * (steps + 0.5), rows))
             if len(layer.groups) > 1:
                 legend = axes.legend(**LEGEND, markerscale=max(1, layer.size / 7))
@@ -192,8 +192,8 @@ class _Animation:
         drawn = self._played.choose_classes(self._label)
         for place, (number, style) in enumerate(zip(drawn, STYLES, strict=False), 1):
             name = shorten_name(self._classes[number], MAX_NAME_LENGTH)
-            curves[number] = axes.plot([], [], colour(f"s{place}"), ls=style, label=name)[0]
-        axes.axhline(limit, color=colour("soft"), linestyle=":", visible=limit < 100)
+            curves[number] = axes.plot([], [], find_colour(f"s{place}"), ls=style, label=name)[0]
+        axes.axhline(limit, color=find_colour("soft"), linestyle=":", visible=limit < 100)
         axes.legend(**LEGEND)
         return curves
 
@@ -212,13 +212,13 @@ class _Animation:
         """The decision, when it was made, and whether it is right."""
         played = self._played
         label = self._label
-        is_right = played.answer == label
+        is_right = played.prediction == label
         is_last = self._decided_ms == self._times_ms[-1]
         when = "at the end" if is_last else f"decided after {self._decided_ms / 1000:.2f} s"
-        when += f"\n{self._measure} {_percent(played.chances[played.decided, played.answer])}"
+        when += f"\n{self._measure} {_percent(played.chances[played.decided, played.prediction])}"
         ended = f"{when}: right" if is_right else f"{when}\nwrong, was {self._names[label]}"
-        shade = colour("right" if is_right else "wrong")
-        self._prediction.set(text=self._names[played.answer], color=shade)
+        shade = find_colour("right" if is_right else "wrong")
+        self._prediction.set(text=self._names[played.prediction], color=shade)
         self._verdict.set_text(ended)
         for line in self._ends:
             line.set_visible(True)

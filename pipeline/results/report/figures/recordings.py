@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deploy.tables import shorten_apart, shorten_name
-from pipeline.look import colour
+from pipeline.look import find_colour
 from pipeline.recordings.events import DIGITS, Recordings
 from pipeline.recordings.images import make_tactile_images
-from pipeline.results.report.figures import SHADES, plain
+from pipeline.results.report.figures import SHADES, escape_formula
 
 # Tactile images above the raster.
 FRAMES = 8
@@ -71,7 +71,7 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
             snap=False,
             clip_on=False,  # the first and last events are at the borders
             zorder=3,  # above the frame
-            colors=colour(name),
+            colors=find_colour(name),
             linewidths=2,
             label=label,
         )
@@ -139,7 +139,9 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
         pool = np.flatnonzero(recordings.labels == digit)
         chosen = np.sort(rng.choice(pool, min(per_digit, len(pool)), replace=False))
         row = [figure.add_subplot(grids[block][down, column]) for column in range(len(chosen))]
-        row[0].set_ylabel(plain(names[digit]), rotation=0, labelpad=4, ha="right", va="center")
+        row[0].set_ylabel(
+            escape_formula(names[digit]), rotation=0, labelpad=4, ha="right", va="center"
+        )
         for axes, index in zip(row, chosen, strict=True):
             if _is_strip(recordings.taxels):
                 _show_over_time(axes, recordings, index)
@@ -195,7 +197,7 @@ def _show_over_time(axes, recordings, index):
 
 
 def _source(recordings):
-    name = plain(recordings.source.name)
+    name = escape_formula(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         return f"{name}, simulated"
     return name
@@ -205,9 +207,9 @@ def _title(recordings, index):
     name = recordings.ids[index]
     classes = recordings.sensor.classes
     of = classes[recordings.labels[index]]
-    sample = f"sample {plain(shorten_name(name, 60))} ({_source(recordings)})"
+    sample = f"sample {escape_formula(shorten_name(name, 60))} ({_source(recordings)})"
     if classes == DIGITS:
         return f"digit {of}, {sample}"
     if name.startswith(f"{of}/"):  # which names the class
         return sample
-    return f"class {plain(shorten_name(of, 60))}, {sample}"
+    return f"class {escape_formula(shorten_name(of, 60))}, {sample}"

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.look import colour
+from pipeline.look import find_colour
 from pipeline.results.report import charts
 
 
 def test_marks_of_a_timeline_share_their_time_axis():
     """A spike at half of the time, the curve's middle point and the mark are below each other."""
-    svg = charts.timeline(
+    svg = charts.draw_timeline(
         [
             charts.Raster("layer", (("s1", [0, 50], [0, 9]),), 10),
             charts.Lines("p", (charts.Series("a", (0, 50, 100), (0.0, 0.5, 1.0)),)),
@@ -37,7 +37,7 @@ def test_marks_of_a_timeline_share_their_time_axis():
 def test_a_point_s_name_does_not_cross_the_dashed_line(value, is_below):
     series = charts.Series("a", (0, 1), (0.0, value))
     points, levels = [(1, value, "end")], [(92, "regression")]
-    chart = charts.line_chart([series], "x", "y", least=0, points=points, levels=levels)
+    chart = charts.draw_line_chart([series], "x", "y", least=0, points=points, levels=levels)
     root = ElementTree.fromstring(chart)
     at = {text.text.split()[0]: float(text.get("y")) for text in root.iter("text")}
     dot = float(root.find(".//*[@class='dot']").get("cy"))
@@ -47,7 +47,7 @@ def test_a_point_s_name_does_not_cross_the_dashed_line(value, is_below):
 
 
 def test_an_interval_is_drawn_from_its_lower_to_its_upper_end():
-    root = ElementTree.fromstring(charts.interval(0.75, 0.6, 0.9, 0.5))
+    root = ElementTree.fromstring(charts.draw_interval(0.75, 0.6, 0.9, 0.5))
     (line,), (dot,) = (root.findall(f".//*[@class='{name}']") for name in ("line s1", "dot"))
     left, middle, right = (float(edge.get("x1")) for edge in root.findall(".//*[@class='grid']"))
     assert float(dot.get("cx")) == middle == (left + right) / 2  # from 0.5 to 1
@@ -58,8 +58,8 @@ def test_an_interval_is_drawn_from_its_lower_to_its_upper_end():
 def test_a_thumbnail_is_strongest_where_the_most_events_are():
     values = np.zeros((3, 2))
     values[0, 1], values[2, 0] = 4, -2
-    content = re.search(r"base64,([^\"]+)", charts.thumbnail(values))[1]
+    content = re.search(r"base64,([^\"]+)", charts.draw_thumbnail(values))[1]
     pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(content))).convert("RGBA"))
     assert pixels[..., 3].tolist() == [[0, 255], [0, 0], [128, 0]]
     on, off = (bytes(pixels[place][:3]).hex() for place in ((0, 1), (2, 0)))
-    assert (f"#{on}", f"#{off}") == (colour("on"), colour("off"))
+    assert (f"#{on}", f"#{off}") == (find_colour("on"), find_colour("off"))

@@ -105,7 +105,7 @@ def test_the_verdict_compares_the_same_samples(inputs):
     }  # fmt: skip
     better = [{**sample, "prediction": int(n >= 9)} for n, sample in enumerate(samples)]
     reference = {**deployed, "target": "rate-lif", "accuracy": 0.9, "samples": better}
-    found = report.verdict([reference, deployed], inputs.bundle)
+    found = report.make_verdict([reference, deployed], inputs.bundle)
     assert found["operations"] == 150
     (against,) = found["against"]
     assert against["change"] == pytest.approx(-0.1)
@@ -123,7 +123,7 @@ def test_recall_and_precision_are_those_of_the_answers(inputs):
     pairs = [(0, 0), (0, 1), (1, 1), (1, 1), (2, 1)]
     samples = [{"label": label, "prediction": answer} for label, answer in pairs]
     results = [{**inputs.deployed_result, "samples": samples}]
-    rows = report.class_table(replace(inputs, results=results))
+    rows = report.make_class_table(replace(inputs, results=results))
     assert [(r["recall"], r["precision"]) for r in rows[:4]] == [
         (0.5, 1.0), (1.0, 0.5), (0.0, None), (None, None)
     ]  # fmt: skip

@@ -8,7 +8,7 @@ from matplotlib import font_manager
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from pipeline.look import colour
+from pipeline.look import find_colour
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.results.report import figures
 from pipeline.results.report.figures import recordings as data_figures
@@ -48,7 +48,7 @@ def test_recording(recordings):
     np.testing.assert_allclose(on.get_segments(), [[[0, 30], [0, 29.55]], [[1.4, 7], [1.4, 6.55]]])
     np.testing.assert_allclose(off.get_segments(), [[[0.1, 7], [0.1, 7.45]]])
     for marks, name in ((on, "on"), (off, "off")):
-        assert to_hex(marks.get_color()[0]) == colour(name)
+        assert to_hex(marks.get_color()[0]) == find_colour(name)
     assert "simulated" in figure.get_suptitle()
     assert drawn(figure).startswith(b"\x89PNG")
 

@@ -8,12 +8,12 @@ from deploy.network.blocks import find_rescaled_layers
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from pipeline.kinds import NetworkKind
-from pipeline.recordings.source import reading_lines
+from pipeline.recordings.source import describe_reading
 from pipeline.run.artifacts import Artifact, Origin
 from pipeline.run.folder import RunFolder
-from pipeline.stages.notes import list_notes_on_recordings
-from pipeline.stages.opening import OpenedRun
 from pipeline.training.adaptation import add_rehearsal
+from pipeline.workflow.notes import list_notes_on_recordings
+from pipeline.workflow.opening import OpenedRun
 
 
 def convert(opened: OpenedRun) -> Bundle:
@@ -21,8 +21,8 @@ def convert(opened: OpenedRun) -> Bundle:
     opened.make_all()
     run = opened.run
     say = opened.say
-    artifact = bundle_artifact(run, opened.kind, opened.dataset.origin)
-    state = artifact.state()
+    artifact = find_bundle_artifact(run, opened.kind, opened.dataset.origin)
+    state = artifact.find_state()
     origin = artifact.origin
     if state.is_current:
         say(f"bundle: up to date ({run.bundle})")
@@ -31,7 +31,7 @@ def convert(opened: OpenedRun) -> Bundle:
     inputs = opened.step_inputs(origin.settings)
     seed = inputs.settings.seed
     dataset = inputs.dataset
-    spec = opened.spec(_describe_source(opened, inputs, origin))
+    spec = opened.make_spec(_describe_source(opened, inputs, origin))
     spec = add_rehearsal(spec, dataset.inputs, dataset.labels, dataset.split.train, seed)
     bundle = write_bundle(run.bundle, spec, _choose_check_samples(inputs))
     say(f"bundle: {bundle.id[:12]} written to {run.bundle}")
@@ -48,7 +48,7 @@ def convert(opened: OpenedRun) -> Bundle:
 def _describe_source(opened, inputs, origin) -> dict:
     """The provenance that is stored in a bundle."""
     recordings = inputs.dataset.recordings
-    lost_lines = reading_lines(recordings.source.name, recordings)
+    lost_lines = describe_reading(recordings.source.name, recordings)
     notes = (*lost_lines, *list_notes_on_recordings(opened))
     return {
         "made_from": origin.to_json(),
@@ -70,10 +70,12 @@ def _choose_check_samples(inputs) -> CheckSet:
     return CheckSet(dataset.inputs[chosen], recordings.labels, recordings.ids, seed)
 
 
-def bundle_artifact(run: RunFolder, kind: NetworkKind, dataset: Origin, name="bundle") -> Artifact:
+def find_bundle_artifact(
+    run: RunFolder, kind: NetworkKind, dataset: Origin, name="bundle"
+) -> Artifact:
     """The bundle of a run, or one that was adapted from it, such as ``"adapted/7"``."""
     network, *others = (run.path / name / file for file in (*FILES, "MANIFEST.json"))
-    origin = kind.bundle_origin(dataset)
+    origin = kind.make_bundle_origin(dataset)
     return Artifact(name, network, origin, tuple(others), _read_bundle_record)
 
 
@@ -82,7 +84,7 @@ def _read_bundle_record(network):
     return provenance.get("made_from") if isinstance(provenance, dict) else None
 
 
-def settings_of_network(spec: NetworkSpec) -> dict:
+def list_network_settings(spec: NetworkSpec) -> dict:
     """The settings that a bundle's network was made with, by their dotted names.
 
     Settings that have no effect on it are not among them.

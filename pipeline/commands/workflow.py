@@ -1,7 +1,6 @@
 """``stmnist train``, ``convert`` and ``ladder``: the stages of a run."""
 
 import functools
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -16,10 +15,10 @@ from pipeline.run.folder import RunFolder, refuse_other_folders
 def train(run: options.Run, requested: options.TrainingRequested, jobs: options.Jobs = 2):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
 
-    from pipeline.kinds import kind_of_network  # imports all that a run is made with
+    from pipeline.kinds import find_kind  # imports all that a run is made with
 
     def examine(settings):
-        return kind_of_network(settings).trained  # an error if the network was trained elsewhere
+        return find_kind(settings).trained  # an error if the network was trained elsewhere
 
     with options.open_locked_run(run, requested, jobs, check=False, examine=examine) as opened:
         for name in opened.kind.trained:
@@ -58,7 +57,7 @@ def convert(  # noqa: PLR0913 - each is an option of the command
     With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
     """
     _require_consistent(model, nir, step, strict, retrain)
-    from pipeline import stages
+    from pipeline import workflow
 
     changes = {}
     examine = None
@@ -66,19 +65,19 @@ def convert(  # noqa: PLR0913 - each is an option of the command
         refuse_other_folders(run)
         before = RunFolder(run).resolve_settings(requested.settings, {})
     if model is not None:
-        changes = stages.settings_of_model(model, retrain, before)
+        changes = workflow.make_model_settings(model, retrain, before)
         examine = _require_model
         if requested.settings is None:
-            changes |= _images_of(RunFolder(run))
+            changes |= workflow.keep_images(RunFolder(run))
     if nir is not None:
-        changes = stages.settings_of_nir(nir, step, requested.input, before)
+        changes = workflow.make_nir_settings(nir, step, requested.input, before)
         if step is not None and changes["input"]["kind"] == "image":
             remark(f"--step {step:g} is not used: images have no steps of a recording")
-        examine = functools.partial(stages.refuse_early, strict=strict)
+        examine = functools.partial(workflow.refuse_early, strict=strict)
     with options.open_locked_run(run, requested, jobs, changes, examine=examine) as opened:
-        bundle = stages.convert(opened)
+        bundle = workflow.convert(opened)
         for stage in opened.kind.deployed_stages:
-            stages.check_stage(opened, bundle, stage)
+            workflow.check_stage(opened, bundle, stage)
     options.suggest("ladder", run)
 
 
@@ -94,22 +93,10 @@ def _require_consistent(model, nir, step, strict, retrain):
         raise UserError("--strict: needs a NIR graph; give it with --nir FILE")
 
 
-def _images_of(run):
-    """The images of a run that exists: a model for it was trained on them."""
-    from pipeline.run.settings import read_settings
-
-    if not run.experiment.exists():
-        return {}
-    settings = read_settings(run.experiment)
-    if settings.on_events or settings.nir.file:
-        return {}
-    return {"image": asdict(settings.image)}
-
-
 def _require_model(settings):
-    from pipeline.kinds import kind_of_network
+    from pipeline.kinds import find_kind
 
-    if kind_of_network(settings).imported is None:
+    if find_kind(settings).imported is None:
         raise UserError("--model: Keras models receive tactile images; leave out --input events")
 
 
@@ -120,9 +107,9 @@ def ladder(
     as_json: options.Json = False,
 ):
     """Run the missing stages up to the emulator, and print the loss of each stage."""
-    from pipeline.results.ladder import ladder_text, measure_ladder
+    from pipeline.results.ladder import format_ladder, measure_ladder
 
     with options.open_locked_run(run, requested, jobs) as opened:
         table = measure_ladder(opened, jobs)
-    options.tell(table, lambda ladder: "\n" + ladder_text(ladder), as_json)
+    options.tell(table, lambda ladder: "\n" + format_ladder(ladder), as_json)
     options.suggest("report", run)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from deploy.tables import list_names, plural
+from deploy.tables import format_count, list_names
 from deploy.terminal import WARNING
-from pipeline.kinds import kind_of_network, new_run_text, split_text
+from pipeline.kinds import describe_new_run, describe_split, find_kind, has_networks
 from pipeline.recordings.splits import PUBLISHED, find_classes_without_test, find_copies
 from pipeline.run.settings import SIMULATED, read_settings
 
@@ -37,8 +37,8 @@ def list_notes(opened, choices) -> Iterator[str]:
     elif opened.settings.data.source == SIMULATED:
         yield f"{run.path}: a new run, on simulated recordings (others: --data)"
     else:
-        yield new_run_text(run.path, opened.dataset)
-    if run.experiment.exists() and (text := split_text(opened.dataset)):
+        yield describe_new_run(run.path, opened.dataset)
+    if run.experiment.exists() and (text := describe_split(opened.dataset)):
         yield f"{run.path}: {text}"
     yield from choices
     if kind.imported is not None:
@@ -48,15 +48,15 @@ def list_notes(opened, choices) -> Iterator[str]:
 
 def _list_replacements(run, before, settings):
     """A warning if a run's networks are going to be replaced by those of another kind or source."""
-    was = kind_of_network(before).name
-    now = kind_of_network(settings).name
+    was = find_kind(before).name
+    now = find_kind(settings).name
     if (was, before.input.kind) != (now, settings.input.kind):
         what = f"is a run of the kind {was!r} with the input {before.input.kind!r}"
     elif before.data.source != settings.data.source:
         what = f"is a run on the recordings {before.data.source}"
     else:
         return
-    if any((folder / "metrics.json").exists() for folder in (run.cnn, run.snn)):
+    if has_networks(before, run.path):
         yield (
             f"{WARNING}{run.path}: {what}; its networks and bundle are replaced as soon as others "
             "are trained.  To keep them, stop now (Ctrl-C) and give another RUN; with its former "
@@ -68,7 +68,7 @@ def list_notes_on_recordings(opened) -> Iterator[str]:
     """Lines on what is not presented, on sets that are not independent, and on what is missing."""
     recordings = opened.dataset.recordings
     split = opened.dataset.split
-    yield from opened.kind.notes(recordings)
+    yield from opened.kind.list_notes(recordings)
     if split.kind == PUBLISHED or not recordings.source.simulated:
         for pairs, what in zip(find_copies(recordings, split), COPY_TEXTS, strict=True):
             if pairs:
@@ -82,7 +82,7 @@ def list_notes_on_recordings(opened) -> Iterator[str]:
             f"{samples} of a check; the check uses all of them"
         )
     if n_test < MIN_TEST_RECORDINGS:
-        few = plural(n_test, "recording")
+        few = format_count(n_test, "recording")
         yield f"{WARNING}{recordings.source.name}: only {few} for the test; record more"
     if absent := find_classes_without_test(recordings, split):
         yield (

@@ -5,13 +5,13 @@ it returns: :meth:`OpenedRun.make` trains a network, :func:`convert` writes the 
 :func:`check_stage` runs a network or target on its samples.
 """
 
-from pipeline.kinds.image.kind import settings_of_model
-from pipeline.kinds.nir.importing import refuse_early, settings_of_nir
-from pipeline.stages.checks import check_artifact, check_stage, check_stages
-from pipeline.stages.conversion import bundle_artifact, convert, settings_of_network
-from pipeline.stages.opening import (
+from pipeline.kinds.image.kind import keep_images, make_model_settings
+from pipeline.kinds.nir.importing import make_nir_settings, refuse_early
+from pipeline.workflow.checks import check_artifact, check_stage, check_stages
+from pipeline.workflow.conversion import convert, find_bundle_artifact, list_network_settings
+from pipeline.workflow.opening import (
     OpenedRun,
-    dataset_artifact,
+    find_dataset_artifact,
     open_experiment,
     open_locked_run,
     open_run,
@@ -19,17 +19,18 @@ from pipeline.stages.opening import (
 
 __all__ = [
     "OpenedRun",
-    "bundle_artifact",
     "check_artifact",
     "check_stage",
     "check_stages",
     "convert",
-    "dataset_artifact",
+    "find_bundle_artifact",
+    "find_dataset_artifact",
+    "keep_images",
+    "list_network_settings",
+    "make_model_settings",
+    "make_nir_settings",
     "open_experiment",
     "open_locked_run",
     "open_run",
     "refuse_early",
-    "settings_of_model",
-    "settings_of_network",
-    "settings_of_nir",
 ]

@@ -17,8 +17,8 @@ from pipeline.kinds import NetworkKind
 from pipeline.progress import hide_progress, progress
 from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.run.folder import RunFolder
-from pipeline.stages.opening import OpenedRun
 from pipeline.target_check import TargetCheck
+from pipeline.workflow.opening import OpenedRun
 
 # What the record of a check says of its samples if they are those in the bundle.
 OWN_SAMPLES = "the bundle's"
@@ -37,7 +37,7 @@ def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
     """
     artifact = _check_artifact_of(opened, bundle, stage)
     path = artifact.record
-    state = artifact.state()
+    state = artifact.find_state()
     if state.is_current:
         opened.say(f"{stage}: up to date ({path})")
         return read_result(path, DELETE_IT)
@@ -52,11 +52,11 @@ def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
 def _check_reference(opened, bundle, stage) -> dict:
     """The check result of a reference stage, whose network is trained if it is missing."""
     reference = opened.kind.references[stage]
-    extra = {"versions": reference.versions()}
+    extra = {"versions": reference.list_versions()}
     is_deployed = opened.kind.is_deployed(reference.step)
     if not is_deployed:
         opened.make(reference.step)
-    origin = opened.artifact(reference.step).origin
+    origin = opened.find_artifact(reference.step).origin
     if not is_deployed:
         extra["network"] = origin.key
     made_from = bundle.spec.provenance["made_from"]
@@ -93,7 +93,7 @@ def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> li
         A target failed; the results of the others are saved.
     """
     artifacts = {stage: _check_artifact_of(opened, bundle, stage) for stage in stages}
-    states = {stage: artifact.state() for stage, artifact in artifacts.items()}
+    states = {stage: artifact.find_state() for stage, artifact in artifacts.items()}
     targets = [stage for stage in stages if stage in TARGETS and not states[stage].is_current]
     results = {}
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
@@ -184,7 +184,7 @@ def check_artifact(
     """
     contents = {"bundle": bundle_id, "target": stage, "samples": OWN_SAMPLES}
     if stage in kind.references and stage not in kind.deployed_stages:
-        contents["network"] = kind.origin(kind.references[stage].step, dataset).key
+        contents["network"] = kind.make_origin(kind.references[stage].step, dataset).key
     origin = Origin({"seed": kind.settings.seed}, contents)
     return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_read_check_record)
 

@@ -8,11 +8,11 @@ import pytest
 from deploy.check.results import read_result
 from deploy.check.run import OpenCheck, run_check
 from deploy.errors import UserError
-from pipeline.kinds import kind_of_network
+from pipeline.kinds import find_kind
 from pipeline.run.artifacts import Origin
 from pipeline.run.folder import RunFolder
 from pipeline.run.settings import Settings
-from pipeline.stages import check_stages, open_experiment
+from pipeline.workflow import check_stages, open_experiment
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at
 
@@ -85,7 +85,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones(bundle, tmp_path):
     with pytest.raises(UserError, match="emulator"):
         answered(tmp_path, bundle, ["emu"])
     with pytest.raises(ValueError, match="cnn"):
-        kind_of_network(Settings()).step("cn")
+        find_kind(Settings()).step("cn")
 
 
 def test_a_target_that_fails_leaves_the_others_results(bundle, tmp_path):

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 
 from deploy.check.bundle import require_replaceable, require_room
 from deploy.network.spec import NetworkSpec
-from pipeline.kinds import NetworkKind, kind_of_network, prepare_dataset
+from pipeline.kinds import NetworkKind, find_kind, prepare_dataset
 from pipeline.kinds.records import read_weights
 from pipeline.kinds.steps import StepInputs
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.events import facts_of
+from pipeline.recordings.events import list_facts
 from pipeline.recordings.splits import PARTS
 from pipeline.run.artifacts import Artifact, Library, Origin
-from pipeline.run.folder import RunFolder, working_in
+from pipeline.run.folder import RunFolder, lock_run
 from pipeline.run.settings import Settings
-from pipeline.sources import recordings_of
-from pipeline.stages.notes import list_notes
+from pipeline.sources import load_named_recordings
+from pipeline.workflow.notes import list_notes
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,15 @@ class OpenedRun:
         assert isinstance(self.place, RunFolder), "an experiment is not a run"
         return self.place
 
-    def artifact(self, name: str) -> Artifact:
+    def find_artifact(self, name: str) -> Artifact:
         """The artifact of one of the :attr:`pipeline.kinds.kind.NetworkKind.steps`."""
-        return self.kind.artifact(name, self.place, self.dataset.origin)
+        return self.kind.find_artifact(name, self.place, self.dataset.origin)
 
     def step_inputs(self, names) -> StepInputs:
         """The inputs of a step, with the named settings only; a step that reads another fails."""
-        view = self.settings.only(names)
+        view = self.settings.select(names)
         dataset = self.dataset.restrict_to(view)
-        return StepInputs(view, dataset, self.artifact, self.weights, self.say)
+        return StepInputs(view, dataset, self.find_artifact, self.read_weights, self.say)
 
     def make(self, name: str) -> dict:
         """Make a step, unless it is current; return its record.
@@ -67,9 +67,9 @@ class OpenedRun:
         ``epochs`` and the ``seconds`` of the training.
         """
         step = self.kind.step(name)
-        artifact = self.artifact(name)
+        artifact = self.find_artifact(name)
         imported = self.kind.imported
-        state = artifact.state()
+        state = artifact.find_state()
         if state.is_current:
             self.say(f"{name}: up to date ({artifact.folder})")
             return state.record
@@ -91,18 +91,18 @@ class OpenedRun:
         name : str, optional
             Default: the step from which the bundle is made.
         """
-        for step in self.kind.steps_of(name or self.kind.deployed):
+        for step in self.kind.list_steps_to(name or self.kind.deployed):
             record = self.make(step.name)
         return record
 
-    def weights(self, name: str) -> dict:
+    def read_weights(self, name: str) -> dict:
         """The trained arrays of a step; see :func:`pipeline.kinds.records.read_weights`."""
-        return read_weights(self.artifact(name).folder, self.kind.shapes(name))
+        return read_weights(self.find_artifact(name).folder, self.kind.list_shapes(name))
 
-    def spec(self, provenance: dict | None = None) -> NetworkSpec:
+    def make_spec(self, provenance: dict | None = None) -> NetworkSpec:
         """The deployed network, made from the trained one."""
-        origin = self.kind.bundle_origin(self.dataset.origin)
-        return self.kind.spec(self.step_inputs(origin.settings), provenance or {})
+        origin = self.kind.make_bundle_origin(self.dataset.origin)
+        return self.kind.make_spec(self.step_inputs(origin.settings), provenance or {})
 
 
 def open_experiment(place, settings: Settings, dataset: Dataset, say=print) -> OpenedRun:
@@ -116,7 +116,7 @@ def open_experiment(place, settings: Settings, dataset: Dataset, say=print) -> O
     dataset : Dataset
     say : callable
     """
-    return OpenedRun(place, settings, dataset, kind_of_network(settings), say)
+    return OpenedRun(place, settings, dataset, find_kind(settings), say)
 
 
 def open_run(
@@ -147,20 +147,20 @@ def open_run(
         user's network cannot be used.  All problems with the settings are reported together.
     """
     lines: list[str] = []
-    recordings = recordings_of(settings, jobs, say)
+    recordings = load_named_recordings(settings, jobs, say)
     dataset = prepare_dataset(settings, recordings, check, lines.append)
     chosen = dataset.settings
     opened = open_experiment(run, chosen, dataset, say)
     if check:
         _require_check_fits(opened)
-    opened.kind.require_usable(opened.step_inputs(chosen.flat()))
+    opened.kind.require_usable(opened.step_inputs(chosen.flatten()))
     for line in list_notes(opened, lines):
         say(line)
     run.save_settings(chosen)
-    artifact = dataset_artifact(run, dataset.origin)
-    if not artifact.state().is_current:
-        sizes = {part: len(dataset.split.indices(part)) for part in PARTS}
-        artifact.write({**facts_of(recordings), **sizes, "split": dataset.split.kind})
+    artifact = find_dataset_artifact(run, dataset.origin)
+    if not artifact.find_state().is_current:
+        sizes = {part: len(dataset.split.get_indices(part)) for part in PARTS}
+        artifact.write({**list_facts(recordings), **sizes, "split": dataset.split.kind})
     return opened
 
 
@@ -172,7 +172,7 @@ def _require_check_fits(opened):
     shape = (sensor.rows, sensor.columns, opened.kind.channels)
     stimulus = settings.stimulus
     samples = settings.check.count_samples(len(opened.dataset.split.test))
-    require_room(samples, stimulus.sample_shape(shape, settings.steps), stimulus)
+    require_room(samples, stimulus.find_sample_shape(shape, settings.steps), stimulus)
     opened.kind.require_presentable(opened.dataset)
 
 
@@ -199,7 +199,7 @@ def open_locked_run(path, settings: Settings | dict | None = None, **more):
     UserError
         As :func:`open_run`; the folder has other files, or another process works in it.
     """
-    with working_in(path) as run:
+    with lock_run(path) as run:
         if isinstance(settings, Settings):
             resolved = settings
         else:
@@ -207,6 +207,6 @@ def open_locked_run(path, settings: Settings | dict | None = None, **more):
         yield open_run(run, resolved, **more)
 
 
-def dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
+def find_dataset_artifact(run: RunFolder, origin: Origin) -> Artifact:
     """The description of a run's recordings."""
     return Artifact("dataset", run.dataset, origin)
