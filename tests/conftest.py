@@ -37,8 +37,8 @@ TINY = (
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the tutorials, so that no core waits for the longest tests at the end."""
-    items.sort(key=lambda item: "test_tutorials" not in item.nodeid)
+    """Begin with the slow tests, so that no core waits for the longest ones at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 # Artifacts that a command may report as current before it refuses something else.
