@@ -39,7 +39,7 @@ def describe_verdict(verdict: dict, result: dict, plan: dict, simulated: bool) -
     what = "simulated test samples" if simulated else "test samples"
     accuracy = format_percent(result["accuracy"])
     sentences = [
-        escape(f"{verdict['title']}: {accuracy} of {result['n_samples']} {what} are right.")
+        escape(f"{verdict['title']}: {accuracy} of {result['n_samples']:,} {what} are right.")
     ]
     for other in verdict["against"]:
         difference = "no significant difference"
@@ -70,7 +70,7 @@ def describe_ladder(ladder: dict) -> str:
     baseline = ""
     if ladder["rows"][0]["stage"] == "counts":
         baseline = f" {ladder['rows'][0]['title']} is the simplest baseline."
-    return f"Each stage predicts the same {ladder['n']} test samples.{baseline}"
+    return f"Each stage predicts the same {ladder['n']:,} test samples.{baseline}"
 
 
 def describe_stories(groups: list, stories: list, time: dict | None, has_estimator: bool) -> str:
