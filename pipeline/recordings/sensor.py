@@ -188,12 +188,20 @@ def interpret(
     }
     refused = {same[index]: reason for index, reason in found.refused.items()}
     kept = [same[index] for index in found.kept]
-    doubts = tuple((tuple(same[i] for i in indices), text) for indices, text in found.doubts)
+    doubts = _renumber(found.doubts, same)
     found = replace(found, kept=kept, refused=refused | others, doubts=doubts)
     if positions is None:
         return found
     taxels = add_positions(path, found.taxels, found.rows, found.columns, positions)
     return replace(found, taxels=taxels)
+
+
+def _renumber(doubts, numbers):
+    """Doubts about some recordings, by the numbers of these recordings among all."""
+    renumbered = []
+    for indices, text in doubts:
+        renumbered.append((tuple(numbers[index] for index in indices), text))
+    return tuple(renumbered)
 
 
 # Files in which the taxels are numbered: spiketrain matrices and arrays of counts.
@@ -344,19 +352,7 @@ def _interpret_places(path, recordings, parts, lookup, is_strip, options):
         recordings = [replace(r, x=r.x // side, y=r.y // side) for r in recordings]
     unit = times.choose_unit(path, recordings, parts, options)
     refused, remarks = _find_other_sensors(path, recordings, parts, lookup, options)
-    for index in times.find_other_units([recording.time for recording in recordings]):
-        refused.setdefault(
-            index,
-            f"has times more than {times.MIN_UNIT_FACTOR} times as long or as short as most have; "
-            "if they are in another unit, convert them to that of the others",
-        )
-    for index, recording in enumerate(recordings):
-        if (seconds := times.find_span(recording.time) * UNITS[unit]) > MAX_DURATION_S:
-            refused.setdefault(
-                index,
-                f"lasts {seconds:.4g} s with its times as {UNIT_NAMES[unit]}, more than "
-                f"{MAX_DURATION_S:g} s; if they are in another unit, give it ({GIVE_UNIT})",
-            )
+    _refuse_other_times(recordings, unit, refused)
     kept = [index for index in range(len(recordings)) if index not in refused]
     fitting = [recordings[index] for index in kept]
     doubts = ()
@@ -387,8 +383,25 @@ def _interpret_places(path, recordings, parts, lookup, is_strip, options):
         columns,
         time_unit=unit,
         remarks=remarks,
-        doubts=tuple((tuple(kept[i] for i in indices), text) for indices, text in doubts),
+        doubts=_renumber(doubts, kept),
     )
+
+
+def _refuse_other_times(recordings, unit, refused):
+    """Add recordings whose times are in another unit, or that last too long, to those refused."""
+    for index in times.find_other_units([recording.time for recording in recordings]):
+        refused.setdefault(
+            index,
+            f"has times more than {times.MIN_UNIT_FACTOR} times as long or as short as most have; "
+            "if they are in another unit, convert them to that of the others",
+        )
+    for index, recording in enumerate(recordings):
+        if (seconds := times.find_span(recording.time) * UNITS[unit]) > MAX_DURATION_S:
+            refused.setdefault(
+                index,
+                f"lasts {seconds:.4g} s with its times as {UNIT_NAMES[unit]}, more than "
+                f"{MAX_DURATION_S:g} s; if they are in another unit, give it ({GIVE_UNIT})",
+            )
 
 
 def _find_other_sensors(path, recordings, parts, lookup, options):

@@ -533,7 +533,8 @@ def _choose_scale(of_pixels, without, dataset):
     from models.cnn import predict
 
     images, labels = dataset.subset("train")
-    images, labels = thin(images, MAX_COMPARED_SAMPLES), thin(labels, MAX_COMPARED_SAMPLES)
+    images = thin(images, MAX_COMPARED_SAMPLES)
+    labels = thin(labels, MAX_COMPARED_SAMPLES)
     accuracies = [
         float((predict(make_original_network(model), images).argmax(1) == labels).mean())
         for model in (of_pixels, without)
