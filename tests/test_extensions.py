@@ -164,8 +164,9 @@ class OneToOne(ops.Operation, DeployedOneToOne):
 
 def test_an_operation(monkeypatch):
     """Each bright pixel has a neuron, and all of them have the same spikes."""
-    monkeypatch.setitem(ops.OPERATIONS, "own", OneToOne)
-    monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", DeployedOneToOne)
+    for table in (ops.OPERATIONS, DEPLOYED_OPERATIONS):
+        monkeypatch.setitem(table, "own", None)  # so that it is deleted at the end
+    ops.register_operation(OneToOne, DeployedOneToOne)
     spec = make_untrained_network("5x5-own-3o", False, Settings().deployment)
     assert spec.architecture == "5x5-own-3o"
     assert spec.multiply_accumulates == {"own1": 25, "output": 75}

@@ -1,6 +1,7 @@
 """The operations of a network: convolution, pooling and dense layers, one file each.
 
-To add an operation, write two classes and enter them by their kind:
+To add an operation, write two classes, and enter each in its table, or from outside of this package
+call :func:`register_operation`:
 
 1. A :class:`~deploy.network.ops.base.DeployedOperation` in :mod:`deploy.network.ops` has what runs
    a layer: its shapes, and its sums in NumPy.  It needs no TensorFlow.
@@ -8,6 +9,7 @@ To add an operation, write two classes and enter them by their kind:
    and the training.
 """
 
+from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
 from models.ops.base import Operation, Synapses
 from models.ops.conv import Convolution
 from models.ops.dense import Dense
@@ -19,4 +21,18 @@ OPERATIONS: dict[str, type[Operation]] = {
     "dense": Dense,
 }
 
-__all__ = ["OPERATIONS", "Convolution", "Dense", "Operation", "Pooling", "Synapses"]
+__all__ = [
+    "OPERATIONS",
+    "Convolution",
+    "Dense",
+    "Operation",
+    "Pooling",
+    "Synapses",
+    "register_operation",
+]
+
+
+def register_operation(operation: type[Operation], deployed: type[DeployedOperation]):
+    """Enter an operation, and what runs it in a bundle, by the `kind` that both have."""
+    OPERATIONS[operation.kind] = operation
+    DEPLOYED_OPERATIONS[deployed.kind] = deployed
