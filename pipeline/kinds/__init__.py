@@ -114,24 +114,10 @@ def prepare_dataset(
         recordings = load_named_recordings(settings)
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
         raise SeveralErrors([f"{settings.data.source}: {find_split_problem(recordings)}"])
-    split, problems_of_split = _try_to_split(recordings, settings)
+    split, problems_of_split = _try_to_split(recordings, settings, check)
     train = np.empty(0, int) if split is None else split.train
-    problems: list[str] = []
-    choices: list[Choice] = []
-    complete = settings
-    try:
-        choices = find_kind(settings).make_choices(recordings, train)
-        complete = apply_choices(settings, choices, settings.data.source)
-        kind = find_kind(complete)
-        kind.require_fit(recordings)
-        problems += kind.list_chip_problems()
-    except UserError as error:
-        problems.append(str(error))
+    choices, complete, problems = _try_to_choose(settings, recordings, train)
     problems += problems_of_split
-    if check and split is not None:
-        problems += _find_too_small_test_set(settings, len(split.test))
-    if problem := find_split_problem(recordings, settings.split.kind):
-        problems.append(problem)
     if problems or split is None:
         raise SeveralErrors(_name_the_file(line, settings) for line in problems)
     if say is not None:
@@ -140,12 +126,34 @@ def prepare_dataset(
     return Dataset.of(complete, recordings, split)
 
 
-def _try_to_split(recordings, settings):
-    """The split of recordings, or None and the reason why there is none."""
+def _try_to_choose(settings, recordings, train):
+    """The choices for recordings, the settings with them, and the problems of the network."""
+    choices: list[Choice] = []
+    complete = settings
     try:
-        return split_recordings(recordings, settings), []
+        choices = find_kind(settings).make_choices(recordings, train)
+        complete = apply_choices(settings, choices, settings.data.source)
+        kind = find_kind(complete)
+        kind.require_fit(recordings)
+        problems = list(kind.list_chip_problems())
     except UserError as error:
-        return None, [str(error)]
+        problems = [str(error)]
+    return choices, complete, problems
+
+
+def _try_to_split(recordings, settings, check):
+    """The split of recordings or None, and its problems: none, too few samples, missing classes."""
+    problems = []
+    split = None
+    try:
+        split = split_recordings(recordings, settings)
+    except UserError as error:
+        problems.append(str(error))
+    if check and split is not None:
+        problems += _find_too_small_test_set(settings, len(split.test))
+    if problem := find_split_problem(recordings, settings.split.kind):
+        problems.append(problem)
+    return split, problems
 
 
 def _find_too_small_test_set(settings, n_test):
