@@ -25,7 +25,7 @@ def list_notes(opened, choices) -> Iterator[str]:
 
     Parameters
     ----------
-    opened : pipeline.stages.opening.OpenedRun
+    opened : pipeline.workflow.opening.OpenedRun
     choices : list of str
         Lines on the choices.
     """
