@@ -7,7 +7,7 @@ same ones, and not in all sessions.  Other taxels, mostly at the edge, report si
 import numpy as np
 
 
-def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s: float, p, size):
+def draw_faults(rng, session: float, span_s: tuple, refractory_s: float, p, size):
     """Draw the events of a recording that no pen has caused.
 
     Parameters
@@ -15,7 +15,7 @@ def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s:
     rng : numpy.random.Generator
     session : float
         From 0 to 1: the session in which it was recorded.
-    start_s, end_s : float
+    span_s : (float, float)
         First and last moment of the recording.
     refractory_s : float
         Shortest interval between two events of a taxel.
@@ -35,11 +35,11 @@ def draw_faults(rng, session: float, start_s: float, end_s: float, refractory_s:
     for row, column in _draw_hot_taxels(session, p):
         rate = p.hot_rate * np.exp(p.hot_rate_spread * rng.standard_normal())
         if row < rows and column < columns:
-            times.append(_draw_bouts(rng, start_s, end_s, rate, refractory_s, p.bout_s))
+            times.append(_draw_bouts(rng, span_s, rate, refractory_s, p.bout_s))
             taxels.append(np.full(len(times[-1]), rows * column + row))
     hot = sum(map(len, times))
     strays = rng.poisson(p.strays * np.exp(p.strays_spread * rng.standard_normal()))
-    times.append(rng.uniform(start_s, end_s, strays))
+    times.append(rng.uniform(*span_s, strays))
     taxels.append(rng.integers(0, rows * columns, strays))
     time = np.concatenate(times)
     taxel = np.concatenate(taxels).astype(int)
@@ -57,8 +57,9 @@ def _draw_hot_taxels(session, p):
     return ()
 
 
-def _draw_bouts(rng, start_s, end_s, rate, refractory_s, bout_s):
+def _draw_bouts(rng, span_s, rate, refractory_s, bout_s):
     """Times of a taxel that fires at a rate during bouts, which alternate with equal pauses."""
+    start_s, end_s = span_s
     count = int(2 * rate * (end_s - start_s)) + 10
     time = start_s + np.cumsum(refractory_s + rng.exponential(1 / rate, count))
     edges = start_s + np.cumsum(rng.exponential(bout_s, int(4 * (end_s - start_s) / bout_s) + 10))

@@ -385,7 +385,7 @@ def _read_out(written, touch, p, size):
         end = written[0].max()
         refractory_s = p.receptor.refractory_s
         parts.append(
-            draw_faults(touch.rng, touch.session, begin, end, refractory_s, p.faults, size)
+            draw_faults(touch.rng, touch.session, (begin, end), refractory_s, p.faults, size)
         )
     seconds, taxel, polarity = map(np.concatenate, zip(*parts, strict=True))
     return aces.make_bursts(1e9 * seconds, taxel, polarity, p.aces)
