@@ -88,8 +88,8 @@ BOUNDS = {
 # Bounds of the force and the contact of a digit.
 FORM_BOUNDS = {"force": (-2.0, 2.0), "contact": (-0.7, 0.7)}
 
-# A taxel is hot if it has so many bits in so large a share of the recordings whose digit is
-# elsewhere.
+# A taxel is hot if it has at least this many bits in at least this share of the recordings whose
+# digit is elsewhere.
 HOT_BITS = 10
 HOT_SHARE = 0.15
 

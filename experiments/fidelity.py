@@ -28,7 +28,7 @@ RIDGE = 0.03
 # Summaries that are places, in taxels.
 PLACES = ("row", "column", "height", "width")
 
-# Taxels, rows and columns that have at least so many bits belong to the digit and not to strays.
+# Taxels, rows and columns that have at least this many bits belong to the digit and not to strays.
 FEWEST_BITS = 2
 
 

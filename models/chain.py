@@ -29,7 +29,7 @@ from models.ops import Operation, Pooling
 
 @dataclass(frozen=True)
 class NeuronDecays:
-    """Neurons by what remains after a step: u <- keep_u u + W s, v <- keep_v v + u + bias.
+    """Neurons described by their decay factors: u <- keep_u u + W s, v <- keep_v v + u + bias.
 
     A neuron spikes where v exceeds 1, and v is 0 there.
 
@@ -60,7 +60,7 @@ class Link:
         in units of their threshold.
     bias : ndarray, shape (filters,) or (units,)
     neurons : Neurons, NeuronDecays or None
-        Neurons as they are deployed, in seconds; neurons by what remains after a step, before they
+        Neurons as they are deployed, in seconds; neurons by their decay factors, before they
         are rounded to integers; None for a linear readout on the host.
     synapse : float or None
         Time constant in seconds of the low-pass on the input; None for none.

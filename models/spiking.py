@@ -326,7 +326,7 @@ def compute_weighted_sums(layer, kernel, signal):
     Parameters
     ----------
     layer : layer of a :class:`models.architecture.Architecture`
-        A convolution, or a dense or output layer.
+        Any of its operations.
     kernel : tensor
         Shape (rows, columns, channels in, filters), or (inputs, units).
     signal : tensor, shape (steps, samples, ...)

@@ -80,7 +80,7 @@ def _require_types(found):
     assert len(found), "a recording has events; the reader must refuse a file without any"
     for name in ("x", "y"):
         assert getattr(found, name).dtype == np.int64, f"{name} is not of 64-bit integers"
-    assert found.time.dtype in (np.int64, np.float64), "time is of another type than int64, float64"
+    assert found.time.dtype in (np.int64, np.float64), "time is of a type other than int64, float64"
     assert found.polarity.dtype == np.int8, "polarity is not of 8-bit integers"
 
 

@@ -134,7 +134,7 @@ class Layer:
         _require(condition, f"layer {self.name!r}", problem)
 
     def _convert_arrays(self):
-        """Convert the arrays to float64, and refuse what are no finite numbers."""
+        """Convert the arrays to float64, and refuse values that are not finite numbers."""
         for name in self.arrays:
             array = np.asarray(getattr(self, name))
             self._require(array.dtype.kind in "fiu", f"{name} are not real numbers")
@@ -624,7 +624,7 @@ class NetworkSpec:
         }
 
     def to_arrays(self) -> dict:
-        """The arrays, for ``weights.npz``: ``<layer>.weights``, ``<layer>.bias``, the others'."""
+        """The arrays, for ``weights.npz``: ``<layer>.weights``, ``<layer>.bias`` and the rest."""
         arrays = {
             f"{layer.name}.{name}": getattr(layer, name)
             for layer in self.layers

@@ -27,7 +27,7 @@ NUMBERS = (int, float, np.number)
 # Share of a step near its end in which the rounding of single precision decides.
 STEP_ROUNDING = 1e-6
 
-# Touches of one event each, after each other, from which the unit of the times is doubted.
+# Number of consecutive touches of one event each from which the unit of the times is doubted.
 SINGLE_EVENTS = 5
 
 
@@ -292,7 +292,7 @@ class Stream:
         return self._take_due()
 
     def advance(self, t=None) -> List[Decision]:
-        """Say what time it is, if no event has told; call it a few times per step.
+        """Advance the clock while no event does; call it a few times per step.
 
         Push all events before this time first: later ones are presented in the present step.
 
@@ -609,7 +609,7 @@ class Stream:
         if self._single_events == SINGLE_EVENTS and not self._has_warned_of_unit:
             self._has_warned_of_unit = True
             LOG.warning(
-                "stream: %d touches after each other have one event each; if the times are not in "
+                "stream: %d consecutive touches have one event each; if the times are not in "
                 "%r, give their unit (unit='us')",
                 SINGLE_EVENTS,
                 self._unit,

@@ -275,7 +275,7 @@ def respond_to_streams(
     Raises
     ------
     ValueError
-        The target yields something else than the output of each stream.
+        The target yields anything other than the output of each stream.
     """
     from ..network.responses import make_responses
 

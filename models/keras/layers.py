@@ -426,7 +426,7 @@ class LayerConverter:
             self.use_activation(layer, curve)
 
     def use_activation(self, layer, curve):
-        """Use an activation: of the output if it can be one, and else of a hidden layer."""
+        """Use an activation for the output if possible, and otherwise for a hidden layer."""
         is_vector = len(self.signal.shape) == 1
         is_dense = self.is_linear and self.ends_dense and is_vector
         if curve == "softmax" and self.sums and is_vector and not is_dense:

@@ -142,7 +142,7 @@ def merges_polarities(network: NirNetwork, place) -> bool:
 
 
 def _split_after_neurons(nodes) -> list:
-    """The nodes up to and with each layer of neurons, and those after the last."""
+    """The nodes up to and including each layer of neurons, and those after the last."""
     groups: list[list] = [[]]
     for node in nodes:
         groups[-1].append(node)

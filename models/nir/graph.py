@@ -169,7 +169,7 @@ def _extend_chain(chain, nodes, order, loops, shape):
                 raise NirError(f"{node}: is connected to itself; only layers of neurons can be")
             loop = _read_node(*loops[name], (math.prod(node.shape),))
             if loop.shape != loop.input_shape:
-                raise NirError(f"{loop}: puts out {loop.shape[0]} values to {loop.input_shape[0]}")
+                raise NirError(f"{loop}: outputs {loop.shape[0]} values to {loop.input_shape[0]}")
             node = replace(node, loop=loop)
         chain.append(node)
         shape = node.shape
@@ -188,7 +188,7 @@ def _read_node(name, values, shape) -> Node:
     after, parameters = handler(reader, shape)
     if math.prod(after) > limits.NEURONS or math.prod(after) < 1:
         reader.refuse(
-            f"puts out {math.prod(after)} values, and a layer can have 1 to {limits.NEURONS}; "
+            f"outputs {math.prod(after)} values, and a layer can have 1 to {limits.NEURONS}; "
             "use strides, averaging or fewer filters"
         )
     return Node(name, kind, shape, after, parameters)

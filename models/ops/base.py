@@ -53,8 +53,8 @@ class Operation(DeployedOperation):
     """A layer of an architecture, with its notation and its training.
 
     A subclass has a second base, its deployed operation, which has its shapes and its sums.  It
-    adds `token` and `__str__`.  The other methods follow from the sums; an operation has its own
-    where it can be faster, or has other numbers than its notation:
+    adds `token` and `__str__`.  The other methods follow from the sums; an operation overrides
+    them where it can be faster, or where its numbers are not those of its notation:
 
     ===================================  ===========================================================
     `from_token`                         if the notation has more than numbers

@@ -235,7 +235,7 @@ def resolve_settings(
     Parameters
     ----------
     path : Path
-    requested : Requested
+    requested : RequestedSettings
     changes : dict, optional
         Changed settings; the options have precedence.
     of_results : bool

@@ -34,7 +34,7 @@ class Imported(NamedTuple):
     remedy: str
 
     def list_changes(self) -> Iterator[str]:
-        """A warning if the file is another one now, such as a later version."""
+        """A warning if the file has changed since it was imported."""
         if Path(self.file).is_file() and not is_file(self.file, self.sha256):
             yield (
                 f"{WARNING}{self.file}: has changed since it was imported; the run keeps the "

@@ -142,7 +142,7 @@ def list_training_versions() -> dict:
 
 
 def make_training_record(trained, dataset: Dataset, seconds: float, versions: dict) -> dict:
-    """The record of a network: its accuracy on each set of the split.
+    """The record of a network: its accuracy on each part of the split.
 
     Parameters
     ----------

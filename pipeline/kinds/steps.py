@@ -24,9 +24,10 @@ class Step:
     folder : str
         Name of its folder in a run.
     files : tuple of str
-        The record first, which is written last.
+        Names of its files, beginning with that of the record, which is written last.
     reads : tuple of str
-        Settings and sections that are read to make it, besides those of the steps that it uses.
+        Settings and groups of settings that are read to make it, besides those of the steps that it
+        uses.
     make : callable
         ``make(inputs, artifact)`` writes the files into ``artifact.folder`` and returns the content
         of the record; ``inputs`` is a :class:`StepInputs`.

@@ -118,7 +118,7 @@ class Keeper:
         files = (path for path in self.folder.glob("[!.]*/[!.]*") if path.is_file())
         if foreign := next((path for path in files if path.suffix != ".mat"), None):
             raise UserError(
-                f"{self.folder}: has files of another kind than .mat, such as {foreign.name}; "
+                f"{self.folder}: has files other than .mat, such as {foreign.name}; "
                 "choose another folder with --record"
             )
         try:

@@ -245,7 +245,7 @@ class Session:
         kind = message.get("type")
         handler = _HANDLERS.get(kind) if isinstance(kind, str) else None
         if handler is None:
-            raise BadMessage("of no known type")
+            raise BadMessage("of an unknown type")
         try:
             return handler(self, message)
         except OverflowError as error:

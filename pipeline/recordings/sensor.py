@@ -392,7 +392,7 @@ def _refuse_other_times(recordings, unit, refused):
     for index in times.find_other_units([recording.time for recording in recordings]):
         refused.setdefault(
             index,
-            f"has times more than {times.MIN_UNIT_FACTOR} times as long or as short as most have; "
+            f"is more than {times.MIN_UNIT_FACTOR} times longer or shorter than most recordings; "
             "if they are in another unit, convert them to that of the others",
         )
     for index, recording in enumerate(recordings):

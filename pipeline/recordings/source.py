@@ -49,7 +49,7 @@ POSITIONS = "taxels.csv"
 IGNORED = ("readme*", "license*", "*.md")
 # Recordings if there are no others, and ignored otherwise.
 TEXT_SUFFIX = ".txt"
-# Subset of a published split, by the name of a folder in lower case.
+# Part of a published split, by the name of a folder in lower case.
 PART_OF_FOLDER = {"train": "train", "training": "train", "test": "test", "testing": "test"}
 
 # What stands before the class in the name of a file.
@@ -72,7 +72,7 @@ MAX_LISTED = 10
 
 ALL_OFF = (
     "all events are OFF, since their polarity is 0 or -1; write 1 if the sensor does not tell ON "
-    "and OFF apart, and name the columns if the polarity is another one"
+    "and OFF apart, and name the columns if another column is the polarity"
 )
 
 # Number of files that are named in one line.
@@ -208,7 +208,7 @@ def _sort_files(path, files):
 
 
 def _choose_format(path, members):
-    """The recordings, which have one suffix, and the files that are none, with the reason."""
+    """The recordings, which have one suffix, and the other files, each with the reason."""
     examples = {member.suffix.lower(): member for member in reversed(members)}
     examples = {suffix: examples[suffix] for suffix in READERS if suffix in examples}
     if not examples:
@@ -403,7 +403,7 @@ def _find_folders_around(recordings) -> PurePosixPath:
 
 
 def _place(member, class_folders, labelled=True):
-    """Subset and class of a recording, and empty; or the reason why it has none."""
+    """Part of the split, class, and an empty text; or two empty texts and what is wrong."""
     if not member.is_relative_to(class_folders.around):
         return "", "", f"is not in {class_folders.around}, as the others are; move it"
     folders = member.relative_to(class_folders.around).parts[:-1]

@@ -66,7 +66,7 @@ def choose_unit(path, recordings, parts, options) -> str:
         Path of the source, for messages.
     recordings : list of EventRecording
     parts : list of str
-        Subset of the published split of each, or empty.
+        Part of the published split of each, or empty.
     options : pipeline.recordings.sensor.ReadingOptions
 
     Raises

@@ -73,8 +73,8 @@ class Origin:
         ----------
         settings : Settings
         reads : sequence of str
-            Settings (``"cnn.epochs"``) and sections (``"image"``) that are read to make the
-            artifact, in addition to those of the artifacts that it uses.
+            Settings (``"cnn.epochs"``) and groups of settings (``"image"``) that are read to make
+            the artifact, in addition to those of the artifacts that it uses.
         uses : sequence of Origin
             Origins of the artifacts from which it is made.
         contents : dict of str to str, optional

@@ -195,7 +195,7 @@ def list_samples(seed, counts, people, traces=None) -> list:
     for digit, count in enumerate(counts):
         pool = [trace for trace in traces if trace.digit == digit]
         if count and not pool:
-            raise UserError(f"the recorded handwriting has no {digit}; ask for none of it")
+            raise UserError(f"the recorded handwriting has no {digit}; request none")
         deal = np.random.default_rng([seed, 3, digit])
         rounds = [deal.permutation(len(pool)) for _ in range(-(-count // max(len(pool), 1)))]
         chosen = np.concatenate([np.empty(0, int), *rounds])[:count]

@@ -50,13 +50,13 @@ HIDDEN_MANY_CLASSES = 128
 HIDDEN = 64
 MANY_CLASSES = 10
 
-# Events of a recording for which the budgets of the sizes are; they grow with the events.
+# Events per recording for which the budgets of the sizes hold; they grow with the events.
 USUAL_EVENTS = 500
 
 # Longest bin of counted events that becomes a step, in milliseconds.
 MAX_BIN_MS = 50.0
 
-# Refractory periods, in steps, and numbers of sections of a recording, among which is chosen.
+# Refractory periods, in steps, and numbers of sections of a recording, that are compared.
 REFRACTORY_STEPS = (0, 1, 3, 7)
 SECTION_COUNTS = (1, 4, 8)
 
@@ -71,8 +71,7 @@ MAX_COUNTED_SAMPLES = 1000
 MAX_REFRACTORY_MS = 1000
 MAX_LOST_EVENT_SHARE = 0.72
 
-# Difference of accuracies that does not matter.  It is as large as the chance in the choice of the
-# samples that are compared.
+# Difference of accuracies that is not counted: drawing other samples changes them as much.
 MAX_EQUAL_ACCURACY_GAP = 0.01
 
 # Strengths of the regularisation of the linear classifier, among which the best is taken.
@@ -138,7 +137,7 @@ class InputChoice(NamedTuple):
     refractory : int
         Refractory period of a taxel and polarity, in steps.
     sections : int
-        Parts of a recording with readout weights of their own.
+        Number of sections of a recording with readout weights of their own.
     lost : float
         Share of the events that are merged in a step or ignored in the refractory period.
     accuracy, complete : float

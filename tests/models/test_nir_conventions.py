@@ -108,7 +108,7 @@ def test_spikes_are_the_frameworks(name):
 
 
 def spikes_of_spyx(inputs, alpha, beta, threshold):
-    """Spyx's LIF, or CuBaLIF with an alpha; it puts out a spike in the step after."""
+    """Spyx's LIF, or CuBaLIF with an alpha; it outputs a spike in the step after."""
     voltage = current = spike = 0.0
     for signal in inputs:
         if alpha is None:

@@ -112,7 +112,7 @@ class DeployedOperation:
         Raises
         ------
         ValueError
-            A sum has something else than one weight times each value that it reads.
+            A sum is not one weight times each value that it reads.
         """
         return _find_synapses(self, tuple(read_shape))
 
@@ -158,7 +158,7 @@ class DeployedOperation:
         return nengo.Dense(matrix.shape, init=matrix), None
 
     def make_resources(self, layer, chip: Chip) -> Resources:
-        """Counts of what the layer needs of cores, for its `transform`."""
+        """What the layer occupies of cores, for its `transform`."""
         return DiscreteResources(layer, chip)
 
     # --- files and tables -------------------------------------------------------------------------
@@ -238,7 +238,7 @@ def _find_synapses(operation: DeployedOperation, read_shape) -> np.ndarray:
     other_sums = sum_units(other_weights).reshape(len(units), -1)
     if not np.allclose(other_weights[found], other_sums):
         raise ValueError(
-            f"operation {operation.kind!r}: 'compute_sums' adds something else than one weight "
+            f"operation {operation.kind!r}: 'compute_sums' adds something other than one weight "
             "times each value that a sum reads"
         )
     synapses = found - 1

@@ -276,7 +276,7 @@ def _decay(x, keep):
 
 @_jit(inline="always")
 def _wrap(x, spare):
-    """Two's complement with ``spare`` bits less than 32."""
+    """Two's complement with ``spare`` bits fewer than 32."""
     return int32(int32(x << spare) >> spare)
 
 

@@ -253,12 +253,12 @@ class _Rows:
         weights = synapse.weights
         indices = synapse.indices
         if not weights or any(w.dtype != dtype for w in weights):
-            raise Unsupported(f"weights of another type than {dtype}")
+            raise Unsupported(f"weights of a type other than {dtype}")
         self.n_atoms = weights[0].shape[0]
         if any(w.shape != i.shape or len(w) != self.n_atoms for w, i in zip(weights, indices)):
             raise Unsupported("weights and indices of different shapes")
         if any(i.dtype not in (np.int32, np.int64) for i in indices):
-            raise Unsupported("indices of another type than integers of 32 or 64 bits")
+            raise Unsupported("indices of a type other than integers of 32 or 64 bits")
         self.lengths = np.repeat([w.shape[1] for w in weights], self.n_atoms)
         self.weights = np.concatenate([w.ravel() for w in weights])
         self.targets = np.concatenate([i.ravel() for i in indices]).astype(np.int64)

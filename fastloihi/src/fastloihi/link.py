@@ -51,7 +51,7 @@ class Random:
         """Draw all further random numbers from a `RandomState`."""
         generator = getattr(rng, "_bit_generator", None)
         if not isinstance(generator, np.random.MT19937):
-            raise Unsupported("random numbers of another kind than MT19937")
+            raise Unsupported("random numbers of a generator other than MT19937")
         _, words, position, *_ = rng.get_state()
         address = generator.ctypes.state_address
         memory = np.ctypeslib.as_array((ctypes.c_uint32 * 625).from_address(address))

@@ -227,7 +227,7 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events:
         )
     if network.outputs != classes:
         raise UserError(
-            f"{source}: {network.nodes[-1]} puts out {network.outputs} values, and there are "
+            f"{source}: {network.nodes[-1]} outputs {network.outputs} values, and there are "
             f"{classes} classes: train it for those, or give other recordings (--data)"
         )
 
