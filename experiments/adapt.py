@@ -137,15 +137,20 @@ def measure_fits_to_people(spec, others, recordings, draws: int, seed: int):
             for each in EACH:
                 some = first[:, :each].ravel()
                 person = Person(responses[some], mine.labels[some], copies[some])
-                fit = refit(readout.by_class, readout.bias, person, kept, draw, responder.scale)
-                new = fit.weights if fit.helps else readout.by_class
+                fit = refit(
+                    readout.weights_by_class, readout.bias, person, kept, draw, responder.scale
+                )
+                new = fit.weights if fit.helps else readout.weights_by_class
                 tested = responses[rest], mine.labels[rest]
                 results[each].append(
                     [
-                        *(_measure_accuracy(readout, w, tested) for w in (readout.by_class, new)),
+                        *(
+                            _measure_accuracy(readout, w, tested)
+                            for w in (readout.weights_by_class, new)
+                        ),
                         *(
                             _measure_accuracy(readout, w, elsewhere)
-                            for w in (readout.by_class, new)
+                            for w in (readout.weights_by_class, new)
                         ),
                         float(fit.helps),
                     ]

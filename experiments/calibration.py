@@ -100,7 +100,7 @@ STEPS = 2
 LEAST_SQUARES_ROUNDS = 2
 
 
-class Target:
+class FitData:
     """The real recordings of a fit, and what is compared of them.
 
     Parameters
@@ -153,7 +153,9 @@ def find_sessions(bits, labels) -> list:
     sessions = []
     for group in groups:
         seen = is_hot[alone[:, group].all(1)][:, group]
-        sessions.append([round(float(seen.any(1).mean()), 3), [_place(taxel) for taxel in group]])
+        sessions.append(
+            [round(float(seen.any(1).mean()), 3), [_find_place(taxel) for taxel in group]]
+        )
     return sessions
 
 
@@ -173,7 +175,7 @@ def measure_hot(bits, hot) -> np.ndarray:
     return np.array([logs.mean(), logs.std(), rises / every])
 
 
-def step_faults(fit: dict, target: Target, bits) -> dict:
+def step_faults(fit: dict, target: FitData, bits) -> dict:
     """Move the rate of the hot taxels, its variation and the share of rises to the real ones."""
     fit = copy.deepcopy(fit)
     faults = fit["sections"]["faults"]
@@ -186,7 +188,7 @@ def step_faults(fit: dict, target: Target, bits) -> dict:
     return fit
 
 
-def _place(taxel):
+def _find_place(taxel):
     return [int(taxel) % GRID, int(taxel) // GRID]
 
 
@@ -244,7 +246,7 @@ def simulate_fit(fit: dict, shapes: ShapeModel, each: int, seed: int, jobs: int)
     return chunk_recordings(recordings), recordings.labels
 
 
-def step_forms(fit: dict, target: Target, bits, labels, damping: float = 0.6) -> dict:
+def step_forms(fit: dict, target: FitData, bits, labels, damping: float = 0.6) -> dict:
     """Move the force and the contact of each digit towards the real ones."""
     fit = copy.deepcopy(fit)
     found = summarise_recordings(bits)
@@ -262,7 +264,7 @@ def step_forms(fit: dict, target: Target, bits, labels, damping: float = 0.6) ->
     return fit
 
 
-def fit_sections(fit: dict, shapes: ShapeModel, target: Target, seed: int, jobs: int) -> dict:
+def fit_sections(fit: dict, shapes: ShapeModel, target: FitData, seed: int, jobs: int) -> dict:
     """Fit contact, receptors and faults to the quantiles of the summaries (least squares)."""
     names = list(BOUNDS)
     low, high = np.array([BOUNDS[name] for name in names]).T
@@ -291,7 +293,7 @@ def fit_sections(fit: dict, shapes: ShapeModel, target: Target, seed: int, jobs:
     return place(best.x)
 
 
-def step_gain(fit: dict, target: Target, bits, damping: float = 0.5) -> dict:
+def step_gain(fit: dict, target: FitData, bits, damping: float = 0.5) -> dict:
     """Move the gain of each taxel towards the real mean number of its bits when it is active."""
     fit = copy.deepcopy(fit)
     real = _measure_usual_bits(target.bits)
@@ -310,7 +312,9 @@ def _measure_usual_bits(bits):
     return np.maximum(roots, 0.5) ** 2
 
 
-def calibrate(fit: dict, shapes: ShapeModel, target: Target, seed: int, jobs: int, advance) -> dict:
+def calibrate(
+    fit: dict, shapes: ShapeModel, target: FitData, seed: int, jobs: int, advance
+) -> dict:
     """Fit force, contact, faults and gain by simulation.
 
     Parameters
@@ -318,7 +322,7 @@ def calibrate(fit: dict, shapes: ShapeModel, target: Target, seed: int, jobs: in
     fit : dict
         Initial parameters: content of ``fitted.json``.
     shapes : ShapeModel
-    target : Target
+    target : FitData
     seed, jobs : int
     advance : callable
         ``advance(1)``: a step is done.
@@ -361,7 +365,7 @@ def read_target(source: Path, jobs: int) -> tuple:
         "sha256": recordings.source.sha256,
         "recordings": len(recordings),
     }
-    return Target(chunk_recordings(recordings), recordings.labels), about
+    return FitData(chunk_recordings(recordings), recordings.labels), about
 
 
 def main(

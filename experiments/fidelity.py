@@ -171,8 +171,8 @@ def classify(train, labels, test) -> np.ndarray:
     -------
     ndarray of int, shape (n_test,)
     """
-    known = describe_counts(train, SLICES)
-    new = describe_counts(test, SLICES)
+    known = compute_features(train, SLICES)
+    new = compute_features(test, SLICES)
     kernel = _compute_gaussian(known, known)
     kernel[np.diag_indices_from(kernel)] += RIDGE
     weights = solve(kernel, 2.0 * np.eye(10)[labels] - 1.0, assume_a="pos", overwrite_a=True)
@@ -185,7 +185,7 @@ def _compute_gaussian(one, other):
     return np.exp(-2 * squares / (other**2).sum(1).mean())
 
 
-def describe_counts(bits, slices: int) -> np.ndarray:
+def compute_features(bits, slices: int) -> np.ndarray:
     """Square roots of the bits of each taxel and polarity in slices of time, shape (n, n_features).
 
     Parameters
@@ -204,7 +204,7 @@ def tell_apart(real, simulated, seed: int = 0) -> float:
     Ridge regression on the square roots of the counts of each taxel and polarity, fitted to two
     thirds of the recordings and measured on the other third; 0.5 if they cannot be told apart.
     """
-    features = np.concatenate([describe_counts(real, 1), describe_counts(simulated, 1)])
+    features = np.concatenate([compute_features(real, 1), compute_features(simulated, 1)])
     is_simulated = np.arange(len(features)) >= len(real)
     order = np.random.default_rng(seed).permutation(len(features))
     test, train = np.split(order, [len(order) // 3])

@@ -10,7 +10,7 @@ from functools import partial
 _seen: list[int] = []
 
 
-def listen():
+def handle_signals():
     """Interrupt this process by TERM as by Ctrl-C, which ends its workers too."""
     _seen.clear()
     signal.signal(signal.SIGTERM, _interrupt)

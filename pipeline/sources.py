@@ -12,10 +12,10 @@ from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import GRID, Recordings
 from pipeline.recordings.library import (
     find_cache_file,
-    find_hash,
+    hash_source,
     import_recordings,
     load,
-    make_options,
+    make_reading_options,
     store_and_load,
 )
 from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
@@ -23,7 +23,7 @@ from pipeline.recordings.source import list_source
 from pipeline.recordings.splits import PUBLISHED, RANDOM
 from pipeline.run.settings import SIMULATED, Settings
 from pipeline.simulation import parameters
-from pipeline.simulation.simulate import describe_source, simulate
+from pipeline.simulation.simulate import make_source, simulate
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def load_named_recordings(settings: Settings, jobs: int = 1, warn=None) -> Recor
         size = ReadingOptions(settings.skin.rows, settings.skin.columns)
         simulated = SimulatedSource.of(settings)
         return load_recordings(jobs=jobs, reading=size, simulated=simulated)
-    reading = make_options(settings)
+    reading = make_reading_options(settings)
     return load_recordings(data.source, data.skip_bad, jobs, warn, reading)
 
 
@@ -148,12 +148,12 @@ def find_identity(settings: Settings) -> tuple:
     if settings.data.source == SIMULATED:
         simulated = SimulatedSource.of(settings)
         how = simulated.describe_reading(settings.skin.rows, settings.skin.columns)
-        sha256 = describe_source(simulated.seed, simulated.counts, **how).sha256
+        sha256 = make_source(simulated.seed, simulated.counts, **how).sha256
         return sha256, RANDOM if split == "auto" else split
     listing = list_source(settings.data.source)
     if split == "auto":
         split = PUBLISHED if listing.entries[0].part else RANDOM
-    return find_hash(listing), split
+    return hash_source(listing), split
 
 
 def count_samples(samples_per_digit: int) -> list:
@@ -174,7 +174,7 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     **how
         ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
     """
-    path = find_path_of_simulated(describe_source(seed, counts, **how).sha256)
+    path = find_path_of_simulated(make_source(seed, counts, **how).sha256)
     recordings = load(path)
     if recordings is None:
         with progress("simulate", sum(counts), "recordings") as advance:

@@ -14,7 +14,7 @@ from typing import NamedTuple, Optional, Tuple
 import numpy as np
 
 # Units of the hidden layers of a confidence estimator.
-HIDDEN = (32, 32)
+HIDDEN_NEURONS = (32, 32)
 
 # Number of the largest softmax values that are inputs of an estimator, in sorted order.
 RANKS = 4
@@ -54,7 +54,7 @@ class Estimator:
     def list_shapes(classes: int) -> dict:
         """Shape of each array by name, for networks with some number of classes."""
         features = min(RANKS, classes) + 2 * classes + 1 + len(LAGS) * classes
-        sizes = (features, *HIDDEN, 1)
+        sizes = (features, *HIDDEN_NEURONS, 1)
         shapes: dict = {}
         for index, (before, after) in enumerate(zip(sizes, sizes[1:]), 1):
             shapes[f"estimator.kernel{index}"] = (before, after)
@@ -97,8 +97,8 @@ class Estimator:
         signal = make_estimator_inputs(outputs, first)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1]):
             signal = np.maximum(signal @ kernel + bias, 0)
-        odds = np.clip((signal @ self.kernels[-1] + self.biases[-1])[..., 0], -50, 50)
-        return 1 / (1 + np.exp(-odds))
+        log_odds = np.clip((signal @ self.kernels[-1] + self.biases[-1])[..., 0], -50, 50)
+        return 1 / (1 + np.exp(-log_odds))
 
 
 def make_estimator_inputs(outputs, first: int = 0) -> np.ndarray:

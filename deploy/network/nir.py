@@ -152,25 +152,25 @@ def _make_neuron_nodes(nir, layer):
         return
     shape = _put_channels_first(layer.shape)
 
-    def everywhere(value):
+    def fill(value):
         return np.full(shape, float(value))
 
     name = f"{layer.name}_neurons"
     neurons = layer.neurons
-    common = {"r": everywhere(1), "v_threshold": everywhere(1)}
+    common = {"r": fill(1), "v_threshold": fill(1)}
     if layer.synapse is not None:
         yield (
             name,
             nir.CubaLIF(
-                tau_syn=everywhere(layer.synapse),
-                tau_mem=everywhere(neurons.tau_rc),
-                v_leak=everywhere(0),
-                w_in=everywhere(1),
+                tau_syn=fill(layer.synapse),
+                tau_mem=fill(neurons.tau_rc),
+                v_leak=fill(0),
+                w_in=fill(1),
                 **common,
             ),
         )
         return
-    yield name, nir.LIF(tau=everywhere(neurons.tau_rc), v_leak=everywhere(0), **common)
+    yield name, nir.LIF(tau=fill(neurons.tau_rc), v_leak=fill(0), **common)
 
 
 def _list_metadata(spec):

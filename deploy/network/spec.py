@@ -242,13 +242,13 @@ class Layer:
         return np.searchsorted(self.starts, steps, side="right") - 1
 
     @property
-    def by_class(self) -> np.ndarray:
+    def weights_by_class(self) -> np.ndarray:
         """Weights of a readout for the inputs of all sections, shape (units, sections * inputs)."""
         weights = self.weights.reshape(self.sections, self.size, -1)
         return weights.swapaxes(0, 1).reshape(self.size, -1)
 
-    def with_by_class(self, weights) -> Layer:
-        """The readout with other weights, in the shape of :attr:`by_class`."""
+    def with_weights_by_class(self, weights) -> Layer:
+        """The readout with other weights, in the shape of :attr:`weights_by_class`."""
         by_section = np.reshape(weights, (self.size, self.sections, -1)).swapaxes(0, 1)
         return replace(self, weights=by_section.reshape(self.weights.shape))
 
@@ -660,7 +660,7 @@ class NetworkSpec:
                 provenance=dict(value.get("provenance", {})),
                 estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
-            inputs = layers[-1].by_class.shape[1]
+            inputs = layers[-1].weights_by_class.shape[1]
             classes = layers[-1].size
             spec = replace(spec, rehearsal=Rehearsal.from_arrays(arrays, inputs, classes))
             _refuse_unknown(value, {"schema", *spec.to_json()}, "network")

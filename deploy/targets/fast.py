@@ -340,12 +340,12 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
     emulation = Emulation(spec, seed)
     gap = spec.presentation.gap
 
-    def fitting(n_samples):
+    def count_fitting_streams(n_samples):
         """Number of streams of some length that fit into the memory."""
         spikes = emulation.count_bytes_per_step(1) * spec.presentation.period
         return max(1, memory // (spikes + emulation.count_bytes_kept() * n_samples))
 
-    for batch in _list_batches(streams, fitting):
+    for batch in _list_batches(streams, count_fitting_streams):
         hashes: List[list] = []
 
         def watch(packed, hashes=hashes):
@@ -359,11 +359,13 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
             yield TargetOutput(output[:, gap:], counts, np.transpose(hashes)[index])
 
 
-def _list_batches(streams, fitting):
-    """Lists of consecutive streams of equal length, at most ``fitting`` of that length."""
+def _list_batches(streams, count_fitting_streams):
+    """Lists of consecutive streams of equal length, as many as fit at once."""
     batch = []
     for stream in streams:
-        if batch and (len(batch) == fitting(len(stream)) or len(stream) != len(batch[0])):
+        if batch and (
+            len(batch) == count_fitting_streams(len(stream)) or len(stream) != len(batch[0])
+        ):
             yield batch
             batch = []
         batch.append(stream)

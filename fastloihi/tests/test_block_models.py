@@ -14,7 +14,7 @@ import pytest
 from block_models import feed, random_calls, random_model
 from comparison import NUMPY_1, Outcome, assert_same, state_of
 from fastloihi.emulator import hand_over, take_over
-from fastloihi.link import LOG
+from fastloihi.link import LOG_LINES
 from hypothesis import HealthCheck, Phase, event, example, given, reject, settings
 from hypothesis import strategies as st
 from nengo_loihi.emulator.interface import EmulatorInterface
@@ -161,9 +161,9 @@ def test_more_warnings_than_the_log_holds_are_all_given():
         if emulators is None:
             continue
         plain, fast = emulators
-        expected = Outcome.of(lambda plain=plain: plain.run_steps(2 * LOG))
-        if len(expected.warnings) > 2 * LOG:
-            assert Outcome.of(lambda fast=fast: fast.run_steps(2 * LOG)) == expected
+        expected = Outcome.of(lambda plain=plain: plain.run_steps(2 * LOG_LINES))
+        if len(expected.warnings) > 2 * LOG_LINES:
+            assert Outcome.of(lambda fast=fast: fast.run_steps(2 * LOG_LINES)) == expected
             assert_same(state_of(plain), state_of(fast))
             return
     pytest.fail("no model that overflows often")
@@ -209,7 +209,7 @@ sys.modules.update(dict.fromkeys(("tensorflow", "nengo_dl", "keras")))
 import numpy as np
 from test_block_models import run_both, two_emulators
 from fastloihi import link
-link.LOG = 4
+link.LOG_LINES = 4
 np.seterr(all="ignore")  # Python tells of integers that wrap
 for seed in (3, 5, 19, 27, 48, 55):
     run_both(*two_emulators(seed), seed, each_step=False, n_calls=1)

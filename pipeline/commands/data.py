@@ -63,7 +63,7 @@ def inspect(
     as_json: options.Json = False,
 ):
     """Print facts about one recording."""
-    from pipeline.recordings.library import make_options
+    from pipeline.recordings.library import make_reading_options
     from pipeline.recordings.statistics import format_facts_of_file, list_facts_of_file
 
     is_zip = file.suffix.lower() == ".zip" and file.is_file()
@@ -73,7 +73,7 @@ def inspect(
             f"{file}: is a {what}; name one recording in it, or describe all of them with "
             f"{format_command('data', 'stats', '--data', str(file))}"
         )
-    facts = list_facts_of_file(file, make_options(_make_settings(str(file), reading)))
+    facts = list_facts_of_file(file, make_reading_options(_make_settings(str(file), reading)))
     options.tell(facts, lambda facts: format_facts_of_file(file.name, facts), as_json)
 
 

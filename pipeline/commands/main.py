@@ -20,7 +20,7 @@ from deploy.errors import (
 )
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 from pipeline.commands.options import convert_for_typer
-from pipeline.interrupts import listen, raise_at_interrupts
+from pipeline.interrupts import handle_signals, raise_at_interrupts
 
 # Typer brings its own copy of Click from some version on: these are the classes that it raises.
 UsageError, ClickException = typer.BadParameter.__mro__[1:3]
@@ -181,7 +181,7 @@ def main(arguments=None, command=None, name: str = "stmnist"):
     or by the signal TERM.
     """
     prepare()
-    listen()
+    handle_signals()
     try:
         with raise_at_interrupts():
             run = command or make_command_line()

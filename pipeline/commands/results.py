@@ -33,7 +33,7 @@ def status(run: options.Run, as_json: options.Json = False):
     if (note := explain_unread(settings)) is not None:
         options.say(note)
     imported = find_kind(settings).imported
-    for note in imported.list_changes() if imported is not None else ():
+    for note in imported.list_warnings() if imported is not None else ():
         options.say(note)
 
 

@@ -159,7 +159,7 @@ def _try_to_split(recordings, settings, check):
 def _find_too_small_test_set(settings, n_test):
     """A problem if the test set has fewer samples than the user's check."""
     samples = settings.check.count_samples(n_test)
-    if settings.is_users("check.samples"):
+    if settings.is_set_by_user("check.samples"):
         samples = settings.check.samples
     if 0 < n_test < samples:
         yield (

@@ -33,7 +33,7 @@ class Imported(NamedTuple):
     step: str
     remedy: str
 
-    def list_changes(self) -> Iterator[str]:
+    def list_warnings(self) -> Iterator[str]:
         """A warning if the file has changed since it was imported."""
         if Path(self.file).is_file() and not is_file(self.file, self.sha256):
             yield (
@@ -41,7 +41,7 @@ class Imported(NamedTuple):
                 f"earlier version; for this one {self.remedy}"
             )
 
-    def split_notes(self, state: State, seed: int) -> Iterator[str]:
+    def list_split_notes(self, state: State, seed: int) -> Iterator[str]:
         """A line on the split that the network must have been trained on; a warning if it is new.
 
         Parameters

@@ -29,7 +29,7 @@ from pipeline.recordings.formats.mat import (
 from pipeline.recordings.formats.recording import BadRecording, read_limited
 
 # Writers are numbered from 1 to one less than this.
-WRITERS = 1000
+WRITER_LIMIT = 1000
 
 # Number with which every page begins, until a writer is chosen there.
 FIRST_WRITER = 1
@@ -108,7 +108,7 @@ class Keeper:
         try:
             self._refuse_another_sensor()
             self._hold()
-            self.look()
+            self.read_folder()
         except BaseException:
             self.close()
             raise
@@ -141,7 +141,7 @@ class Keeper:
         self._held.enter_context(lock_file(self.folder / LOCK, taken, remedy))
         remove_leftovers(self.folder)
 
-    def look(self):
+    def read_folder(self):
         """Read which recordings are in the folder.
 
         Raises
@@ -190,7 +190,7 @@ class Keeper:
             The recording could not be written; the folder has not changed.
         """
         with self._guard:
-            self.look()
+            self.read_folder()
             table = self.folder / TABLE
             if not table.exists():
                 _create(table, encode_lookup_table(self._taxels))
@@ -199,7 +199,7 @@ class Keeper:
             place = self._places[label]
             kept = SavedRecording(label, recording.writer, number, place)
             _create(self.folder / kept.name, encode_recording(recording))
-            self.look()
+            self.read_folder()
             return kept
 
     def remove(self, kept: SavedRecording):
@@ -216,9 +216,9 @@ class Keeper:
                 path.unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 path.parent.rmdir()  # a class without a recording is refused as data
-            self.look()
+            self.read_folder()
 
-    def is_writer(self, number: int):
+    def note_writer(self, number: int):
         """Note that a page has a writer's number, which :meth:`add_writer` then does not return."""
         with self._guard:
             self._given.add(number)
@@ -234,13 +234,13 @@ class Keeper:
             All numbers are taken.
         """
         with self._guard:
-            self.look()
+            self.read_folder()
             known = {*self._given, *self.writers}
-            numbers = [max(known, default=0) + 1, *range(1, WRITERS)]
-            free = next((n for n in numbers if n < WRITERS and n not in known), None)
+            numbers = [max(known, default=0) + 1, *range(1, WRITER_LIMIT)]
+            free = next((n for n in numbers if n < WRITER_LIMIT and n not in known), None)
             if free is None:
                 raise UserError(
-                    f"{self.folder}: all {WRITERS - 1} numbers of writers are taken; "
+                    f"{self.folder}: all {WRITER_LIMIT - 1} numbers of writers are taken; "
                     "choose another folder with --record"
                 )
             self._given.add(free)

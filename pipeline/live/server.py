@@ -30,27 +30,27 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import MOST_TAXELS, PAUSE_S, BadMessage, Session, make_problem_message
+from pipeline.live.session import MAX_TAXELS, PAUSE_S, BadMessage, Session, make_problem_message
 from pipeline.simulation.writing import START_S
 
 # Default address of the page, which other machines cannot reach.
 HOST = "127.0.0.1"
 
 # Bytes of a message.
-LARGEST = 64 * 1024
+MAX_MESSAGE_BYTES = 64 * 1024
 
 # Minimum seconds between two answers, because a screen cannot display more.
-APART_S = 0.012
+MIN_ANSWER_INTERVAL_S = 0.012
 
 # Minimum seconds between two messages with the spikes of the network, which are large and slow to
 # draw; more of them would not be visible.
-SPIKES_APART_S = 0.06
+MIN_SPIKES_INTERVAL_S = 0.06
 
 # Pages that may be open at a time.
-PAGES = 8
+MAX_PAGES = 8
 
 # Connections that wait to be accepted.
-WAITING = 128
+MAX_WAITING_MESSAGES = 128
 
 # Name of the QR code of the page's address.
 PICTURE = "qr.svg"
@@ -134,7 +134,7 @@ class Live:
         self._about = about
         self._numbers = itertools.count(1)
         self._open = 0
-        self._hands = concurrent.futures.ThreadPoolExecutor(PAGES, "page")
+        self._hands = concurrent.futures.ThreadPoolExecutor(MAX_PAGES, "page")
         self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
         self._decider = self._tests = None
         self.picture: bytes | None = None  # QR code of the address, for other devices
@@ -194,8 +194,8 @@ class Live:
             await socket.close(1008, "the token in the address is missing or wrong")
             return
         await socket.accept()
-        if self._open >= PAGES:
-            text = f"{PAGES} pages are open already; close one of them, and this page will connect"
+        if self._open >= MAX_PAGES:
+            text = f"{MAX_PAGES} pages are open; close one of them, and this page will connect"
             await _say(socket, [make_problem_message(text)])
             await socket.close(1013, "too many pages")
             return
@@ -290,7 +290,7 @@ class Live:
                         output = make_problem_message(f"the network could not answer: {error}")
                     await _say(socket, [output] if output is not None else [])
                     page.draw.set()
-                    await asyncio.sleep(APART_S)
+                    await asyncio.sleep(MIN_ANSWER_INTERVAL_S)
 
     async def _send_spikes(self, page):
         """Send the spikes of the latest output; those of the last one always."""
@@ -300,10 +300,10 @@ class Live:
                 page.draw.clear()
                 spikes = page.session.make_spikes_message()
                 await _say(page.socket, [spikes] if spikes is not None else [])
-                await asyncio.sleep(SPIKES_APART_S)
+                await asyncio.sleep(MIN_SPIKES_INTERVAL_S)
 
 
-_LIMITS = {"start_s": START_S, "pause_s": PAUSE_S, "most_taxels": MOST_TAXELS}
+_LIMITS = {"start_s": START_S, "pause_s": PAUSE_S, "most_taxels": MAX_TAXELS}
 
 
 async def _say(socket, messages):
@@ -342,7 +342,7 @@ def listen(port: int, host: str = HOST) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind(place)
-        listening.listen(WAITING)
+        listening.listen(MAX_WAITING_MESSAGES)
     except OSError as error:
         listening.close()
         if error.errno == errno.EADDRNOTAVAIL:
@@ -387,7 +387,7 @@ class Server(uvicorn.Server):
                 log_level="error",
                 access_log=False,
                 ws="websockets-sansio",
-                ws_max_size=LARGEST,
+                ws_max_size=MAX_MESSAGE_BYTES,
                 ws_ping_interval=None,  # a page in a sleeping tab does not answer
                 ws_per_message_deflate=False,  # local traffic; saves milliseconds
                 server_header=False,

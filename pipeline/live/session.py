@@ -27,7 +27,7 @@ import numpy as np
 from deploy.errors import UserError, describe_error
 from pipeline.live.deciding import Decider, NetworkOutput
 from pipeline.live.examples import Examples, ReplayedTouch
-from pipeline.live.keeping import FIRST_WRITER, WRITERS, Keeper
+from pipeline.live.keeping import FIRST_WRITER, WRITER_LIMIT, Keeper
 from pipeline.recordings.events import Events, join_events
 from pipeline.recordings.formats.mat import MatRecording
 from pipeline.simulation.writing import MARGIN, START_S, PenPoint, Writing
@@ -43,11 +43,11 @@ PAUSE_S = 1.2
 REST_S = 0.25
 
 # Maximum number of points in a message.
-POINTS = 512
+MAX_POINTS = 512
 
 # Maximum number of taxels of a skin to write on: with more, the simulation would take too long
 # beside the page and its network (0.15 s of processor time per second for this number).
-MOST_TAXELS = 4096
+MAX_TAXELS = 4096
 
 # Seconds of the skin that are simulated in one piece, so that little memory is needed: an
 # intermediate result of a piece takes 8 MB on the largest skin.
@@ -293,8 +293,8 @@ class Session:
     def _handle_pen(self, message):
         now_ms = _read_number(message, "now")
         points = message.get("points")
-        if not isinstance(points, list) or len(points) > POINTS:
-            raise BadMessage(f"points: not a list of at most {POINTS}")
+        if not isinstance(points, list) or len(points) > MAX_POINTS:
+            raise BadMessage(f"points: not a list of at most {MAX_POINTS}")
         points = [_read_point(point, self._sensor) for point in points]
         if any(point[0] > now_ms + 1000 for point in points):
             raise BadMessage("points: later than now")
@@ -419,11 +419,11 @@ class Session:
 
     def _handle_writer(self, message):
         number = message.get("number")
-        if number is not None and (type(number) is not int or not 1 <= number < WRITERS):
-            raise BadMessage(f"number: not from 1 to {WRITERS - 1}")
+        if number is not None and (type(number) is not int or not 1 <= number < WRITER_LIMIT):
+            raise BadMessage(f"number: not from 1 to {WRITER_LIMIT - 1}")
         if number is None:
             number = self._keeper.add_writer()
-        self._keeper.is_writer(number)
+        self._keeper.note_writer(number)
         self._writer = number
         return [self.make_writer_message()]
 
@@ -476,8 +476,8 @@ def _read_whole_number(message, name, least, most):
 
 
 def _read_point(values, sensor):
-    if sensor.rows * sensor.columns > MOST_TAXELS:
-        raise BadMessage(f"points: a skin of more than {MOST_TAXELS} taxels is not simulated")
+    if sensor.rows * sensor.columns > MAX_TAXELS:
+        raise BadMessage(f"points: a skin of more than {MAX_TAXELS} taxels is not simulated")
     right, down = (side - 1 + MARGIN for side in (sensor.columns, sensor.rows))
     ranges = (-1e12, 1e12), (-MARGIN, right), (-MARGIN, down), (0, 1), (0, 1)
     if not isinstance(values, list) or len(values) != len(ranges):

@@ -132,7 +132,7 @@ def _count_batches(recordings, image, indices=None):
     """Counts of all or some recordings, a few recordings at a time; see `EventTable.batches`."""
     table = recordings.table
     indices = np.arange(len(table)) if indices is None else np.asarray(indices)
-    for span, events in table.pick_in_batches(indices):
+    for span, events in table.select_in_batches(indices):
         some = indices[span]
         weights = None
         if image.aggregation == "columns":
@@ -193,7 +193,7 @@ class StoredCounts:
         self._value = np.concatenate([np.empty(0, np.int32), *values])
         self._offsets = np.cumsum(np.concatenate(numbers))
 
-    def pick(self, indices) -> TaxelCounts:
+    def select(self, indices) -> TaxelCounts:
         """The counts of some samples, which are numbered from 0 in the order of ``indices``."""
         first = self._offsets[indices]
         number = self._offsets[indices + 1] - first
@@ -243,7 +243,7 @@ class AlteredImages:
     def _alter_some(self, rng, indices):
         how = self._how
         n = len(indices)
-        counts = self._counts.pick(indices)
+        counts = self._counts.select(indices)
         kept_share = 1 - rng.uniform(0, how.drop, n)
         counts = counts._replace(value=rng.binomial(counts.value, kept_share[counts.sample]))
         if how.is_spatial:

@@ -36,7 +36,7 @@ from pipeline.recordings.source import (
 from pipeline.run.settings import Settings
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
-FORMAT = 9
+CACHE_VERSION = 9
 
 # Maximum number of bytes of a set of recordings, a hundred times that of the published one.
 MAX_CACHE_BYTES = 1 << 34
@@ -44,7 +44,7 @@ MAX_CACHE_BYTES = 1 << 34
 DELETE = "delete it and run the command again to make it again"
 
 
-def make_options(settings: Settings) -> ReadingOptions:
+def make_reading_options(settings: Settings) -> ReadingOptions:
     """The settings of reading files."""
     data = settings.data
     return ReadingOptions(
@@ -88,7 +88,7 @@ def import_recordings(
     # files are not in the hash.
     refused = [list(entry) for entry in listing.refused]
     options = (skip_bad, *astuple(reading), refused)
-    path = find_cache_file("imported", source.name, find_hash(listing), *options)
+    path = find_cache_file("imported", source.name, hash_source(listing), *options)
     recordings = load(path)
     if recordings is None:
         read = read_source(source, jobs, skip_bad, progress, reading)
@@ -99,7 +99,7 @@ def import_recordings(
     return recordings
 
 
-def find_hash(listing: Listing) -> str:
+def hash_source(listing: Listing) -> str:
     """The content hash of a source, which is read again only if its files have changed."""
     path = find_cache_folder() / f"source-{hash_listing(listing)[:24]}.json"
     if path.exists():
@@ -113,7 +113,7 @@ def find_hash(listing: Listing) -> str:
 
 def find_cache_file(*key) -> Path:
     """The file for recordings that are determined by some plain values."""
-    name = hashlib.sha256(json.dumps([FORMAT, *key]).encode()).hexdigest()[:24]
+    name = hashlib.sha256(json.dumps([CACHE_VERSION, *key]).encode()).hexdigest()[:24]
     return find_cache_folder() / f"recordings-{name}.npz"
 
 

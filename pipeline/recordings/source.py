@@ -65,7 +65,7 @@ MAX_SOURCE_EVENTS = 60_000_000
 MAX_FILES = 100_000
 
 # Number of files that a worker reads at a time: a compromise of overhead and progress bar.
-CHUNK = 32
+FILES_PER_JOB = 32
 
 # Number of reasons, and of files that were left out, that are listed individually.
 MAX_LISTED = 10
@@ -170,7 +170,7 @@ def list_source(path, labelled: bool = True) -> Listing:
     class_folders = _find_class_folders(path, recordings)
     entries = []
     for member in recordings:
-        part, of_class, problem = _place(member, class_folders, labelled)
+        part, of_class, problem = _find_part_and_class(member, class_folders, labelled)
         if problem:
             refused.append((str(member), problem))
         else:
@@ -402,7 +402,7 @@ def _find_folders_around(recordings) -> PurePosixPath:
         around /= top
 
 
-def _place(member, class_folders, labelled=True):
+def _find_part_and_class(member, class_folders, labelled=True):
     """Part of the split, class, and an empty text; or two empty texts and what is wrong."""
     if not member.is_relative_to(class_folders.around):
         return "", "", f"is not in {class_folders.around}, as the others are; move it"
@@ -532,7 +532,10 @@ def _read_entries(listing, jobs, progress):
     entries = []
     read = []
     bad = []
-    chunks = [listing.entries[i : i + CHUNK] for i in range(0, len(listing.entries), CHUNK)]
+    chunks = [
+        listing.entries[i : i + FILES_PER_JOB]
+        for i in range(0, len(listing.entries), FILES_PER_JOB)
+    ]
     calls = (delayed(_read_files)(listing.path, chunk) for chunk in chunks)
     n_events = 0
     bar = progress("import", len(listing.entries), "recordings")

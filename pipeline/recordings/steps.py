@@ -104,7 +104,7 @@ class EventTable:
         durations_ms = self.duration_ms[indices]
         return max(float(np.quantile(durations_ms, 0.9)), 1.0) if len(durations_ms) else 1.0
 
-    def pick_in_batches(self, indices=None) -> Iterator[tuple]:
+    def select_in_batches(self, indices=None) -> Iterator[tuple]:
         """Pick the events of all or some recordings, a few recordings at a time.
 
         Yields
@@ -115,7 +115,7 @@ class EventTable:
         indices = np.arange(len(self)) if indices is None else np.asarray(indices, int)
         for start in range(0, len(indices), RECORDINGS_AT_ONCE):
             span = slice(start, min(start + RECORDINGS_AT_ONCE, len(indices)))
-            yield span, self.pick(indices[span])
+            yield span, self.select(indices[span])
         self.release()
 
     def release(self):
@@ -142,7 +142,7 @@ class EventTable:
         """
         indices = np.arange(len(self)) if indices is None else np.asarray(indices)
         counts = make_empty_array((len(indices), slices, *self.size, 2), np.float32)
-        for span, events in self.pick_in_batches(indices):
+        for span, events in self.select_in_batches(indices):
             counts[span] = self.count(events, span.stop - span.start, slices, duration_ms)
         return counts
 
@@ -183,7 +183,7 @@ class EventTable:
         begins = np.cumsum(counts) - counts
         return sample, np.arange(counts.sum()) + np.repeat(first - begins, counts)
 
-    def pick(self, indices) -> EventColumns:
+    def select(self, indices) -> EventColumns:
         """Events of some recordings, one recording after the other.
 
         Samples are numbered by their position in ``indices``.
@@ -203,13 +203,14 @@ class EventTable:
         self, indices, step_ms: float, steps: int, limits: SpikeLimits = NO_LIMITS
     ) -> np.ndarray:
         """Frames of some recordings; see :func:`make_spike_frames`."""
-        events = self.pick(np.asarray(indices))
+        events = self.select(np.asarray(indices))
         return make_spike_frames(events, step_ms, len(indices), steps, self.size, limits)
 
     def measure_loss(self, step_ms: float, refractory: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`make_spike_frames`."""
         spikes = sum(
-            self._count_spikes(events, step_ms, refractory) for _, events in self.pick_in_batches()
+            self._count_spikes(events, step_ms, refractory)
+            for _, events in self.select_in_batches()
         )
         return 1 - spikes / self.offsets[-1] if self.offsets[-1] else 0.0
 

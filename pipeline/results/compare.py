@@ -107,7 +107,7 @@ def _read_run(path):
     if not folder.bundle.is_dir():
         raise UserError(f"{path}: has no bundle; make it with {format_command('convert', path)}")
     bundle = read_bundle(folder.bundle)
-    files = {stage: folder.check(stage) for stage in list_stages()}
+    files = {stage: folder.find_check_file(stage) for stage in list_stages()}
     every = {stage: read_result(f, DELETE_IT) for stage, f in files.items() if f.exists()}
     results = {stage: result for stage, result in every.items() if result["bundle"] == bundle.id}
     stale = [stage for stage in every if stage not in results]

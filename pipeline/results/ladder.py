@@ -75,7 +75,7 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
 
 def read_board_results(run: RunFolder, bundle_id: str) -> list:
     """The existing check results of a bundle on boards."""
-    files = [file for file in map(run.check, BOARDS) if file.exists()]
+    files = [file for file in map(run.find_check_file, BOARDS) if file.exists()]
     return [result for result in map(read_result, files) if result["bundle"] == bundle_id]
 
 

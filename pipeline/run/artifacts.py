@@ -84,7 +84,7 @@ class Origin:
         values = {name: _make_plain(settings.get_value(name)) for name in names}
         merged = {PACKAGE: __version__, **(contents or {})}
         for name in KEPT_IF_USERS:
-            if name in values and settings.is_users(name):
+            if name in values and settings.is_set_by_user(name):
                 merged[f"{name} is kept"] = f"as it was set: {values[name]}"
         for used in uses:
             values = _merge_entries(used.settings, values)

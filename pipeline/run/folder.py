@@ -72,7 +72,7 @@ class RunFolder:
     bundle = _make_path_property("bundle", "The folder of the bundle.")
     ladder = _make_path_property("ladder.json", "The file of the loss ladder.")
 
-    def check(self, stage: str) -> Path:
+    def find_check_file(self, stage: str) -> Path:
         """The file of a stage's result on the check's samples."""
         return self.path / "checks" / f"{stage}.json"
 

@@ -128,15 +128,13 @@ def simulate(
         labels=[sample.digit for sample in samples],
         ids=[sample.name for sample in samples],
         writers=[sample.writer for sample in samples],
-        source=describe_source(seed, counts, parameters, traces, size),
+        source=make_source(seed, counts, parameters, traces, size),
         taxels=TaxelMap.grid(*size),
         sensor=Sensor(*size),
     )
 
 
-def describe_source(
-    seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE
-) -> Source:
+def make_source(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
     """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
     parameters = parameters or load()
     content = [VERSION, int(seed), _check_counts(samples_per_digit), parameters.compute_hash()]

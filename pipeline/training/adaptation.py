@@ -139,10 +139,12 @@ def refit(weights, bias, person: Person, kept: Rehearsal, seed: int = 0, scale: 
     """
     weights = np.asarray(weights, float)
     bias = np.asarray(bias, float)
-    problem = _Problem(weights, bias, person, kept, scale)
+    problem = _Regression(weights, bias, person, kept, scale)
     folds = _Folds.draw(person, kept, seed)
-    before = problem.log_odds(problem.weights, person.responses)
-    kept_before = _find_right(problem.log_odds(problem.weights, kept.responses), kept.labels)
+    before = problem.compute_log_probabilities(problem.weights, person.responses)
+    kept_before = _find_right(
+        problem.compute_log_probabilities(problem.weights, kept.responses), kept.labels
+    )
 
     def rate(trial):
         """Keeping the accuracy for others comes first, then the likelihood for the person."""
@@ -205,8 +207,8 @@ def _cross_validate(problem, person, kept, folds, pull, rehearsal) -> _Trial:
         samples, labels = person.select_with_copies(~is_out)
         solution = problem.solve(samples, labels, ~is_kept_out, pull, rehearsal)
         refitted = round_to_8_bits(solution)
-        log_p[is_out] = problem.log_odds(refitted, person.responses[is_out])
-        log_kept = problem.log_odds(refitted, kept.responses[is_kept_out])
+        log_p[is_out] = problem.compute_log_probabilities(refitted, person.responses[is_out])
+        log_kept = problem.compute_log_probabilities(refitted, kept.responses[is_kept_out])
         kept_after[is_kept_out] = _find_right(log_kept, kept.labels[is_kept_out])
     likelihood = log_p[np.arange(len(person)), person.labels].mean()
     return _Trial(pull, rehearsal, _find_right(log_p, person.labels), kept_after, likelihood)
@@ -218,7 +220,7 @@ def round_to_8_bits(weights) -> np.ndarray:
     return np.rint(weights / unit) * unit if unit > 0 else np.array(weights)
 
 
-class _Problem:
+class _Regression:
     """The regression's constants: old weights, kept samples, units."""
 
     def __init__(self, weights, bias, person, kept, scale):
@@ -236,7 +238,7 @@ class _Problem:
     def _compute_logits(self, weights, responses):
         return self._scale * (responses @ weights.T + self.bias)
 
-    def log_odds(self, weights, responses):
+    def compute_log_probabilities(self, weights, responses):
         """Logarithm of the softmax, shape (n_samples, classes)."""
         return log_softmax(self._compute_logits(weights, responses), axis=1)
 
@@ -367,7 +369,7 @@ class Responder:
         """
         start = self.spec.presentation.readout_start
         readout = self.spec.layers[-1]
-        batches = [np.empty((0, readout.by_class.shape[1]))]
+        batches = [np.empty((0, readout.weights_by_class.shape[1]))]
         for output in self.run_to_readout(samples):
             output = output[:, start:]
             section = readout.find_section(start + np.arange(output.shape[1]))
@@ -480,12 +482,14 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
         )
     person = responder.make_person(recordings, [seed, 0xADA])
     readout = spec.layers[-1]
-    fit = refit(readout.by_class, readout.bias, person, spec.rehearsal, seed, responder.scale)
+    fit = refit(
+        readout.weights_by_class, readout.bias, person, spec.rehearsal, seed, responder.scale
+    )
     new = ~_mark_check_samples(bundle, responder, recordings)
     others = responder.compute_responses(bundle.checks.inputs)[new]
     others_before, others_after = (
         (others @ weights.T + readout.bias).argmax(axis=1) == bundle.checks.labels[new]
-        for weights in (readout.by_class, fit.weights)
+        for weights in (readout.weights_by_class, fit.weights)
     )
     fitted = int(np.sum(~new))
     if not fit.helps:
@@ -502,7 +506,7 @@ def adapt(bundle: Bundle, recordings: Recordings, writer: str, seed: int = 0) ->
     }
     adapted = replace(
         spec,
-        layers=(*spec.layers[:-1], readout.with_by_class(fit.weights)),
+        layers=(*spec.layers[:-1], readout.with_weights_by_class(fit.weights)),
         provenance={
             **spec.provenance,
             "adapted": about,

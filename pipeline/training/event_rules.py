@@ -212,7 +212,7 @@ def find_bin_ms(table: EventTable) -> float | None:
         millisecond and at most `MAX_BIN_MS`.
     """
     bin_us = 0
-    for _, events in table.pick_in_batches():
+    for _, events in table.select_in_batches():
         time_us = np.rint(1000 * events.time_ms.astype(float)).astype(np.int64)
         bin_us = math.gcd(bin_us, int(np.gcd.reduce(np.unique(time_us), initial=0)))
     bin_ms = bin_us / 1000

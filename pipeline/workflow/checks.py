@@ -186,7 +186,9 @@ def check_artifact(
     if stage in kind.references and stage not in kind.deployed_stages:
         contents["network"] = kind.make_origin(kind.references[stage].step, dataset).key
     origin = Origin({"seed": kind.settings.seed}, contents)
-    return Artifact(f"checks/{stage}", run.check(stage), origin, made_from=_read_check_record)
+    return Artifact(
+        f"checks/{stage}", run.find_check_file(stage), origin, made_from=_read_check_record
+    )
 
 
 def _read_check_record(result):

@@ -42,7 +42,7 @@ def list_notes(opened, choices) -> Iterator[str]:
         yield f"{run.path}: {text}"
     yield from choices
     if kind.imported is not None:
-        yield from kind.imported.list_changes()
+        yield from kind.imported.list_warnings()
     yield from list_notes_on_recordings(opened)
 
 

@@ -75,7 +75,7 @@ class OpenedRun:
             return state.record
         state.announce(step.action, self.say)
         if imported is not None and imported.step == name:
-            for line in imported.split_notes(state, self.settings.seed):
+            for line in imported.list_split_notes(state, self.settings.seed):
                 self.say(line)
         inputs = self.step_inputs(artifact.origin.settings)
         record = artifact.write(step.make(inputs, artifact))

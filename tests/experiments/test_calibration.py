@@ -8,11 +8,11 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import read_json
 from experiments import calibration
-from experiments.calibration import Target, find_sessions, place_forms, simulate_fit, step_forms
+from experiments.calibration import FitData, find_sessions, place_forms, simulate_fit, step_forms
 from pipeline.recordings.writing import write_zip
 from pipeline.simulation import parameters, shape_model
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.simulate import describe_source, simulate
+from pipeline.simulation.simulate import make_source, simulate
 
 BUILT_IN = read_json(parameters.FITTED, "restore it")
 SHAPES = shape_model.read(parameters.FITTED_SHAPES)
@@ -28,13 +28,13 @@ def changed_fit(**values):
 
 
 def target_of(fit, each=15, seed=5):
-    return Target(*simulate_fit(fit, SHAPES, each, seed, 1))
+    return FitData(*simulate_fit(fit, SHAPES, each, seed, 1))
 
 
 def test_sample_counts_are_the_papers():
     counts = [697, 690, 699, 690, 690, 693, 698, 704, 697, 695]
     assert sum(counts) == 6953
-    assert describe_source(0) == describe_source(0, counts)
+    assert make_source(0) == make_source(0, counts)
 
 
 def test_the_built_in_fit_has_its_source_and_no_recording():

@@ -190,7 +190,7 @@ def test_the_gap_that_the_user_sets_is_another_origin_than_the_same_default():
     of_default = Origin.of(default, ["presentation"])
     of_users = Origin.of(users, ["presentation"])
     assert of_default.key != of_users.key
-    assert not of_default.view(default).is_users("presentation.gap")
-    assert of_users.view(users).is_users("presentation.gap")
+    assert not of_default.view(default).is_set_by_user("presentation.gap")
+    assert of_users.view(users).is_set_by_user("presentation.gap")
     with pytest.raises(UndeclaredSetting):
-        of_users.view(users).is_users("presentation.early_loss")
+        of_users.view(users).is_set_by_user("presentation.early_loss")

@@ -79,8 +79,8 @@ def test_files_of_earlier_runs(tmp_path, given):
     own = read_own_settings(path)
     assert (own.seed, own.input.kind, own.input.step) == (3, "events", Settings().input.step)
     assert own.events == Settings().events
-    assert own.is_users("input.refractory") == bool(given)
-    assert not own.is_users("input.step")
+    assert own.is_set_by_user("input.refractory") == bool(given)
+    assert not own.is_set_by_user("input.step")
 
 
 def test_all_values_in_a_file_that_the_user_wrote_are_the_user_s(tmp_path):

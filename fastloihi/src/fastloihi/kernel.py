@@ -53,8 +53,9 @@ UNSUPPORTED = -1  # returned instead of a number of steps; no step was run
 
 ROOM = 32767  # the largest sum of 16 bits
 
-_Q = np.int32(10)  # bits of an int32 that the synaptic accumulator lacks (21 bits and a sign)
-_U = np.int32(8)  # and the current (23 bits and a sign)
+# Bits of an int32 that the synaptic accumulator lacks (21 bits and a sign), and the current (23).
+_SPARE_INPUT_BITS = np.int32(10)
+_SPARE_CURRENT_BITS = np.int32(8)
 
 
 def _jit(from_python=False, **options):
@@ -297,9 +298,9 @@ def _update_currents(  # noqa: PLR0913 - Numba takes each array as an argument
             sums[i] = int16(0)
     for i in range(first, last):
         q = total[i]
-        arriving = _wrap(q, _Q)
+        arriving = _wrap(q, _SPARE_INPUT_BITS)
         u = int32(_decay(current[i], keep) + arriving)
-        wrapped = _wrap(u, _U)
+        wrapped = _wrap(u, _SPARE_CURRENT_BITS)
         total[i] = arriving
         current[i] = wrapped
         over_q += int32(arriving != q)
@@ -315,7 +316,7 @@ def _update_voltages(  # noqa: PLR0913 - Numba takes each array as an argument
     over = int32(0)
     for i in range(first, last):
         u = int32(current[i] + bias[i])
-        wrapped = _wrap(u, _U)
+        wrapped = _wrap(u, _SPARE_CURRENT_BITS)
         v = int32(_decay(voltage[i], keep) + wrapped)
         v = v if v > v_min else v_min
         voltage[i] = v if v < v_max else v_max

@@ -223,7 +223,7 @@ class _Pools:
             np.concatenate([np.zeros(0, dtype), *self._pools[False]]).astype(dtype),
         )
 
-    def place(self, synapse):
+    def find_first_weight(self, synapse):
         """Position in the wide pool at which the weights of a learning synapse begin."""
         return self._place[synapse]
 
@@ -453,7 +453,7 @@ def _make_learning(synapses, pools, integers):
             raise Unsupported("learning in floating point on NumPy 1, which rounds differently")
         product_type = (s.learning_rate * np.ones(1, np.float32)).dtype
         rules.append(
-            (trace, trace + n, error, error + n_errors, pools.place(s), s.train_epoch,
+            (trace, trace + n, error, error + n_errors, pools.find_first_weight(s), s.train_epoch,
              s.learn_epoch, rate, product, old, bits, new, limit, product_type == np.float64)
         )  # fmt: skip
         rates.append((np.exp(-s.train_epoch / s.tracing_tau), s.tracing_mag, s.learning_rate))

@@ -16,9 +16,9 @@ from .layout import Unsupported, make_layout
 ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, by NengoLoihi's names
 COUNTERS = ("ref_count", "spike_count")  # of `counters`
 
-HISTORY = 32 << 20  # bytes of probed values in one call of the kernel
+MAX_PROBED_BYTES = 32 << 20  # bytes of probed values in one call of the kernel
 AT_ONCE = 1 << 28  # updates of compartments in one call: half a second, in which Ctrl-C waits
-LOG = 256  # lines of the kernel's log of warnings
+LOG_LINES = 256  # lines of the kernel's log of warnings
 
 # Learning parameters of a synapse, in floating point and in integers.
 PERIODS = ("train_epoch", "learn_epoch", "tracing_tau", "tracing_mag")
@@ -129,9 +129,9 @@ class Link:
         self._spikes_in = synapses.spikes_in  # of the step before the kernel's first
         self.last_spikes = None
         self.at_once = max(
-            1, min(AT_ONCE // max(n, 1000), HISTORY // max(1, 4 * sum(layout.widths)))
+            1, min(AT_ONCE // max(n, 1000), MAX_PROBED_BYTES // max(1, 4 * sum(layout.widths)))
         )
-        self.log = np.zeros((LOG + 3 * n_rules, 2), np.int64)
+        self.log = np.zeros((LOG_LINES + 3 * n_rules, 2), np.int64)
         self._types = [dtype, dtype, np.uint8]
         self._empty = [np.zeros((1, 0), kind) for kind in self._types]
         self.histories = self._empty

@@ -194,7 +194,7 @@ class EventsKind(NetworkKind):
         weights = inputs.read_weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
         presentation, line = fit_gap(
-            presentation, taus, inputs.settings.is_users("presentation.gap")
+            presentation, taus, inputs.settings.is_set_by_user("presentation.gap")
         )
         if line:
             inputs.say(line)

@@ -189,7 +189,7 @@ class ImageKind(NetworkKind):
         if settings.cnn.model:
             path, model = read_usable_model(artifact.folder, settings, dataset)
             trained, seconds = _adopt(model, settings, dataset, inputs.say)
-            copy = copy_of_model(artifact.folder, settings)
+            copy = name_copied_model(artifact.folder, settings)
             if path != copy:
                 copy_file(path, copy)
         else:
@@ -232,7 +232,7 @@ class ImageKind(NetworkKind):
             "cnn"
         )  # a damaged CNN is found now, not when its predictions are compared
         weights = inputs.read_weights("rate-lif")
-        return describe_network(
+        return make_network_spec(
             inputs.settings, weights, provenance, inputs.dataset.subset("train")
         )
 
@@ -266,7 +266,7 @@ class ImageKind(NetworkKind):
             inputs.say(f"cnn: its spiking network needs {_describe_need(self.settings)}")
 
 
-def describe_network(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
+def make_network_spec(settings: Settings, weights: dict, provenance: dict, data) -> NetworkSpec:
     """Describe the spiking network on images with the given weights.
 
     Parameters
@@ -297,7 +297,7 @@ def describe_network(settings: Settings, weights: dict, provenance: dict, data) 
 def make_image_spec(
     settings: Settings, weights: dict, provenance: dict, range_of=None
 ) -> NetworkSpec:
-    """As :func:`describe_network`; ``range_of`` is that of :func:`models.chain.from_rates`."""
+    """As :func:`make_network_spec`; ``range_of`` is that of :func:`models.chain.from_rates`."""
     architecture = parse(settings.cnn.architecture)
     synapse = settings.deployment.synapse
     links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
@@ -454,7 +454,7 @@ def keep_images(run: RunFolder) -> dict:
     return {"image": asdict(settings.image)}
 
 
-def copy_of_model(folder: Path, settings: Settings) -> Path:
+def name_copied_model(folder: Path, settings: Settings) -> Path:
     """The run's copy of the user's model, in the folder of the CNN."""
     return folder / f"model{Path(settings.cnn.model).suffix.lower()}"
 
@@ -504,7 +504,7 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
 
 def _read_model(folder, settings, dataset):
     """The file of the user's model, or its copy, and the model."""
-    copy = copy_of_model(folder, settings)
+    copy = name_copied_model(folder, settings)
     path = find_imported_file(settings.cnn.model, settings.cnn.model_sha256, copy)
     retrain = settings.snn.recipe == "loihi"
     shape = parse(settings.cnn.architecture).input_shape

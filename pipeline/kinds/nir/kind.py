@@ -148,7 +148,7 @@ class NirKind(NetworkKind):
         spec = make_nir_spec(
             network, stepping, settings.stimulus, presentation, samples, provenance
         )
-        is_users = settings.is_users("presentation.gap")
+        is_users = settings.is_set_by_user("presentation.gap")
         presentation, line = fit_gap(presentation, list_current_taus(spec), is_users)
         if line:
             inputs.say(line)

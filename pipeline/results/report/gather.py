@@ -41,11 +41,13 @@ def gather(folder: RunFolder) -> Inputs:
     settings = read_settings(folder.experiment)
     bundle = read_bundle(folder.bundle)
     kind = find_kind(settings)
-    stages = [stage for stage in list_stages(kind) if folder.check(stage).exists()]
-    results = [read_result(folder.check(stage)) for stage in stages]
+    stages = [stage for stage in list_stages(kind) if folder.find_check_file(stage).exists()]
+    results = [read_result(folder.find_check_file(stage)) for stage in stages]
     for stage, result in zip(stages, results, strict=True):
         if result["target"] != stage or not {*result["spikes"]} <= {*bundle.spec.spiking_layers}:
-            raise UserError(f"{folder.check(stage)}: is of another target or network; {REMEDY}")
+            raise UserError(
+                f"{folder.find_check_file(stage)}: is of another target or network; {REMEDY}"
+            )
     results = [result for result in results if result["bundle"] == bundle.id]
     if not results:
         raise UserError(

@@ -44,7 +44,7 @@ class Choice:
 
 def select_applicable(settings: Settings, choices: Iterable[Choice]) -> list[Choice]:
     """The choices of settings that the user has not set."""
-    return [choice for choice in choices if not settings.is_users(choice.setting)]
+    return [choice for choice in choices if not settings.is_set_by_user(choice.setting)]
 
 
 def apply_choices(

@@ -504,7 +504,7 @@ class Settings(SettingsGroup):
         """Dotted names of the settings whose values have this provenance."""
         return tuple(name for name in self.flatten() if self.find_provenance(name) is provenance)
 
-    def is_users(self, name: str) -> bool:
+    def is_set_by_user(self, name: str) -> bool:
         """True if the value of a setting is the user's, so that no rule may replace it."""
         return self.find_provenance(name) is Provenance.USER
 

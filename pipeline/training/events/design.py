@@ -73,7 +73,7 @@ class EventDesign:
 
     def alter_samples(self, rng, table: EventTable, indices) -> EventColumns:
         """Some samples altered."""
-        events = table.pick(indices)
+        events = table.select(indices)
         return alter(self.alteration, rng, events, len(indices), self.step_ms, table.size)
 
     def make_frames(

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from deploy.network.decision import HIDDEN, Estimator, make_estimator_inputs
+from deploy.network.decision import HIDDEN_NEURONS, Estimator, make_estimator_inputs
 from models.keras.keras2 import tf
 
 # Hyperparameters of the training.
@@ -90,7 +90,9 @@ def _make_model(inputs):
 
     All trainings of a process share it because tracing its training step takes a second.
     """
-    layers = [tf.keras.layers.Dense(n, activation="relu" if n > 1 else None) for n in (*HIDDEN, 1)]
+    layers = [
+        tf.keras.layers.Dense(n, activation="relu" if n > 1 else None) for n in (*HIDDEN_NEURONS, 1)
+    ]
     model = tf.keras.Sequential([tf.keras.Input((inputs,)), *layers])
     model.compile(
         tf.keras.optimizers.Adam(LEARNING_RATE),

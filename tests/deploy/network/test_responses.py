@@ -58,8 +58,10 @@ def test_each_step_is_read_with_the_weights_of_its_part():
     np.testing.assert_allclose(shown, scale * (spikes @ readout.weights.T))
     # A readout is as linear in sections: the sums of each section times its weights.
     sums = np.concatenate([spikes[:, a:b].sum(1) for a, b in ((0, 1), (1, 3), (3, 5))], axis=1)
-    np.testing.assert_allclose(sums @ in_parts.by_class.T, shown.sum(1))
-    np.testing.assert_array_equal(in_parts.with_by_class(in_parts.by_class).weights, weights)
+    np.testing.assert_allclose(sums @ in_parts.weights_by_class.T, shown.sum(1))
+    np.testing.assert_array_equal(
+        in_parts.with_weights_by_class(in_parts.weights_by_class).weights, weights
+    )
 
 
 def test_the_readout_on_the_chip_has_no_bias_to_add():

@@ -45,7 +45,7 @@ def test_the_readout_of_responses_gives_the_scores(spec):
     spec = spec.with_presentation(stream_length=1)
     images, readout = IMAGES, spec.layers[-1]
     responses = Responder(spec).compute_responses(images)
-    scores = responses @ readout.by_class.T + readout.bias
+    scores = responses @ readout.weights_by_class.T + readout.bias
     np.testing.assert_allclose(scores, run_target(spec, images, "fast").scores, atol=1e-6)
 
 

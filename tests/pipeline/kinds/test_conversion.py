@@ -5,7 +5,7 @@ import pytest
 
 from deploy.errors import UserError
 from models.architecture import parse
-from pipeline.kinds.image.kind import describe_network
+from pipeline.kinds.image.kind import make_network_spec
 from pipeline.run.settings import Settings
 from tests.command import call, missing
 
@@ -21,9 +21,9 @@ def test_images_that_cannot_be_spikes_are_refused_before_there_is_a_bundle():
     data = images, np.zeros(2, int)
     counts = Settings().with_values({"image": {"normalisation": "none"}})
     with pytest.raises(UserError, match=r"'image.normalisation' 'none'.* 63\b"):
-        describe_network(counts, WEIGHTS, {}, data)
+        make_network_spec(counts, WEIGHTS, {}, data)
     slow = {"deployment": {"input_rate": 15.0}}  # 15 x 63 = 945 a second
-    describe_network(counts.with_values(slow), WEIGHTS, {}, data)
+    make_network_spec(counts.with_values(slow), WEIGHTS, {}, data)
 
 
 def test_a_run_refuses_them_before_anything_is_trained_or_kept(tmp_path, capsys):

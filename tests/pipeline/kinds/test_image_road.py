@@ -223,5 +223,5 @@ def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
 
 def test_the_split_of_an_imported_network_is_said_when_it_is_new():
     imported = Imported("graph.nir", "a", "nir", "")
-    assert "seed 7" in "".join(imported.split_notes(State("nir", MISSING), 7))
-    assert not list(imported.split_notes(State("nir", CURRENT), 7))
+    assert "seed 7" in "".join(imported.list_split_notes(State("nir", MISSING), 7))
+    assert not list(imported.list_split_notes(State("nir", CURRENT), 7))

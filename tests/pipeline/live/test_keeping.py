@@ -83,7 +83,7 @@ def test_a_full_disk_leaves_nothing_half(keeper, monkeypatch):
 def test_a_file_that_was_put_there_is_not_replaced(keeper, monkeypatch):
     """Even one that comes in the last moment; pressing the class again saves the recording."""
     keeper.save(1, recording())
-    look = Keeper.look
+    look = Keeper.read_folder
     taken = keeper.folder / "1" / "w001-0002.mat"
 
     def too_early(keeper):
@@ -91,7 +91,7 @@ def test_a_file_that_was_put_there_is_not_replaced(keeper, monkeypatch):
         taken.write_text("mine")
 
     with monkeypatch.context() as patched:
-        patched.setattr(Keeper, "look", too_early)
+        patched.setattr(Keeper, "read_folder", too_early)
         with pytest.raises(UserError, match="w001-0002"):
             keeper.save(1, recording())
     assert keeper.save(1, recording()).name == "1/w001-0003.mat"

@@ -20,7 +20,7 @@ sync_client = pytest.importorskip("websockets.sync.client", reason="websockets i
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
 from pipeline.live import keeping  # noqa: E402
-from pipeline.live.server import LARGEST, PAGES, listen  # noqa: E402
+from pipeline.live.server import MAX_MESSAGE_BYTES, MAX_PAGES, listen  # noqa: E402
 from tests.command import missing  # noqa: E402
 
 
@@ -172,7 +172,7 @@ def test_a_malformed_message_is_refused_and_the_server_stays_up(server, message)
 def test_a_message_that_is_too_large_ends_the_connection_only(server):
     with connect(server) as page:
         read_until(page, "ready")
-        page.send("x" * (LARGEST + 1))
+        page.send("x" * (MAX_MESSAGE_BYTES + 1))
         _, closed = refused(page)
     assert closed.rcvd.code == 1009
     assert is_well(server)
@@ -206,10 +206,10 @@ def test_two_pages_write_two_recordings_that_do_not_mix(server):
 
 def test_too_many_pages_are_told_so(server):
     with ExitStack() as pages:
-        for _ in range(PAGES):
+        for _ in range(MAX_PAGES):
             read_until(pages.enter_context(connect(server)), "hello")
         text, closed = refused(pages.enter_context(connect(server)))
-    assert str(PAGES) in text[0]
+    assert str(MAX_PAGES) in text[0]
     assert closed.rcvd.code == 1013
     assert is_well(server)
 

@@ -163,7 +163,7 @@ def test_a_source_with_too_many_events_or_files(tmp_path, monkeypatch):
 
 
 def test_the_same_for_any_number_of_processes(tmp_path, monkeypatch):
-    monkeypatch.setattr(source, "CHUNK", 2)
+    monkeypatch.setattr(source, "FILES_PER_JOB", 2)
     put(tmp_path / "s.zip", members())
     assert_same(*(read_source(tmp_path / "s.zip", jobs=jobs) for jobs in (1, 2)))
 

@@ -17,7 +17,7 @@ def table():
 
 def test_times_count_from_the_first_event(table):
     assert len(table) == 2
-    events = table.pick([0, 1])
+    events = table.select([0, 1])
     np.testing.assert_allclose(events.time_ms, [0, 0, 9, 11, 42])
     np.testing.assert_allclose(table.duration_ms, [0, 42])
     assert events.row.tolist() == [0, 2, 2, 2, 9]

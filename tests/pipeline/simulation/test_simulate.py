@@ -11,7 +11,7 @@ from pipeline.paper import DURATION_S, SAMPLES_PER_DIGIT
 from pipeline.recordings.events import EVENT_DTYPES, TICK_NS, expand_bursts, merge_bursts
 from pipeline.simulation import parameters
 from pipeline.simulation.handwriting import Trace
-from pipeline.simulation.simulate import describe_source, list_samples, simulate
+from pipeline.simulation.simulate import list_samples, make_source, simulate
 
 FEW = [8] * 10
 
@@ -42,7 +42,7 @@ def test_labels_ids_writers_and_source(recordings):
     assert recordings.writers.max() < parameters.PEOPLE
     assert recordings.source.simulated
     assert "simulated" in recordings.source.name
-    assert recordings.source == describe_source(5, FEW)
+    assert recordings.source == make_source(5, FEW)
 
 
 def test_every_writer_writes_every_digit_about_thirty_times():
@@ -58,11 +58,11 @@ def test_the_hash_is_over_all_that_matters(recordings):
     changed = replace(p, skin=replace(p.skin, spread=p.skin.spread + 0.01))
     another = replace(p, shapes=replace(p.shapes, tempo=p.shapes.tempo + 0.1))
     hashes = {
-        describe_source(5, FEW, another).sha256,
-        describe_source(5, FEW).sha256,
-        describe_source(6, FEW).sha256,
-        describe_source(5, [9, *FEW[1:]]).sha256,
-        describe_source(5, FEW, changed).sha256,
+        make_source(5, FEW, another).sha256,
+        make_source(5, FEW).sha256,
+        make_source(6, FEW).sha256,
+        make_source(5, [9, *FEW[1:]]).sha256,
+        make_source(5, FEW, changed).sha256,
     }
     assert len(hashes) == 5
 

@@ -13,7 +13,7 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
-from pipeline.kinds.image.kind import describe_network, make_image_spec
+from pipeline.kinds.image.kind import make_image_spec, make_network_spec
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.results.other_recordings import find_trained_on
 from pipeline.results.report.figures import animation
@@ -172,7 +172,7 @@ def test_other_recordings_are_seen_as_those_of_the_training(tmp_path, monkeypatc
     )
     dataset, weights = load_dataset(chosen), random_weights("10x10-4c3s3-10o")
     for provenance in ({}, dataset.provenance):
-        spec = describe_network(chosen, weights, provenance, dataset.subset("train"))
+        spec = make_network_spec(chosen, weights, provenance, dataset.subset("train"))
         np.testing.assert_array_equal(make_inputs_for(spec, dataset.recordings), dataset.inputs)
         checks = CheckSet(dataset.inputs[:2], dataset.labels[:2], ("a", "b"), 0)
         bundle = write_bundle(tmp_path / f"b{len(provenance)}", spec, checks)
