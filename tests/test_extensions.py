@@ -27,8 +27,8 @@ from pipeline.recordings import formats
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.source import read_source
 from pipeline.run.settings import INPUTS, Settings
-from tests.conformance import assert_format_conforms
 from tests.deploy.networks import bundle_at, small_spec
+from tests.format_conformance import assert_format_conforms
 
 
 def read_toy(content, name):

@@ -12,7 +12,7 @@ from pipeline.recordings.formats.recording import (
     make_numbered_recording,
     make_recording,
 )
-from tests.conformance import assert_format_conforms
+from tests.format_conformance import assert_format_conforms
 from tests.pipeline.handmade import mat5, npz
 
 EVENTS = {"x": [3, 0, 1], "y": [1, 2, 0], "t": [0.1, 0.25, 0.5], "p": [1, -1, 1]}
