@@ -267,4 +267,4 @@ def main(
     title = "real pen trajectories pressed on the simulated sensor, people nobody trained on"
     errors = "; ".join(f"{case.alter}: {error}" for case, error in failed.items())
     text = "\n".join([title, *align_rows(make_cells(found))])
-    options.conclude(found, errors, lambda value: text, as_json)
+    options.print_summary(found, errors, lambda value: text, as_json)

@@ -145,4 +145,4 @@ def main(
     found = {"experiment": "growth", "rows": rows, "measured": {"processor": name_processor()}}
     if store:
         write_json(RESULTS / f"{store}.json", found)
-    options.tell(found, format_result, as_json)
+    options.print_result(found, format_result, as_json)

@@ -276,6 +276,8 @@ def main(
     if store:
         write_json(RESULTS / f"{store}.json", found)
     title = "Processor time relative to NengoLoihi's emulator, medians of turns"
-    options.tell(found, lambda value: "\n".join([title, *align_rows(make_cells(value))]), as_json)
+    options.print_result(
+        found, lambda value: "\n".join([title, *align_rows(make_cells(value))]), as_json
+    )
     if not all(row["identical"] for row in (*found["bundles"].values(), *found["networks"])):
         raise CheckFailed("the predictions differ from those of NengoLoihi's emulator")

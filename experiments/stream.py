@@ -274,7 +274,7 @@ def main(
     found = measure(read_bundle(options.find_bundle(bundle)), rate, samples)
     if store:
         write_json(RESULTS / f"{store}.json", found)
-    options.tell(found, format_result, as_json)
+    options.print_result(found, format_result, as_json)
     for row in found["rows"]:
         if not row["same_decisions"]:
             raise CheckFailed("the decisions in real time differ from those at once")

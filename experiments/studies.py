@@ -632,7 +632,9 @@ def make_command(experiment: Experiment) -> Callable:
             found, failed = run(experiment, folder, settings, seeds, only, workers, options.say)
         if store and not failed:
             write_json(RESULTS / f"{store}.json", found)
-        options.conclude(found, failed, lambda value: format_result(experiment, value), as_json)
+        options.print_summary(
+            found, failed, lambda value: format_result(experiment, value), as_json
+        )
 
     command.__doc__ = f"{experiment.title}: {experiment.time}."
     return command

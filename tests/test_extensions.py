@@ -90,8 +90,8 @@ class RandomKind(NetworkKind):
     """A network on images with random weights; its step stores the seed of the split."""
 
     name = "random"
-    inputs = ("random",)
-    deployed = "random"
+    input_kinds = ("random",)
+    deployed_step = "random"
     deployed_stage = "random"
     settings_group = "cnn"
     channels = 1
@@ -102,7 +102,7 @@ class RandomKind(NetworkKind):
         return (Step("random", "random", ("metrics.json",), reads, self._make),)
 
     @property
-    def trained(self):
+    def trained_steps(self):
         return ("random",)
 
     @staticmethod

@@ -269,7 +269,7 @@ class LayerConverter:
 
     # --- layers with weights ----------------------------------------------------------------------
 
-    def convolve(self, layer):
+    def convert_convolution(self, layer):
         if not self.signal.is_image:
             layer.refuse("its input has no rows and columns")
         self.require_curve(layer)
@@ -298,8 +298,8 @@ class LayerConverter:
                 f"{layer}: its windows became a kernel of {made.kernel}x{made.kernel}"
             )
         bias = bias + np.einsum("ijcf,c->f", kernel, offset)
-        self.weigh(layer, made, kernel * scale[:, None], bias)
-        self.activate(layer)
+        self.append_sums(layer, made, kernel * scale[:, None], bias)
+        self.convert_activation(layer)
 
     def find_window(self, layer, kernel):
         """The windows of a convolution on the built image, their counts, and its affine input.
@@ -352,16 +352,16 @@ class LayerConverter:
         self.paddings[len(self.layers)] = -offset / scale
         self.replaced.append(f"{layer}: zeros padded before the normalisation, not after it")
 
-    def connect(self, layer):
+    def convert_dense(self, layer):
         if len(self.signal.shape) != 1:
             layer.refuse("is applied to each row and column; put a Flatten before it")
         kernel, bias = _read_kernel_and_bias(layer)
         if len(kernel) != len(self.signal.offset):
             layer.refuse(NO_CHAIN)
-        self.weigh_dense(layer, kernel, bias)
-        self.activate(layer)
+        self.append_dense(layer, kernel, bias)
+        self.convert_activation(layer)
 
-    def weigh_dense(self, layer, kernel, bias):
+    def append_dense(self, layer, kernel, bias):
         """Append a dense layer; one that follows another without an activation is multiplied."""
         bias = self.signal.offset @ kernel + bias
         kernel = self.signal.map.T @ kernel
@@ -375,7 +375,7 @@ class LayerConverter:
             self.notes.append(f"{before.layer}: folded into {layer}, since it has no activation")
             self.layers.pop()
             self.sums.pop()
-        self.weigh(layer, Dense(kernel.shape[1]), kernel, bias)
+        self.append_sums(layer, Dense(kernel.shape[1]), kernel, bias)
 
     def make_linear_dense(self) -> _Sums:
         """The last sums, which have no activation, as those of a dense layer."""
@@ -395,7 +395,7 @@ class LayerConverter:
         bias = np.broadcast_to(last.bias, self.signal.built).ravel()
         return _Sums(last.layer, matrix.reshape(len(units), -1), bias)
 
-    def weigh(self, layer, made, kernel, bias):
+    def append_sums(self, layer, made, kernel, bias):
         weights = kernel.size
         if self.maxima is not None:
             weights = math.prod(self.maxima.image) * kernel.shape[1]
@@ -413,11 +413,11 @@ class LayerConverter:
         if not self.sums or len(self.signal.shape) != 1:
             raise ModelFileError("does not end with a Dense; add one with one unit per class")
         outputs = len(self.signal.offset)
-        self.weigh_dense(Layer("Dense", "output", {}, ()), np.eye(outputs), np.zeros(outputs))
+        self.append_dense(Layer("Dense", "output", {}, ()), np.eye(outputs), np.zeros(outputs))
 
     # --- activations ------------------------------------------------------------------------------
 
-    def activate(self, layer):
+    def convert_activation(self, layer):
         """Use the activation that a layer with weights, or an Activation, has."""
         curve = layer.config.get("activation")
         if not (curve is None or isinstance(curve, str)):
@@ -482,7 +482,7 @@ class LayerConverter:
         last.curve = "linear"
         self.replaced.append(f"{last.layer}: a ReLU added, since it has no activation")
 
-    def rectify(self, layer):
+    def convert_relu(self, layer):
         limits = {
             "max_value": layer.config.get("max_value"),
             "alpha": float(layer.config.get("negative_slope") or 0),
@@ -493,32 +493,32 @@ class LayerConverter:
         else:
             self.use_activation(layer, _make_curve("ReLU with arguments", "relu", **limits))
 
-    def leak(self, layer):
+    def convert_leaky_relu(self, layer):
         slope = layer.config.get("negative_slope", layer.config.get("alpha"))
         self.use_activation(
             layer, _make_curve("leaky_relu", "relu", alpha=float(np.asarray(slope)))
         )
 
-    def rise_exponentially(self, layer):
+    def convert_elu(self, layer):
         self.use_activation(layer, _make_curve("elu", "elu", alpha=float(layer.config["alpha"])))
 
     # --- layers that move values ------------------------------------------------------------------
 
-    def flatten(self, layer):
+    def convert_flatten(self, layer):
         self.signal.arrange(self.signal.positions.reshape(-1))
 
-    def reshape(self, layer):
+    def convert_reshape(self, layer):
         target = tuple(layer.config["target_shape"])
         try:
             self.signal.arrange(self.signal.positions.reshape(target))
         except ValueError:
             layer.refuse(NO_CHAIN)
 
-    def permute(self, layer):
+    def convert_permute(self, layer):
         axes = [axis - 1 for axis in layer.config["dims"]]
         self.signal.arrange(self.signal.positions.transpose(axes))
 
-    def pad(self, layer):
+    def convert_zero_padding(self, layer):
         pads = layer.config["padding"]
         pads = (pads, pads) if isinstance(pads, int) else pads
         pads = tuple((n, n) if isinstance(n, int) else tuple(n) for n in pads)
@@ -527,7 +527,7 @@ class LayerConverter:
             layer.refuse(f"has more than {MAX_VALUES} values")
         self.signal.pad(pads)
 
-    def crop(self, layer):
+    def convert_cropping(self, layer):
         cropped = layer.config["cropping"]
         (top, bottom), (left, right) = cropped
         rows, columns = self.signal.shape[:2]
@@ -535,18 +535,18 @@ class LayerConverter:
 
     # --- pooling ----------------------------------------------------------------------------------
 
-    def average(self, layer):
+    def convert_average_pooling(self, layer):
         self.pool_average(
             layer.read_pair("pool_size"), _read_strides(layer), layer.config["padding"]
         )
 
-    def average_all(self, layer):
+    def convert_global_average_pooling(self, layer):
         self.pool_average(self.signal.shape[:2], self.signal.shape[:2], "valid")
         self.end_global(layer)
 
     def end_global(self, layer):
         if not layer.config.get("keepdims", False):
-            self.flatten(layer)
+            self.convert_flatten(layer)
 
     def pool_average(self, size, strides, padding):
         affine = (
@@ -564,12 +564,12 @@ class LayerConverter:
         if is_inside:
             self.means = _Means(size, strides, affine, self.signal.map)
 
-    def maximise(self, layer):
+    def convert_max_pooling(self, layer):
         self.pool_maximum(
             layer, layer.read_pair("pool_size"), _read_strides(layer), layer.config["padding"]
         )
 
-    def maximise_all(self, layer):
+    def convert_global_max_pooling(self, layer):
         self.pool_maximum(layer, self.signal.shape[:2], self.signal.shape[:2], "valid")
         self.end_global(layer)
 
@@ -606,7 +606,7 @@ class LayerConverter:
 
     # --- layers that scale ------------------------------------------------------------------------
 
-    def normalise(self, layer):
+    def convert_batch_normalisation(self, layer):
         axis = layer.config["axis"]
         axis = axis[0] if isinstance(axis, (list, tuple)) and len(axis) == 1 else axis
         if not isinstance(axis, int):
@@ -623,12 +623,12 @@ class LayerConverter:
             *(np.reshape(a, shape) for a in (scale * np.ones_like(mean), beta - mean * scale)),
         )
 
-    def rescale(self, layer):
+    def convert_rescaling(self, layer):
         scale, offset = (np.asarray(layer.config[key], float) for key in ("scale", "offset"))
         self.take_pixels(layer, np.abs(scale).max() <= MAX_PIXEL_SCALE)
         self.apply_affine(layer, scale, offset)
 
-    def standardise(self, layer):
+    def convert_normalisation(self, layer):
         if layer.config.get("invert", False):
             layer.refuse("undoes a normalisation; use Rescaling")
         if layer.config.get("mean") is not None:
@@ -752,27 +752,27 @@ def _is_monotone(curve) -> bool:
 
 
 HANDLERS = {
-    "Conv2D": LayerConverter.convolve,
-    "DepthwiseConv2D": LayerConverter.convolve,
-    "SeparableConv2D": LayerConverter.convolve,
-    "Dense": LayerConverter.connect,
-    "Activation": LayerConverter.activate,
-    "ReLU": LayerConverter.rectify,
-    "LeakyReLU": LayerConverter.leak,
-    "ELU": LayerConverter.rise_exponentially,
+    "Conv2D": LayerConverter.convert_convolution,
+    "DepthwiseConv2D": LayerConverter.convert_convolution,
+    "SeparableConv2D": LayerConverter.convert_convolution,
+    "Dense": LayerConverter.convert_dense,
+    "Activation": LayerConverter.convert_activation,
+    "ReLU": LayerConverter.convert_relu,
+    "LeakyReLU": LayerConverter.convert_leaky_relu,
+    "ELU": LayerConverter.convert_elu,
     "Softmax": lambda chain, layer: chain.use_activation(layer, "softmax"),
-    "BatchNormalization": LayerConverter.normalise,
-    "Rescaling": LayerConverter.rescale,
-    "Normalization": LayerConverter.standardise,
-    "Flatten": LayerConverter.flatten,
-    "Reshape": LayerConverter.reshape,
-    "Permute": LayerConverter.permute,
-    "ZeroPadding2D": LayerConverter.pad,
-    "Cropping2D": LayerConverter.crop,
-    "AveragePooling2D": LayerConverter.average,
-    "GlobalAveragePooling2D": LayerConverter.average_all,
-    "MaxPooling2D": LayerConverter.maximise,
-    "GlobalMaxPooling2D": LayerConverter.maximise_all,
+    "BatchNormalization": LayerConverter.convert_batch_normalisation,
+    "Rescaling": LayerConverter.convert_rescaling,
+    "Normalization": LayerConverter.convert_normalisation,
+    "Flatten": LayerConverter.convert_flatten,
+    "Reshape": LayerConverter.convert_reshape,
+    "Permute": LayerConverter.convert_permute,
+    "ZeroPadding2D": LayerConverter.convert_zero_padding,
+    "Cropping2D": LayerConverter.convert_cropping,
+    "AveragePooling2D": LayerConverter.convert_average_pooling,
+    "GlobalAveragePooling2D": LayerConverter.convert_global_average_pooling,
+    "MaxPooling2D": LayerConverter.convert_max_pooling,
+    "GlobalMaxPooling2D": LayerConverter.convert_global_max_pooling,
 }
 # Layers that read windows of an image.
 WITH_WINDOWS = (

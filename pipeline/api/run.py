@@ -39,7 +39,7 @@ from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
 from pipeline.run.folder import RunFolder, lock_run, refuse_other_folders
-from pipeline.run.settings import SIMULATED, Settings, put, read_settings
+from pipeline.run.settings import SIMULATED, Settings, read_settings, set_nested
 from pipeline.sources import load_named_recordings
 from pipeline.target_check import TargetCheck
 
@@ -103,11 +103,11 @@ class Run:
         refuse_other_folders(self.path)
         changes = {}
         if data is not None:
-            put(changes, "data.source", self._name_source(data), ORIGIN)
+            set_nested(changes, "data.source", self._name_source(data), ORIGIN)
         if input is not None:
-            put(changes, "input.kind", input, ORIGIN)
+            set_nested(changes, "input.kind", input, ORIGIN)
         for name, value in settings.items():
-            put(changes, name, value, ORIGIN)
+            set_nested(changes, name, value, ORIGIN)
         before = self._folder.resolve_settings(None, {})
         self._given = before.with_values(changes, ORIGIN)
         self._asked = tuple(_list_names(changes))
@@ -189,7 +189,7 @@ class Run:
     def train(self) -> Training:
         """Train the networks; on images the CNN, on events the spiking network."""
         with self._open(check=False) as opened:
-            return Training({name: opened.make(name) for name in opened.kind.trained})
+            return Training({name: opened.make(name) for name in opened.kind.trained_steps})
 
     def convert(self, model=None, nir=None, step: float | None = None) -> Bundle:
         """Train the spiking network, or import one, and write the bundle.

@@ -61,7 +61,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
         write_bundle(place, adapted.spec, bundle.checks)
     trained_on = int(other_recordings.find_trained_on(bundle, recordings).sum())
     summary = _summarise(adapted, place, len(recordings), trained_on)
-    options.tell(summary, lambda _: adaptation.format_adaptation(adapted, place), as_json)
+    options.print_result(summary, lambda _: adaptation.format_adaptation(adapted, place), as_json)
 
 
 def _find_default_place(run, bundle, who):

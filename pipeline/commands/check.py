@@ -116,7 +116,7 @@ def run(  # noqa: PLR0913 - each is an option of the command
     check = TargetCheck(target, opened.seed if seed is None else seed, target_options)
     if others.data is not None:
         result, path = check_on_others(opened, others, check, options.say, faults, out)
-        options.tell(
+        options.print_result(
             result, lambda value: f"{format_result_on_others(value)}\nwritten to {path}", as_json
         )
         return
@@ -127,7 +127,9 @@ def run(  # noqa: PLR0913 - each is an option of the command
     else:
         path = out or path
         result = _check_own_samples(opened, path, check)
-    options.tell(result, lambda value: f"{format_result(value)}\nwritten to {path}", as_json)
+    options.print_result(
+        result, lambda value: f"{format_result(value)}\nwritten to {path}", as_json
+    )
     if faults is None and (loss := _describe_loss(opened, result)):
         options.say(f"check: {loss}")
 
@@ -204,5 +206,5 @@ def compare_checks(
 
     comparison = compare_results(read_result(a), read_result(b))
     options.warn_if_outdated(a, b)
-    options.tell(comparison.to_json(), lambda _: format_comparison(comparison), as_json)
+    options.print_result(comparison.to_json(), lambda _: format_comparison(comparison), as_json)
     enforce(comparison, max_disagreements, max_accuracy_drop)

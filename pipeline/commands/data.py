@@ -54,7 +54,7 @@ def import_(
 
     recordings = _load_recordings(source, reading, jobs)
     facts = list_facts_with_events(recordings)
-    options.tell(facts, lambda facts: format_facts(facts, recordings), as_json)
+    options.print_result(facts, lambda facts: format_facts(facts, recordings), as_json)
 
 
 def inspect(
@@ -74,7 +74,7 @@ def inspect(
             f"{format_command('data', 'stats', '--data', str(file))}"
         )
     facts = list_facts_of_file(file, make_reading_options(_make_settings(str(file), reading)))
-    options.tell(facts, lambda facts: format_facts_of_file(file.name, facts), as_json)
+    options.print_result(facts, lambda facts: format_facts_of_file(file.name, facts), as_json)
 
 
 def simulate_(
@@ -101,7 +101,7 @@ def simulate_(
     write_zip(out, recordings, progress)
     facts = {"file": str(out), **list_facts_with_events(recordings)}
     text = f"{out}: {facts['samples']} simulated recordings, {facts['events']} events"
-    options.tell(facts, lambda _: text, as_json)
+    options.print_result(facts, lambda _: text, as_json)
 
 
 def stats(
@@ -118,7 +118,9 @@ def stats(
     from pipeline.recordings.statistics import format_statistics, make_statistics_json
 
     recordings = _load_recordings(data, reading, jobs, simulation_seed=seed)
-    options.tell(make_statistics_json(recordings), lambda _: format_statistics(recordings), as_json)
+    options.print_result(
+        make_statistics_json(recordings), lambda _: format_statistics(recordings), as_json
+    )
 
 
 FIGURES = ("recording", "sheet")

@@ -28,7 +28,7 @@ def plan(
     from deploy.preflight.plan import format_plan, make_plan
 
     placement = make_plan(_read_bundle(bundle).spec, chips)
-    options.tell(placement.to_json(), lambda _: format_plan(placement), as_json)
+    options.print_result(placement.to_json(), lambda _: format_plan(placement), as_json)
     if placement.problems:
         raise UserError("the network does not fit: " + placement.problems[0])
 
@@ -93,7 +93,7 @@ def energy(
     if counted is None:
         raise UserError(f"{paths[-1]}: belongs to another bundle than {bundle}; {remedy}")
     value = estimate_energy(opened.spec, counted)
-    options.tell(value.to_json(), lambda _: format_estimate(value), as_json)
+    options.print_result(value.to_json(), lambda _: format_estimate(value), as_json)
 
 
 def _read_bundle(path):

@@ -189,7 +189,7 @@ class RequestedSettings:
         UserError
             An assignment is malformed, or contradicts an option.
         """
-        from pipeline.run.settings import find_value, parse_assignments, put  # import NumPy
+        from pipeline.run.settings import find_value, parse_assignments, set_nested  # import NumPy
 
         changes = parse_assignments(self.assignments or [])
         for option, name, value in (
@@ -204,7 +204,7 @@ class RequestedSettings:
                 if assigned not in (None, value):
                     problem = f"contradicts --set {name}={assigned}"
                     raise UserError(f"{option}: {problem}; give only one of them")
-                put(changes, name, value, option)
+                set_nested(changes, name, value, option)
         return changes
 
 
@@ -336,7 +336,7 @@ def warn_if_outdated(*paths: Path):
             say(note)
 
 
-def tell(value, as_text, as_json: bool, marked: str = ""):
+def print_result(value, as_text, as_json: bool, marked: str = ""):
     """Print a result as JSON, or as text made by ``as_text`` with a word marked by colour."""
     if as_json:
         show(json.dumps(value, indent=2))
@@ -344,7 +344,7 @@ def tell(value, as_text, as_json: bool, marked: str = ""):
         show(as_text(value), marked=marked)
 
 
-def conclude(summary: dict, failed: str, as_text, as_json: bool):
+def print_summary(summary: dict, failed: str, as_text, as_json: bool):
     """Print the result of many measurements.
 
     Parameters
@@ -353,13 +353,13 @@ def conclude(summary: dict, failed: str, as_text, as_json: bool):
     failed : str
         The failed parts, in one line; empty if nothing failed.
     as_text, as_json
-        As in :func:`tell`.
+        As in :func:`print_result`.
 
     Raises
     ------
     CheckFailed
         A part failed.
     """
-    tell(summary, as_text, as_json)
+    print_result(summary, as_text, as_json)
     if failed:
         raise CheckFailed(f"{failed}; the same command tries again")

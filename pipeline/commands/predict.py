@@ -39,4 +39,4 @@ def predict(
     options.warn_if_outdated(folder)
     others = OtherRecordings(data, skip_bad=skip_bad, time_unit=time_unit, jobs=jobs)
     predictions = Predictions(predict_recordings(opened, others, target, options.say))
-    options.tell(predictions.to_dict(), lambda _: str(predictions), as_json)
+    options.print_result(predictions.to_dict(), lambda _: str(predictions), as_json)

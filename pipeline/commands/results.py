@@ -23,7 +23,7 @@ def status(run: options.Run, as_json: options.Json = False):
 
     folder = RunFolder(run)
     statuses = list_states(folder, adapted=True)
-    options.tell(
+    options.print_result(
         {"run": str(run), "artifacts": [status.to_json() for status in statuses]},
         lambda _: format_status(folder, statuses),
         as_json,
@@ -48,7 +48,7 @@ def compare_(
     """
     from pipeline.results.compare import compare_runs, format_runs, read_runs
 
-    options.tell(compare_runs(read_runs(runs)), format_runs, as_json)
+    options.print_result(compare_runs(read_runs(runs)), format_runs, as_json)
 
 
 def report(

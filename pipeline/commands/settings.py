@@ -18,4 +18,4 @@ def settings(
 ):
     """List every setting: its name, as --set takes it, its value, its default and its meaning."""
     chosen = read_settings(RunFolder(run).experiment) if run else Settings()
-    options.tell(describe(chosen), format_settings, as_json)
+    options.print_result(describe(chosen), format_settings, as_json)

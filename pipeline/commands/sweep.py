@@ -32,4 +32,4 @@ def sweep(
 
     with options.resolve_settings(out, requested, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
-    options.conclude(summary, failed, format_sweep, as_json)
+    options.print_summary(summary, failed, format_sweep, as_json)

@@ -18,10 +18,10 @@ def train(run: options.Run, requested: options.TrainingRequested, jobs: options.
     from pipeline.kinds import find_kind  # imports all that a run is made with
 
     def examine(settings):
-        return find_kind(settings).trained  # an error if the network was trained elsewhere
+        return find_kind(settings).trained_steps  # an error if the network was trained elsewhere
 
     with options.open_locked_run(run, requested, jobs, check=False, examine=examine) as opened:
-        for name in opened.kind.trained:
+        for name in opened.kind.trained_steps:
             opened.make(name)
     options.suggest("ladder", run)
 
@@ -111,5 +111,5 @@ def ladder(
 
     with options.open_locked_run(run, requested, jobs) as opened:
         table = measure_ladder(opened, jobs)
-    options.tell(table, lambda ladder: "\n" + format_ladder(ladder), as_json)
+    options.print_result(table, lambda ladder: "\n" + format_ladder(ladder), as_json)
     options.suggest("report", run)

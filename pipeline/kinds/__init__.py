@@ -27,7 +27,7 @@ KINDS: list[type[NetworkKind]] = [NirKind, EventsKind, ImageKind]
 
 
 def register_kind(kind: type[NetworkKind], samples: str = "images"):
-    """Add a kind of network, which ``--input`` selects by each of its :attr:`NetworkKind.inputs`.
+    """Add a kind of network, which ``--input`` selects by its :attr:`NetworkKind.input_kinds`.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def register_kind(kind: type[NetworkKind], samples: str = "images"):
         What its network gets of each recording: ``"images"`` or ``"frames"`` of events.
     """
     KINDS.insert(0, kind)
-    INPUTS.update(dict.fromkeys(kind.inputs, samples))
+    INPUTS.update(dict.fromkeys(kind.input_kinds, samples))
 
 
 def list_references() -> dict:

@@ -30,8 +30,9 @@ from pipeline.run.settings import Choice, Settings
 class NetworkKind:
     """Base class of the kinds of networks.
 
-    A kind has `name`, `inputs`, `deployed`, `deployed_stage` and `channels`, the properties `steps`
-    and `trained`, and `make_spec`; with an architecture in its settings, also `settings_group`.
+    A kind has `name`, `input_kinds`, `deployed_step`, `deployed_stage` and `channels`, the
+    properties `steps` and `trained_steps`, and `make_spec`; with an architecture in its settings,
+    also `settings_group`.
     All else has a default.  :func:`pipeline.kinds.register_kind` adds it.  ``RandomKind`` in
     tests/test_extensions.py is a complete one.
 
@@ -43,11 +44,11 @@ class NetworkKind:
     # Name of the kind.
     name: ClassVar[str]
     # Values of ``input.kind`` that select it.
-    inputs: ClassVar[tuple] = ()
+    input_kinds: ClassVar[tuple] = ()
     # The :class:`Reference` stages of the ladder by their names, in order.
     references: ClassVar[dict] = {}
     # Name of the step whose artifact the bundle is made from.
-    deployed: ClassVar[str]
+    deployed_step: ClassVar[str]
     # The reference stage of the network that becomes the bundle.  Conversion causes the losses from
     # this stage on.
     deployed_stage: ClassVar[str]
@@ -55,7 +56,7 @@ class NetworkKind:
     # the first of them that the ladder has.
     compared_stages: ClassVar[tuple] = ()
     # Settings that the bundle depends on, besides those of presentation and check.
-    placement: ClassVar[tuple] = ()
+    bundle_settings: ClassVar[tuple] = ()
     # Group of settings with the architecture; empty if the user's file determines it.
     settings_group: ClassVar[str] = ""
     # Number of channels of the input.
@@ -71,7 +72,7 @@ class NetworkKind:
     @classmethod
     def describes(cls, settings: Settings) -> bool:
         """True if these settings are those of a network of this kind."""
-        return settings.input.kind in cls.inputs
+        return settings.input.kind in cls.input_kinds
 
     @property
     def architecture(self) -> str:
@@ -98,7 +99,7 @@ class NetworkKind:
         raise NotImplementedError
 
     @property
-    def trained(self) -> tuple:
+    def trained_steps(self) -> tuple:
         """Names of the steps that ``stmnist train`` makes.
 
         Raises
@@ -123,7 +124,7 @@ class NetworkKind:
         """The user's file that the network is read from, if there is one."""
         return None
 
-    def step(self, name: str) -> Step:
+    def find_step(self, name: str) -> Step:
         """The step with a name."""
         steps = {step.name: step for step in self.steps}
         if name not in steps:
@@ -132,7 +133,7 @@ class NetworkKind:
 
     def make_origin(self, name: str, dataset: Origin) -> Origin:
         """The origin of a step, from that of the dataset."""
-        step = self.step(name)
+        step = self.find_step(name)
         uses = [self.make_origin(used, dataset) for used in step.uses] or [dataset]
         return Origin.of(self.settings, step.reads, uses)
 
@@ -140,16 +141,16 @@ class NetworkKind:
         """A step and those that it is made from, directly or through others, in order."""
         names = [name]
         for each in names:
-            names += self.step(each).uses
+            names += self.find_step(each).uses
         return tuple(step for step in self.steps if step.name in names)
 
     def is_deployed(self, name: str) -> bool:
         """True if the bundle is made from a step, directly or through others."""
-        return any(step.name == name for step in self.list_steps_to(self.deployed))
+        return any(step.name == name for step in self.list_steps_to(self.deployed_step))
 
     def find_artifact(self, name: str, place, dataset: Origin) -> Artifact:
         """The artifact of a step, in a run's folder or in a library."""
-        step = self.step(name)
+        step = self.find_step(name)
         origin = self.make_origin(name, dataset)
         folder = place.find_folder(step.folder, origin)
         record, *files = (folder / file for file in step.files)
@@ -157,8 +158,8 @@ class NetworkKind:
 
     def make_bundle_origin(self, dataset: Origin) -> Origin:
         """The origin of the bundle."""
-        reads = [*self.placement, "presentation", "check"]
-        return Origin.of(self.settings, reads, [self.make_origin(self.deployed, dataset)])
+        reads = [*self.bundle_settings, "presentation", "check"]
+        return Origin.of(self.settings, reads, [self.make_origin(self.deployed_step, dataset)])
 
     def list_shapes(self, name: str) -> dict:
         """The shapes of the arrays that a step has, by their names."""

@@ -20,7 +20,7 @@ from pipeline.kinds import choose_settings, find_kind, prepare_dataset
 from pipeline.paper import CNN_MACS
 from pipeline.results.study import Case, Workers, run_study
 from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Provenance, Settings, parse_assignments, put
+from pipeline.run.settings import Provenance, Settings, parse_assignments, set_nested
 from pipeline.sources import load_named_recordings
 
 SCHEMA = "stmnist-sweep/3"
@@ -55,7 +55,7 @@ def make_points(base: Settings, grid) -> list:
         An entry cannot be read, names no setting or one that changes the samples, or a combination
         is out of range.
     """
-    _ = find_kind(base).trained  # an error if the network is not trained here
+    _ = find_kind(base).trained_steps  # an error if the network is not trained here
     axes = [_read_axis(entry, base) for entry in grid]
     names = [axis[0][0] for axis in axes]
     if len(set(names)) < len(names):
@@ -64,7 +64,7 @@ def make_points(base: Settings, grid) -> list:
     for combination in itertools.product(*axes):
         values: dict = {}
         for name, value in combination:
-            put(values, name, value, "--grid")
+            set_nested(values, name, value, "--grid")
         points.append((dict(combination), base.with_values(values, "--grid")))
     return points
 

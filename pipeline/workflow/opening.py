@@ -66,7 +66,7 @@ class OpenedRun:
         A trained network's record has its ``accuracy`` on each set of the split, the number of
         ``epochs`` and the ``seconds`` of the training.
         """
-        step = self.kind.step(name)
+        step = self.kind.find_step(name)
         artifact = self.find_artifact(name)
         imported = self.kind.imported
         state = artifact.find_state()
@@ -91,7 +91,7 @@ class OpenedRun:
         name : str, optional
             Default: the step from which the bundle is made.
         """
-        for step in self.kind.list_steps_to(name or self.kind.deployed):
+        for step in self.kind.list_steps_to(name or self.kind.deployed_step):
             record = self.make(step.name)
         return record
 

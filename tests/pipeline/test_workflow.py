@@ -85,7 +85,7 @@ def test_an_unknown_name_is_answered_with_the_known_ones(bundle, tmp_path):
     with pytest.raises(UserError, match="emulator"):
         answered(tmp_path, bundle, ["emu"])
     with pytest.raises(ValueError, match="cnn"):
-        find_kind(Settings()).step("cn")
+        find_kind(Settings()).find_step("cn")
 
 
 def test_a_target_that_fails_leaves_the_others_results(bundle, tmp_path):

@@ -30,9 +30,10 @@ class DeployedOperation:
     """A linear map from a layer's input, after average pooling, to its neurons.
 
     A subclass with numbers, such as the number of filters, is a frozen dataclass whose fields they
-    are.  It has `kind`, `compute_shape`, `compute_weight_shape` and `compute_sums`, which is its
-    meaning: all else follows from the sums.  The other methods are for operations whose defaults
-    are not good enough:
+    are; names of the fields of a layer's record in a bundle (`deploy.network.spec.LAYER_NAMES`) are
+    reserved.  It has `kind`, `compute_shape`, `compute_weight_shape` and `compute_sums`, which is
+    its meaning: all else follows from the sums.  The other methods are for operations whose
+    defaults are not good enough:
 
     ===========================  ===================================================================
     `to_file`, `from_file`       if a number is already in the layer's shape

@@ -141,7 +141,7 @@ def skip_words(state, n):
 
 
 @_jit(from_python=True)
-def skip_samples(state, n):
+def skip_noise(state, n):
     """Skip n numbers of ``RandomState.randint(-127, 128)``: bytes, where 255 is rejected."""
     left = uint64(n)
     while left:
@@ -181,7 +181,7 @@ def _draw_unit(high, low):
 
 
 @_jit()
-def _list(words, blocks, events, ends, in_use):
+def _list_spikes(words, blocks, events, ends, in_use):
     """List the compartments that spike, in order, and the end of each block in this list."""
     n_in_use = uint64(0)
     n = uint64(0)
@@ -206,7 +206,7 @@ def _list(words, blocks, events, ends, in_use):
 
 
 @_jit()
-def _add(  # noqa: PLR0913 - Numba takes each array as an argument
+def _add_weights(  # noqa: PLR0913 - Numba takes each array as an argument
     spikes, first, last, offset, entries, first_run, runs, pool, sums
 ):
     """Add rows of weights, narrow ones to sums of 16 bits or wide ones to the input."""
@@ -237,7 +237,7 @@ def _move_sums(block, block_now, sums, total):
 
 
 @_jit()
-def _trace(spikes, first, last, offset, entries, pending):
+def _mark_axons(spikes, first, last, offset, entries, pending):
     """Mark the axons on which spikes arrive; return how many were marked already."""
     lost = 0
     for e in range(uint64(first), uint64(last)):
@@ -547,7 +547,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
             waits[g] |= uint8(waiting[i] > 0)
     if not is_noisy:
         _copy(bias, noisy)
-    _list(words, blocks, events, ends, in_use)
+    _list_spikes(words, blocks, events, ends, in_use)
     for s in range(n_steps):
         if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 2 > len(log)):
             return s
@@ -578,9 +578,9 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
             if first == last:
                 continue
             if routes[r, RULE] >= 0:
-                lost[routes[r, RULE]] += _trace(heard, first, last, offset, entries, pending)
+                lost[routes[r, RULE]] += _mark_axons(heard, first, last, offset, entries, pending)
             if routes[r, IS_WIDE]:
-                _add(heard, first, last, offset, entries, first_run, runs, wide, total)
+                _add_weights(heard, first, last, offset, entries, first_run, runs, wide, total)
                 continue
             largest = routes[r, LARGEST]
             while first < last:
@@ -589,7 +589,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
                     _move_sums(blocks[b], blocks_now[b], sums, total)
                     continue
                 until = min(last, first + rows)
-                _add(heard, first, until, offset, entries, first_run, runs, narrow, sums)
+                _add_weights(heard, first, until, offset, entries, first_run, runs, narrow, sums)
                 blocks_now[b, SPENT] += (until - first) * largest
                 first = until
         # Synapses learn.
@@ -609,7 +609,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
         if is_noisy:
             _draw_noise(state, noisy)
         elif draws:
-            skip_samples(state, n)
+            skip_noise(state, n)
         over_q = int32(0)
         over_u = int32(0)
         over_u2 = int32(0)
@@ -644,7 +644,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
                     _fire(first, last, threshold, voltage, spiked)
         over = int64(over_q != 0) + 2 * int64(over_u != 0) + 4 * int64(over_u2 != 0)
         _log(log, OVERFLOWS, over)
-        _list(words, blocks, events, ends, in_use)
+        _list_spikes(words, blocks, events, ends, in_use)
         for e in range(uint64(ends[n_blocks])):
             count[events[e]] += int32(1)
         _record(recorded, s, current, voltage, spiked, currents, voltages, spikes)
@@ -673,7 +673,7 @@ def advance_floats(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all
     n_rules = len(rules)
     if not _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
         return UNSUPPORTED
-    _list(words, blocks, events, ends, in_use)
+    _list_spikes(words, blocks, events, ends, in_use)
     for s in range(n_steps):
         if log[0, 0] and (stop_at_warning or log[0, 0] + 3 * n_rules + 2 > len(log)):
             return s
@@ -698,8 +698,8 @@ def advance_floats(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all
             if first == last:
                 continue
             if routes[r, RULE] >= 0:
-                lost[routes[r, RULE]] += _trace(heard, first, last, offset, entries, pending)
-            _add(heard, first, last, offset, entries, first_run, runs, wide, total)
+                lost[routes[r, RULE]] += _mark_axons(heard, first, last, offset, entries, pending)
+            _add_weights(heard, first, last, offset, entries, first_run, runs, wide, total)
         t = t0 + s + 1
         for k in range(n_rules):
             _log(log, LOST, lost[k])
@@ -726,7 +726,7 @@ def advance_floats(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all
             _clip(first, last, constant[V_MIN], constant[V_MAX], voltage)
             period = int32(segments[g, REFRACTORY])
             _fire_and_wait(first, last, period, threshold, voltage, waiting, spiked)
-        _list(words, blocks, events, ends, in_use)
+        _list_spikes(words, blocks, events, ends, in_use)
         for e in range(uint64(ends[n_blocks])):
             count[events[e]] += int32(1)
         _record(recorded, s, current, voltage, spiked, currents, voltages, spikes)

@@ -108,7 +108,7 @@ class Link:
         dtype = state.dtype
         integers = dtype == np.int32
         self.advance = kernel.advance_integers if integers else kernel.advance_floats
-        skip = (kernel.skip_samples, n) if integers else (kernel.skip_words, 2 * n)
+        skip = (kernel.skip_noise, n) if integers else (kernel.skip_words, 2 * n)
         self.random = Random(vars(emulator)["rng"], *skip)
         self.cells = np.zeros((len(ROWS), n), dtype)
         self.counters = np.zeros((len(COUNTERS), n), np.int32)

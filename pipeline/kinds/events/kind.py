@@ -92,7 +92,7 @@ class EventsKind(NetworkKind):
     """A spiking network trained on events in the chip's integers."""
 
     name = "events"
-    inputs = ("events",)
+    input_kinds = ("events",)
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "trained": Reference(
@@ -104,7 +104,7 @@ class EventsKind(NetworkKind):
             _respond,
         ),
     }
-    deployed = "threshold"
+    deployed_step = "threshold"
     deployed_stage = "trained"
     settings_group = "events"
     channels = 2
@@ -123,7 +123,7 @@ class EventsKind(NetworkKind):
         )  # fmt: skip
 
     @property
-    def trained(self):
+    def trained_steps(self):
         return ("events", "threshold")
 
     def list_shapes(self, name):

@@ -80,7 +80,7 @@ class ImageKind(NetworkKind):
     """CNN, rate-LIF network, spiking network: the paper's way."""
 
     name = "image"
-    inputs = ("image", "slices")
+    input_kinds = ("image", "slices")
     references = {  # noqa: RUF012 - declared as a class variable in the base
         "counts": counts.REFERENCE,
         "cnn": Reference(
@@ -112,10 +112,10 @@ class ImageKind(NetworkKind):
             list_training_versions,
         ),
     }
-    deployed = "rate-lif"
+    deployed_step = "rate-lif"
     deployed_stage = "rate-lif"
     compared_stages = ("cnn-matched", "cnn")
-    placement = ("deployment",)
+    bundle_settings = ("deployment",)
     settings_group = "cnn"
     grid = (
         "presentation.steps=50,100",
@@ -160,7 +160,7 @@ class ImageKind(NetworkKind):
         )
 
     @property
-    def trained(self):
+    def trained_steps(self):
         return ("cnn",)
 
     @property

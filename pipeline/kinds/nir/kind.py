@@ -95,7 +95,7 @@ class NirKind(NetworkKind):
             _respond,
         ),
     }
-    deployed = "nir"
+    deployed_step = "nir"
     deployed_stage = "nir"
 
     @classmethod
@@ -107,7 +107,7 @@ class NirKind(NetworkKind):
         return 2 if self.settings.on_events else self.settings.image.channels
 
     @property
-    def placement(self):
+    def bundle_settings(self):
         return () if self.settings.on_events else ("deployment",)
 
     @property
@@ -118,7 +118,7 @@ class NirKind(NetworkKind):
         return counts.STEP, Step("nir", "snn", files, reads, self._read, action="reading")
 
     @property
-    def trained(self):
+    def trained_steps(self):
         raise UserError(
             f"the network is the NIR graph {self.settings.nir.file}, which is already trained; use "
             "'stmnist convert', or train a network in a new folder"

@@ -61,7 +61,9 @@ def gather(folder: RunFolder) -> Inputs:
     metrics: dict = {}
     histories: dict = {}
     for reference in kind.references.values():
-        titles.setdefault(folder.find_folder(kind.step(reference.step).folder), reference.title)
+        titles.setdefault(
+            folder.find_folder(kind.find_step(reference.step).folder), reference.title
+        )
     for path, title in titles.items():
         if (path / "metrics.json").exists():
             metrics[title] = _test_accuracy(path / "metrics.json")

@@ -30,7 +30,7 @@ from pipeline.run.settings.schema import (
     find_value,
     list_names_in,
     merge_values,
-    put,
+    set_nested,
 )
 from pipeline.run.settings.text import describe, format_settings, parse_assignments
 from pipeline.run.settings.toml import read_own_settings, read_settings, write_settings
@@ -71,8 +71,8 @@ __all__ = [
     "list_reasons",
     "merge_values",
     "parse_assignments",
-    "put",
     "read_own_settings",
     "read_settings",
+    "set_nested",
     "write_settings",
 ]

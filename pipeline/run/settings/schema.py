@@ -480,7 +480,7 @@ class Settings(SettingsGroup):
         """As :meth:`with_values`, with the values by their dotted names."""
         changes: dict = {}
         for name, value in values.items():
-            put(changes, name, value, origin)
+            set_nested(changes, name, value, origin)
         return self.with_values(changes, origin, provenance)
 
     def with_provenance(self, provenance: dict) -> Settings:
@@ -593,7 +593,7 @@ def find_default(name: str):
     return Settings().get_value(name)
 
 
-def put(values: dict, name: str, value, origin: str):
+def set_nested(values: dict, name: str, value, origin: str):
     """Put a value into nested ones; it replaces an existing one.
 
     Parameters

@@ -9,7 +9,7 @@ import textwrap
 import tomllib
 
 from deploy.errors import UserError
-from pipeline.run.settings.schema import Settings, list_entries, put
+from pipeline.run.settings.schema import Settings, list_entries, set_nested
 from pipeline.run.settings.toml import format_toml
 
 
@@ -77,7 +77,7 @@ def parse_assignments(assignments) -> dict:
             value = [value]
         elif isinstance(default, str) and not isinstance(value, str):
             value = text.strip()  # a folder may be called 2024
-        put(values, name.strip(), value, f"--set {assignment!r}")
+        set_nested(values, name.strip(), value, f"--set {assignment!r}")
     return values
 
 

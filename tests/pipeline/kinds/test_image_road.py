@@ -15,7 +15,7 @@ from pipeline.kinds.imported import Imported
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
 from pipeline.run.artifacts import CURRENT, MISSING, State
 from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Image, Settings, apply_choices, list_reasons, put
+from pipeline.run.settings import Image, Settings, apply_choices, list_reasons, set_nested
 from pipeline.training.schedules import SCHEDULES
 
 
@@ -28,7 +28,7 @@ def choose(own, made):
     choices = find_kind(own).make_choices(made, np.arange(len(made)))
     changes = {}
     for choice in choices:
-        put(changes, choice.setting, choice.value, "test")
+        set_nested(changes, choice.setting, choice.value, "test")
     return changes, list_reasons(own, choices)
 
 
