@@ -32,7 +32,7 @@ def answered(folder, bundle, targets=TARGETS):
 
 
 def check_of(folder, target):
-    return RunFolder(folder).check(target)
+    return RunFolder(folder).find_check_file(target)
 
 
 def test_shared_streams_give_the_answers_of_one_process(bundle, tmp_path):
