@@ -1,0 +1,120 @@
+"""Docstrings name the parameters that a function has, and types that exist."""
+
+import ast
+import builtins
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("deploy", "experiments", "fastloihi/src", "models", "pipeline", "stmnist")
+# Types of other packages, which a docstring may name without an import.
+OTHERS = {"LoihiBlock", "LoihiProbe", "Path"}
+
+
+def read_modules():
+    """Path and syntax tree of each module of the packages."""
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            yield path, ast.parse(path.read_text(encoding="utf-8"))
+
+
+def find_names(tree):
+    """Names that a module defines or imports."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.alias):
+            names.add((node.asname or node.name).rpartition(".")[2])
+        elif isinstance(node, ast.Assign):
+            names |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    return names
+
+
+def read_entries(docstring, section):
+    """The (names, type) of each entry of a numpydoc section."""
+    found = re.search(rf"^{section}\n-+\n(.*?)(?=^\w[\w ]*\n---|\Z)", docstring, re.M | re.S)
+    for line in found[1].splitlines() if found else ():
+        if entry := re.fullmatch(r"(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: : (.+))?", line):
+            names = [name.strip("* ") for name in entry[1].split(",")]
+            yield names, entry[2] or ""
+
+
+def list_parameters(node):
+    """Parameters of a function, or of the ``__init__`` and the fields of a class."""
+    if isinstance(node, ast.ClassDef):
+        names = set()
+        for statement in node.body:
+            if isinstance(statement, ast.AnnAssign):
+                names.add(statement.target.id)
+            elif isinstance(statement, ast.FunctionDef) and statement.name in (
+                "__init__",
+                "__new__",
+            ):
+                names |= list_parameters(statement)
+        return names
+    arguments = node.args
+    every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+    every += [one for one in (arguments.vararg, arguments.kwarg) if one]
+    return {one.arg for one in every}
+
+
+def find_wrong_entries(tree, known):
+    """Lines, names and types of docstrings that the code does not have."""
+    known = known | find_names(tree) | OTHERS | set(dir(builtins))
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.FunctionDef | ast.ClassDef):
+            continue
+        docstring = ast.get_docstring(node) or ""
+        own = list_parameters(node)
+        for names, _ in read_entries(docstring, "Parameters"):
+            inherits = isinstance(node, ast.ClassDef) and node.bases
+            if not inherits and not set(names) <= own:
+                yield f"{node.lineno}: {node.name} has no parameter {', '.join(names)}"
+        for section in ("Parameters", "Attributes", "Returns", "Yields", "Raises"):
+            for names, kind in read_entries(docstring, section):
+                # A type alone is the whole line in Returns and Raises.
+                text = kind or (names[0] if section in ("Returns", "Yields", "Raises") else "")
+                for word in re.findall(r"(?<![\w.\"'])([A-Z][a-z]\w+)(?![\w.])", text):
+                    if word not in known:
+                        yield f"{node.lineno}: {node.name}: there is no {word}"
+
+
+@pytest.fixture(scope="module")
+def modules():
+    """Path and syntax tree of each module."""
+    return list(read_modules())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_docstrings_name_parameters_and_types_that_exist(modules, package):
+    classes = {
+        node.name
+        for _, tree in modules
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+    }
+    wrong = [
+        f"{path.relative_to(ROOT)}:{text}"
+        for path, tree in modules
+        if path.is_relative_to(ROOT / package)
+        for text in find_wrong_entries(tree, classes)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_a_type_and_a_parameter_that_are_gone_are_found():
+    source = '''
+def move(way):
+    """Move.
+
+    Parameters
+    ----------
+    path : Motion
+    way : Gone
+    """
+'''
+    wrong = list(find_wrong_entries(ast.parse(source), {"Motion"}))
+    assert len(wrong) == 2
