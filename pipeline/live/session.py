@@ -68,7 +68,7 @@ class OpenRecording:
         Time of the first touch on the page's clock.
     deciding : object
         From ``Decider.begin``: answers for this recording.
-    writing : Writing or Replayed
+    writing : Writing or ReplayedTouch
     writer : int
         Who writes it, also if another writer is chosen before it is saved.
     example : Example, optional

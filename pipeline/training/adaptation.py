@@ -580,7 +580,7 @@ def format_adaptation(adapted: Adaptation, place) -> str:
 
     Parameters
     ----------
-    adapted : Adapted
+    adapted : Adaptation
     place : path-like or None
         Folder of the new bundle.
     """

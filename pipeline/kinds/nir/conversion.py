@@ -46,7 +46,7 @@ def list_conversion_notes(
     network : NirNetwork
     layers : tuple of Link
         As :func:`models.nir.chain.from_nir` gives them.
-    stepping : Stepped
+    stepping : Stepping
     settings : Settings
     """
     convention = network.convention
@@ -115,7 +115,7 @@ def make_nir_spec(
     Parameters
     ----------
     network : NirNetwork
-    stepping : Stepped
+    stepping : Stepping
     stimulus : Stimulus
     presentation : Presentation
     samples : ndarray

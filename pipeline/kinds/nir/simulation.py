@@ -25,7 +25,7 @@ def simulate_samples(network, stepping, inputs, settings, advance=None):
     Parameters
     ----------
     network : NirNetwork
-    stepping : Stepped
+    stepping : Stepping
     inputs : ndarray
         Images or frames of events, as in :func:`make_graph_inputs`.
     settings : Settings
