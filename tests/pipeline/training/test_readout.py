@@ -91,7 +91,7 @@ def test_the_gradient_is_of_the_loss(world, monkeypatch):
 
     monkeypatch.setattr(adaptation, "minimize", check)
     nobody = Person(kept.responses[:3], kept.labels[:3], np.empty((3, 0, INPUTS)))
-    problem = adaptation._Problem(weights, bias, nobody, kept, 2.0)
+    problem = adaptation._Regression(weights, bias, nobody, kept, 2.0)
     everything = np.ones(len(kept), bool)
     problem.solve(kept.responses[:9], kept.labels[:9], everything, 0.01, 0.5)
     assert len(seen) == 3
