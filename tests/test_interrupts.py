@@ -82,10 +82,10 @@ WITH_WORKERS = """
 import os, signal
 from joblib import delayed
 from pipeline.commands.main import main
-from pipeline.jobs import results_of
+from pipeline.jobs import call_in_processes
 
 def command(**options):
-    with results_of([delayed(os.getpid)(), delayed(signal.pause)()], 2) as results:
+    with call_in_processes([delayed(os.getpid)(), delayed(signal.pause)()], 2) as results:
         print(next(results), flush=True)
         list(results)
 
