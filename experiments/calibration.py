@@ -272,14 +272,14 @@ def fit_sections(fit: dict, shapes: ShapeModel, target: FitData, seed: int, jobs
     wanted = {name: np.quantile(values, QUANTILES) for name, values in target.summaries.items()}
     scale = {name: values.std() for name, values in target.summaries.items()}
 
-    def place(values):
+    def insert_values(values):
         changed = copy.deepcopy(fit)
         for (section, name), value in zip(names, low + (high - low) * values, strict=True):
             changed["sections"][section][name] = round(float(value), 5)
         return changed
 
     def compare(values):
-        bits, _ = simulate_fit(place(values), shapes, STEP_SAMPLES, seed, jobs)
+        bits, _ = simulate_fit(insert_values(values), shapes, STEP_SAMPLES, seed, jobs)
         found = summarise_recordings(bits)
         differences = [
             (np.quantile(found[name], QUANTILES) - wanted[name]) / scale[name] for name in wanted
@@ -290,7 +290,7 @@ def fit_sections(fit: dict, shapes: ShapeModel, target: FitData, seed: int, jobs
     best = least_squares(
         compare, inside, bounds=(0, 1), diff_step=0.08, x_scale=0.1, max_nfev=LEAST_SQUARES_ROUNDS
     )
-    return place(best.x)
+    return insert_values(best.x)
 
 
 def step_gain(fit: dict, target: FitData, bits, damping: float = 0.5) -> dict:

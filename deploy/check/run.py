@@ -158,8 +158,8 @@ def run_streams(job: StreamJob) -> Iterator[dict]:
         }
         if responses.notes:
             record["notes"] = responses.notes
-        if watch.numbers:
-            record["overflows"] = sorted(watch.numbers)
+        if watch.names:
+            record["overflows"] = sorted(watch.names)
         begun = now
         _append_record(job.partial, record)
         yield record

@@ -26,12 +26,12 @@ class OverflowWatch:
 
     Attributes
     ----------
-    numbers : set of str
+    names : set of str
         The `NUMBERS` that have overflowed.
     """
 
     def __init__(self):
-        self.numbers = set()
+        self.names = set()
 
     def __enter__(self):
         self._catching = warnings.catch_warnings(record=True)
@@ -44,7 +44,7 @@ class OverflowWatch:
         for warning in self._caught:
             text = str(warning.message)
             if _MESSAGE.match(text):
-                self.numbers.update(NUMBERS[name] for name in _NAME.findall(text))
+                self.names.update(NUMBERS[name] for name in _NAME.findall(text))
             else:
                 warnings.warn_explicit(
                     warning.message, warning.category, warning.filename, warning.lineno

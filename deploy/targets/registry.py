@@ -326,6 +326,6 @@ def run_target(
         by_stream.append(responses)
         if advance is not None:
             advance(len(responses.scores))
-    if watch.numbers:
-        remark(WARNING + describe_overflows(spec, target, watch.numbers))
+    if watch.names:
+        remark(WARNING + describe_overflows(spec, target, watch.names))
     return join(by_stream)

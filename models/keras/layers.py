@@ -28,7 +28,7 @@ from models.architecture import (
     Architecture,
 )
 from models.keras.files import ModelFileError
-from models.keras.model import KerasModel, Layer, MaxPool
+from models.keras.model import KerasLayer, KerasModel, MaxPool
 from models.keras.signal import Signal
 from models.ops import Convolution, Dense, Pooling
 from models.windows import Window, fit_to_chip, spread_kernel, sum_shifted
@@ -55,7 +55,7 @@ RETRAIN = "with --retrain it becomes"
 class _Sums:
     """Weighted sums: a layer, and its kernel and bias with what is folded into them."""
 
-    layer: Layer
+    layer: KerasLayer
     kernel: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
     curve: object = "relu"  # in the file; the architecture has ReLUs only
@@ -81,7 +81,7 @@ def convert_layers(
     ----------
     input_shape : tuple of int
         Shape of one sample.
-    layers : sequence of Layer
+    layers : sequence of KerasLayer
     retrain : bool
         Replace what cannot be converted exactly, where training makes up for it.
     grid : tuple of int, optional
@@ -176,7 +176,7 @@ class LayerConverter:
 
     # --- a layer ----------------------------------------------------------------------------------
 
-    def add(self, layer: Layer):
+    def add(self, layer: KerasLayer):
         if layer.kind == "InputLayer":
             return
         if layer.kind in IDLE:
@@ -306,7 +306,7 @@ class LayerConverter:
 
         Parameters
         ----------
-        layer : Layer
+        layer : KerasLayer
         kernel : ndarray, shape (filters, channels, rows, columns)
         """
         strides = layer.read_pair("strides")
@@ -413,7 +413,7 @@ class LayerConverter:
         if not self.sums or len(self.signal.shape) != 1:
             raise ModelFileError("does not end with a Dense; add one with one unit per class")
         outputs = len(self.signal.offset)
-        self.append_dense(Layer("Dense", "output", {}, ()), np.eye(outputs), np.zeros(outputs))
+        self.append_dense(KerasLayer("Dense", "output", {}, ()), np.eye(outputs), np.zeros(outputs))
 
     # --- activations ------------------------------------------------------------------------------
 

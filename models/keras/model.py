@@ -9,7 +9,7 @@ from models.architecture import Architecture
 from models.keras.files import ModelFileError
 
 
-class Layer(NamedTuple):
+class KerasLayer(NamedTuple):
     """A layer of a Keras model: its class, name, arguments, and arrays in Keras's order."""
 
     kind: str

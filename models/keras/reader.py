@@ -13,7 +13,7 @@ import numpy as np
 from deploy.files import hash_file, reporting_os_errors
 from models.keras.files import REMEDY, ModelFileError, load_keras_model
 from models.keras.layers import NO_CHAIN, convert_layers
-from models.keras.model import KerasModel, Layer
+from models.keras.model import KerasLayer, KerasModel
 
 # Random images on which the architecture is compared with the model.
 N_COMPARED = 8
@@ -87,8 +87,10 @@ def _flatten_layers(model):
             yield layer
 
 
-def _read_layer(layer) -> Layer:
-    return Layer(type(layer).__name__, layer.name, layer.get_config(), tuple(layer.get_weights()))
+def _read_layer(layer) -> KerasLayer:
+    return KerasLayer(
+        type(layer).__name__, layer.name, layer.get_config(), tuple(layer.get_weights())
+    )
 
 
 def make_original_network(model: KerasModel):

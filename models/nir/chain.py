@@ -87,18 +87,18 @@ def from_nir(
     """
     check_step(network, step, method)
     shape = network.input_shape
-    place = _to_places(shape) if input_shape is None else tuple(input_shape)
-    merged = merges_polarities(network, place)
+    chip_shape = _to_places(shape) if input_shape is None else tuple(input_shape)
+    merged = merges_polarities(network, chip_shape)
     if merged:
-        place = (*place[:2], 1)
-    as_given = len(shape) != 3 or place == _to_places(shape)
-    if math.prod(place) != math.prod(shape) or not as_given:
+        chip_shape = (*chip_shape[:2], 1)
+    as_given = len(shape) != 3 or chip_shape == _to_places(shape)
+    if math.prod(chip_shape) != math.prod(shape) or not as_given:
         raise NirError(
             f"is for an input of {_format_shape(shape)}, and that of the chip is "
-            f"{_format_shape(place)} (rows, "
+            f"{_format_shape(chip_shape)} (rows, "
             "columns, channels)"
         )
-    before = shape if input_shape is None else (place[2], *place[:2])
+    before = shape if input_shape is None else (chip_shape[2], *chip_shape[:2])
     is_image = len(shape) == 3
     groups = _split_after_neurons(network.nodes)
     layers = []
@@ -108,7 +108,7 @@ def from_nir(
         nodes_of_link = _LinkNodes(
             nodes,
             before,
-            place,
+            chip_shape,
             is_image=is_image and not is_last,
             is_last=is_last,
             step=step,
@@ -119,8 +119,8 @@ def from_nir(
         name = "output" if is_last else f"{link.kind}{counts[link.kind]}"
         layers.append(replace(link, name=name))
         before = nodes[-1].shape
-        place = link.shape
-        is_image = len(place) == 3
+        chip_shape = link.shape
+        is_image = len(chip_shape) == 3
     if merged:
         first = layers[0]
         axis = 2 if first.kind == "conv" else 0
@@ -129,16 +129,18 @@ def from_nir(
     return tuple(layers)
 
 
-def merges_polarities(network: NirNetwork, place) -> bool:
+def merges_polarities(network: NirNetwork, chip_shape) -> bool:
     """True for a graph with one input for both polarities of each taxel.
 
     Parameters
     ----------
     network : NirNetwork
-    place : tuple of int
+    chip_shape : tuple of int
         (rows, columns, channels) of the sensor's events.
     """
-    return tuple(place[2:]) == (2,) and math.prod(place) == 2 * math.prod(network.input_shape)
+    return tuple(chip_shape[2:]) == (2,) and math.prod(chip_shape) == 2 * math.prod(
+        network.input_shape
+    )
 
 
 def _split_after_neurons(nodes) -> list:
@@ -164,11 +166,11 @@ class _Gains:
 
 @dataclass(frozen=True)
 class _LinkNodes:
-    """The nodes of one link; ``before`` is the graph's shape of its input, ``place`` the chip's."""
+    """The nodes of a link, whose input has the shape ``before`` in the graph or ``chip_shape``."""
 
     nodes: list
     before: tuple
-    place: tuple
+    chip_shape: tuple
     is_image: bool
     is_last: bool
     step: float
@@ -208,7 +210,7 @@ class _LinkNodes:
         common: dict[str, Any] = {  # arguments of every link
             "name": "",
             "neurons": neuron,
-            "input_shape": self.place,
+            "input_shape": self.chip_shape,
             "sources": tuple(node.name for node in self.nodes),
         }
         if neuron is None and filters:

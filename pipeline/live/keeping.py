@@ -51,19 +51,19 @@ class SavedRecording:
     label : int
     writer : int
     number : int
-    place : str
+    class_folder : str
         The folder of its class.
     """
 
     label: int
     writer: int
     number: int
-    place: str
+    class_folder: str
 
     @property
     def name(self) -> str:
         """The path of the recording in the folder."""
-        return f"{self.place}/w{self.writer:03d}-{self.number:04d}.mat"
+        return f"{self.class_folder}/w{self.writer:03d}-{self.number:04d}.mat"
 
 
 def name_class_folders(classes) -> tuple:
@@ -150,7 +150,7 @@ class Keeper:
             The folder cannot be read.
         """
         with reporting_os_errors(self.folder, "cannot read", "check its permissions"):
-            files = _list(self.folder, self._places)
+            files = _list_recordings(self.folder, self._places)
         self._kept = sorted(files, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
@@ -196,8 +196,8 @@ class Keeper:
                 _create(table, encode_lookup_table(self._taxels))
             numbers = [kept.number for kept in self._kept if kept.writer == recording.writer]
             number = max(numbers, default=0) + 1
-            place = self._places[label]
-            kept = SavedRecording(label, recording.writer, number, place)
+            class_folder = self._places[label]
+            kept = SavedRecording(label, recording.writer, number, class_folder)
             _create(self.folder / kept.name, encode_recording(recording))
             self.read_folder()
             return kept
@@ -247,15 +247,15 @@ class Keeper:
             return free
 
 
-def _list(folder, places):
+def _list_recordings(folder, places):
     """The recordings in a folder; files of other names are ignored."""
     files = []
-    for label, place in enumerate(places):
+    for label, class_folder in enumerate(places):
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-            for name in os.listdir(folder / place):
+            for name in os.listdir(folder / class_folder):
                 match = _NAME.fullmatch(name)
                 if match and int(match[1]) > 0:
-                    files.append(SavedRecording(label, int(match[1]), int(match[2]), place))
+                    files.append(SavedRecording(label, int(match[1]), int(match[2]), class_folder))
     return files
 
 

@@ -541,7 +541,7 @@ def _doubt_size(recordings, size, options):
         combined = " after data.downsample" if side > 1 else ""
         up_to = "" if strays.n_events == 1 else "up to "
         text = (
-            f"{format_count(strays.n_events, 'event')} at {letter} = {up_to}{strays.place}"
+            f"{format_count(strays.n_events, 'event')} at {letter} = {up_to}{strays.highest}"
             f"{combined}, and all others have {letter} from 0 to {strays.size - 1}; the sensor is "
             f"read as {size[0]} rows x {size[1]} columns: correct this, or give the number of "
             f"{noun}, such as --set {setting}={strays.size}"

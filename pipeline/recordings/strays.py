@@ -32,14 +32,14 @@ class Strays:
         Their number.
     size : int
         Rows or columns of the sensor without them.
-    place : int
+    highest : int
         Highest of their coordinates.
     """
 
     recordings: tuple
     n_events: int
     size: int
-    place: int
+    highest: int
 
 
 def find_strays(places, stated_size: int = 0) -> Strays | None:
@@ -73,7 +73,7 @@ def find_strays(places, stated_size: int = 0) -> Strays | None:
         recordings=tuple(np.flatnonzero(reach > usual).tolist()),
         n_events=int(counts[usual:].sum()),
         size=usual,
-        place=size - 1,
+        highest=size - 1,
     )
 
 

@@ -27,7 +27,7 @@ class OpenedRun:
 
     Attributes
     ----------
-    place : RunFolder or Library
+    store : RunFolder or Library
         Has the artifacts.
     settings : Settings
         With all that was chosen for the recordings.
@@ -38,7 +38,7 @@ class OpenedRun:
         Called with a line about each stage.
     """
 
-    place: RunFolder | Library
+    store: RunFolder | Library
     settings: Settings
     dataset: Dataset
     kind: NetworkKind
@@ -46,13 +46,13 @@ class OpenedRun:
 
     @property
     def run(self) -> RunFolder:
-        """The folder of a run; an experiment, whose place is a library, has none."""
-        assert isinstance(self.place, RunFolder), "an experiment is not a run"
-        return self.place
+        """The folder of a run; an experiment, whose store is a library, has none."""
+        assert isinstance(self.store, RunFolder), "an experiment is not a run"
+        return self.store
 
     def find_artifact(self, name: str) -> Artifact:
         """The artifact of one of the :attr:`pipeline.kinds.kind.NetworkKind.steps`."""
-        return self.kind.find_artifact(name, self.place, self.dataset.origin)
+        return self.kind.find_artifact(name, self.store, self.dataset.origin)
 
     def step_inputs(self, names) -> StepInputs:
         """The inputs of a step, with the named settings only; a step that reads another fails."""
@@ -105,18 +105,18 @@ class OpenedRun:
         return self.kind.make_spec(self.step_inputs(origin.settings), provenance or {})
 
 
-def open_experiment(place, settings: Settings, dataset: Dataset, say=print) -> OpenedRun:
+def open_experiment(store, settings: Settings, dataset: Dataset, say=print) -> OpenedRun:
     """Open an experiment, whose settings are complete and whose dataset is loaded.
 
     Parameters
     ----------
-    place : RunFolder or Library
+    store : RunFolder or Library
     settings : Settings
         All, or only those that an origin declares.
     dataset : Dataset
     say : callable
     """
-    return OpenedRun(place, settings, dataset, find_kind(settings), say)
+    return OpenedRun(store, settings, dataset, find_kind(settings), say)
 
 
 def open_run(

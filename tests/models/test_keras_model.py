@@ -15,7 +15,7 @@ from models.architecture import parse
 from models.cnn import predict
 from models.keras.files import ModelFileError
 from models.keras.layers import convert_layers
-from models.keras.model import Layer
+from models.keras.model import KerasLayer
 from models.keras.reader import make_original_network, read_keras
 from tests.command import missing
 from tests.models import keras_models
@@ -269,12 +269,12 @@ def test_batch_normalisation_by_hand():
     """scale 2 / sqrt(3 + 1) = 1, offset 5 - 1 * 1 = 4 before the ReLU: bias -7 + 4 = -3."""
     arguments = {"epsilon": 1.0, "axis": -1, "scale": True, "center": True}
     values = tuple(np.array([value]) for value in (2.0, 5.0, 1.0, 3.0))
-    norm = Layer("BatchNormalization", "n", arguments, values)
+    norm = KerasLayer("BatchNormalization", "n", arguments, values)
     arguments = {"filters": 1, "kernel_size": 1, "strides": 1, "padding": "same", "groups": 1}
     arrays = np.full((1, 1, 1, 1), 3.0), np.array([-7.0])
-    conv = Layer("Conv2D", "c", {**arguments, "dilation_rate": 1}, arrays)
-    relu, flat = Layer("ReLU", "r", {}, ()), Layer("Flatten", "f", {}, ())
-    end = Layer("Dense", "o", {"units": 2}, (np.eye(2),))
+    conv = KerasLayer("Conv2D", "c", {**arguments, "dilation_rate": 1}, arrays)
+    relu, flat = KerasLayer("ReLU", "r", {}, ()), KerasLayer("Flatten", "f", {}, ())
+    end = KerasLayer("Dense", "o", {"units": 2}, (np.eye(2),))
     own = convert_layers((1, 2, 1), (conv, norm, relu, flat, end))
     assert own.architecture == parse("1x2-1c1p-2o")
     assert own.weights["conv1.kernel"].ravel().tolist() == [3.0]

@@ -26,7 +26,7 @@ from nengo_loihi.emulator.interface import (
 )
 
 from .layout import Unsupported
-from .link import COUNTERS, ROWS, ArrivingSpikes, Link
+from .link import COUNTERS, ROWS, ArrivingSpikes, KernelArrays
 
 FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
 FIXED_NOISE = ("mant_offset", "mult", "target_u")
@@ -278,7 +278,7 @@ def take_over(emulator, kind=FastEmulator):
     """
     emulator.__dict__["_link"] = emulator.__dict__["_random"] = None
     try:
-        link = Link(emulator)
+        link = KernelArrays(emulator)
     except Unsupported as reason:
         emulator.__class__ = EmulatorInterface
         say_once(f"NengoLoihi's own emulator is used, because of {reason}")

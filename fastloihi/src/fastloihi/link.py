@@ -74,7 +74,7 @@ class Random:
             self.owed = 0
 
 
-class Link:
+class KernelArrays:
     """The arrays of the kernel for one emulator.
 
     Attributes

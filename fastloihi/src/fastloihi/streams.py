@@ -16,7 +16,7 @@ from nengo_loihi.emulator.interface import EmulatorInterface
 
 from . import kernel
 from .layout import Unsupported
-from .link import Link
+from .link import KernelArrays
 
 _CONSTANTS = ("keep_u", "keep_v", "v_min", "v_max")
 _SPIKED = 2  # index of the key "spiked" in `layout.KEYS`
@@ -68,7 +68,7 @@ class StreamEmulator:
 
     def __init__(self, model):
         emulator = EmulatorInterface(model)
-        self._link = link = Link(emulator)
+        self._link = link = KernelArrays(emulator)
         if link.draws or emulator.compartment.dtype != np.int32:
             raise Unsupported("learning, noise, or a model that is not discretised")
         self.n = emulator.block_info.n_compartments

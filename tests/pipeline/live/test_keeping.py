@@ -113,7 +113,7 @@ def test_classes_of_any_name_have_folders_of_their_own(tmp_path):
         assert len(list(keeper.folder.rglob("w*.mat"))) == len(keeper) == len(NAMES)
     plain = Sensor(9, 12, classes=NAMES[:1])
     with closing(Keeper(tmp_path / "plain", plain)) as keeper:
-        assert keeper.save(0, replace(recording(), n_taxels=108)).place == NAMES[0]
+        assert keeper.save(0, replace(recording(), n_taxels=108)).class_folder == NAMES[0]
 
 
 def test_recordings_of_another_sensor_are_not_mixed_with_these(keeper):
