@@ -114,6 +114,6 @@ def test_from_python_too_a_run_begins_only_in_a_folder_of_its_own(tmp_path):
         assert opened.settings == read_settings(tmp_path / "run/experiment.toml")
         with (
             pytest.raises(UserError, match="another process"),
-            open_locked_run(opened.place.path, small),
+            open_locked_run(opened.store.path, small),
         ):
             pass

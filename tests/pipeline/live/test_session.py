@@ -226,7 +226,7 @@ def test_a_disk_that_fails_is_said_and_the_digit_can_be_kept_again(session, keep
         raise OSError(5, "Input/output error", str(folder))
 
     with monkeypatch.context() as patched:
-        patched.setattr("pipeline.live.keeping._list", fails)
+        patched.setattr("pipeline.live.keeping._list_recordings", fails)
         text = of(say(session, {"type": "label", "label": 1}), "problem")[0]["text"]
         assert "Input/output error" in text
         patched.setattr(Keeper, "save", lambda keeper, *given: fails("disk"))
