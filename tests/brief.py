@@ -10,9 +10,9 @@ from tests.command import hurry_emulator
 
 @contextlib.contextmanager
 def hurry_runs(epochs=2):
-    """Within, each `stmnist.Run` trains for so many epochs, whatever it is told.
+    """In the block, each `stmnist.Run` trains for this number of epochs, whatever it is told.
 
-    It starts no other processes, and lets ``fast`` compute what it emulates.
+    A run starts no other processes, and the target ``emulator`` computes as ``fast`` does.
     """
     brief = {f"{network}.epochs": epochs for network in ("cnn", "snn", "events")}
 

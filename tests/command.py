@@ -43,7 +43,7 @@ def call(*arguments, main=None) -> int:
 
 @contextlib.contextmanager
 def hurry_emulator():
-    """Within, the target ``emulator`` computes as ``fast`` does.
+    """In the block, the target ``emulator`` computes as ``fast`` does.
 
     Every spike is the same, which tests/deploy/targets/test_fast.py shows, in a tenth of the time.
     It is for tests of what is done with a run's results, and not for processes that they start.

@@ -24,9 +24,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
         typer.Option(help="Folder of the new bundle.", show_default="RUN/adapted/WRITER"),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the fit.", min=0, max=2**31 - 1)] = 0,
-    skip_bad: Annotated[
-        bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
-    ] = False,
+    skip_bad: options.SkipBad = False,
     time_unit: options.TimeUnit = "",
     jobs: options.Jobs = 2,
     as_json: options.Json = False,

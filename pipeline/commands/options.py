@@ -138,6 +138,7 @@ Scheduler = Annotated[
         "instead of processes of this machine."
     ),
 ]
+SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")]
 TimeUnit = Annotated[
     str,
     typer.Option(

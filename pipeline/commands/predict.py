@@ -17,9 +17,7 @@ def predict(
         ),
     ],
     target: Annotated[str, typer.Option(help="As of 'check run', such as nengo.")] = "fast",
-    skip_bad: Annotated[
-        bool, typer.Option("--skip-bad", help="Leave out files that cannot be read.")
-    ] = False,
+    skip_bad: options.SkipBad = False,
     time_unit: options.TimeUnit = "",
     jobs: options.Jobs = 2,
     as_json: options.Json = False,

@@ -99,7 +99,7 @@ class Keeper:
         self.folder = Path(folder)
         self.sensor = sensor or Sensor()
         self._taxels = TaxelMap.grid(self.sensor.rows, self.sensor.columns)
-        self._places = name_class_folders(self.sensor.classes)
+        self._class_folders = name_class_folders(self.sensor.classes)
         self._guard = threading.Lock()
         # Numbers of writers that were on any page.  They are not given again when it closes,
         # because a page that has lost its connection comes back with its number.
@@ -150,7 +150,7 @@ class Keeper:
             The folder cannot be read.
         """
         with reporting_os_errors(self.folder, "cannot read", "check its permissions"):
-            files = _list_recordings(self.folder, self._places)
+            files = _list_recordings(self.folder, self._class_folders)
         self._kept = sorted(files, key=lambda kept: (kept.writer, kept.number))
 
     def close(self):
@@ -196,7 +196,7 @@ class Keeper:
                 _create(table, encode_lookup_table(self._taxels))
             numbers = [kept.number for kept in self._kept if kept.writer == recording.writer]
             number = max(numbers, default=0) + 1
-            class_folder = self._places[label]
+            class_folder = self._class_folders[label]
             kept = SavedRecording(label, recording.writer, number, class_folder)
             _create(self.folder / kept.name, encode_recording(recording))
             self.read_folder()
@@ -247,10 +247,10 @@ class Keeper:
             return free
 
 
-def _list_recordings(folder, places):
+def _list_recordings(folder, class_folders):
     """The recordings in a folder; files of other names are ignored."""
     files = []
-    for label, class_folder in enumerate(places):
+    for label, class_folder in enumerate(class_folders):
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             for name in os.listdir(folder / class_folder):
                 match = _NAME.fullmatch(name)

@@ -159,7 +159,7 @@ class DeployedOperation:
         return nengo.Dense(matrix.shape, init=matrix), None
 
     def make_resources(self, layer, chip: Chip) -> Resources:
-        """What the layer occupies of cores, for its `transform`."""
+        """The resources of cores that the synapses of the layer's `transform` need."""
         return DiscreteResources(layer, chip)
 
     # --- files and tables -------------------------------------------------------------------------

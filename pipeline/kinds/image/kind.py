@@ -228,9 +228,8 @@ class ImageKind(NetworkKind):
         return metrics
 
     def make_spec(self, inputs, provenance):
-        inputs.read_weights(
-            "cnn"
-        )  # a damaged CNN is found now, not when its predictions are compared
+        # A damaged CNN is found now, not when its predictions are compared.
+        inputs.read_weights("cnn")
         weights = inputs.read_weights("rate-lif")
         return make_network_spec(
             inputs.settings, weights, provenance, inputs.dataset.subset("train")
@@ -491,9 +490,8 @@ def read_usable_model(folder: Path, settings: Settings, dataset: Dataset) -> tup
     logits = predict(make_original_network(model), images)
     right = int((logits.argmax(1) == labels).sum())
     likeliest = np.bincount(labels).max() / len(labels)
-    if compute_wilson_interval(right, len(labels))[0] <= likeliest + MIN_KNOWN_SHARE * (
-        1 - likeliest
-    ):
+    least_accuracy = compute_wilson_interval(right, len(labels))[0]
+    if least_accuracy <= likeliest + MIN_KNOWN_SHARE * (1 - likeliest):
         raise UserError(
             f"{path}: hardly better than chance on this run's training samples (accuracy "
             f"{right / len(labels):.3f}, {likeliest:.3f} by always predicting the same class); "
