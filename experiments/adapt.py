@@ -27,7 +27,7 @@ from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hide_progress
 from pipeline.recordings.dataset import Dataset, make_dataset_origin, split_of
 from pipeline.results.study import Case, run_study
-from pipeline.run.settings import SIMULATED
+from pipeline.settings import SIMULATED
 from pipeline.simulation import parameters
 from pipeline.sources import load_simulated
 from pipeline.training.adaptation import Person, Responder, add_rehearsal, refit, require_fit

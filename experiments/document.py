@@ -36,7 +36,7 @@ from experiments import (
     transfer,
 )
 from pipeline.results.sweep import format_sweep
-from pipeline.run.settings import Settings, describe
+from pipeline.settings import Settings, describe
 
 ROOT = Path(__file__).resolve().parent.parent
 # The documents, relative to the root of the repository.

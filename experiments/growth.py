@@ -26,7 +26,7 @@ from pipeline import sources
 from pipeline.commands import options
 from pipeline.recordings import library
 from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 SIZES = (7_000, 30_000, 100_000)
 

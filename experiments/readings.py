@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.recordings.dataset import Dataset
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 # The stage that is measured here.
 STAGE = "cnn-reading"

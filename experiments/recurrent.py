@@ -21,7 +21,7 @@ from models.nir.simulator import simulate
 from pipeline.kinds.nir.conversion import make_nir_spec
 from pipeline.kinds.nir.importing import Stepping
 from pipeline.kinds.nir.simulation import make_graph_inputs
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -23,14 +23,14 @@ from experiments.styles import STYLES, hold_out_styles
 from experiments.variants import VARIANTS, vary_dataset
 from pipeline import paper
 from pipeline.commands import options
-from pipeline.kinds import choose_settings
+from pipeline.kinds.preparation import choose_settings
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.faults import FaultCounts, add_faults
+from pipeline.recordings.faulty_taxels import FaultCounts, add_faults
 from pipeline.results import study
 from pipeline.results.study import Case
-from pipeline.run.artifacts import Library
-from pipeline.run.settings import Provenance, Settings
+from pipeline.settings import Provenance, Settings
 from pipeline.sources import load_named_recordings
+from pipeline.storage.artifacts import Library
 
 # Stored results, from which the documents take their figures.
 RESULTS = Path(__file__).resolve().parent.parent / "results"

@@ -21,7 +21,7 @@ from pipeline.recordings.library import (
 from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
 from pipeline.recordings.source import list_source
 from pipeline.recordings.splits import PUBLISHED, RANDOM
-from pipeline.run.settings import SIMULATED, Settings
+from pipeline.settings import SIMULATED, Settings
 from pipeline.simulation import parameters
 from pipeline.simulation.simulate import make_source, simulate
 

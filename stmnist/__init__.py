@@ -31,7 +31,7 @@ GROUPS = {
         "write_recordings": "pipeline.recordings.writing",
         "draw_recording": "pipeline.results.report.figures.recordings",
         "Run": "pipeline.api.run",
-        "Settings": "pipeline.run.settings",
+        "Settings": "pipeline.settings",
         "compare_runs": "pipeline.api.run",
         "UserError": "deploy.errors",
     },

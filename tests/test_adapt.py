@@ -14,7 +14,7 @@ from pipeline.live.network import SHIPPED
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.writing import write_zip
 from pipeline.results.other_recordings import read_recordings_for
-from pipeline.run.settings import Settings, write_settings
+from pipeline.settings import Settings, write_settings
 from pipeline.simulation import handwriting, parameters
 from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.shape_model import fit_in_box

@@ -15,7 +15,7 @@ from deploy.files import read_json
 from experiments import licences, pictures
 from experiments.document import FILES, with_parts
 from pipeline.commands.main import with_every_verb
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from tests.command import ROOT, missing
 
 README = ROOT / "README.md"

@@ -19,14 +19,15 @@ from deploy.targets.registry import TARGETS, Target, list_options, run_target, s
 from models import ops
 from models.chain import Link, NeuronDecays
 from models.integers import choose_integers, simulate_spikes
-from pipeline import kinds, workflow
+from pipeline import workflow
+from pipeline.kinds import registry
 from pipeline.kinds.architectures import make_untrained_network
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.steps import Step
 from pipeline.recordings import formats
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.source import read_source
-from pipeline.run.settings import INPUTS, Settings
+from pipeline.settings import INPUTS, Settings
 from tests.deploy.networks import bundle_at, small_spec
 from tests.format_conformance import assert_format_conforms
 
@@ -118,9 +119,9 @@ class RandomKind(NetworkKind):
 @pytest.fixture
 def random_kind(monkeypatch):
     """Register the kind for one test only."""
-    monkeypatch.setattr(kinds, "KINDS", list(kinds.KINDS))
+    monkeypatch.setattr(registry, "KINDS", list(registry.KINDS))
     monkeypatch.setitem(INPUTS, "random", "")  # so that it is deleted at the end
-    kinds.register_kind(RandomKind)
+    registry.register_kind(RandomKind)
 
 
 def test_a_kind(tmp_path, random_kind):

@@ -15,8 +15,8 @@ from deploy.files import read_json, write_json
 from pipeline import progress, workflow
 from pipeline.jobs import call_in_processes
 from pipeline.recordings.writing import write_recordings
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings, read_settings
+from pipeline.settings import Settings, read_settings
+from pipeline.storage.run_folder import RunFolder
 from tests.command import call, missing, plain, started, wait_until_said
 from tests.pipeline.handmade import archive, good_members
 

@@ -7,8 +7,8 @@ import re
 import pytest
 
 from deploy.files import read_json, write_json
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import read_settings
+from pipeline.settings import read_settings
+from pipeline.storage.run_folder import RunFolder
 
 from .command import call
 from .pipeline.handmade import archive, good_members

@@ -63,7 +63,8 @@ def imported(path):
 FLOORS = {
     "pipeline": [
         {"interrupts", "jobs", "look", "paper", "progress", "target_check"},
-        {"run"},
+        {"settings"},
+        {"storage"},
         {"recordings"},
         {"simulation"},
         {"sources"},

@@ -14,9 +14,7 @@ from .command import environment, process_of
 LINE = f"stmnist: {INTERRUPTION}"
 
 
-@pytest.mark.parametrize(
-    "module", ["deploy.errors", "numpy", "scipy.special", "pipeline.run.settings"]
-)
+@pytest.mark.parametrize("module", ["deploy.errors", "numpy", "scipy.special", "pipeline.settings"])
 def test_early_in_the_command(module, tmp_path):
     """As soon as Python tells that it has imported a module, which is before anything is done."""
     command = ("-X", "importtime", "-m", "pipeline", "data", "simulate", "--seed", "12345")

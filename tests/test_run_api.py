@@ -9,7 +9,7 @@ import pytest
 from deploy.errors import UserError
 from pipeline.recordings.events import Recordings
 from pipeline.results.status import list_states
-from pipeline.run.folder import RunFolder
+from pipeline.storage.run_folder import RunFolder
 from stmnist import Run, compare_runs
 from tests.command import missing
 

@@ -28,7 +28,8 @@ from pipeline.api.results import (
     RunsComparison,
     Training,
 )
-from pipeline.kinds import has_networks, prepare_dataset
+from pipeline.kinds.preparation import prepare_dataset
+from pipeline.kinds.registry import has_networks
 from pipeline.progress import hide_progress
 from pipeline.recordings.arrays import name_in_errors
 from pipeline.recordings.dataset import Dataset
@@ -38,9 +39,9 @@ from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
-from pipeline.run.folder import RunFolder, lock_run, refuse_other_folders
-from pipeline.run.settings import SIMULATED, Settings, read_settings, set_nested
+from pipeline.settings import SIMULATED, Settings, read_settings, set_nested
 from pipeline.sources import load_named_recordings
+from pipeline.storage.run_folder import RunFolder, lock_run, refuse_other_folders
 from pipeline.target_check import TargetCheck
 
 # Source of the settings in the messages of errors.

@@ -13,7 +13,7 @@ from deploy.targets.registry import TARGETS, list_options, select_options
 from deploy.terminal import WARNING
 from pipeline.commands import options
 from pipeline.results.check_on_others import OtherRecordings, check_on_others
-from pipeline.run.folder import find_checks_folder
+from pipeline.storage.run_folder import find_checks_folder
 from pipeline.target_check import TargetCheck
 
 
@@ -169,7 +169,7 @@ def _count_samples_of_fit(spec):
 def _describe_loss(bundle, result):
     """The loss relative to the network that the bundle was made from, if its answers exist."""
     from deploy.check.results import describe_loss, read_result
-    from pipeline.kinds import list_compared_stages
+    from pipeline.kinds.registry import list_compared_stages
 
     for stage in list_compared_stages():
         with contextlib.suppress(UserError):  # missing or damaged: no comparison

@@ -11,7 +11,7 @@ from deploy.errors import UserError
 from deploy.files import require_ending
 from deploy.terminal import format_command, show
 from pipeline.commands import options
-from pipeline.run.settings import SIMULATED, Settings, merge_values
+from pipeline.settings import SIMULATED, Settings, merge_values
 
 Source = Annotated[str, typer.Option("--data", help="Zip or folder of recordings, or 'simulated'.")]
 SimulationSeed = Annotated[

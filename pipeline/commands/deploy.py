@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from deploy.files import require_ending
 from deploy.terminal import format_command, show
 from pipeline.commands import options
-from pipeline.run.folder import find_checks_folder
+from pipeline.storage.run_folder import find_checks_folder
 
 
 class Format(StrEnum):

@@ -24,7 +24,7 @@ import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.terminal import format_command, remark, show
-from pipeline.run.folder import lock_run, refuse_other_folders
+from pipeline.storage.run_folder import lock_run, refuse_other_folders
 
 KEYWORD = Parameter.KEYWORD_ONLY
 
@@ -183,14 +183,14 @@ class RequestedSettings:
 
     def list_changes(self) -> dict:
         """The settings that the options change, nested as in
-        :class:`pipeline.run.settings.schema.Settings`.
+        :class:`pipeline.settings.schema.Settings`.
 
         Raises
         ------
         UserError
             An assignment is malformed, or contradicts an option.
         """
-        from pipeline.run.settings import find_value, parse_assignments, set_nested  # import NumPy
+        from pipeline.settings import find_value, parse_assignments, set_nested  # import NumPy
 
         changes = parse_assignments(self.assignments or [])
         for option, name, value in (
@@ -252,7 +252,7 @@ def resolve_settings(
     UserError
         A file or value is wrong, or another process is working in the folder.
     """
-    from pipeline.run.settings import merge_values  # imports NumPy
+    from pipeline.settings import merge_values  # imports NumPy
 
     with lock_run(path, of_results) as folder:
         changes = merge_values(changes or {}, requested.list_changes())

@@ -8,7 +8,7 @@ import typer
 from deploy.errors import UserError
 from deploy.files import require_ending
 from pipeline.commands import options
-from pipeline.run.folder import RunFolder
+from pipeline.storage.run_folder import RunFolder
 
 
 def status(run: options.Run, as_json: options.Json = False):
@@ -16,10 +16,10 @@ def status(run: options.Run, as_json: options.Json = False):
 
     Nothing is made or changed.
     """
-    from pipeline.kinds import find_kind
+    from pipeline.kinds.registry import find_kind
     from pipeline.results.status import explain_unread, format_status, list_states
-    from pipeline.run.artifacts import OUTDATED
-    from pipeline.run.settings import read_settings
+    from pipeline.settings import read_settings
+    from pipeline.storage.artifacts import OUTDATED
 
     folder = RunFolder(run)
     statuses = list_states(folder, adapted=True)

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from pipeline.commands import options
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings, describe, format_settings, read_settings
+from pipeline.settings import Settings, describe, format_settings, read_settings
+from pipeline.storage.run_folder import RunFolder
 
 
 def settings(

@@ -9,13 +9,13 @@ import typer
 from deploy.errors import UserError
 from deploy.terminal import remark
 from pipeline.commands import options
-from pipeline.run.folder import RunFolder, refuse_other_folders
+from pipeline.storage.run_folder import RunFolder, refuse_other_folders
 
 
 def train(run: options.Run, requested: options.TrainingRequested, jobs: options.Jobs = 2):
     """Train the paper's CNN on tactile images, or with --input events the network on events."""
 
-    from pipeline.kinds import find_kind  # imports all that a run is made with
+    from pipeline.kinds.registry import find_kind  # imports all that a run is made with
 
     def examine(settings):
         return find_kind(settings).trained_steps  # an error if the network was trained elsewhere
@@ -94,7 +94,7 @@ def _require_consistent(model, nir, step, strict, retrain):
 
 
 def _require_model(settings):
-    from pipeline.kinds import find_kind
+    from pipeline.kinds.registry import find_kind
 
     if find_kind(settings).imported is None:
         raise UserError("--model: Keras models receive tactile images; leave out --input events")

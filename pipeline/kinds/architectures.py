@@ -11,7 +11,7 @@ from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
 from models.chain import build_network_spec, make_links
 from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, describe_size
-from pipeline.run.settings import Deployment
+from pipeline.settings import Deployment
 from pipeline.training.event_rules import NetworkSize, choose_hidden_units
 
 # Rows and columns of the first convolution's output on images, at most, on average.
@@ -132,7 +132,7 @@ def list_chip_problems(architecture: str, on_events: bool, deployment: Deploymen
     architecture : str
     on_events : bool
         Whether its input is events, not images.
-    deployment : pipeline.run.settings.schema.Deployment
+    deployment : pipeline.settings.schema.Deployment
 
     Returns
     -------
@@ -152,7 +152,7 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
         Its architecture.
     on_events : bool
         Whether its input is events, not images.
-    deployment : pipeline.run.settings.schema.Deployment
+    deployment : pipeline.settings.schema.Deployment
     """
     rng = np.random.default_rng(0)
     links = make_links(parse(text))

@@ -18,7 +18,7 @@ from deploy.files import read_arrays, write_arrays
 from pipeline.kinds.records import describe_accuracy, measure_accuracies
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
-from pipeline.run.folder import DELETE_ITS_FOLDER
+from pipeline.storage.run_folder import DELETE_ITS_FOLDER
 
 # Event counts of a sample, at most; a sensor with more has them in one slice of time.
 MAX_FEATURES = 20_000

@@ -7,8 +7,8 @@ from typing import NamedTuple
 from deploy.errors import UserError
 from deploy.files import hash_file
 from deploy.terminal import WARNING
-from pipeline.run.artifacts import MISSING, State
-from pipeline.run.settings import IMPORTED
+from pipeline.settings import IMPORTED
+from pipeline.storage.artifacts import MISSING, State
 
 # Beginnings of the changes after which other samples are in the test set.
 SPLIT_SETTINGS = ("seed", "split", "recordings", "data.", "skin.")

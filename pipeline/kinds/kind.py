@@ -23,8 +23,8 @@ from pipeline.kinds.imported import Imported
 from pipeline.kinds.steps import Step, StepInputs
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import Recordings
-from pipeline.run.artifacts import Artifact, Origin
-from pipeline.run.settings import Choice, Settings
+from pipeline.settings import Choice, Settings
+from pipeline.storage.artifacts import Artifact, Origin
 
 
 class NetworkKind:
@@ -32,8 +32,9 @@ class NetworkKind:
 
     A kind has `name`, `input_kinds`, `deployed_step`, `deployed_stage` and `channels`, the
     properties `steps` and `trained_steps`, and `make_spec`; with an architecture in its settings,
-    also `settings_group`.
-    All else has a default.  :func:`pipeline.kinds.register_kind` adds it.  ``RandomKind`` in
+    also `settings_group`.  All else has a default.
+
+    :func:`pipeline.kinds.registry.register_kind` adds a kind.  ``RandomKind`` in
     tests/test_extensions.py is a complete one.
 
     Parameters

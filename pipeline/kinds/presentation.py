@@ -15,7 +15,7 @@ from deploy.network.chip import LOIHI
 from deploy.network.spec import NetworkSpec, Presentation
 from deploy.terminal import WARNING
 from pipeline.recordings.events import Recordings, Sensor
-from pipeline.run.settings import Choice, Settings
+from pipeline.settings import Choice, Settings
 
 # Minimum and maximum number of steps of a presentation of events.
 MIN_STEPS = 50

@@ -17,7 +17,7 @@ from deploy.files import open_regular, read_arrays, replacing, reporting_os_erro
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.splits import PARTS
-from pipeline.run.folder import DELETE_ITS_FOLDER
+from pipeline.storage.run_folder import DELETE_ITS_FOLDER
 
 # Maximum number of test samples for the learning curve.
 MAX_CURVE_SAMPLES = 500

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.recordings.dataset import Dataset
-from pipeline.run.artifacts import Artifact
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
+from pipeline.storage.artifacts import Artifact
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class StepInputs:
         Only the settings that the step declares; reading another one is an error.
     dataset : Dataset
     find_artifact : callable
-        ``find_artifact(name)``: the :class:`pipeline.run.artifacts.Artifact` of a step that it
+        ``find_artifact(name)``: the :class:`pipeline.storage.artifacts.Artifact` of a step that it
         uses.
     read_weights : callable
         ``read_weights(name)``: the trained arrays of a step that is used, by their names.

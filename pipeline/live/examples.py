@@ -11,10 +11,10 @@ from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
 from pipeline.recordings.events import Events, Recordings
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import read_settings
-from pipeline.simulation.writing import START_S
+from pipeline.settings import read_settings
+from pipeline.simulation.pen import START_S
 from pipeline.sources import load_named_recordings
+from pipeline.storage.run_folder import RunFolder
 
 # Time from an example's last event to its end.
 AFTERWARDS_S = 0.05
@@ -28,7 +28,7 @@ class Example:
     ----------
     events : Events
         Events of the page's sensor, whose taxels are numbered column by column; the first event is
-        at :data:`pipeline.simulation.writing.START_S`.
+        at :data:`pipeline.simulation.pen.START_S`.
     label : int
     name : str
     """
@@ -74,7 +74,7 @@ class Examples:
 
 
 class ReplayedTouch:
-    """An existing recording, instead of a :class:`~pipeline.simulation.writing.Writing`.
+    """An existing recording, instead of a :class:`~pipeline.simulation.pen.Writing`.
 
     Parameters
     ----------

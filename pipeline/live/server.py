@@ -31,7 +31,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
 from pipeline.live.session import MAX_TAXELS, PAUSE_S, BadMessage, Session, make_problem_message
-from pipeline.simulation.writing import START_S
+from pipeline.simulation.pen import START_S
 
 # Default address of the page, which other machines cannot reach.
 HOST = "127.0.0.1"

@@ -11,8 +11,8 @@ from deploy.errors import UserError
 from deploy.terminal import remark, show
 from pipeline.live.network import describe_for_page, find_record_folder, find_sensor
 from pipeline.results.status import describe_outdated
-from pipeline.run.folder import RunFolder, run_around
 from pipeline.simulation import parameters
+from pipeline.storage.run_folder import RunFolder, run_around
 
 
 def serve(

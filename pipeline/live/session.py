@@ -30,7 +30,7 @@ from pipeline.live.examples import Examples, ReplayedTouch
 from pipeline.live.keeping import FIRST_WRITER, WRITER_LIMIT, Keeper
 from pipeline.recordings.events import Events, join_events
 from pipeline.recordings.formats.mat import MatRecording
-from pipeline.simulation.writing import MARGIN, START_S, PenPoint, Writing
+from pipeline.simulation.pen import MARGIN, START_S, PenPoint, Writing
 
 # Maximum duration of a recording. The published ones last 2 s; some people write more slowly.
 LONGEST_S = 10.0

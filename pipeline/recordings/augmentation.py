@@ -2,7 +2,7 @@
 
 :func:`alter` makes altered samples of events, for a network on events.  A network on images uses
 the functions that it consists of: :func:`move_places` for the places of taxels, and
-:func:`pipeline.recordings.faults.draw_faults` for hot and dead ones, see
+:func:`pipeline.recordings.faulty_taxels.draw_faults` for hot and dead ones, see
 :class:`pipeline.recordings.images.AlteredImages`.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Events, Recordings, is_handwriting
-from pipeline.recordings.faults import draw_faults
+from pipeline.recordings.faulty_taxels import draw_faults
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Alteration:
     taxels in both directions.  Each z is standard normal and drawn for each sample.  An event is
     assigned to the nearest taxel; events beyond the edge are lost.  A sample has hot taxels with
     the probability ``hot`` and dead ones with the probability ``dead``, see
-    :mod:`pipeline.recordings.faults`.
+    :mod:`pipeline.recordings.faulty_taxels`.
     """
 
     stretch: float = 0.1

@@ -17,8 +17,8 @@ from pipeline.recordings.events import Recordings
 from pipeline.recordings.images import AlteredImages, make_tactile_images
 from pipeline.recordings.splits import PUBLISHED, Split, find_split_problem, split_of
 from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
-from pipeline.run.artifacts import Origin
-from pipeline.run.settings import SIMULATED, Image, Settings
+from pipeline.settings import SIMULATED, Image, Settings
+from pipeline.storage.artifacts import Origin
 
 # Recordings whose frames of events are made at once, which bounds the memory.
 MAX_RECORDINGS_AT_ONCE = 500

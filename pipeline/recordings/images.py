@@ -34,8 +34,8 @@ import numpy as np
 from pipeline.recordings.augmentation import AUGMENTATIONS, move_places
 from pipeline.recordings.cache import make_empty_array
 from pipeline.recordings.events import Recordings
-from pipeline.recordings.faults import draw_faults
-from pipeline.run.settings import Image
+from pipeline.recordings.faulty_taxels import draw_faults
+from pipeline.settings import Image
 
 # Share of the taxels that are ignored by ``sqrt-clip``, and may be hot; two of 100 taxels.
 IGNORED_SHARE = 0.02
@@ -88,7 +88,7 @@ def make_tactile_images(recordings: Recordings, image: Image | None = None) -> n
     Parameters
     ----------
     recordings : Recordings
-    image : pipeline.run.settings.schema.Image, optional
+    image : pipeline.settings.schema.Image, optional
         Default: the default settings.
     """
     return make_images_of(recordings, image or Image(), np.arange(len(recordings)))
@@ -100,7 +100,7 @@ def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
     Parameters
     ----------
     recordings : Recordings
-    image : pipeline.run.settings.schema.Image
+    image : pipeline.settings.schema.Image
     indices : array_like of int
     """
     sensor = recordings.sensor
@@ -216,7 +216,7 @@ class AlteredImages:
     Parameters
     ----------
     recordings : Recordings
-    image : pipeline.run.settings.schema.Image
+    image : pipeline.settings.schema.Image
     how : str
         A key of :data:`pipeline.recordings.augmentation.AUGMENTATIONS`.
     samples : ndarray of int, optional

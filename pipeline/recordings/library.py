@@ -33,7 +33,7 @@ from pipeline.recordings.source import (
     list_source,
     read_source,
 )
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
 CACHE_VERSION = 9

@@ -13,7 +13,7 @@ from deploy.network.stimulus import EventFrames, apply_refractory_period, limit_
 from pipeline.recordings.cache import make_empty_array, release_pages
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings, TaxelMap
-from pipeline.run.settings import Input
+from pipeline.settings import Input
 
 # Recordings whose events are in memory at a time.
 RECORDINGS_AT_ONCE = 2000

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deploy.check.bundle import Bundle
-    from pipeline.recordings.faults import FaultCounts
+    from pipeline.recordings.faulty_taxels import FaultCounts
     from pipeline.target_check import TargetCheck
 
 

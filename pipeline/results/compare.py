@@ -24,13 +24,13 @@ from deploy.tables import (
 )
 from deploy.targets.registry import TARGETS, rank_targets_by_spikes
 from deploy.terminal import escape_control, format_command
-from pipeline.kinds import find_kind, list_references
+from pipeline.kinds.registry import find_kind, list_references
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.events import is_written
 from pipeline.results.status import describe_remedy, find_outdated, list_states
-from pipeline.run.artifacts import DELETE_IT
-from pipeline.run.folder import RunFolder, require_run
-from pipeline.run.settings import IMPORTED, SIMULATED, Settings, read_settings
+from pipeline.settings import IMPORTED, SIMULATED, Settings, read_settings
+from pipeline.storage.artifacts import DELETE_IT
+from pipeline.storage.run_folder import RunFolder, require_run
 from pipeline.workflow import list_network_settings
 
 SCHEMA = "stmnist-runs/1"

@@ -12,11 +12,12 @@ from deploy.files import reporting_damage
 from deploy.tables import SIGNIFICANCE, align_rows, format_p, list_names, mark_significance
 from deploy.targets.registry import TARGETS, list_ladder_targets
 from deploy.terminal import WARNING
-from pipeline.kinds import NetworkKind, find_compared_stage, list_trained_stages
 from pipeline.kinds.diagnosis import find_least_faithful, format_layers
+from pipeline.kinds.kind import NetworkKind
+from pipeline.kinds.registry import find_compared_stage, list_trained_stages
 from pipeline.progress import progress
-from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
-from pipeline.run.folder import RunFolder
+from pipeline.storage.artifacts import DELETE_IT, Artifact, Origin
+from pipeline.storage.run_folder import RunFolder
 from pipeline.workflow import OpenedRun, check_stages, convert
 
 # Targets whose existing results are included, but which the ladder does not run.

@@ -27,9 +27,9 @@ from pipeline.recordings.splits import draw_check_samples
 from pipeline.recordings.times import MIN_DURATION_S
 from pipeline.results.check_on_others import OtherRecordings
 from pipeline.results.ladder import count_confusions
-from pipeline.run.folder import find_checks_folder, run_around
-from pipeline.run.settings import Image, Settings, read_settings
+from pipeline.settings import Image, Settings, read_settings
 from pipeline.sources import load_recordings
+from pipeline.storage.run_folder import find_checks_folder, run_around
 
 # Name of the folder in a run's results.
 FOLDER = "other"

@@ -12,14 +12,14 @@ from deploy.files import hash_file, read_arrays, read_json, reporting_damage
 from deploy.tables import align_rows, format_count
 from deploy.targets.registry import TARGETS
 from deploy.terminal import WARNING, format_command
-from pipeline.kinds import find_kind
+from pipeline.kinds.registry import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.recordings.splits import RANDOM
 from pipeline.results.ladder import BOARDS, find_ladder_artifact, list_stages
-from pipeline.run.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
-from pipeline.run.folder import RunFolder, require_run, run_around
-from pipeline.run.settings import INPUTS, Settings, read_settings
+from pipeline.settings import INPUTS, Settings, read_settings
 from pipeline.sources import find_identity
+from pipeline.storage.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
+from pipeline.storage.run_folder import RunFolder, require_run, run_around
 from pipeline.workflow import check_artifact, find_bundle_artifact, find_dataset_artifact
 
 # Width of the text in columns.

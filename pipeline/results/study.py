@@ -31,9 +31,9 @@ from pipeline.kinds.reference import compute_responses
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hide_progress, progress
 from pipeline.recordings.dataset import Dataset
-from pipeline.run.artifacts import DELETE_IT, Library
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_dataset
+from pipeline.storage.artifacts import DELETE_IT, Library
 from pipeline.workflow import OpenedRun, open_experiment
 
 SCHEMA = "stmnist-row/1"

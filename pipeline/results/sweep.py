@@ -16,12 +16,13 @@ from deploy.check.intervals import compute_wilson_interval
 from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.tables import align_in_blocks, format_value
-from pipeline.kinds import choose_settings, find_kind, prepare_dataset
+from pipeline.kinds.preparation import choose_settings, prepare_dataset
+from pipeline.kinds.registry import find_kind
 from pipeline.paper import CNN_MACS
 from pipeline.results.study import Case, Workers, run_study
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Provenance, Settings, parse_assignments, set_nested
+from pipeline.settings import Provenance, Settings, parse_assignments, set_nested
 from pipeline.sources import load_named_recordings
+from pipeline.storage.run_folder import RunFolder
 
 SCHEMA = "stmnist-sweep/3"
 # Share of the training samples held out for the evaluation, if the settings have none.

@@ -78,7 +78,7 @@ class Writer:
         Share, from 0 to 1, by which this person evens out the speed.
     session : float
         From 0 to 1: when this person writes, which determines the hot taxels
-        (:mod:`pipeline.simulation.faults`).
+        (:mod:`pipeline.simulation.spurious_events`).
     """
 
     allographs: tuple = ()

@@ -15,8 +15,8 @@ from pipeline.recordings.chunks import chunk_events
 from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
-from pipeline.simulation.faults import draw_faults
 from pipeline.simulation.parameters import PEOPLE, load
+from pipeline.simulation.spurious_events import draw_spurious_events
 
 # Part of the hash of the recordings; increase it with any change of the simulation.
 VERSION = 8
@@ -383,7 +383,9 @@ def _read_out(written, touch, p, size):
         end = written[0].max()
         refractory_s = p.receptor.refractory_s
         parts.append(
-            draw_faults(touch.rng, touch.session, (begin, end), refractory_s, p.faults, size)
+            draw_spurious_events(
+                touch.rng, touch.session, (begin, end), refractory_s, p.faults, size
+            )
         )
     seconds, taxel, polarity = map(np.concatenate, zip(*parts, strict=True))
     return aces.make_bursts(1e9 * seconds, taxel, polarity, p.aces)

@@ -38,7 +38,7 @@ from deploy.targets.fast import Emulation
 from pipeline.recordings.augmentation import AUGMENTATIONS, alter_recordings, choose_augmentation
 from pipeline.recordings.dataset import make_inputs_for, require_sensor_fits
 from pipeline.recordings.events import Recordings
-from pipeline.run.settings import Image
+from pipeline.settings import Image
 
 # Strengths of regularisation and of rehearsal among which cross-validation chooses.
 PULLS = (3e-4, 3e-3)

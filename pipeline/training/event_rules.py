@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from deploy.arithmetic import divide_up, thin
 from pipeline.recordings.events import Recordings, Sensor, is_handwriting
 from pipeline.recordings.steps import EventTable, SpikeLimits
-from pipeline.run.settings import EventTraining, Input
+from pipeline.settings import EventTraining, Input
 
 # Number of steps after a sample's last event in which its spikes still reach the outputs.
 TAIL_STEPS = 3

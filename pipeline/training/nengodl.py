@@ -21,7 +21,7 @@ from models.architecture import parse
 from models.cnn import build_cnn, find_gain, set_weights
 from models.keras.keras2 import tf
 from models.quantised import quantise_layer
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 
 @contextlib.contextmanager

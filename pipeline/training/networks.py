@@ -30,7 +30,7 @@ from models.cnn import (
 )
 from models.keras.keras2 import as_written, tf
 from pipeline.recordings.images import ALTERED_AT_ONCE
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.training.schedules import (
     TrainingSchedule,
     make_cnn_schedule,

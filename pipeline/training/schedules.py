@@ -40,7 +40,7 @@ class TrainingSchedule:
 
         Parameters
         ----------
-        section : pipeline.run.settings.schema.CNN or pipeline.run.settings.schema.SNN
+        section : pipeline.settings.schema.CNN or pipeline.settings.schema.SNN
         n_samples : int
             Number of training samples.
         """

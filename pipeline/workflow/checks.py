@@ -13,10 +13,10 @@ from deploy.errors import UserError
 from deploy.files import write_json
 from deploy.targets.registry import TARGETS
 from pipeline.jobs import Failure, run_jobs
-from pipeline.kinds import NetworkKind
+from pipeline.kinds.kind import NetworkKind
 from pipeline.progress import hide_progress, progress
-from pipeline.run.artifacts import DELETE_IT, Artifact, Origin
-from pipeline.run.folder import RunFolder
+from pipeline.storage.artifacts import DELETE_IT, Artifact, Origin
+from pipeline.storage.run_folder import RunFolder
 from pipeline.target_check import TargetCheck
 from pipeline.workflow.opening import OpenedRun
 

@@ -7,10 +7,10 @@ from deploy.check.bundle import FILES, Bundle, CheckSet, read_bundle, write_bund
 from deploy.network.blocks import find_rescaled_layers
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
-from pipeline.kinds import NetworkKind
+from pipeline.kinds.kind import NetworkKind
 from pipeline.recordings.source import describe_reading
-from pipeline.run.artifacts import Artifact, Origin
-from pipeline.run.folder import RunFolder
+from pipeline.storage.artifacts import Artifact, Origin
+from pipeline.storage.run_folder import RunFolder
 from pipeline.training.adaptation import add_rehearsal
 from pipeline.workflow.notes import list_notes_on_recordings
 from pipeline.workflow.opening import OpenedRun

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 from deploy.tables import format_count, list_names
 from deploy.terminal import WARNING
-from pipeline.kinds import describe_new_run, describe_split, find_kind, has_networks
-from pipeline.recordings.splits import PUBLISHED, find_classes_without_test, find_copies
-from pipeline.run.settings import SIMULATED, read_settings
+from pipeline.kinds.registry import find_kind, has_networks
+from pipeline.recordings.events import describe_recordings
+from pipeline.recordings.splits import PUBLISHED, WRITERS, find_classes_without_test, find_copies
+from pipeline.settings import SIMULATED, read_settings
 
 # Test recordings below which a user is warned.
 MIN_TEST_RECORDINGS = 10
@@ -37,13 +38,31 @@ def list_notes(opened, choices) -> Iterator[str]:
     elif opened.settings.data.source == SIMULATED:
         yield f"{run.path}: a new run, on simulated recordings (others: --data)"
     else:
-        yield describe_new_run(run.path, opened.dataset)
-    if run.experiment.exists() and (text := describe_split(opened.dataset)):
+        yield _describe_new_run(run.path, opened.dataset)
+    if run.experiment.exists() and (text := _describe_split(opened.dataset)):
         yield f"{run.path}: {text}"
     yield from choices
     if kind.imported is not None:
         yield from kind.imported.list_warnings()
     yield from list_notes_on_recordings(opened)
+
+
+def _describe_new_run(path, dataset):
+    """The first message of a new run: source and properties of its recordings, and their split."""
+    recordings = dataset.recordings
+    text = ", ".join(filter(None, [describe_recordings(recordings), _describe_split(dataset)]))
+    return f"{path}: a new run, on {recordings.source.name}: {text}"
+
+
+def _describe_split(dataset):
+    """The kind of the split in a few words, unless it is the usual one."""
+    recordings = dataset.recordings
+    if dataset.split.kind == PUBLISHED:
+        parts = recordings.parts
+        return f"published split: {parts.count('train')} train, {parts.count('test')} test"
+    if dataset.split.kind == WRITERS:
+        return "split by writers"
+    return "random split instead of the published one" if recordings.is_split else ""
 
 
 def _list_replacements(run, before, settings):

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 
 from deploy.check.bundle import require_replaceable, require_room
 from deploy.network.spec import NetworkSpec
-from pipeline.kinds import NetworkKind, find_kind, prepare_dataset
+from pipeline.kinds.kind import NetworkKind
+from pipeline.kinds.preparation import prepare_dataset
 from pipeline.kinds.records import read_weights
+from pipeline.kinds.registry import find_kind
 from pipeline.kinds.steps import StepInputs
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.events import list_facts
 from pipeline.recordings.splits import PARTS
-from pipeline.run.artifacts import Artifact, Library, Origin
-from pipeline.run.folder import RunFolder, lock_run
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_named_recordings
+from pipeline.storage.artifacts import Artifact, Library, Origin
+from pipeline.storage.run_folder import RunFolder, lock_run
 from pipeline.workflow.notes import list_notes
 
 
@@ -185,7 +187,7 @@ def open_locked_run(path, settings: Settings | dict | None = None, **more):
     path : path-like
         Folder of the run.
     settings : Settings or dict, optional
-        A dict, nested as in :meth:`pipeline.run.settings.schema.Settings.with_values`, changes
+        A dict, nested as in :meth:`pipeline.settings.schema.Settings.with_values`, changes
         what was set for the run; settings replace it.
     **more
         As in :func:`open_run`.

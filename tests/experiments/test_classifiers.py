@@ -5,9 +5,9 @@ import pytest
 
 from experiments import classifiers, readings, studies, styles
 from pipeline.results.study import Case
-from pipeline.run.artifacts import Library
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_dataset
+from pipeline.storage.artifacts import Library
 
 SETTINGS = Settings().with_values({"data": {"samples_per_digit": 40}})
 

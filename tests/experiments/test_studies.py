@@ -11,9 +11,9 @@ from deploy.check.bundle import read_bundle
 from experiments import adapt, document, speed, studies, tables
 from experiments.__main__ import OTHERS, main
 from pipeline.results.study import Case
-from pipeline.run.artifacts import Library
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_named_recordings
+from pipeline.storage.artifacts import Library
 from pipeline.training.adaptation import add_rehearsal
 from tests.command import call, missing
 from tests.experiments.test_tables import row
@@ -127,7 +127,7 @@ def test_faulty_taxels_are_in_the_test_samples_only(tmp_path):
 @pytest.mark.slow
 def test_slayer_is_trained_on_events(tmp_path, monkeypatch):
     from experiments import slayer
-    from pipeline.run.artifacts import Library
+    from pipeline.storage.artifacts import Library
 
     whole = slayer.Slayer
     small = {"epochs": 1, "bins": 20}

@@ -10,7 +10,7 @@ from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from pipeline.kinds.nir.conversion import list_conversion_notes
 from pipeline.kinds.nir.importing import Stepping, make_nir_settings
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from tests.models.nir_graphs import affine, cuba_lif, lif, network_of
 
 CASES = Path(__file__).with_name("nir_cases")

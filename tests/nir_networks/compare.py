@@ -19,7 +19,7 @@ from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from pipeline.kinds.nir.importing import Stepping
 from pipeline.kinds.nir.simulation import make_graph_inputs
-from pipeline.run.settings import read_settings
+from pipeline.settings import read_settings
 from pipeline.sources import load_dataset
 
 

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 
 from deploy.files import write_arrays
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_dataset
 
 

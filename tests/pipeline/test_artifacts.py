@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.files import read_json, write_json
-from pipeline.kinds import find_kind
+from pipeline.kinds.registry import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
-from pipeline.run.artifacts import Artifact, Library, Origin
-from pipeline.run.settings import PATHS, Settings, UndeclaredSetting
+from pipeline.settings import PATHS, Settings, UndeclaredSetting
+from pipeline.storage.artifacts import Artifact, Library, Origin
 
 SETTINGS = Settings()
 

@@ -3,7 +3,7 @@
 import pytest
 
 from deploy.errors import UserError
-from pipeline.run.settings import (
+from pipeline.settings import (
     Choice,
     Provenance,
     Settings,

@@ -3,8 +3,8 @@
 import pytest
 
 from deploy.errors import UserError
-from pipeline.run.folder import RunFolder, find_checks_folder
-from pipeline.run.settings import Choice, Provenance, Settings, apply_choices, read_settings
+from pipeline.settings import Choice, Provenance, Settings, apply_choices, read_settings
+from pipeline.storage.run_folder import RunFolder, find_checks_folder
 from pipeline.workflow import open_locked_run
 from tests.command import call
 

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.network.spec import Presentation
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import (
+from pipeline.settings import (
     Settings,
     describe,
     parse_assignments,
     read_settings,
     write_settings,
 )
+from pipeline.storage.run_folder import RunFolder
 from tests.command import call, missing
 
 

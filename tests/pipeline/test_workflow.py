@@ -8,10 +8,10 @@ import pytest
 from deploy.check.results import read_result
 from deploy.check.run import OpenCheck, run_check
 from deploy.errors import UserError
-from pipeline.kinds import find_kind
-from pipeline.run.artifacts import Origin
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings
+from pipeline.kinds.registry import find_kind
+from pipeline.settings import Settings
+from pipeline.storage.artifacts import Origin
+from pipeline.storage.run_folder import RunFolder
 from pipeline.workflow import check_stages, open_experiment
 from tests.deploy.checks import interrupted, partial, same_answers
 from tests.deploy.networks import bundle_at

@@ -22,7 +22,7 @@ from pipeline.kinds.presentation import choose_presentation, choose_step_ms, cho
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.augmentation import choose_augmentation
 from pipeline.recordings.events import Recordings, is_handwriting
-from pipeline.run.settings import Choice, Settings, apply_choices
+from pipeline.settings import Choice, Settings, apply_choices
 from pipeline.training.event_rules import (
     FEW_SAMPLES,
     TAIL_STEPS,

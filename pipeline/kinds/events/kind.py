@@ -28,9 +28,9 @@ from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, list_event_warnings
 from pipeline.recordings.steps import EventTable
-from pipeline.run.artifacts import DELETE_IT
-from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
+from pipeline.storage.artifacts import DELETE_IT
+from pipeline.storage.run_folder import DELETE_ITS_FOLDER
 
 # Minimum number of samples for choosing a confidence; with fewer, the allowed loss, half a
 # percentage point, is less than half a sample.

@@ -13,7 +13,7 @@ from models.architecture import parse
 from pipeline.kinds.architectures import describe_choice, is_for, suggest_architecture
 from pipeline.kinds.presentation import choose_image_gap
 from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_digits
-from pipeline.run.settings import Choice, Settings, list_names_in
+from pipeline.settings import Choice, Settings, list_names_in
 from pipeline.training.schedules import SCHEDULES
 
 # Passes over the training samples of a network on one image of recordings that are not simulated.

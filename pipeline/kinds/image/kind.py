@@ -39,8 +39,8 @@ from pipeline.kinds.records import (
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, require_images_fit
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings, read_settings
+from pipeline.settings import Settings, read_settings
+from pipeline.storage.run_folder import RunFolder
 from pipeline.training.schedules import make_cnn_schedule, make_snn_schedule
 
 

@@ -15,7 +15,7 @@ from models.integers import FLOOR, round_chain, round_to_integers
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
 from pipeline.kinds.nir.importing import Stepping
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 # Lowest voltage, in thresholds, above which the end of the chip's registers is mentioned.
 FLOOR_IN_THRESHOLDS = -8

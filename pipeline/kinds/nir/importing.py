@@ -15,8 +15,8 @@ from models.nir.graph import NirNetwork, read_nir
 from pipeline.kinds.architectures import suggest_sensor_size
 from pipeline.kinds.imported import find_imported_file, is_file
 from pipeline.recordings.dataset import Dataset
-from pipeline.run.folder import DELETE_ITS_FOLDER
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
+from pipeline.storage.run_folder import DELETE_ITS_FOLDER
 
 # The run's copy of the graph, in the folder of its network.
 GRAPH = "network.nir"

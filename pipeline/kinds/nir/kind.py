@@ -36,7 +36,7 @@ from pipeline.kinds.presentation import choose_presentation, fit_gap, list_curre
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import list_event_warnings, require_images_fit
-from pipeline.run.settings import Choice, apply_choices
+from pipeline.settings import Choice, apply_choices
 
 # Maximum number of training samples on which the scales of a graph's weights are chosen.  More do
 # not help, not even published recurrent graphs.

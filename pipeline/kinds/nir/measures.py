@@ -22,7 +22,7 @@ from pipeline.kinds.nir.simulation import NUMPY, compute_predictions, simulate_s
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.splits import Split
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 # Maximum number of training samples on which the confidence for early decisions is chosen.
 MAX_CONFIDENCE_SAMPLES = 300

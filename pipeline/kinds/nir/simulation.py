@@ -13,7 +13,7 @@ from models.nir.chain import merges_polarities
 from models.nir.graph import NirNetwork
 from models.nir.simulator import SAMPLES_AT_ONCE, simulate
 from pipeline.kinds.nir.importing import Stepping, read_copy_of_graph
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 # Versions of the packages that simulate a graph.
 NUMPY = {"numpy": np.__version__}

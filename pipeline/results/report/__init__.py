@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from deploy.files import replacing, require_ending
-from pipeline.run.folder import RunFolder
+from pipeline.storage.run_folder import RunFolder
 
 
 def write_report(run, path=None) -> Path:

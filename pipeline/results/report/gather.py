@@ -8,16 +8,16 @@ from deploy.errors import UserError
 from deploy.files import read_json, reporting_damage
 from deploy.preflight.plan import make_plan
 from deploy.terminal import format_command
-from pipeline.kinds import find_kind
 from pipeline.kinds.records import read_history
+from pipeline.kinds.registry import find_kind
 from pipeline.progress import progress
 from pipeline.results.ladder import list_stages, select_deployed_result
 from pipeline.results.other_recordings import FOLDER as OTHERS
 from pipeline.results.report.page import Inputs
 from pipeline.results.report.samples import choose_samples, replay
 from pipeline.results.status import find_outdated, list_states
-from pipeline.run.folder import RunFolder, require_run
-from pipeline.run.settings import read_settings
+from pipeline.settings import read_settings
+from pipeline.storage.run_folder import RunFolder, require_run
 
 REMEDY = "delete it and make it again"
 

@@ -18,10 +18,10 @@ from deploy.network.responses import compute_seconds_per_sample
 from deploy.tables import SIGNIFICANCE, format_count, format_p, list_names
 from deploy.targets.registry import TARGETS
 from pipeline import look
-from pipeline.kinds import list_compared_stages, list_references
+from pipeline.kinds.registry import list_compared_stages, list_references
 from pipeline.results.ladder import count_confusions, make_rows, select_deployed_result
 from pipeline.results.report import charts, prose
-from pipeline.run.settings import PATHS, Settings
+from pipeline.settings import PATHS, Settings
 from pipeline.workflow import list_network_settings
 
 # Intervals of time of a small picture of a strip.

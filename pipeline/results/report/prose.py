@@ -4,7 +4,7 @@ from markupsafe import Markup, escape
 
 from deploy.tables import format_p
 from deploy.targets.registry import TARGETS
-from pipeline.kinds import list_references
+from pipeline.kinds.registry import list_references
 from pipeline.results.report.charts import format_percent
 
 # Highest probability that is printed: none is certain.

@@ -12,7 +12,7 @@ from models.spiking import Neuron, SpikingNetwork
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.steps import EventTable, SpikeLimits, make_spike_frames
-from pipeline.run.settings import EventTraining, Input, Settings
+from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.event_rules import choose_epochs
 
 # Shares of the training samples with hot and with dead taxels. On ST-MNIST a quarter of each cost

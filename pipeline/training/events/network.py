@@ -12,7 +12,7 @@ from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
 from models.keras.keras2 import tf
 from models.spiking import SpikingNetwork, count_operations
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.training.events.design import EventDesign
 
 # Number of augmented copies of each held-out sample that are used, with the sample itself, to

@@ -8,7 +8,7 @@ from deploy.check.text import format_result
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from deploy.targets.registry import run_target
-from pipeline.run.folder import find_checks_folder
+from pipeline.storage.run_folder import find_checks_folder
 from tests.command import call
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
 

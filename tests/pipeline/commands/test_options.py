@@ -8,7 +8,7 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.commands import options
-from pipeline.run.settings import Settings, read_settings, write_settings
+from pipeline.settings import Settings, read_settings, write_settings
 from tests.command import call, missing
 
 

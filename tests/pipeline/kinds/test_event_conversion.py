@@ -10,7 +10,7 @@ from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.spiking import Neuron, SpikingNetwork
 from pipeline.kinds.events.kind import make_event_spec
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.training.events import EventDesign, build_network, run_on_frames
 from tests.pipeline.handmade import event_table
 

@@ -6,7 +6,7 @@ import pytest
 from deploy.network.decision import Threshold
 from pipeline.kinds.events import kind as events
 from pipeline.kinds.events.kind import choose_confidence, hold_out_event_samples
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_dataset
 from pipeline.training.events import TrainedOnEvents
 

@@ -7,14 +7,15 @@ import pytest
 
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import parse
-from pipeline.kinds import choose_settings, find_kind
 from pipeline.kinds.architectures import suggest_architecture, suggest_event_architecture
 from pipeline.kinds.image import choices
+from pipeline.kinds.preparation import choose_settings
+from pipeline.kinds.registry import find_kind
 from pipeline.recordings.events import Sensor
 from pipeline.recordings.writing import write_recordings
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_recordings
+from pipeline.storage.run_folder import RunFolder
 from pipeline.training.event_rules import SIZES as NETWORK_SIZES
 from pipeline.training.event_rules import choose_epochs
 from tests.command import missing

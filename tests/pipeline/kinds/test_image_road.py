@@ -8,14 +8,14 @@ import pytest
 
 from deploy.errors import UserError
 from models.architecture import parse
-from pipeline.kinds import find_compared_stage, find_kind
 from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.image.kind import keep_images
 from pipeline.kinds.imported import Imported
+from pipeline.kinds.registry import find_compared_stage, find_kind
 from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
-from pipeline.run.artifacts import CURRENT, MISSING, State
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Image, Settings, apply_choices, list_reasons, set_nested
+from pipeline.settings import Image, Settings, apply_choices, list_reasons, set_nested
+from pipeline.storage.artifacts import CURRENT, MISSING, State
+from pipeline.storage.run_folder import RunFolder
 from pipeline.training.schedules import SCHEDULES
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from models.keras.keras2 import tf
 from pipeline.kinds.image.kind import make_model_settings, read_usable_model
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 
 
 @pytest.fixture(scope="module")

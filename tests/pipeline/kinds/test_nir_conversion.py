@@ -22,8 +22,8 @@ from models.nir.simulator import simulate
 from pipeline.kinds.nir.conversion import make_nir_spec
 from pipeline.kinds.nir.importing import Stepping, make_nir_settings, require_fit
 from pipeline.kinds.nir.simulation import make_graph_inputs
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings, read_settings
+from pipeline.settings import Settings, read_settings
+from pipeline.storage.run_folder import RunFolder
 from tests.command import call as stmnist
 from tests.command import missing
 from tests.deploy.networks import random_checks, small_spec

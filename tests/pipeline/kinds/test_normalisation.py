@@ -6,7 +6,7 @@ import pytest
 from deploy.errors import UserError
 from pipeline.kinds.normalisation import require_images_of_network
 from pipeline.recordings.images import make_images_of
-from pipeline.run.settings import Image, Settings
+from pipeline.settings import Image, Settings
 from pipeline.sources import load_dataset
 
 

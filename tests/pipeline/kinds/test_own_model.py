@@ -12,9 +12,9 @@ from deploy.files import read_json
 from models.architecture import parse
 from pipeline import workflow
 from pipeline.kinds.records import read_weights
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import Settings, read_settings
+from pipeline.settings import Settings, read_settings
 from pipeline.sources import load_dataset
+from pipeline.storage.run_folder import RunFolder
 from tests.command import call, hurry_emulator, missing
 
 DATA = ("--set", "data.samples_per_digit=60")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.network.spec import Presentation
-from pipeline.kinds import choose_settings
+from pipeline.kinds.preparation import choose_settings
 from pipeline.kinds.presentation import (
     MAX_SHARE_LEFT,
     MAX_STEPS,
@@ -15,7 +15,7 @@ from pipeline.kinds.presentation import (
     fit_gap,
 )
 from pipeline.recordings.writing import write_recordings
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from tests.own_sensor import CLASSES, gestures
 
 

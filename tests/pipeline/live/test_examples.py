@@ -15,10 +15,10 @@ from pipeline.live.deciding import make_decider
 from pipeline.live.examples import Example, Examples, ReplayedTouch, list_check_examples
 from pipeline.live.network import SHIPPED
 from pipeline.recordings.events import Events, Sensor
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import read_settings
-from pipeline.simulation.writing import START_S
+from pipeline.settings import read_settings
+from pipeline.simulation.pen import START_S
 from pipeline.sources import load_named_recordings
+from pipeline.storage.run_folder import RunFolder
 
 
 def line(n=5):

@@ -10,7 +10,7 @@ from deploy.files import read_json
 from deploy.targets.registry import run_target
 from pipeline.live.network import SHIPPED, find_sensor
 from pipeline.recordings.events import Sensor
-from pipeline.run.settings import read_settings
+from pipeline.settings import read_settings
 from pipeline.sources import find_identity
 from tests.command import ROOT, call
 

@@ -11,7 +11,7 @@ from pipeline.recordings import cache, library, steps
 from pipeline.recordings.events import EVENT_DTYPES
 from pipeline.recordings.images import AlteredImages, make_tactile_images
 from pipeline.recordings.steps import EventTable
-from pipeline.run.settings import Image
+from pipeline.settings import Image
 from tests.pipeline.handmade import recordings
 
 MS = 1_000_000

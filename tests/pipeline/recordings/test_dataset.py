@@ -9,9 +9,9 @@ from deploy.errors import UserError
 from pipeline.recordings.dataset import make_dataset_origin, make_inputs
 from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.splits import split_of
-from pipeline.run.folder import RunFolder
-from pipeline.run.settings import SIMULATED, Settings, UndeclaredSetting
+from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
 from pipeline.sources import find_identity, load_dataset, load_named_recordings
+from pipeline.storage.run_folder import RunFolder
 from pipeline.workflow import open_run
 from tests.own_sensor import write_folder
 from tests.pipeline.handmade import archive, good_members

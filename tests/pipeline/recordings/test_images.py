@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline.recordings import faults
+from pipeline.recordings import faulty_taxels
 from pipeline.recordings.augmentation import AUGMENTATIONS
 from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.images import AlteredImages, make_tactile_images, normalise
-from pipeline.run.settings import Image
+from pipeline.settings import Image
 from tests.pipeline.handmade import recordings
 
 # Taxel 37 (row 7, column 3): two ON of 4 and 5 columns, one OFF of 2; taxel 90: one OFF of 3.
@@ -151,7 +151,7 @@ def test_altered_images_have_hot_taxels(monkeypatch):
 
 
 def test_a_dead_taxel_has_a_share_of_a_slice_and_none_of_those_after_it(monkeypatch):
-    monkeypatch.setattr(faults, "MAX_DEAD_SHARE", 1.0)
+    monkeypatch.setattr(faulty_taxels, "MAX_DEAD_SHARE", 1.0)
     at_37 = alter_often(monkeypatch, dead=1.0)[:, 7, 3]
     assert {0, 25} < set(at_37[:, 0].tolist())
     assert (np.diff(at_37, axis=1) <= 0).all()

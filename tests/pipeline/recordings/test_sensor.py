@@ -12,7 +12,7 @@ from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.sensor import ReadingOptions, make_sort_key
 from pipeline.recordings.source import describe_reading, read_source
 from pipeline.recordings.strays import find_strays
-from pipeline.run.settings import Image
+from pipeline.settings import Image
 from pipeline.sources import SimulatedSource, load_recordings
 from tests.command import missing
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.check.intervals import compute_fisher_p, compute_wilson_interval
 from deploy.errors import UserError
-from pipeline.kinds import find_kind
+from pipeline.kinds.registry import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.results import compare
 from pipeline.results.compare import (
@@ -19,7 +19,7 @@ from pipeline.results.compare import (
     format_runs,
     read_runs,
 )
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from tests.command import call, missing
 from tests.deploy.networks import events_spec, small_spec
 

@@ -6,7 +6,7 @@ import shutil
 
 from deploy.files import read_json
 from pipeline.results.status import describe_outdated
-from pipeline.run.folder import RunFolder
+from pipeline.storage.run_folder import RunFolder
 from tests.command import call
 
 ON_IMAGES = [

@@ -9,7 +9,7 @@ import pytest
 from deploy.errors import CheckFailed, UserError
 from pipeline.results import study
 from pipeline.results.study import Case, Workers
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_dataset, load_named_recordings
 
 SMALL = Settings().with_values(

@@ -11,9 +11,11 @@ from hypothesis.extra.numpy import arrays
 
 from deploy.errors import UserError
 from deploy.files import read_json
-from pipeline.kinds import EventsKind, ImageKind, choose_settings
+from pipeline.kinds.events.kind import EventsKind
+from pipeline.kinds.image.kind import ImageKind
+from pipeline.kinds.preparation import choose_settings
 from pipeline.results import sweep
-from pipeline.run.settings import Settings, read_settings
+from pipeline.settings import Settings, read_settings
 from pipeline.sources import load_recordings
 from tests.command import call
 from tests.own_sensor import write_folder

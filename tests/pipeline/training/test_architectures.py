@@ -17,7 +17,7 @@ from pipeline.kinds.image.kind import make_image_spec, make_network_spec
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.results.other_recordings import find_trained_on
 from pipeline.results.report.figures import animation
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.sources import load_dataset
 from pipeline.training import nengodl
 from pipeline.training import networks as training

@@ -11,7 +11,7 @@ from models.architecture import parse
 from models.cnn import find_gain
 from models.keras.keras2 import tf
 from pipeline.kinds.image.kind import make_image_spec
-from pipeline.run.settings import Settings
+from pipeline.settings import Settings
 from pipeline.training import nengodl
 from pipeline.training import networks as training
 from tests.untraced import untraced

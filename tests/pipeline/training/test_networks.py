@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.cnn import compute_activations
-from pipeline.run.settings import Settings, write_settings
+from pipeline.settings import Settings, write_settings
 from pipeline.training import networks as training
 from tests.command import LEAVE_GARBAGE, printed_by, users_environment
 
@@ -88,7 +88,7 @@ def test_the_number_of_cores_does_not_matter(stripes, tmp_path):
 ON_ONE_AND_ALL = """
 import os
 import numpy as np
-from pipeline.run.settings import read_settings
+from pipeline.settings import read_settings
 from pipeline.training.networks import TrainingSamples, train_cnn, train_rate_network
 
 chosen = read_settings("chosen.toml")

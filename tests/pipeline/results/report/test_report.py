@@ -20,7 +20,7 @@ from pipeline.results.report import page as report
 from pipeline.results.report.figures import animation
 from pipeline.results.report.gather import gather
 from pipeline.results.report.samples import choose_samples, replay
-from pipeline.run.folder import RunFolder
+from pipeline.storage.run_folder import RunFolder
 from tests.command import call
 
 BROWSER = next(filter(shutil.which, ("chromium", "chromium-browser", "google-chrome")), None)

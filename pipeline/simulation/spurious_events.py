@@ -7,7 +7,7 @@ same ones, and not in all sessions.  Other taxels, mostly at the edge, report si
 import numpy as np
 
 
-def draw_faults(rng, session: float, span_s: tuple, refractory_s: float, p, size):
+def draw_spurious_events(rng, session: float, span_s: tuple, refractory_s: float, p, size):
     """Draw the events of a recording that no pen has caused.
 
     Parameters

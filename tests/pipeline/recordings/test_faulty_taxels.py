@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Events, Source, collect
-from pipeline.recordings.faults import (
+from pipeline.recordings.faulty_taxels import (
     CHECK_PERIOD_MS,
     HOT_PERIOD_MS,
     MAX_DEAD_SHARE,

@@ -13,8 +13,8 @@ from deploy.files import lock_file, refuse_linked_folder, remove_leftovers
 from deploy.terminal import format_command
 
 if TYPE_CHECKING:
-    from pipeline.run.artifacts import Origin
-    from pipeline.run.settings import Settings
+    from pipeline.settings import Settings
+    from pipeline.storage.artifacts import Origin
 
 # File name endings that no folder has: a missing file must not be created as a folder.
 FILES = {
@@ -80,7 +80,7 @@ class RunFolder:
         """The folder of an artifact, such as ``"cnn"`` or ``"snn"``.
 
         A run has only one of each, independently of the origin, unlike a
-        :class:`pipeline.run.artifacts.Library`.
+        :class:`pipeline.storage.artifacts.Library`.
         """
         return self.path / name
 
@@ -102,7 +102,7 @@ class RunFolder:
         UserError
             A file or value is invalid.
         """
-        from pipeline.run.settings import Settings, read_own_settings  # import NumPy
+        from pipeline.settings import Settings, read_own_settings  # import NumPy
 
         settings = Settings()
         if base is not None or self.experiment.exists():
@@ -117,7 +117,7 @@ class RunFolder:
         UserError
             The folder cannot be written.
         """
-        from pipeline.run.settings import write_settings
+        from pipeline.settings import write_settings
 
         write_settings(self.experiment, settings)
 

@@ -8,8 +8,8 @@ import tomllib
 from deploy import limits
 from deploy.errors import UserError
 from deploy.files import open_regular, replacing, reporting_os_errors
-from pipeline.run.settings.choices import Provenance
-from pipeline.run.settings.schema import Settings
+from pipeline.settings.choices import Provenance
+from pipeline.settings.schema import Settings
 
 
 def read_settings(path) -> Settings:

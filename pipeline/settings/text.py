@@ -9,8 +9,8 @@ import textwrap
 import tomllib
 
 from deploy.errors import UserError
-from pipeline.run.settings.schema import Settings, list_entries, set_nested
-from pipeline.run.settings.toml import format_toml
+from pipeline.settings.schema import Settings, list_entries, set_nested
+from pipeline.settings.toml import format_toml
 
 
 def describe(settings: Settings) -> list:

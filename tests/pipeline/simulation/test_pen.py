@@ -9,7 +9,7 @@ from pipeline.recordings.events import EVENT_DTYPES
 from pipeline.simulation import aces, parameters
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press, spread_force
 from pipeline.simulation.handwriting import Motion
-from pipeline.simulation.writing import START_S, PenPoint, Writing
+from pipeline.simulation.pen import START_S, PenPoint, Writing
 
 P = parameters.load()
 STEP = 1e-3

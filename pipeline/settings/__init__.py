@@ -1,7 +1,7 @@
 """The settings of an experiment: their schema, their file, and their text on the command line."""
 
-from pipeline.run.settings.choices import Choice, Provenance, apply_choices, list_reasons
-from pipeline.run.settings.schema import (
+from pipeline.settings.choices import Choice, Provenance, apply_choices, list_reasons
+from pipeline.settings.schema import (
     AGGREGATIONS,
     AUGMENTATIONS,
     AUTOMATIC_AT_0,
@@ -32,8 +32,8 @@ from pipeline.run.settings.schema import (
     merge_values,
     set_nested,
 )
-from pipeline.run.settings.text import describe, format_settings, parse_assignments
-from pipeline.run.settings.toml import read_own_settings, read_settings, write_settings
+from pipeline.settings.text import describe, format_settings, parse_assignments
+from pipeline.settings.toml import read_own_settings, read_settings, write_settings
 
 __all__ = [
     "AGGREGATIONS",

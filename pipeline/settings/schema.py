@@ -21,7 +21,7 @@ from deploy.network.spec import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import NotationError, parse
 from pipeline import paper
-from pipeline.run.settings.choices import Provenance
+from pipeline.settings.choices import Provenance
 
 AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
 AUGMENTATIONS = ("auto", "time", "slight", "space", "none")
@@ -29,7 +29,7 @@ SNN_RECIPES = ("loihi", "paper", "as-is")
 # The name of the built-in recordings.
 SIMULATED = "simulated"
 # Values of ``input.kind``, each with the sort of samples that networks get: images, or frames of
-# events.  :func:`pipeline.kinds.register_kind` adds those of another kind of network.
+# events.  :func:`pipeline.kinds.registry.register_kind` adds those of another kind of network.
 INPUTS = {"image": "images", "slices": "images", "events": "frames"}
 NORMALISATIONS = ("max", "sum", "sqrt-max", "sqrt-clip", "none")
 
@@ -38,7 +38,7 @@ class UndeclaredSetting(Exception):
     """Code read a setting that the artifact it is making does not declare.
 
     This is a programming error: the setting belongs in the ``reads`` of that artifact's origin, see
-    :mod:`pipeline.run.artifacts`.
+    :mod:`pipeline.storage.artifacts`.
     """
 
 

@@ -2,7 +2,7 @@
 
 A value is the user's, chosen by a rule, or the default.  A rule returns a list of :class:`Choice`;
 :func:`apply_choices` is the only function that applies it, :func:`list_reasons` makes the lines
-for the user of it, and :func:`pipeline.run.settings.toml.write_settings` records it.
+for the user of it, and :func:`pipeline.settings.toml.write_settings` records it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pipeline.run.settings.schema import Settings
+    from pipeline.settings.schema import Settings
 
 
 class Provenance(enum.Enum):

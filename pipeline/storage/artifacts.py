@@ -16,7 +16,7 @@ and the points of a sweep.  (Only an interrupted check has another mechanism for
 
 A dependency cannot be forgotten.  An origin declares its settings, and the code that makes the
 artifact receives ``origin.view(settings)``, which has only these.  Reading another one raises
-:class:`pipeline.run.settings.schema.UndeclaredSetting`, in this process, in a worker or on a
+:class:`pipeline.settings.schema.UndeclaredSetting`, in this process, in a worker or on a
 cluster.
 Dependencies are declared rather than recorded while the artifact is made, because a declared origin
 is known beforehand: it can be compared before any work is done, and its key is the name of an
@@ -33,7 +33,7 @@ from pathlib import Path
 
 from deploy import __version__
 from deploy.files import read_json, write_json
-from pipeline.run.settings import AUTOMATIC_AT_0, KEPT_IF_USERS, Settings, list_names_in
+from pipeline.settings import AUTOMATIC_AT_0, KEPT_IF_USERS, Settings, list_names_in
 
 # States of an artifact.
 CURRENT = "current"

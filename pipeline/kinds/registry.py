@@ -1,0 +1,66 @@
+"""The registered kinds of networks: which of them a run has, and what all of them have.
+
+No other module asks which kind a network is.
+"""
+
+from pathlib import Path
+
+from pipeline.kinds.events.kind import EventsKind
+from pipeline.kinds.image.kind import ImageKind
+from pipeline.kinds.kind import NetworkKind
+from pipeline.kinds.nir.kind import NirKind
+from pipeline.settings import INPUTS, Settings
+
+# The first of them that describes the settings is the kind of a run.
+KINDS: list[type[NetworkKind]] = [NirKind, EventsKind, ImageKind]
+
+
+def register_kind(kind: type[NetworkKind], samples: str = "images"):
+    """Add a kind of network, which ``--input`` selects by its :attr:`NetworkKind.input_kinds`.
+
+    Parameters
+    ----------
+    kind : type
+    samples : str
+        What its network gets of each recording: ``"images"`` or ``"frames"`` of events.
+    """
+    KINDS.insert(0, kind)
+    INPUTS.update(dict.fromkeys(kind.input_kinds, samples))
+
+
+def list_references() -> dict:
+    """The :class:`pipeline.kinds.reference.Reference` stages of all kinds by their names."""
+    return {name: stage for kind in KINDS for name, stage in kind.references.items()}
+
+
+def list_trained_stages() -> tuple:
+    """The reference stages whose networks become bundles; conversion causes all later losses."""
+    return tuple(kind.deployed_stage for kind in KINDS)
+
+
+def list_compared_stages() -> tuple:
+    """The stages that a deployed network is compared with: the first of them that there is."""
+    return tuple(stage for kind in KINDS for stage in (*kind.compared_stages, kind.deployed_stage))
+
+
+def find_compared_stage(stages) -> str:
+    """The stage that the deployed network is compared with, and from which losses are stated.
+
+    Parameters
+    ----------
+    stages : sequence of str
+        Stages in the order of the ladder.
+    """
+    return next((stage for stage in list_compared_stages() if stage in stages), next(iter(stages)))
+
+
+def find_kind(settings: Settings) -> NetworkKind:
+    """The kind of a run's network; the only place that decides it."""
+    return next(kind for kind in KINDS if kind.describes(settings))(settings)
+
+
+def has_networks(settings: Settings, folder: Path) -> bool:
+    """True if the folder of a run with these settings has a network for the bundle."""
+    kind = find_kind(settings)
+    steps = [step for step in kind.steps if kind.is_deployed(step.name)]
+    return any((folder / step.folder / "metrics.json").exists() for step in steps)
