@@ -22,10 +22,11 @@ SET_OPTIONS := $(if $(SET),--set "$$SET")
 SOURCE_OPTIONS := $(DATA_OPTIONS) $(if $(INPUT),--input $(INPUT)) $(SET_OPTIONS)
 CHIP_OPTIONS := $(if $(CHIPS),--chips $(CHIPS))
 BOARD_OPTIONS := $(if $(BOARD),--board $(BOARD)) $(if $(PARTITION),--partition $(PARTITION)) $(CHIP_OPTIONS)
+DOCUMENT_TESTS := tests/documents tests/experiments
 ON_ALL_CORES := --numprocesses logical --maxprocesses 4 --dist worksteal
 OPTIONS := $(SOURCE_OPTIONS) $(if $(SAMPLES),--samples $(SAMPLES)) $(if $(STEPS),--steps $(STEPS))
 
-.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-pythons test-tutorials lint check-code setup-inrc test-inrc setup-nir test-nir check-nir setup-peers test-peers audit clean help
+.PHONY: setup data train convert loihi-emulate loihi-hardware check benchmark results report live shipped-bundle docs test test-documents test-pythons lint check-code setup-inrc test-inrc setup-nir test-nir check-nir setup-peers test-peers audit clean help
 .DEFAULT_GOAL := help
 
 setup:  ## Install the versions pinned in constraints.txt into .venv (3 GB)
@@ -73,8 +74,11 @@ shipped-bundle: setup  ## Train the network that comes with the package, in pipe
 docs: setup  ## Build the documentation site, build/site, and fail on broken links
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
-test: setup  ## Run the tests, on at most four cores
-	@$(BIN)/python -m pytest $(ON_ALL_CORES)
+test: setup  ## Run the tests of the product, on at most four cores
+	@$(BIN)/python -m pytest $(ON_ALL_CORES) $(addprefix --ignore=,$(DOCUMENT_TESTS))
+
+test-documents: setup  ## Execute the documents, the examples and the experiments, and test their results
+	@$(BIN)/python -m pytest $(ON_ALL_CORES) $(DOCUMENT_TESTS)
 
 test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine has (TESTS: options)
 	@for version in 3.11 3.12 3.13; do \
@@ -82,9 +86,6 @@ test-pythons:  ## Run the tests on each of Python 3.11 to 3.13 that this machine
 	  sh setup.sh .venv-$$version "$$python" && echo "Python $$version:" && \
 	  .venv-$$version/bin/python -m pytest $(ON_ALL_CORES) $(TESTS) || exit; \
 	done
-
-test-tutorials: setup  ## Test that the tutorials teach what they say, at their full size (minutes)
-	@TEST_TUTORIALS=1 $(BIN)/python -m pytest tests/test_tutorials.py -k "lessons_hold or real_touch" $(ON_ALL_CORES)
 
 lint: setup  ## Check style
 	@$(BIN)/ruff check .

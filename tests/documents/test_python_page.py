@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.brief import hurry_runs
+from tests.documents.brief import hurry_runs
 from tests.test_documentation import DOCS, blocks, read
 
 
