@@ -54,6 +54,16 @@ def require_ending(path, ending):
         raise UserError(f"{path}: the name must end in {ending}")
 
 
+# What Git LFS has in the place of a large file that was not fetched, and the remedy.
+POINTER_START = b"version https://git-lfs.github.com/"
+FETCH_POINTED = "is a pointer of Git LFS and not the file itself; fetch it with 'git lfs pull'"
+
+
+def is_pointer(content: bytes) -> bool:
+    """True for the beginning of a pointer of Git LFS, which stands for a file."""
+    return content.startswith(POINTER_START)
+
+
 # Remedy if a file cannot be written.
 FREE_IT = "check the folder's permissions and the free space"
 

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deploy.errors import UserError
+from deploy.files import FETCH_POINTED, POINTER_START, is_pointer
 
 REMEDY = "give a .keras or .h5 file that model.save() wrote"
 
@@ -103,6 +104,9 @@ def _read_config(path):
         return config, version, True
     import h5py
 
+    with path.open("rb") as file:
+        if is_pointer(file.read(len(POINTER_START))):
+            raise ModelFileError(FETCH_POINTED)
     if not h5py.is_hdf5(path):
         raise ModelFileError(f"is neither a zip nor an HDF5 file: no Keras model; {REMEDY}")
     _refuse_links(path)

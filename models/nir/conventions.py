@@ -36,6 +36,11 @@ SYNAPTIC_RESET = (
     "; Synaptic with reset_mechanism='zero' needs reset_delay=False, or it ignores the input of "
     "the step after a spike there and not here"
 )
+SINABS_RESET = (
+    "sinabs does not export its reset: by default a neuron spikes as often in a step as the "
+    "threshold can be subtracted, and an IF stays above minus its threshold (--set "
+    "nir.reset=subtract-all; with SingleSpike and without min_v_mem: subtract)"
+)
 LEAKY_IN_STEPS = (
     "; it does not export norm_input=False (--set nir.method=rockpool) nor tau_syn; SpikingJelly's "
     "exporter with dt=1 writes the same numbers for Euler steps (--set nir.method=euler)"
@@ -73,6 +78,9 @@ class Convention:
         What may be wrong, and the setting that corrects it; empty for nothing.
     at_threshold : bool
         A neuron spikes when it reaches its threshold, not only above it.
+    usual_reset : str
+        The framework's default, one of :data:`models.nir.simulator.RESETS`, where graphs do not
+        record the reset and ``reset`` is another one; empty for none.
     """
 
     framework: str
@@ -83,6 +91,7 @@ class Convention:
     reset: str = "value"
     doubt: str = ""
     at_threshold: bool = False
+    usual_reset: str = ""
 
 
 def recognise(nodes, metadata: dict) -> Convention:
@@ -102,15 +111,30 @@ def recognise(nodes, metadata: dict) -> Convention:
         found = rule(states)
         if found is not None:
             return found
-    leaky = [node for node in states if node.kind != "IF"]
+    return _read_as_nir(states)
+
+
+def _read_as_nir(nodes):
+    """NIR's own equations, of a graph that fits no framework."""
+    leaky = [node for node in nodes if node.kind != "IF"]
     in_steps = bool(leaky) and all((node[name_voltage_time(node)] >= 1).all() for node in leaky)
-    unit = "steps, being 1 or more" if in_steps else "seconds"
+    doubt = ""
+    if in_steps:
+        doubt = "its time constants are taken as steps, being 1 or more"
+    elif leaky:
+        doubt = "its time constants are taken as seconds"
+    elif nodes:
+        doubt = "an IF adds r times the step in seconds (if it adds r, give --set nir.step=1000)"
+    if doubt:
+        doubt = (
+            f"no framework is recognised, so {doubt}; 'nir.step', 'nir.method' and 'nir.reset' say "
+            "otherwise"
+        )
+    if leaky:
+        doubt += " (Norse with its defaults: --set nir.step=1 --set nir.method=euler)"
     return Convention(
         "NIR", "exact", 1.0 if in_steps else None, "no framework's numbers",
-        "NIR's own, solved exactly",
-        doubt=f"no framework is recognised, so its time constants are taken as {unit}; 'nir.step', "
-        "'nir.method' and 'nir.reset' say otherwise (Norse with its defaults: --set nir.step=1 "
-        "--set nir.method=euler)" if leaky else "",
+        "NIR's own, solved exactly", doubt=doubt,
     )  # fmt: skip
 
 
@@ -165,6 +189,7 @@ def recognise_snntorch(nodes):
                 f"r = tau / {_time(h)}" + text * bool(currents),
                 "I <- alpha I + S, v <- beta v + I" if currents else "v <- beta v + S",
                 doubt=SNNTORCH_RESET + SYNAPTIC_RESET * bool(currents),
+                usual_reset="subtract-late",
             )  # fmt: skip
     return None
 
@@ -190,9 +215,9 @@ def recognise_rockpool(nodes):
     h = float(f"{h:.1e}") if is_round else h
     return Convention(
         "Rockpool", "rockpool", h, f"r = tau exp(-h / tau) / h with h = {_time(h)}, no w_in",
-        "I <- a (I + S), v <- b v + I", "subtract", at_threshold=True,
-        doubt="Rockpool does not export the biases of its neurons, which may spike several times "
-        "in a step there and once here",
+        "I <- a (I + S), v <- b v + I", "subtract", at_threshold=True, usual_reset="subtract-all",
+        doubt="Rockpool does not export the biases of its neurons, nor max_spikes_per_dt, without "
+        "which they may spike several times in a step (--set nir.reset=subtract-all)",
     )  # fmt: skip
 
 
@@ -307,8 +332,8 @@ def recognise_steps(nodes):
         "time in steps (sinabs, Norse's IAFCell, graphs by hand)", "exact", 1.0,
         "r = 1" + " and time constants of 1 or more" * bool(leaky),
         "v <- alpha v + (1 - alpha) S, alpha = exp(-1 / tau)" if leaky else "v <- v + S",
-        doubt="sinabs subtracts the threshold by default: if it was trained so, give --set "
-        "nir.reset=subtract" + LEAKY_IN_STEPS * bool(leaky),
+        doubt=SINABS_RESET + LEAKY_IN_STEPS * bool(leaky),
+        usual_reset="subtract-all",
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import io
 import h5py
 
 from deploy import limits
+from deploy.files import FETCH_POINTED, is_pointer
 from models.nir.errors import NirError, quote
 
 # Maximum number of groups within groups of a file.
@@ -25,11 +26,17 @@ def read_tree(content: bytes) -> dict:
         The content is not a NIR graph, is damaged, or has links or arrays above
         :data:`deploy.limits.ARRAY_BYTES`.
     """
+    if is_pointer(content):
+        raise NirError(FETCH_POINTED)
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             tree = _read_group(file["node"])
-            if not {"edges", "nodes"} <= tree.keys():
-                raise ValueError("no nodes and edges")
+            missing = {"edges", "nodes"} - tree.keys()
+            if missing:
+                raise NirError(
+                    f"a graph without {' and '.join(sorted(missing))}; export the network again, "
+                    "with a version of the package that can export all of its layers"
+                )
     except NirError:
         raise
     except Exception as error:  # h5py fails in many ways on other and damaged files

@@ -249,13 +249,13 @@ def _find_loops(nodes, edges) -> dict:
     for name in list(nodes):
         before = {a for a, b in edges if b == name}
         after = {b for a, b in edges if a == name}
-        if (
-            _find_kind(nodes[name]) not in ("Linear", "Affine")
-            or before != after
-            or len(before) != 1
-        ):
+        if _find_kind(nodes[name]) not in ("Linear", "Affine") or len(after) != 1:
             continue
-        (layer,) = before
+        (layer,) = after
+        if before != after:
+            if layer in before:
+                _refuse_shared_loop(name, layer, min(before - after))
+            continue
         if layer in loops:
             raise NirError(
                 f"node {quote(layer)}: is connected to itself twice, through "
@@ -264,6 +264,15 @@ def _find_loops(nodes, edges) -> dict:
         loops[layer] = name, nodes.pop(name)
         edges -= {(layer, name), (name, layer)}
     return loops
+
+
+def _refuse_shared_loop(name, layer, other) -> NoReturn:
+    """Refuse weights through which a layer receives both its input and its own spikes."""
+    raise NirError(
+        f"node {quote(name)}: leads both {quote(other)} and the spikes of {quote(layer)} to "
+        f"{quote(layer)}, as Spyx writes recurrent layers, in which the input does not pass these "
+        f"weights; connect {quote(other)} to {quote(layer)} in the edges of the graph"
+    )
 
 
 def _find_chain(nodes, edges) -> tuple:
@@ -560,7 +569,10 @@ def _make_neurons_reader(times, *, spikes, leak=True, weighs=False):
             parameters["v_threshold"] = values.spread("v_threshold", shape)
             parameters["v_reset"] = values.spread("v_reset", shape, 0.0)
             if (parameters["v_threshold"] <= parameters["v_reset"]).any():
-                values.refuse("its v_threshold must be above its v_reset; train it again")
+                values.refuse(
+                    "its v_reset is not below its v_threshold, so that it never stops "
+                    "spiking; correct them in the graph (most packages reset to 0)"
+                )
         return shape, parameters
 
     return handler

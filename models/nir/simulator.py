@@ -19,9 +19,10 @@ from models.nir.equations import METHODS
 from models.nir.errors import NirError
 from models.nir.graph import FILTERS, SPIKING, NirNetwork, Node
 
-# Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; or subtract
-# it in the next step, after the leak, as snnTorch's ``subtract`` does by default.
-RESETS = ("value", "subtract", "subtract-late")
+# Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; subtract it in
+# the next step, after the leak, as snnTorch's ``subtract`` does by default; or, as sinabs and
+# Rockpool do by default, spike as often in a step as it can be subtracted, and subtract all.
+RESETS = ("value", "subtract", "subtract-late", "subtract-all")
 
 # Samples that are simulated together, which bounds the memory.
 SAMPLES_AT_ONCE = 50
@@ -36,7 +37,7 @@ class GraphOutputs:
     outputs : ndarray, shape (n_samples, steps, ...)
         Outputs of the last node: spikes, 0 or 1, or values.
     spikes : dict of str to ndarray of bool, shape (n_samples, steps, ...)
-        Spikes of each spiking node, by its name.
+        Spikes of each spiking node, by its name; numbers of spikes with ``subtract-all``.
     """
 
     outputs: np.ndarray
@@ -99,7 +100,8 @@ def simulate(
         for node in network.nodes:
             signal = run_node(node, signal, step, method, reset, convention.at_threshold)
             if node.kind in SPIKING:
-                spikes[node.name].append(signal.astype(bool))
+                is_count = reset == "subtract-all"
+                spikes[node.name].append(signal.astype(np.int32 if is_count else bool))
         outputs.append(signal)
     joined = {name: np.concatenate(batches) for name, batches in spikes.items()}
     return GraphOutputs(np.concatenate(outputs), joined)
@@ -179,32 +181,45 @@ def _run_over_time(node, signal, step, method, reset, at_threshold):
     equation = METHODS[method](node, step)
     spiking = node.kind in SPIKING
     shape = (len(signal), *node.shape)
-    spiked = np.zeros(shape, bool)
+    spikes = np.zeros(shape)
     current = np.zeros(shape)
     voltage = np.broadcast_to(node["v_reset" if node.kind == "IF" else "v_leak"], shape)
-    exceeds = np.greater_equal if at_threshold else np.greater
     result = np.empty((*signal.shape[:2], *node.shape))
     for t in range(signal.shape[1]):
         total = signal[:, t].reshape(shape)
         if node.loop is not None:
-            total = total + apply(node.loop, spiked).reshape(shape)
+            total = total + apply(node.loop, spikes).reshape(shape)
         voltage = equation.keep_v * voltage + equation.v_from_s * total + equation.added
         voltage = voltage + equation.v_from_i * current
         current = equation.keep_i * current + equation.i_from_s * total
         if spiking:
-            spiked = exceeds(voltage, node["v_threshold"])
-            voltage = np.where(spiked, _reset_voltage(node, voltage, equation, reset), voltage)
-        result[:, t] = spiked if spiking else voltage
+            spikes = _count_spikes(node, voltage, reset, at_threshold)
+            voltage = _reset_voltage(node, voltage, spikes, equation, reset)
+        result[:, t] = spikes if spiking else voltage
     return result
 
 
-def _reset_voltage(node, voltage, equation, reset):
+def _count_spikes(node, voltage, reset, at_threshold):
+    """0 or 1; with ``subtract-all`` the number of spikes in a step."""
+    if reset == "subtract-all":
+        height = node["v_threshold"] - node["v_reset"]
+        return np.maximum(np.floor((voltage - node["v_reset"]) / height), 0.0)
+    exceeds = np.greater_equal if at_threshold else np.greater
+    return exceeds(voltage, node["v_threshold"]).astype(float)
+
+
+def _reset_voltage(node, voltage, spikes, equation, reset):
+    """The voltage after the spikes."""
     if reset == "value":
-        return node["v_reset"]
+        return np.where(spikes > 0, node["v_reset"], voltage)
     taken = node["v_threshold"] - node["v_reset"]
     if reset == "subtract-late":  # the leak reduces it
         taken = taken / np.maximum(equation.keep_v, 1e-300)
-    return voltage - taken
+    voltage = voltage - spikes * taken
+    if reset == "subtract-all" and node.kind == "IF":
+        # sinabs reads an IF with this lower limit, and its from_model converts with it.
+        voltage = np.maximum(voltage, -node["v_threshold"])
+    return voltage
 
 
 # --- nodes without a state, on signals of shape (n, ...) ------------------------------------------

@@ -309,9 +309,12 @@ class NIR(SettingsGroup):
     method: Annotated[str, one_of("auto", "exact", "euler", "norse", "rockpool", "spyx")] = "auto"
     #: The reset with which the graph was trained, which NIR does not record: ``value``, to
     #: ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
-    #: step, as snnTorch does unless ``reset_delay=False``; ``auto``, that of Rockpool and
-    #: Spyx if one of them wrote the graph, otherwise ``value``.
-    reset: Annotated[str, one_of("auto", "value", "subtract", "subtract-late")] = "auto"
+    #: step, as snnTorch does unless ``reset_delay=False``; ``subtract-all``, as often as it fits,
+    #: with a spike each, as sinabs and Rockpool do by default; ``auto``, ``subtract`` or
+    #: ``subtract-late`` if Rockpool or Spyx wrote the graph, otherwise ``value``.
+    reset: Annotated[
+        str, one_of("auto", "value", "subtract", "subtract-late", "subtract-all")
+    ] = "auto"
 
 
 @dataclass(frozen=True)

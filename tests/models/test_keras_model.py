@@ -210,6 +210,13 @@ def test_other_files(tmp_path, content):
         read_keras(path)
 
 
+def test_a_pointer_of_git_lfs(tmp_path):
+    path = tmp_path / "model.h5"
+    path.write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(ModelFileError, match=f"^{path}: .*git lfs pull"):
+        read_keras(path)
+
+
 def test_no_file_and_a_folder_and_weights_alone(tmp_path, files):
     with pytest.raises(UserError, match=r"model\.keras: .*No such file"):
         read_keras(tmp_path / "model.keras")

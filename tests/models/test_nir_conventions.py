@@ -92,6 +92,12 @@ def test_frameworks_are_recognised(name):
     assert found.step == pytest.approx(step, rel=1e-3) if step else found.step is None
 
 
+@pytest.mark.parametrize("neuron", [integrator(300.0), lif(10.0, 8.0), lif(0.02, 8.0)])
+def test_what_fits_no_framework_is_said(neuron):
+    found = network_of((4,), affine(np.random.default_rng(0), 2, 4), neuron).convention
+    assert "nir.step" in found.doubt
+
+
 def test_what_a_graph_says_of_its_step_comes_first():
     tree_with_step = network_of((4,), affine(np.random.default_rng(0), 2, 4), cuba_lif())
     assert tree_with_step.convention.framework == "Norse"

@@ -93,6 +93,13 @@ CONV_BACK = {"type": "Conv2d", "weight": np.ones((3, 3, 3, 3)), "padding": 1}
 WEIGHTS_BACK = {"type": "Linear", "weight": np.eye(27)}
 
 
+def input_through_the_loop(nodes, edges, tree):
+    """As Spyx writes its recurrent layers."""
+    nodes["back"] = WEIGHTS_BACK
+    edges.remove(("n0", "n1"))
+    edges += [("n0", "back"), ("back", "n1"), ("n1", "back")]
+
+
 def second_input(nodes, edges, tree):
     nodes["other"] = {"type": "Input", "shape": np.array([4])}
 
@@ -123,6 +130,7 @@ BAD = {
     "a loop of another size": (loop_over({"type": "Linear", "weight": np.eye(3)}), "'back0'", "27"),
     "a loop over two layers": (lambda n, e, t: e.append(("n3", "n1")), "'n3' (Affine)", "'n1'"),
     "itself": (lambda n, e, t: e.append(("n1", "n1")), "'n1' (LIF)", "itself"),
+    "an input through the loop": (input_through_the_loop, "'back'", "connect 'n0' to 'n1'"),
     "two inputs": (second_input, "2 nodes", "Input"),
     "no output": (put("output", type="Scale"), "0 nodes", "Output"),
     "branch": (branch, "'n3'", "'output'", "'side'"),
@@ -156,13 +164,24 @@ def test_what_cannot_be_used_is_named(what):
 
 
 def test_files_that_are_no_nir(tmp_path, path):
+    pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n"
     for name, content in (("text", b"hello"), ("empty", b""), ("half", path.read_bytes()[:900])):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(NirError, match=name):
             read_nir(tmp_path / name)
+    (tmp_path / "pointer").write_bytes(pointer)
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1
-    for name, fact in (("other.h5", "'?node"), ("missing", "path"), (".", "directory")):
+    with h5py.File(tmp_path / "cut.nir", "w") as file:  # as after a failed export
+        file["node/nodes/0/type"] = b"LIF"
+    facts = {
+        "other.h5": "'?node",
+        "cut.nir": "without edges",
+        "pointer": "git lfs pull",
+        "missing": "path",
+        ".": "directory",
+    }
+    for name, fact in facts.items():
         with pytest.raises(UserError, match=f"^{tmp_path / name}: .*{fact}"):
             read_nir(tmp_path / name)
 

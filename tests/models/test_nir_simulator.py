@@ -70,9 +70,20 @@ def test_steps_by_hand():
 )
 def test_resets_by_hand(r, value, subtract, late):
     network = network_of((1,), lif(2 * H, r))
-    for reset, wanted in zip(RESETS, (value, subtract, late), strict=True):
+    for reset, wanted in zip(RESETS[:3], (value, subtract, late), strict=True):
         found = simulate(network, np.ones((1, 5, 1)), H, "euler", reset).outputs[0, :, 0]
         assert found.tolist() == wanted, reset
+
+
+def test_several_spikes_in_a_step_by_hand():
+    """sinabs: v = 2.5 - 2, 0.5 - 4 and not below -1, -0.5, 2 - 2; Rockpool's LIF has no limit."""
+    inputs = np.array([2.5, -4.0, 0.5, 2.5]).reshape(1, 4, 1)
+    integrator = network_of((1,), ("IF", {"r": 1.0, "v_threshold": 1.0}))
+    found = simulate(integrator, inputs, reset="subtract-all")
+    assert found.outputs.ravel().tolist() == found.spikes["n0"].ravel().tolist() == [2, 0, 0, 2]
+    # v = 2.5 - 2, 0.25 - 4, -1.875 + 0.5, -0.69 + 2.5
+    leaky = simulate(network_of((1,), lif(2.0, 0.5)), inputs, 1.0, "spyx", "subtract-all")
+    assert leaky.outputs.ravel().tolist() == [2, 0, 0, 1]
 
 
 def test_integrate_and_fire_and_thresholds_by_hand():

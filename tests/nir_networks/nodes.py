@@ -183,10 +183,12 @@ def by_rockpool():
     from rockpool.nn.modules import LIFNeuronTorch, LIFTorch, LinearTorch
     from rockpool.nn.modules.torch.nir import to_nir
 
-    values = {"threshold": 1.0, "max_spikes_per_dt": 1, "dt": 1e-3}
+    values = {"threshold": 1.0, "dt": 1e-3, "tau_mem": 0.02}
+    as_chip = {"max_spikes_per_dt": 1, **values}
     kinds = {
-        "currents": lambda n: LIFTorch((n, n), tau_mem=0.02, tau_syn=0.01, **values),
-        "voltages": lambda n: LIFNeuronTorch(n, tau_mem=0.02, **values),
+        "currents": lambda n: LIFTorch((n, n), tau_syn=0.01, **as_chip),
+        "voltages": lambda n: LIFNeuronTorch(n, **as_chip),
+        "several": lambda n: LIFTorch((n, n), tau_syn=0.01, **values),
     }
     for name, make in kinds.items():
         network = Sequential(
@@ -207,6 +209,7 @@ def by_sinabs():
 
     as_chip = {"spike_fn": SingleSpike, "reset_fn": MembraneReset(), "min_v_mem": None}
     kinds = {
+        "several": lambda n: IAF(min_v_mem=-1.0),
         "iaf": lambda n: IAF(**as_chip),
         "lif": lambda n: LIF(tau_mem=torch.full((n,), 10.0), spike_threshold=torch.ones(n),
                              **as_chip),
@@ -216,7 +219,7 @@ def by_sinabs():
             torch.nn.Linear(6, 8, bias=False), make(8), torch.nn.Linear(8, 5), make(5)
         )
         for layer in (network[0], network[2]):
-            layer.weight.data *= 8 if name == "iaf" else 40
+            layer.weight.data *= 40 if name == "lif" else 8
         inputs = (torch.rand(SAMPLES, STEPS, 6) < 0.3).float()
         graph = to_nir(network, inputs[:1])  # with the dimension of time
         sinabs.reset_states(network)

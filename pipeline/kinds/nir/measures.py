@@ -39,6 +39,13 @@ RESET_TEXT = (
     "predictions are the same"
 )
 
+USUAL_RESET_TEXT = (
+    "nir: if it was trained with its package's usual reset, which graphs do not record "
+    "(--set nir.reset={reset}), it has an accuracy of {accuracy_as_trained:.3f}, and with the "
+    "chip's {accuracy:.3f}, on {samples} training samples; {agreement:.1%} of their predictions "
+    "are the same"
+)
+
 CHANCE_TEXT = (
     "nir: hardly better than chance; was the graph trained on inputs in this order (ON, OFF, rows, "
     "columns), with this --step, input.refractory, image.normalisation and order of the classes, "
@@ -77,6 +84,11 @@ def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) 
     if stepping.reset != "value":
         cost = measure_reset_cost(network, stepping, settings, dataset)
         say(RESET_TEXT.format(**cost))
+    usual = network.convention.usual_reset
+    if usual and settings.nir.reset == "auto":
+        usually = replace(stepping, reset=usual)
+        usual_cost = measure_reset_cost(network, usually, settings, dataset)
+        say(USUAL_RESET_TEXT.format(reset=usual, **usual_cost))
     part = "test" if len(dataset.split.test) else "validation"
     index = dataset.split.get_indices(part)
     with progress("simulate nir", len(index)) as advance:

@@ -238,13 +238,16 @@ def test_a_loop_that_runs_away_is_refused(tmp_path, capsys):
     assert missing(capsys.readouterr().err, "'lif'", "'w_rec'", "runs away") == []
 
 
-def test_a_run_of_a_graph_on_images(tmp_path):
-    """Its step declares the settings of the input's spikes, which the simulation reads."""
+def test_a_run_of_a_graph_on_images(tmp_path, capsys):
+    """Its step declares the settings of the input's spikes, which the simulation reads.
+
+    What the reset that sinabs does not write would change is measured.
+    """
     rng = np.random.default_rng(0)
     graph = nir.NIRGraph.from_list(
         nir.Input({"input": np.array([100])}),
         nir.Affine(rng.normal(0, 1, (6, 100)), np.zeros(6)),
-        nir.LIF(*(np.full(6, x) for x in (0.02, 8.0, 0.0, 1.0))),
+        nir.IF(np.ones(6), np.ones(6)),
         nir.Affine(rng.normal(0, 1, (10, 6)), np.zeros(10)),
         nir.Output({"output": np.array([10])}),
     )
@@ -253,6 +256,7 @@ def test_a_run_of_a_graph_on_images(tmp_path):
     given = ["--nir", tmp_path / "some.nir", "--input", "image", *few]
     assert stmnist("convert", tmp_path / "run", *given) == 0
     assert (tmp_path / "run" / "bundle" / "network.json").exists()
+    assert missing(capsys.readouterr().err, "nir.reset=subtract-all)", "are the same") == []
 
 
 @pytest.mark.slow
