@@ -312,9 +312,9 @@ class NIR(SettingsGroup):
     #: step, as snnTorch does unless ``reset_delay=False``; ``subtract-all``, as often as it fits,
     #: with a spike each, as sinabs and Rockpool do by default; ``auto``, ``subtract`` or
     #: ``subtract-late`` if Rockpool or Spyx wrote the graph, otherwise ``value``.
-    reset: Annotated[
-        str, one_of("auto", "value", "subtract", "subtract-late", "subtract-all")
-    ] = "auto"
+    reset: Annotated[str, one_of("auto", "value", "subtract", "subtract-late", "subtract-all")] = (
+        "auto"
+    )
 
 
 @dataclass(frozen=True)
