@@ -19,7 +19,7 @@ from models.nir.equations import METHODS
 from models.nir.errors import NirError
 from models.nir.graph import FILTERS, SPIKING, NirNetwork, Node
 
-# Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; subtract it in
+# Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; do so in
 # the next step, after the leak, as snnTorch's ``subtract`` does by default; or, as sinabs and
 # Rockpool do by default, spike as often in a step as it can be subtracted, and subtract all.
 RESETS = ("value", "subtract", "subtract-late", "subtract-all")
