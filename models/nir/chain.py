@@ -46,7 +46,8 @@ from models.chain import Link, NeuronDecays
 from models.integers import DECAY_UNIT
 from models.nir.equations import METHODS
 from models.nir.errors import NirError
-from models.nir.graph import FILTERS, SPIKING, NirNetwork
+from models.nir.graph import NirNetwork
+from models.nir.nodes import FILTERS, SPIKING
 from models.nir.simulator import apply, check_step
 from models.nir.windows import find_window
 from models.ops import Convolution, Dense
@@ -54,7 +55,7 @@ from models.windows import fit_to_chip
 
 
 def from_nir(
-    network: NirNetwork, step: float, method: str = "exact", input_shape=None, read=None
+    network: NirNetwork, step: float, method: str = "exact", input_shape=None, readout_steps=None
 ) -> tuple:
     """Convert a graph to a chain.
 
@@ -69,7 +70,7 @@ def from_nir(
         (rows, columns, channels) of the chip's input, if the graph's input is flat (channels first,
         then rows, then columns).  Its two channels are one of a graph with half as many inputs, for
         which events of both polarities are the same.
-    read : range, optional
+    readout_steps : range, optional
         Steps of a sample in which the readout is averaged.  A readout behind a filter has the
         graph's mean bias in these steps, since that of the host is the same at each step; by
         default it has the bias that the graph reaches.
@@ -87,12 +88,12 @@ def from_nir(
     """
     check_step(network, step, method)
     shape = network.input_shape
-    chip_shape = _to_places(shape) if input_shape is None else tuple(input_shape)
+    chip_shape = _to_channels_last(shape) if input_shape is None else tuple(input_shape)
     merged = merges_polarities(network, chip_shape)
     if merged:
         chip_shape = (*chip_shape[:2], 1)
-    as_given = len(shape) != 3 or chip_shape == _to_places(shape)
-    if math.prod(chip_shape) != math.prod(shape) or not as_given:
+    is_same_image = len(shape) != 3 or chip_shape == _to_channels_last(shape)
+    if math.prod(chip_shape) != math.prod(shape) or not is_same_image:
         raise NirError(
             f"is for an input of {_format_shape(shape)}, and that of the chip is "
             f"{_format_shape(chip_shape)} (rows, "
@@ -114,7 +115,7 @@ def from_nir(
             step=step,
             method=method,
         )
-        link = nodes_of_link.make_link(read)
+        link = nodes_of_link.make_link(readout_steps)
         counts[link.kind] += 1
         name = "output" if is_last else f"{link.kind}{counts[link.kind]}"
         layers.append(replace(link, name=name))
@@ -154,8 +155,20 @@ def _split_after_neurons(nodes) -> list:
 
 
 @dataclass(frozen=True)
-class _Gains:
-    """A layer's neurons: what an input adds, once and if it is constant, in thresholds."""
+class _InputEffect:
+    """How an input changes the voltages of a layer, in units of the thresholds.
+
+    Attributes
+    ----------
+    once : ndarray
+        What an input of 1 adds in its step.
+    constant : ndarray
+        What a constant input of 1 adds in each step.
+    added : ndarray
+        What is added in each step without an input.
+    keep_u, keep_v : float
+        Shares of current and voltage that remain after a step.
+    """
 
     once: np.ndarray
     constant: np.ndarray
@@ -192,21 +205,21 @@ class _LinkNodes:
         """The equation of a node's step."""
         return METHODS[self.method](node, self.step)
 
-    def make_link(self, read) -> Link:
+    def make_link(self, readout_steps) -> Link:
         """The link, as yet without a name."""
         filters = self.find_filter()
-        gains = self.find_gains()
+        effect = self.find_input_effect()
         loop = None if self.neuron is None else self.neuron.loop
-        keep_u = gains.keep_u
-        once = gains.once
+        keep_u = effect.keep_u
+        once = effect.once
         if filters:
-            keep_u = self.filter_keep(filters[0])
+            keep_u = self.find_remaining_share(filters[0])
             once = once if self.neuron is None else once * (1 - keep_u)
-        maps = [self.settle(node) for node in self.maps]
+        maps = [self.replace_filter(node) for node in self.maps]
         offset = _pass_through(maps, np.zeros((1, *self.before)))[0]
         constant = offset if loop is None else offset + loop["bias"].reshape(self.shape)
-        bias = (gains.added + gains.constant * constant).ravel()
-        neuron = None if self.neuron is None else NeuronDecays(keep_u, gains.keep_v)
+        bias = (effect.added + effect.constant * constant).ravel()
+        neuron = None if self.neuron is None else NeuronDecays(keep_u, effect.keep_v)
         common: dict[str, Any] = {  # arguments of every link
             "name": "",
             "neurons": neuron,
@@ -216,8 +229,8 @@ class _LinkNodes:
         if neuron is None and filters:
             if keep_u > 0:
                 common["synapse"] = float(-LOIHI.dt / np.log(keep_u))
-            if read is not None:
-                bias = self.fade_in(bias, maps, filters[0], keep_u, read)
+            if readout_steps is not None:
+                bias = self.average_bias(bias, maps, filters[0], keep_u, readout_steps)
         if self.is_image and loop is None and len(self.shape) == 3:
             windows = self.find_windows(once, bias)
             if windows is not None:
@@ -247,21 +260,21 @@ class _LinkNodes:
             )
         return filters
 
-    def filter_keep(self, node) -> float:
+    def find_remaining_share(self, node) -> float:
         """The share that remains in a filter; of two time constants the longer one's."""
         equation = self.solve(node)
         keep = np.maximum(equation.keep_v, equation.keep_i)
         return _require_equal(node, keep, "time constants")
 
-    def find_gains(self) -> _Gains:
+    def find_input_effect(self) -> _InputEffect:
         """What an input adds to the neurons' voltage."""
         neuron = self.neuron
         if neuron is None:
             ones = np.ones(self.shape)
-            return _Gains(ones, ones, np.zeros(self.shape))
+            return _InputEffect(ones, ones, np.zeros(self.shape))
         if neuron.kind == "Threshold":
-            gain = 1 / neuron["threshold"]
-            return _Gains(gain, gain, np.zeros(self.shape))
+            per_input = 1 / neuron["threshold"]
+            return _InputEffect(per_input, per_input, np.zeros(self.shape))
         equation = self.solve(neuron)
         theta = neuron["v_threshold"] - neuron["v_reset"]
         keep_v = _require_equal(neuron, equation.keep_v, "membrane time constants")
@@ -270,10 +283,10 @@ class _LinkNodes:
             keep_u = _require_equal(neuron, equation.keep_i, "synaptic time constants")
         constant = equation.input_sum / theta
         added = (equation.added - (1 - equation.keep_v) * neuron["v_reset"]) / theta
-        return _Gains(constant * (1 - keep_u), constant, added, keep_u, keep_v)
+        return _InputEffect(constant * (1 - keep_u), constant, added, keep_u, keep_v)
 
-    def settle(self, node):
-        """A node without memory: a filter is replaced by its steady-state response."""
+    def replace_filter(self, node):
+        """The node itself, or the steady-state response in the place of a filter."""
         if node.kind not in FILTERS:
             return node
         equation = self.solve(node)
@@ -281,48 +294,48 @@ class _LinkNodes:
             "scale": equation.input_sum / (1 - equation.keep_v),
             "offset": equation.added / (1 - equation.keep_v),
         }
-        return replace(node, kind="settled", parameters=parameters)
+        return replace(node, kind="steady", parameters=parameters)
 
-    def fade_in(self, bias, maps, node, keep, read):
-        """The readout's mean bias in the steps that are read.
+    def average_bias(self, bias, maps, node, keep, readout_steps):
+        """The mean bias of the readout in the steps that it averages.
 
         t steps after a sample's start the output includes bias - fading keep^t.
         """
         after = maps[self.maps.index(node) + 1 :]
         at_start = np.broadcast_to(node["v_leak"], (1, *node.shape))
         fading = bias - _pass_through(after, at_start)[0].ravel()
-        return bias - fading * np.mean(keep ** (np.array(read) + 1))
+        return bias - fading * np.mean(keep ** (np.array(readout_steps) + 1))
 
-    def find_windows(self, gain, bias) -> dict | None:
+    def find_windows(self, weight_scale, bias) -> dict | None:
         """The link's parameters as a convolution, or None if it is none on the chip."""
         channels = self.shape[0]
-        gain = gain.reshape(channels, -1)
+        weight_scale = weight_scale.reshape(channels, -1)
         bias = bias.reshape(channels, -1)
-        if (gain != gain[:, :1]).any():
+        if (weight_scale != weight_scale[:, :1]).any():
             return None
         if not np.allclose(bias, bias[:, :1], rtol=1e-12, atol=1e-15):
             return None
-        window = find_window(self.maps, self.before, self.scale_of)
+        window = find_window(self.maps, self.before, self.find_scale)
         if window is None:
             return None
-        found = fit_to_chip(window, self.before[1:], self.shape[1:])
-        if found is None:
+        fitting = fit_to_chip(window, self.before[1:], self.shape[1:])
+        if fitting is None:
             return None
-        weights = found["weights"] * gain[:, 0]
+        weights = fitting["weights"] * weight_scale[:, 0]
         return {
             "operation": Convolution(
-                weights.shape[-1], len(weights), found["stride"], found["padding"]
+                weights.shape[-1], len(weights), fitting["stride"], fitting["padding"]
             ),
             "weights": weights,
             "bias": bias[:, 0].copy(),
-            "pool": found["pool"],
+            "pool": fitting["pool"],
         }
 
-    def scale_of(self, node):
+    def find_scale(self, node):
         """Factors of a node that scales its input."""
-        return node["scale"] if node.kind == "Scale" else self.settle(node)["scale"]
+        return node["scale"] if node.kind == "Scale" else self.replace_filter(node)["scale"]
 
-    def make_dense(self, maps, offset, gain, bias, loop, common) -> Link:
+    def make_dense(self, maps, offset, weight_scale, bias, loop, common) -> Link:
         """The link with a matrix."""
         outputs = math.prod(self.shape)
         inputs = math.prod(self.before)
@@ -332,22 +345,26 @@ class _LinkNodes:
                 f"{outputs * inputs} weights, more than {limits.WEIGHTS}; use square kernels, "
                 "equal strides, or averaging windows that do not overlap"
             )
-        matrix = _make_matrix(maps, self.before, offset) * gain.reshape(-1)  # (inputs, outputs)
-        neurons = np.arange(outputs) if self.is_last else _order_of_places(self.shape)
-        matrix = matrix[_order_of_places(self.before)][:, neurons]
+        matrix = _make_matrix(maps, self.before, offset) * weight_scale.reshape(
+            -1
+        )  # (inputs, outputs)
+        neurons = np.arange(outputs) if self.is_last else _order_channels_last(self.shape)
+        matrix = matrix[_order_channels_last(self.before)][:, neurons]
         if loop is not None:
-            common["recurrent"] = (loop["weight"].T * gain.reshape(-1))[np.ix_(neurons, neurons)]
+            common["recurrent"] = (loop["weight"].T * weight_scale.reshape(-1))[
+                np.ix_(neurons, neurons)
+            ]
         operation = Dense(outputs, output=self.is_last)
         return Link(operation=operation, weights=matrix, bias=bias[neurons], **common)
 
 
-def _require_equal(node, keep, what) -> float:
+def _require_equal(node, keep, parameter) -> float:
     """The value of a parameter that must be equal for all neurons of a layer."""
     low, high = (int(np.rint(DECAY_UNIT * k)) for k in (np.min(keep), np.max(keep)))
     if low != high:
         raise NirError(
-            f"{node}: its {what} differ between neurons, keeping {low} to {high} 4096ths per step; "
-            "NengoLoihi has one per layer: train one time constant for all neurons of a layer"
+            f"{node}: its {parameter} differ between neurons, keeping {low} to {high} 4096ths per "
+            "step; NengoLoihi has one per layer: train one time constant for all neurons of a layer"
         )
     return float(np.mean(keep))
 
@@ -355,7 +372,7 @@ def _require_equal(node, keep, what) -> float:
 def _pass_through(nodes, signal):
     for node in nodes:
         signal = signal.reshape(len(signal), *node.input_shape)
-        if node.kind == "settled":
+        if node.kind == "steady":
             signal = signal * node["scale"] + node["offset"]
         else:
             signal = apply(node, signal)
@@ -372,7 +389,7 @@ def _make_matrix(nodes, before, offset):
     return np.concatenate(rows)
 
 
-def _to_places(shape) -> tuple:
+def _to_channels_last(shape) -> tuple:
     """(rows, columns, channels) of NIR's (channels, rows, columns); a row of channels is one."""
     if len(shape) == 3:
         return (*shape[1:], shape[0])
@@ -381,7 +398,7 @@ def _to_places(shape) -> tuple:
     return shape
 
 
-def _order_of_places(shape):
+def _order_channels_last(shape):
     """Indices with channels first of values in the chip's order, which has channels last."""
     if len(shape) == 1:
         return np.arange(shape[0])

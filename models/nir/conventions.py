@@ -1,6 +1,6 @@
 """Which framework wrote a graph, told from its numbers, and what its numbers mean.
 
-NIR's equations have seconds, but frameworks have steps.  Each writes its time constants and gains
+NIR's equations have seconds, but frameworks have steps.  Each writes its time constants and factors
 in its own way; the functions ``recognise_...`` know one way each, and :func:`recognise` asks them
 in order.  A framework is recognised if all neurons and filters of the graph fit.  The table in
 ``docs/nir.md`` has the same rules in words.
@@ -21,7 +21,7 @@ TOLERANCE = 1e-3
 EXPORTED_STEP = 1e-4
 NORSE_STEP = 1e-3
 
-# Time constants, in seconds, below which a graph with gains of 1 cannot be in seconds: Norse's
+# Time constants, in seconds, below which a graph with r = 1 cannot be in seconds: Norse's
 # exporter multiplies them with its step, SpikingJelly's has multiples of 0.1 ms.
 SHORTEST_SPIKINGJELLY = 1e-4
 SHORTEST_IN_SECONDS = 5e-3
@@ -99,18 +99,18 @@ def recognise(nodes, metadata: dict) -> Convention:
 
     Parameters
     ----------
-    nodes : sequence of models.nir.graph.Node
+    nodes : sequence of models.nir.nodes.Node
     metadata : dict
         Of the graph.
     """
     states = [node for node in nodes if "r" in node.parameters]
-    found = recognise_metadata(states, metadata) or recognise_reset_free(nodes)
-    if found is not None:
-        return found
+    convention = recognise_metadata(states, metadata) or recognise_reset_free(nodes)
+    if convention is not None:
+        return convention
     for rule in RULES:
-        found = rule(states)
-        if found is not None:
-            return found
+        convention = rule(states)
+        if convention is not None:
+            return convention
     return _read_as_nir(states)
 
 
@@ -157,7 +157,9 @@ def recognise_reset_free(nodes):
     followed = {node.name for node, after in pairwise(nodes) if after.kind == "Threshold"}
     if not states or any(node.kind != "LI" or node.name not in followed for node in states):
         return None
-    if not _have_unit_gains(states) or any((node["tau"] < 1 - TOLERANCE).any() for node in states):
+    if not _have_unit_factors(states) or any(
+        (node["tau"] < 1 - TOLERANCE).any() for node in states
+    ):
         return None
     return Convention(
         "Spyx", "spyx", 1.0, "LI with r = 1 and tau of 1 or more before each Threshold (PSU_LIF)",
@@ -179,13 +181,13 @@ def recognise_snntorch(nodes):
     currents = [node for node in nodes if node.kind == "CubaLIF"]
     into = [node["tau_syn"] / _hide_zeros(node["w_in"]) for node in currents]
     for h in (EXPORTED_STEP, 1e-3, 1.0):
-        has_gains = all(_are_near(step, h) for step in into)
+        have_factors = all(_are_near(step, h) for step in into)
         if not all(_are_near(step, h) for step in steps):
             continue
-        if has_gains or (h == EXPORTED_STEP and all(map(_has_no_w_in, currents))):
-            text = ", w_in too" if has_gains else ", without w_in, as in 2023"
+        if have_factors or (h == EXPORTED_STEP and all(map(_has_no_w_in, currents))):
+            text = ", w_in too" if have_factors else ", without w_in, as in 2023"
             return Convention(
-                "snnTorch", "euler" if has_gains else "spyx", h,
+                "snnTorch", "euler" if have_factors else "spyx", h,
                 f"r = tau / {_time(h)}" + text * bool(currents),
                 "I <- alpha I + S, v <- beta v + I" if currents else "v <- beta v + S",
                 doubt=SNNTORCH_RESET + SYNAPTIC_RESET * bool(currents),
@@ -197,7 +199,7 @@ def recognise_snntorch(nodes):
 def recognise_rockpool(nodes):
     """Rockpool: r = tau exp(-h / tau) / h and no w_in, with one h for all neurons.
 
-    h / tau is Lambert's W(1 / r).  A gain of any kind gives some h, so it must be a round number,
+    h / tau is Lambert's W(1 / r).  Any r gives some h, so it must be a round number,
     or the time constants must differ.
     """
     if not nodes or any(node.kind not in ("LIF", "LI", "CubaLIF") for node in nodes):
@@ -205,12 +207,12 @@ def recognise_rockpool(nodes):
     if not all((node["r"] > 0).all() and _has_no_w_in(node) for node in nodes):
         return None
     taus = np.concatenate([node[name_voltage_time(node)].ravel() for node in nodes])
-    gains = np.concatenate([node["r"].ravel() for node in nodes])
-    steps = taus * lambertw(1 / gains).real
+    resistances = np.concatenate([node["r"].ravel() for node in nodes])
+    steps = taus * lambertw(1 / resistances).real
     h = float(np.median(steps))
     is_round = abs(float(f"{h:.1e}") / h - 1) < 1e-4
     differ = not _are_near(taus, taus[0], 0.01)
-    if not _are_near(steps, h, 1e-4) or not (is_round or differ) or (gains == 1).all():
+    if not _are_near(steps, h, 1e-4) or not (is_round or differ) or (resistances == 1).all():
         return None
     h = float(f"{h:.1e}") if is_round else h
     return Convention(
@@ -248,7 +250,7 @@ def recognise_spyx(nodes):
 def recognise_norse_currents(nodes):
     """Norse's LIFCell: CubaLIF with r = 1 and no w_in."""
     currents = [node for node in nodes if node.kind == "CubaLIF"]
-    if not currents or not _have_unit_gains(nodes):
+    if not currents or not _have_unit_factors(nodes):
         return None
     h = _find_norse_step(nodes)
     return Convention(
@@ -287,13 +289,14 @@ def recognise_spikingjelly(nodes):
         evidence = "LIF with r = 1 and time constants of some tenths of a ms"
         taus = np.concatenate([node["tau"].ravel() for node in leaky])
         is_short = (taus >= SHORTEST_SPIKINGJELLY * (1 - TOLERANCE)) & (taus < SHORTEST_IN_SECONDS)
-        if not is_short.all() or not _have_unit_gains(leaky):
+        if not is_short.all() or not _have_unit_factors(leaky):
             return None
         doubt += (
             "; if its exporter had another dt, or these are seconds, give --set nir.step (in ms)"
         )
-    gains = [(node["r"], node["tau"] / h) for node in leaky]
-    if not all(_are_near(r, 1.0) or _are_near(r, whole) for r, whole in gains):
+    if not all(
+        _are_near(node["r"], 1.0) or _are_near(node["r"], node["tau"] / h) for node in leaky
+    ):
         return None
     if any((node["tau"] < h * (1 - TOLERANCE)).any() for node in leaky):
         return None
@@ -307,7 +310,7 @@ def recognise_spikingjelly(nodes):
 def recognise_norse_boxes(nodes):
     """Norse's LIFBoxCell and LIBoxCell as its exporter writes them by default: times times 1 ms."""
     times = [node["tau"].max() for node in nodes if node.kind in ("LIF", "LI")]
-    if not times or max(times) >= SHORTEST_SPIKINGJELLY or not _have_unit_gains(nodes):
+    if not times or max(times) >= SHORTEST_SPIKINGJELLY or not _have_unit_factors(nodes):
         return None
     h = _find_norse_step(nodes)
     return Convention(
@@ -323,7 +326,7 @@ def recognise_steps(nodes):
 
     sinabs' LIF has alpha = exp(-1 / tau) and v <- alpha v + (1 - alpha) S.
     """
-    if not nodes or not _have_unit_gains(nodes):
+    if not nodes or not _have_unit_factors(nodes):
         return None
     leaky = [node for node in nodes if node.kind != "IF"]
     if any((node[name_voltage_time(node)] < 1).any() for node in leaky):
@@ -352,15 +355,15 @@ def _hide_zeros(values):
     return np.where(values == 0, np.nan, values)
 
 
-def _are_near(values, wanted, tolerance=TOLERANCE) -> bool:
-    return bool(np.allclose(values, wanted, rtol=tolerance, atol=0))
+def _are_near(values, target, tolerance=TOLERANCE) -> bool:
+    return bool(np.allclose(values, target, rtol=tolerance, atol=0))
 
 
 def _has_no_w_in(node):
     return "w_in" not in node.parameters or _are_near(node["w_in"], 1.0)
 
 
-def _have_unit_gains(nodes):
+def _have_unit_factors(nodes):
     return all(_are_near(node["r"], 1.0) and _has_no_w_in(node) for node in nodes)
 
 

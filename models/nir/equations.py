@@ -58,8 +58,8 @@ def solve_exactly(node, h) -> StepEquation:
         return StepEquation(b, (1 - b) * node["r"], (1 - b) * node["v_leak"])
     syn, mem, r, w = (node[name] for name in ("tau_syn", "tau_mem", "r", "w_in"))
     a = np.exp(-h / syn)
-    same = np.isclose(syn, mem, rtol=1e-9, atol=0)
-    k = np.where(same, h * b / mem, syn * (a - b) / np.where(same, 1.0, syn - mem))
+    are_equal = np.isclose(syn, mem, rtol=1e-9, atol=0)
+    k = np.where(are_equal, h * b / mem, syn * (a - b) / np.where(are_equal, 1.0, syn - mem))
     direct = r * w * (1 - b - k)
     return StepEquation(b, direct, (1 - b) * node["v_leak"], a, (1 - a) * w, r * k)
 
@@ -81,9 +81,9 @@ def step_by_euler(node, h) -> StepEquation:
     if "tau_syn" not in node.parameters:
         return StepEquation(b, (1 - b) * node["r"], added)
     a = _compute_euler_decay(h, node["tau_syn"])
-    gain = (1 - b) * node["r"]
-    into = (1 - a) * node["w_in"]
-    return StepEquation(b, gain * into, added, a, into, gain * a)
+    v_per_i = (1 - b) * node["r"]
+    i_per_s = (1 - a) * node["w_in"]
+    return StepEquation(b, v_per_i * i_per_s, added, a, i_per_s, v_per_i * a)
 
 
 def step_as_norse(node, h) -> StepEquation:
@@ -96,8 +96,10 @@ def step_as_norse(node, h) -> StepEquation:
     if "tau_syn" not in node.parameters:
         return step_by_euler(node, h)
     a, b = (_compute_euler_decay(h, node[name]) for name in ("tau_syn", "tau_mem"))
-    gain = (1 - b) * node["r"]
-    return StepEquation(b, gain * node["w_in"], (1 - b) * node["v_leak"], a, a * node["w_in"], gain)
+    v_per_i = (1 - b) * node["r"]
+    return StepEquation(
+        b, v_per_i * node["w_in"], (1 - b) * node["v_leak"], a, a * node["w_in"], v_per_i
+    )
 
 
 def step_as_rockpool(node, h) -> StepEquation:
@@ -129,11 +131,11 @@ def step_as_spyx(node, h) -> StepEquation:
         return _integrate(_compute_whole_input(node, h))
     b = _compute_euler_decay(h, node[name_voltage_time(node)])
     added = (1 - b) * node["v_leak"]
-    whole = np.ones_like(b)
+    ones = np.ones_like(b)
     if "tau_syn" not in node.parameters:
-        return StepEquation(b, whole, added)
+        return StepEquation(b, ones, added)
     a = _compute_euler_decay(h, node["tau_syn"])
-    return StepEquation(b, whole, added, a, whole, a)
+    return StepEquation(b, ones, added, a, ones, a)
 
 
 METHODS = {

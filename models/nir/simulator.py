@@ -17,7 +17,8 @@ import numpy as np
 
 from models.nir.equations import METHODS
 from models.nir.errors import NirError
-from models.nir.graph import FILTERS, SPIKING, NirNetwork, Node
+from models.nir.graph import NirNetwork
+from models.nir.nodes import FILTERS, SPIKING, Node
 
 # Effect of a spike on v: set it to v_reset, as in NIR; subtract v_threshold - v_reset; do so in
 # the next step, after the leak, as snnTorch's ``subtract`` does by default; or, as sinabs and
@@ -84,11 +85,11 @@ def simulate(
         raise ValueError("the step is not positive, or an input not finite")
     check_step(network, step, method)
     shape = inputs.shape[2:]
-    wanted = tuple(network.input_shape)
-    one_is_flat = min(len(shape), len(wanted)) == 1 and math.prod(shape) == math.prod(wanted)
-    if shape != wanted and not one_is_flat:
+    expected = tuple(network.input_shape)
+    one_is_flat = min(len(shape), len(expected)) == 1 and math.prod(shape) == math.prod(expected)
+    if shape != expected and not one_is_flat:
         raise ValueError(
-            f"inputs of shape {inputs.shape}; expected (samples, steps, {str(wanted)[1:-1]})"
+            f"inputs of shape {inputs.shape}; expected (samples, steps, {str(expected)[1:-1]})"
         )
     if not len(inputs):
         raise ValueError("no samples to simulate")
@@ -212,10 +213,10 @@ def _reset_voltage(node, voltage, spikes, equation, reset):
     """The voltage after the spikes."""
     if reset == "value":
         return np.where(spikes > 0, node["v_reset"], voltage)
-    taken = node["v_threshold"] - node["v_reset"]
+    height = node["v_threshold"] - node["v_reset"]
     if reset == "subtract-late":  # the leak reduces it
-        taken = taken / np.maximum(equation.keep_v, 1e-300)
-    voltage = voltage - spikes * taken
+        height = height / np.maximum(equation.keep_v, 1e-300)
+    voltage = voltage - spikes * height
     if reset == "subtract-all" and node.kind == "IF":
         # sinabs reads an IF with this lower limit, and its from_model converts with it.
         voltage = np.maximum(voltage, -node["v_threshold"])
@@ -233,31 +234,35 @@ def _compute_convolution(node, signal):
     weight = node["weight"]
     dimensions = weight.ndim - 2
     groups = node["groups"]
-    seen = _view_windows(
+    windows = _view_windows(
         signal, weight.shape[2:], node["stride"], node["padding"], node["dilation"]
     )
     parts = []
-    for group, kernel in enumerate(np.split(weight, groups)):
+    for group, weights_of_group in enumerate(np.split(weight, groups)):
         channels = slice(group * weight.shape[1], (group + 1) * weight.shape[1])
         axes = (1, *range(2 + dimensions, 2 + 2 * dimensions))
-        of_kernel = tuple(range(1, 2 + dimensions))
-        parts.append(np.moveaxis(np.tensordot(seen[:, channels], kernel, (axes, of_kernel)), -1, 1))
+        kernel_axes = tuple(range(1, 2 + dimensions))
+        parts.append(
+            np.moveaxis(
+                np.tensordot(windows[:, channels], weights_of_group, (axes, kernel_axes)), -1, 1
+            )
+        )
     return np.concatenate(parts, 1) + node["bias"].reshape(-1, *(1,) * dimensions)
 
 
-def _view_windows(signal, kernel, stride, padding, dilation):
-    """Views of windows, shape (n, channels, *places, *kernel)."""
-    n = len(kernel)
-    reach = [(k - 1) * d + 1 for k, d in zip(kernel, dilation, strict=True)]
+def _view_windows(signal, size, stride, padding, dilation):
+    """Views of windows, shape (n, channels, *numbers of windows, *size)."""
+    n = len(size)
+    reach = [(k - 1) * d + 1 for k, d in zip(size, dilation, strict=True)]
     padded = np.pad(signal, ((0, 0), (0, 0), *padding))
-    seen = np.lib.stride_tricks.sliding_window_view(padded, reach, tuple(range(2, 2 + n)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, reach, tuple(range(2, 2 + n)))
     steps = (*(slice(None, None, s) for s in stride), *(slice(None, None, d) for d in dilation))
-    return seen[(slice(None), slice(None), *steps)]
+    return windows[(slice(None), slice(None), *steps)]
 
 
 def _pool(node, signal):
-    seen = _view_windows(signal, node["kernel_size"], node["stride"], node["padding"], (1, 1))
-    return seen.mean((-2, -1)) if node.kind == "AvgPool2d" else seen.sum((-2, -1))
+    windows = _view_windows(signal, node["kernel_size"], node["stride"], node["padding"], (1, 1))
+    return windows.mean((-2, -1)) if node.kind == "AvgPool2d" else windows.sum((-2, -1))
 
 
 _LINEAR = {

@@ -8,31 +8,31 @@ import numpy as np
 from models.windows import Window, spread_kernel, sum_shifted
 
 
-def find_window(nodes, shape, scale_of) -> Window | None:
+def find_window(nodes, shape, find_scale) -> Window | None:
     """The map of nodes as windows, or None if it has another form.
 
     Parameters
     ----------
-    nodes : sequence of models.nir.graph.Node
+    nodes : sequence of models.nir.nodes.Node
     shape : tuple of int
         (channels, rows, columns) of their input.
-    scale_of : callable
+    find_scale : callable
         Factors of a node that scales its input, of the node's shape.
     """
     window = Window(np.eye(shape[0])[:, :, None, None], (1, 1), (0, 0))
-    has_kernel = False
+    has_convolution = False
     for node in nodes:
         if node.kind in ("LI", "CubaLI", "Scale"):
-            window = _scale(window, scale_of(node))
-        elif node.kind == "Conv2d" and not has_kernel:
-            has_kernel = True
+            window = _scale(window, find_scale(node))
+        elif node.kind == "Conv2d" and not has_convolution:
+            has_convolution = True
             window = _convolve(window, node)
         elif node.kind in ("AvgPool2d", "SumPool2d") and not any(map(any, node["padding"])):
             size = node["kernel_size"]
             stride = node["stride"]
             factor = 1.0 if node.kind == "SumPool2d" else 1 / math.prod(size)
             is_square = window.pool == 1 and size == stride and size[0] == size[1]
-            if has_kernel:
+            if has_convolution:
                 window = _sum_windows(window, size, stride, factor)
             elif is_square:
                 kernel = window.kernel * factor * size[0] ** 2

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from models.nir.conventions import EXPORTED_STEP
-from models.nir.graph import SPIKING, read_nir
+from models.nir.graph import read_nir
+from models.nir.nodes import SPIKING
 from models.nir.simulator import simulate
 from tests.command import ROOT
 
