@@ -1,7 +1,7 @@
 """A layer of a Keras model, and a model as an architecture and its weights."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -20,7 +20,8 @@ class KerasLayer(NamedTuple):
     def __str__(self):
         return f"layer {self.name!r} ({self.kind})"
 
-    def refuse(self, problem):
+    def refuse(self, problem) -> NoReturn:
+        """Raise a ModelFileError with the layer's name and a problem."""
         raise ModelFileError(f"{self}: {problem}")
 
     def read_pair(self, key) -> tuple:
@@ -73,7 +74,7 @@ class KerasModel:
         One line for each layer that was folded or left out.
     replaced : tuple of str
         One line for each layer with another function than in the file.
-    curves : dict
+    activations : dict
         The functions in the file that ReLUs replace, by the name of the layer of neurons.
     max_pools : dict of str to MaxPool
         The layers in the file that averages replace, by the name of the pooling, or of the dense
@@ -94,7 +95,7 @@ class KerasModel:
     weights: dict
     notes: tuple
     replaced: tuple
-    curves: dict
+    activations: dict
     max_pools: dict
     paddings: dict
     end: str

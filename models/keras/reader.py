@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from deploy.files import hash_file, reporting_os_errors
+from models.keras.converter import NO_CHAIN
 from models.keras.files import REMEDY, ModelFileError, load_keras_model
-from models.keras.layers import NO_CHAIN, convert_layers
+from models.keras.layers import convert_layers
 from models.keras.model import KerasLayer, KerasModel
 
 # Random images on which the architecture is compared with the model.
@@ -42,7 +43,7 @@ def read_keras(path, retrain: bool = False, grid=None, pixels: bool = True) -> K
         The file is no model, or the model is not supported; the message names the file, the layer
         if any, and a remedy.
     UserError
-        The file cannot be read.
+        The file cannot be converted.
     """
     path = Path(path)
     if path.is_dir():
@@ -71,11 +72,11 @@ def _convert(path, sha256, retrain, grid, pixels) -> KerasModel:
     """Convert the model of a file whose content has a hash."""
     model = _load(path, sha256)
     layers = [_read_layer(layer) for layer in _flatten_layers(model)]
-    model_read = convert_layers(tuple(model.inputs[0].shape[1:]), layers, retrain, grid, pixels)
-    if not model_read.architecture.spiking:
+    converted = convert_layers(tuple(model.inputs[0].shape[1:]), layers, retrain, grid, pixels)
+    if not converted.architecture.spiking:
         raise ModelFileError("has no layer of neurons before its output; add one with a ReLU")
-    _compare(model, model_read)
-    return model_read
+    _compare(model, converted)
+    return converted
 
 
 def _flatten_layers(model):
@@ -105,8 +106,10 @@ def make_original_network(model: KerasModel):
     from models.keras.keras2 import tf
 
     names = list(model.architecture.spiking)
-    curves = [model.curves.get(name, "relu") for name in names]
-    network = build_cnn(model.architecture, lambda index: tf.keras.layers.Activation(curves[index]))
+    activations = [model.activations.get(name, "relu") for name in names]
+    network = build_cnn(
+        model.architecture, lambda index: tf.keras.layers.Activation(activations[index])
+    )
 
     def replace_layer(layer):
         if layer.name in model.max_pools:
@@ -167,15 +170,17 @@ def _make_padded_convolution(layer, padding):
     return PaddedConvolution.from_config(layer.get_config())
 
 
-def _compare(model, read: KerasModel):
+def _compare(model, converted: KerasModel):
     """Refuse a model that is no chain of its layers, or that has an effect in prediction only."""
     from models.cnn import predict
     from models.keras.keras2 import quiet_compiler, tf
 
-    shape = read.architecture.input_shape
+    shape = converted.architecture.input_shape
     images = np.random.default_rng(0).uniform(0, 1, (N_COMPARED, *shape)).astype(np.float32)
-    inputs = read.input_scale * images.reshape(N_COMPARED, -1)[:, read.input_order.ravel()]
-    inputs = inputs.reshape(N_COMPARED, *read.input_order.shape)
+    inputs = (
+        converted.input_scale * images.reshape(N_COMPARED, -1)[:, converted.input_order.ravel()]
+    )
+    inputs = inputs.reshape(N_COMPARED, *converted.input_order.shape)
     # XLA computes convolutions with channels first on a CPU, which TensorFlow does not.
     is_channels_first = '"channels_first"' in model.to_json()
     if is_channels_first:
@@ -183,10 +188,14 @@ def _compare(model, read: KerasModel):
     compute = tf.function(model, jit_compile=True) if is_channels_first else model
     with np.errstate(all="ignore"):
         outputs = np.asarray(compute(inputs, training=False))
-        logits = predict(make_original_network(read), images)
+        logits = predict(make_original_network(converted), images)
         if outputs.shape[1] == 1:
             logits = logits[:, 1:] - logits[:, :1]
-        end = tf.nn.log_softmax if read.end == "log_softmax" else tf.keras.activations.get(read.end)
+        end = (
+            tf.nn.log_softmax
+            if converted.end == "log_softmax"
+            else tf.keras.activations.get(converted.end)
+        )
         difference = np.abs(np.asarray(end(tf.constant(logits))) - outputs).max()
         if not difference <= MAX_DIFFERENCE * np.abs(outputs).max():
             raise ModelFileError(NO_CHAIN)

@@ -46,6 +46,10 @@ class Signal:
         self.offset = np.append(self.offset, 0.0)[positions.ravel()]
         self.shape = positions.shape
 
+    def flatten(self):
+        """Move the values into one dimension."""
+        self.arrange(self.positions.reshape(-1))
+
     def move_axis(self, before, after):
         """Move an axis of the shape."""
         self.arrange(np.moveaxis(self.positions, before, after))
@@ -54,8 +58,8 @@ class Signal:
         """Pad zeros around the rows and columns of an image."""
         self.arrange(np.pad(self.positions, (*pads, (0, 0)), constant_values=-1))
         self.pads = tuple(
-            (before[0] + more[0], before[1] + more[1])
-            for before, more in zip(self.pads, pads, strict=True)
+            (before[0] + added[0], before[1] + added[1])
+            for before, added in zip(self.pads, pads, strict=True)
         )
 
     def find_channel_affine(self):

@@ -1,0 +1,387 @@
+"""The layers of a Keras model converted so far, and the linear function that follows them.
+
+The chip has convolutions and dense layers of neurons with the curve of a ReLU, averaging between
+them, and a linear output.  Between two layers with weights, Keras's layers are linear: they scale
+(normalisation), move values (flatten, reshape, permute, pad) or average.
+:class:`LayerConverter` keeps this linear function as a sparse matrix and an offset
+(:class:`models.keras.signal.Signal`),
+
+    signal = map @ built + offset,
+
+with the signal of the Keras model on the left, and that of the layers built so far on the right.
+The next layer with weights takes it in: for a dense layer with any map, ``kernel' = map^T kernel``
+and ``bias' = bias + offset kernel``; for a convolution if the map scales channels and pads zeros.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from models.architecture import MAX_VALUES, MAX_WEIGHTS, Architecture
+from models.keras.files import ModelFileError
+from models.keras.model import KerasLayer, KerasModel, MaxPool
+from models.keras.signal import Signal
+from models.ops import Dense, Pooling
+
+# Maximum number of weights of a convolution that is written as a matrix.
+MAX_MATRIX_WEIGHTS = 20_000_000
+
+# Largest value of a pixel, with which an image of this project is multiplied where the first layer
+# of a model takes pixels.
+MAX_PIXEL = 255.0
+
+# Activations that do not change which output is the largest.
+MONOTONE = (
+    *("softmax", "log_softmax", "sigmoid", "tanh", "softplus", "softsign", "elu", "selu"),
+    *("exponential", "relu", "leaky_relu"),
+)
+
+NO_CHAIN = "is not one chain of layers, each called once and with its input only; build one"
+RETRAIN = "with --retrain it becomes"
+USE_RELU = "use activation='relu' (in the output 'softmax' or None)"
+
+
+@dataclass
+class WeightedSums:
+    """Weighted sums of a layer, with what is folded into its kernel and bias.
+
+    Attributes
+    ----------
+    layer : KerasLayer
+    kernel, bias : ndarray
+    activation : str or callable
+        The activation in the file; the architecture has ReLUs only.
+    maxima : MaxPool or None
+        In the file between the built signal and the kernel.
+    """
+
+    layer: KerasLayer
+    kernel: np.ndarray = field(repr=False)
+    bias: np.ndarray = field(repr=False)
+    activation: object = "relu"
+    maxima: MaxPool | None = None
+
+
+@dataclass(frozen=True)
+class WindowMeans:
+    """Averages over windows of the built image.
+
+    Attributes
+    ----------
+    size, strides : tuple of int
+        Of the windows along rows and columns.
+    affine : (ndarray, ndarray)
+        Scale and offset of each channel.
+    map : scipy.sparse.csr_array
+        That of the signal after the average; the signal has another one if something else followed.
+    """
+
+    size: tuple
+    strides: tuple
+    affine: tuple
+    map: object
+
+
+class LayerConverter:
+    """The layers converted so far, and the linear function from their signal to the model's.
+
+    Parameters
+    ----------
+    order : (ndarray, tuple)
+        Positions of an image's values in the model's input, and the shape of the image.
+    retrain, pixels : bool
+        As for :func:`models.keras.layers.convert_layers`.
+
+    Attributes
+    ----------
+    layers : list of models.ops.base.Operation
+        The layers of the architecture so far, pooling included.
+    sums : list of WeightedSums
+        Those of them with weights.
+    signal : Signal
+        The linear function from the signal of the last layer to the model's.
+    is_linear : bool
+        True if no activation has followed the last weighted sums.
+    maxima : MaxPool or None
+        A maximum over windows of the built image, which the next dense layer takes in.
+    means : WindowMeans or None
+        Averages over windows of the built image, which the next convolution may take in.
+    max_pools, paddings : dict
+        As in `KerasModel`, by the index of their layer.
+    end : (KerasLayer, str) or None
+        A layer and its activation, if it may be the output's.
+    input_scale : float
+        As in `KerasModel`.
+    notes, replaced : list of str
+        As in `KerasModel`.
+    """
+
+    def __init__(self, order, retrain, pixels=True):
+        self.input_order, self.input_shape = order
+        self.retrain = retrain
+        self.pixels = pixels
+        self.layers = []
+        self.sums = []
+        self.max_pools = {}
+        self.maxima = None
+        self.means = None
+        self.input_scale = 1.0
+        self.paddings = {}
+        self.is_linear = False
+        self.end = None
+        self.notes = []
+        self.replaced = []
+        self.signal = Signal(self.input_shape)
+        self.signal.arrange(self.input_order)
+
+    @property
+    def ends_dense(self) -> bool:
+        """True if the last layer built is dense."""
+        return bool(self.layers) and isinstance(self.layers[-1], Dense)
+
+    def finish(self) -> KerasModel:
+        """The model of the layers so far, the last of which becomes the output.
+
+        Raises
+        ------
+        ModelFileError
+            The layers have no output, or their weights are too large.
+        """
+        is_dense = self.ends_dense and self.signal.is_unchanged
+        if is_dense and not self.is_linear:
+            self.end = self.sums[-1].layer, "relu"
+        elif not is_dense:
+            self.read_out()
+        last = self.sums[-1]
+        activation = "linear"
+        if self.end is not None:
+            layer, activation = self.end
+            name = name_activation(activation)
+            self.notes.append(f"{layer}: its {name} left out, which does not change the prediction")
+        if self.layers[-1].units == 1:
+            if activation != "sigmoid":
+                last.layer.refuse(
+                    "has one output; use one unit per class, or activation='sigmoid' for two "
+                    "classes"
+                )
+            # Softmax of 0 and z is the sigmoid of z.
+            last.kernel = np.concatenate([np.zeros_like(last.kernel), last.kernel], axis=1)
+            last.bias = np.concatenate([[0.0], last.bias])
+            self.layers[-1] = Dense(2)
+            self.notes.append(f"{last.layer}: one output became two classes")
+        return self._make_model(activation)
+
+    def _make_model(self, end):
+        layers = (*self.layers[:-1], replace(self.layers[-1], output=True))
+        architecture = Architecture(self.input_shape, layers)
+        names = architecture.names
+        weighted = [name for name, layer in zip(names, layers, strict=True) if layer.has_neurons]
+        weights = {}
+        for name, sums in zip(weighted, self.sums, strict=True):
+            kernel = sums.kernel
+            if sums.maxima is not None:
+                kernel = sums.maxima.means.T @ kernel
+            with np.errstate(over="ignore"):  # infinite values are refused below
+                kernel, bias = (np.asarray(a, np.float32) for a in (kernel, sums.bias))
+            if not (np.isfinite(kernel).all() and np.isfinite(bias).all()):
+                sums.layer.refuse("its weights are too large for single precision")
+            weights |= {f"{name}.kernel": kernel, f"{name}.bias": bias}
+        activations = {
+            name: sums.activation for name, sums in zip(weighted, self.sums, strict=True)
+        }
+        max_pools = {names[index]: pool for index, pool in self.max_pools.items()}
+        for name, sums in zip(weighted, self.sums, strict=True):
+            if sums.maxima is not None:
+                kernel = np.asarray(sums.kernel, np.float32)
+                max_pools[name] = replace(sums.maxima, kernel=kernel)
+        return KerasModel(
+            architecture=architecture,
+            weights=weights,
+            notes=tuple(self.notes),
+            replaced=tuple(self.replaced),
+            activations={n: c for n, c in activations.items() if c != "relu" and n != "output"},
+            max_pools=max_pools,
+            paddings={names[index]: values for index, values in self.paddings.items()},
+            end=end,
+            input_order=self.input_order,
+            input_scale=self.input_scale,
+        )
+
+    # --- weighted sums ----------------------------------------------------------------------------
+
+    def append_dense(self, layer, kernel, bias):
+        """Append a dense layer; one that follows another without an activation is multiplied."""
+        bias = self.signal.offset @ kernel + bias
+        kernel = self.signal.map.T @ kernel
+        if self.maxima is not None or (self.layers and isinstance(self.layers[-1], Pooling)):
+            self.require_activation(layer)
+        if self.is_linear:
+            before = self.make_linear_dense()
+            bias = before.bias @ kernel + bias
+            kernel = before.kernel @ kernel
+            self.maxima = before.maxima
+            self.notes.append(f"{before.layer}: folded into {layer}, since it has no activation")
+            self.layers.pop()
+            self.sums.pop()
+        self.append_sums(layer, Dense(kernel.shape[1]), kernel, bias)
+
+    def make_linear_dense(self) -> WeightedSums:
+        """The last sums, which have no activation, as those of a dense layer."""
+        last = self.sums[-1]
+        operation = self.layers[-1]
+        if isinstance(operation, Dense):
+            return last
+        before = self.input_shape
+        for layer in self.layers[:-1]:
+            before = layer.compute_shape(before)
+        if math.prod(before) * math.prod(self.signal.built) > MAX_MATRIX_WEIGHTS:
+            last.layer.refuse("has no activation; use activation='relu'")
+        from models.keras.keras2 import tf
+
+        units = np.eye(math.prod(before)).reshape(-1, *before)
+        matrix = tf.nn.conv2d(
+            units, last.kernel, operation.stride, operation.padding.upper()
+        ).numpy()
+        bias = np.broadcast_to(last.bias, self.signal.built).ravel()
+        return WeightedSums(last.layer, matrix.reshape(len(units), -1), bias)
+
+    def append_sums(self, layer, operation, kernel, bias):
+        """Append an operation with its kernel and bias."""
+        weights = kernel.size
+        if self.maxima is not None:
+            weights = math.prod(self.maxima.image) * kernel.shape[1]
+        if (
+            math.prod(operation.compute_shape(self.signal.built)) > MAX_VALUES
+            or weights > MAX_WEIGHTS
+        ):
+            layer.refuse(f"has more than {MAX_VALUES} outputs or {MAX_WEIGHTS} weights")
+        self.signal.begin(operation.compute_shape(self.signal.built))
+        self.layers.append(operation)
+        bias = np.broadcast_to(bias, kernel.shape[-1:])
+        self.sums.append(WeightedSums(layer, kernel, bias, maxima=self.maxima))
+        self.maxima = None
+        self.is_linear = True
+
+    def read_out(self):
+        """Append an output that only passes on the signal, as after a global average."""
+        if not self.sums or len(self.signal.shape) != 1:
+            raise ModelFileError("does not end with a Dense; add one with one unit per class")
+        outputs = len(self.signal.offset)
+        self.append_dense(KerasLayer("Dense", "output", {}, ()), np.eye(outputs), np.zeros(outputs))
+
+    # --- activations ------------------------------------------------------------------------------
+
+    def use_layer_activation(self, layer):
+        """Use the activation that a layer with weights, or an Activation, has."""
+        activation = layer.config.get("activation")
+        if not (activation is None or isinstance(activation, str)):
+            layer.refuse(f"its activation is not one of Keras's; {USE_RELU}")
+        if activation not in (None, "linear"):
+            self.use_activation(layer, activation)
+
+    def use_activation(self, layer, activation):
+        """Use an activation for the output if possible, and otherwise for a hidden layer."""
+        is_vector = len(self.signal.shape) == 1
+        is_dense = self.is_linear and self.ends_dense and is_vector
+        if activation == "softmax" and self.sums and is_vector and not is_dense:
+            self.read_out()
+            is_dense = True
+        if is_dense and activation != "relu" and is_monotone(activation):
+            self.end = layer, activation
+        else:
+            self.use_hidden_activation(layer, activation)
+
+    def use_hidden_activation(self, layer, activation):
+        """Use the activation of a hidden layer."""
+        if activation == "softmax":
+            layer.refuse("its softmax does not follow the output; remove it")
+        if not self.sums:
+            layer.refuse("precedes the first Conv2D or Dense; remove it")
+        last = self.sums[-1]
+        if not self.is_linear:
+            # A signal that is not negative passes a ReLU unchanged.
+            is_positive = last.activation == "relu" and self.signal.is_never_negative
+            if activation != "relu" or not is_positive:
+                layer.refuse(
+                    f"a second activation after that of {last.layer}; put the normalisation, or "
+                    "the averaging, before or after both, or remove one"
+                )
+            return
+        if not self.signal.is_moved:
+            layer.refuse(
+                "follows an average, or a normalisation of each position, of sums; put the "
+                "activation before it, and the normalisation before the Flatten"
+            )
+        self.is_linear = False
+        if activation == "relu":
+            return
+        name = name_activation(activation)
+        if not self.retrain:
+            layer.refuse(
+                f"{name!r} is not the curve of a spiking neuron, which is like a ReLU; "
+                f"{RETRAIN} a ReLU and is trained further; or {USE_RELU}"
+            )
+        last.activation = activation
+        self.replaced.append(f"{layer}: {name} replaced by a ReLU")
+
+    def require_activation(self, layer):
+        """Refuse sums without an activation before a convolution."""
+        if not self.is_linear:
+            return
+        last = self.sums[-1]
+        if not self.retrain:
+            last.layer.refuse(
+                f"has no activation before {layer.name!r}; use activation='relu' ({RETRAIN} a ReLU)"
+            )
+        self.is_linear = False
+        last.activation = "linear"
+        self.replaced.append(f"{last.layer}: a ReLU added, since it has no activation")
+
+    # --- scales -----------------------------------------------------------------------------------
+
+    def apply_affine(self, layer, scale, offset):
+        """Fold ``scale * signal + offset``; they broadcast to the signal's shape."""
+        try:
+            scale, offset = (np.broadcast_to(a, self.signal.shape).ravel() for a in (scale, offset))
+        except ValueError:
+            layer.refuse(NO_CHAIN)
+        with np.errstate(all="ignore"):  # infinite weights are refused in _make_model
+            if self.is_linear and self.fold_back(scale, offset):
+                self.notes.append(f"{layer}: folded into {self.sums[-1].layer}")
+                return
+            has_means = self.means is not None and self.means.map is self.signal.map
+            self.signal.scale(scale, offset)
+            if has_means:
+                self.scale_means(scale, offset)
+        self.notes.append(f"{layer}: folded into the next layer")
+
+    def scale_means(self, scale, offset):
+        """Scale averages that a convolution may take in, if each channel is scaled as a whole."""
+        scales, offsets = (a.reshape(-1, self.signal.shape[2]) for a in (scale, offset))
+        if (scales == scales[0]).all() and (offsets == offsets[0]).all():
+            before, constant = self.means.affine
+            affine = (scales[0] * before, scales[0] * constant + offsets[0])
+            self.means = replace(self.means, affine=affine, map=self.signal.map)
+
+    def fold_back(self, scale, offset) -> bool:
+        """Fold an affine function into the last weighted sums, if it is one for each channel."""
+        if not self.signal.is_moved or self.signal.map.nnz != len(scale):
+            return False
+        last = self.sums[-1]
+        scales, offsets = (
+            (self.signal.map.T @ values).reshape(-1, len(last.bias)) for values in (scale, offset)
+        )
+        if (scales != scales[0]).any() or (offsets != offsets[0]).any():
+            return False
+        last.kernel = last.kernel * scales[0]
+        last.bias = last.bias * scales[0] + offsets[0]
+        return True
+
+
+def name_activation(activation) -> str:
+    return activation if isinstance(activation, str) else activation.__name__
+
+
+def is_monotone(activation) -> bool:
+    return name_activation(activation) in MONOTONE
