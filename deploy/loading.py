@@ -92,18 +92,19 @@ def load(kind, values, name: str = "", extra: bool = False):
     """
     if not isinstance(values, dict):
         raise WrongValue(name, f"must be a table of values, not {_shorten(values)}")
-    known = {entry.name: entry for entry in fields(kind) if entry.init}
+    entries = {entry.name: entry for entry in fields(kind) if entry.init}
     built = {}
-    unknown = sorted(str(each)[:40] for each in set(values) - set(known))
+    unknown = sorted(str(key)[:40] for key in set(values) - set(entries))
     if unknown and not extra:
         raise WrongValue(_join_names(name, unknown[0]), "is unknown")
-    for each, entry in known.items():
-        where = _join_names(name, each)
-        if each in values:
-            built[each] = _build_value(_read_hints(kind)[each], values[each], where, extra)
-            _require_limit(entry.metadata.get("limit"), built[each], where)
+    for entry_name, entry in entries.items():
+        full_name = _join_names(name, entry_name)
+        if entry_name in values:
+            hint = _read_hints(kind)[entry_name]
+            built[entry_name] = _build_value(hint, values[entry_name], full_name, extra)
+            _require_limit(entry.metadata.get("limit"), built[entry_name], full_name)
         elif entry.default is MISSING and entry.default_factory is MISSING:
-            raise WrongValue(where, "is missing")
+            raise WrongValue(full_name, "is missing")
     try:
         return kind(**built)
     except WrongValue as error:

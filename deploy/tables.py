@@ -49,8 +49,8 @@ def align_in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = W
             fitting = columns
     lines = align_rows([row[:fitting] for row in rows], left)
     if fitting < len(rows[0]):
-        rest = [[*row[:left], *row[fitting:]] for row in rows]
-        lines += ["", *align_in_blocks(rest, left, width)]
+        remaining = [[*row[:left], *row[fitting:]] for row in rows]
+        lines += ["", *align_in_blocks(remaining, left, width)]
     return lines
 
 

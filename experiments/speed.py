@@ -19,7 +19,8 @@ from deploy.errors import CheckFailed
 from deploy.files import write_json
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.responses import make_responses, record_stream
+from deploy.network.responses import make_responses
+from deploy.network.simulation import record_stream
 from deploy.tables import align_rows
 from deploy.targets.fast import Emulation
 from deploy.targets.registry import run_target

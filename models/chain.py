@@ -21,7 +21,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from deploy.network.geometry import compute_pooled_shape
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.layer import Layer, Neurons
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import Stimulus
 from models.architecture import Architecture
 from models.ops import Operation, Pooling
@@ -72,7 +74,7 @@ class Link:
     sources : tuple of str
         Names of the nodes of an imported graph that the link represents, for messages.
     starts : tuple of int
-        See :class:`deploy.network.spec.Layer`.
+        See :class:`deploy.network.layer.Layer`.
     """
 
     name: str
@@ -105,7 +107,7 @@ class Link:
     @property
     def shape(self) -> tuple:
         """Shape of its outputs, (rows, columns, channels) or (values,)."""
-        return self.operation.compute_shape(self.read_shape)
+        return self.operation.compute_shape(self.pooled_shape)
 
     @property
     def size(self) -> int:
@@ -118,13 +120,11 @@ class Link:
         return self.operation.count_input_fan_out(self.input_shape, self.pool)
 
     @property
-    def read_shape(self) -> tuple:
-        """Shape of the values that the weights read: of the input, after pooling."""
-        return (
-            self.input_shape
-            if self.pool == 1
-            else compute_pooled_shape(self.input_shape, self.pool)
-        )
+    def pooled_shape(self) -> tuple:
+        """Shape of the input after pooling, which is what the weights multiply."""
+        if self.pool == 1:
+            return self.input_shape
+        return compute_pooled_shape(self.input_shape, self.pool)
 
 
 def make_links(architecture: Architecture, weights: dict | None = None) -> tuple:
@@ -150,13 +150,13 @@ def make_links(architecture: Architecture, weights: dict | None = None) -> tuple
     before = architecture.input_shape
     pool = 1
     layers = zip(architecture.names, architecture.layers, architecture.shapes, strict=False)
-    for name, layer, read_shape in layers:
+    for name, layer, pooled_shape in layers:
         if isinstance(layer, Pooling):
             pool *= layer.size
             continue
         arrays = {
             array: _take_array(weights, f"{name}.{array}", shape)
-            for array, shape in layer.list_array_shapes(read_shape).items()
+            for array, shape in layer.list_array_shapes(pooled_shape).items()
         }
         link = Link(name, layer, before, arrays["kernel"], arrays["bias"], pool=pool)
         links.append(link)

@@ -15,8 +15,8 @@ import numpy as np
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI, Chip
 from deploy.network.geometry import sum_squares
+from deploy.network.layer import Neurons
 from deploy.network.reference import NeuronEquations
-from deploy.network.spec import Neurons
 from models.architecture import Architecture
 from models.chain import Link, make_links
 
@@ -224,7 +224,7 @@ def simulate_spikes(
             bias=bias,
             threshold=integers.threshold,
             floor=integers.floor,
-            gain=WEIGHT_UNIT * 2.0**integers.exponent,
+            input_scale=WEIGHT_UNIT * 2.0**integers.exponent,
             is_integer=True,
         )
         recurrent = integers.recurrent

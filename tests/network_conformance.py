@@ -15,12 +15,14 @@ import numpy as np
 
 from deploy.network.blocks import BlockNeeds, choose_blocks
 from deploy.network.chip import LOIHI
+from deploy.network.layer import Layer, Neurons
 from deploy.network.ops import DEPLOYED_OPERATIONS
 from deploy.network.ops.base import DeployedOperation, list_ranges
 from deploy.network.ops.dense import DeployedDense
+from deploy.network.presentation import Presentation
 from deploy.network.reference import make_input_spikes, run_reference
 from deploy.network.responses import make_responses
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import find_target, run_target
@@ -104,7 +106,7 @@ def _assert_layer_written(layer):
 
 def _assert_built(layer, rng):
     """Nengo computes its sums, and a core needs no more than what is counted."""
-    transform, inputs = layer.operation.transform(layer, LOIHI)
+    transform, inputs = layer.operation.make_transform(layer, LOIHI)
     values = rng.normal(size=layer.operation.count_fan_out(layer.input_shape).size)
     with nengo.Network() as network:
         source = nengo.Node(values)
@@ -115,7 +117,7 @@ def _assert_built(layer, rng):
     with nengo.Simulator(network, progress_bar=False) as sim:
         sim.run_steps(1)
     np.testing.assert_allclose(
-        sim.data[probe], layer.compute_sums(values), atol=1e-9, err_msg="transform"
+        sim.data[probe], layer.compute_sums(values), atol=1e-9, err_msg="make_transform"
     )
     output = Layer(
         name="output",

@@ -189,7 +189,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(run, person, tmp_path, cap
 
 
 def test_a_readout_on_the_chip_and_other_classes(tmp_path, run, person, capsys):
-    from deploy.network.spec import Neurons
+    from deploy.network.layer import Neurons
 
     bundle = read_bundle(run / "bundle")
     readout = replace(bundle.spec.layers[-1], neurons=Neurons(0.001), synapse=0.008)

@@ -12,7 +12,7 @@ from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
-from deploy.network.responses import TargetOutput
+from deploy.network.output import TargetOutput
 from deploy.preflight.plan import make_plan
 from deploy.targets.options import Options, option
 from deploy.targets.registry import TARGETS, Target, list_options, run_target, select_options
@@ -144,11 +144,11 @@ class DeployedOneToOne(DeployedOperation):
 
     kind = "own"
 
-    def compute_shape(self, read_shape):
-        return (math.prod(read_shape),)
+    def compute_shape(self, pooled_shape):
+        return (math.prod(pooled_shape),)
 
-    def compute_weight_shape(self, read_shape):
-        return self.compute_shape(read_shape)
+    def compute_weight_shape(self, pooled_shape):
+        return self.compute_shape(pooled_shape)
 
     def compute_sums(self, weights, values):
         return weights * values.reshape(len(values), -1)

@@ -10,8 +10,8 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.network.ops import DEPLOYED_OPERATIONS
+from deploy.network.output import TargetOutput
 from deploy.network.reference import run_reference
-from deploy.network.responses import TargetOutput
 from deploy.targets.registry import TARGETS, Target
 from models.ops import OPERATIONS, Convolution, Dense
 from tests.deploy.networks import bundle_at
@@ -51,12 +51,12 @@ class Affine(DeployedOneToOne):
 
 
 class TooFew(DeployedOneToOne):
-    def count_fan_out(self, read_shape):
-        return np.zeros(read_shape, int)
+    def count_fan_out(self, pooled_shape):
+        return np.zeros(pooled_shape, int)
 
 
 class OtherTransform(DeployedOneToOne):
-    def transform(self, layer, chip):
+    def make_transform(self, layer, chip):
         import nengo
 
         return nengo.Dense((layer.size, layer.size), init=np.ones((layer.size,) * 2)), None
@@ -72,7 +72,7 @@ class NameOfALayer(DeployedOneToOne):
 
 
 class OtherLargest(DeployedOneToOne):
-    def find_largest_weights(self, weights, read_shape):
+    def find_largest_weights(self, weights, pooled_shape):
         return np.abs(weights).max() * np.ones(len(weights))
 
 
@@ -82,7 +82,7 @@ class OtherLargest(DeployedOneToOne):
         (Squared, "one weight"),
         (Affine, "not linear"),
         (TooFew, "count_fan_out"),
-        (OtherTransform, "transform"),
+        (OtherTransform, "make_transform"),
         (NameOfALayer, "names of a layer"),
         (OtherLargest, "find_largest_weights"),
     ],

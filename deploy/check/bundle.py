@@ -89,9 +89,9 @@ class CheckSet:
         digest.update(inputs)
         return digest.hexdigest()
 
-    def __getitem__(self, some: slice) -> CheckSet:
+    def __getitem__(self, samples: slice) -> CheckSet:
         """A subset of the samples."""
-        return CheckSet(self.inputs[some], self.labels[some], self.ids[some], self.seed)
+        return CheckSet(self.inputs[samples], self.labels[samples], self.ids[samples], self.seed)
 
 
 @dataclass(frozen=True)
@@ -146,8 +146,9 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
         "ids": np.array(checks.ids, dtype=str),
         "seed": np.array(checks.seed, np.int64),
     }
-    for stored, given in ((samples["inputs"], checks.inputs), (samples["labels"], checks.labels)):
-        if stored.dtype.kind != "f" and not np.array_equal(stored, given):
+    for name in ("inputs", "labels"):
+        is_changed = not np.array_equal(samples[name], getattr(checks, name))
+        if samples[name].dtype.kind != "f" and is_changed:
             raise ValueError("a label or an event is not a whole number, or out of range")
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
     if (wrong := _find_problem(samples, spec)) is not None:
@@ -188,7 +189,7 @@ def require_replaceable(path):
         return
     if not path.is_dir():
         raise UserError(f"{path}: is a file, not a bundle's folder; move it away")
-    others = {each.name for each in path.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
+    others = {entry.name for entry in path.iterdir()} - {*FILES, "MANIFEST.json", RESULTS}
     if others:
         raise UserError(
             f"{path}: not replaced by a bundle, because it also has {min(others)}; move that away"

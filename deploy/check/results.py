@@ -405,11 +405,11 @@ def describe_loss(reference: dict, result: dict) -> Optional[str]:
     compared = compare_results(reference, result)
     if compared.accuracy_drop <= 0 or compared.p_value >= WARNING_P_VALUE:
         return None
-    own, other = compared.accuracies
+    of_reference, of_result = compared.accuracies
     return WARNING + (
         f"{result['target']} is significantly less accurate than {reference['target']} on the same "
-        f"samples: {other:.3f} instead of {own:.3f} (McNemar p = {compared.p_value:.2g}, "
-        f"below {WARNING_P_VALUE:g})"
+        f"samples: {of_result:.3f} instead of {of_reference:.3f} "
+        f"(McNemar p = {compared.p_value:.2g}, below {WARNING_P_VALUE:g})"
     )
 
 

@@ -149,18 +149,18 @@ def run_streams(job: StreamJob) -> Iterator[dict]:
     begun = time.perf_counter()
     by_stream = watch.during(respond_to_streams(job.spec, samples, job.target, seed, **options))
     for (first, checks), responses in zip(job.streams, by_stream):
-        now = time.perf_counter()
+        ended = time.perf_counter()
         record = {
             "of": job.identity,
             "first": first,
             "samples": list_sample_records(checks, responses),
-            "seconds": now - begun,
+            "seconds": ended - begun,
         }
         if responses.notes:
             record["notes"] = responses.notes
         if watch.names:
             record["overflows"] = sorted(watch.names)
-        begun = now
+        begun = ended
         _append_record(job.partial, record)
         yield record
 

@@ -28,7 +28,7 @@ def choose_blocks(layers, chip: Chip = LOIHI) -> Dict[str, Tuple[int, ...]]:
 
     Parameters
     ----------
-    layers : sequence of deploy.network.spec.Layer
+    layers : sequence of deploy.network.layer.Layer
         Layers of a network, in order.
     chip : Chip
     """
@@ -51,7 +51,7 @@ def find_rescaled_layers(layers) -> List[str]:
 
     Parameters
     ----------
-    layers : sequence of deploy.network.spec.Layer
+    layers : sequence of deploy.network.layer.Layer
         Layers of a network, in order.
     """
     shapes = choose_blocks(layers)
@@ -59,7 +59,7 @@ def find_rescaled_layers(layers) -> List[str]:
     for layer in layers:
         if layer.name not in shapes or layer.neurons is None:
             continue
-        largest = layer.operation.find_largest_weights(layer.weights, layer.read_shape)
+        largest = layer.operation.find_largest_weights(layer.weights, layer.pooled_shape)
         if layer.recurrent is not None:
             largest = np.maximum(largest, np.abs(layer.recurrent).max(1))
         ranges = list_ranges(layer.shape[-1], shapes[layer.name][-1])
@@ -73,8 +73,8 @@ def choose_block(layer, after=None, after_block=None, chip: Chip = LOIHI) -> Tup
 
     Parameters
     ----------
-    layer : deploy.network.spec.Layer
-    after : deploy.network.spec.Layer, optional
+    layer : deploy.network.layer.Layer
+    after : deploy.network.layer.Layer, optional
         The next layer on the chip, which receives its spikes.
     after_block : tuple of int, optional
         Its block.
@@ -121,7 +121,7 @@ class BlockNeeds:
 
     Parameters
     ----------
-    layer : deploy.network.spec.Layer
+    layer : deploy.network.layer.Layer
     chip : Chip
     """
 

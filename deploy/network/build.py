@@ -11,17 +11,18 @@ from nengo.builder import transforms
 
 from .blocks import choose_blocks
 from .chip import LOIHI, Chip
+from .layer import Layer, Neurons
 from .loihi_import import nengo_loihi
-from .spec import Layer, NetworkSpec, Neurons
+from .spec import NetworkSpec
 from .stimulus import EventFrames, Feed
 
 
-def pad(array, widths, **more):
+def pad(array, widths, **options):
     """Replacement for :func:`numpy.pad` that copies directly if all widths are 0.
 
     The copy is necessary: Nengo takes its windows from the memory of a whole array, not of a view.
     """
-    return np.pad(array, widths, **more) if any(map(any, widths)) else array.copy()
+    return np.pad(array, widths, **options) if any(map(any, widths)) else array.copy()
 
 
 def pad_only_where_needed():
@@ -32,9 +33,9 @@ def pad_only_where_needed():
     network.
     """
     if getattr(transforms, "np", None) is np:
-        theirs = types.ModuleType("numpy")
-        vars(theirs).update(vars(np), pad=pad)
-        transforms.np = theirs
+        numpy_with_pad = types.ModuleType("numpy")
+        vars(numpy_with_pad).update(vars(np), pad=pad)
+        transforms.np = numpy_with_pad
 
 
 pad_only_where_needed()
@@ -103,7 +104,7 @@ class Built:
     feed : Feed
     output : nengo.Probe
         The readout at each step: decoded values on the host, those of all sections of the
-        presentation (:func:`deploy.network.responses.select_readout`), or spikes of output
+        presentation (:func:`deploy.network.readout.select_readout`), or spikes of output
         neurons on the chip.
     spikes : dict of str to nengo.Probe
         Spikes of each spiking layer, in order.
@@ -146,7 +147,7 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
         spikes["input"] = nengo.Probe(source)
         for layer in spec.layers:
             target = _add_units(network, layer, blocks)
-            transform, inputs = layer.operation.transform(layer, chip)
+            transform, inputs = layer.operation.make_transform(layer, chip)
             nengo.Connection(
                 source if inputs is None else source[inputs],
                 target,

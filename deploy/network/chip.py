@@ -112,3 +112,6 @@ LOIHI = Chip(
     synaptic_operation_joules=(23.6 + 3.5) * 1e-12,
     neuron_update_joules=81e-12,
 )
+
+# Time step in seconds, on which NengoLoihi's decays and the firing rates of training depend.
+DT = LOIHI.dt

@@ -19,21 +19,21 @@ class PaddedConvolution(nengo.Convolution):
     Parameters
     ----------
     zeros : int
-    **more
+    **options
         As for :class:`nengo.Convolution`.  The last window must end with the padded input.
     """
 
     zeros = nengo.params.IntParam("zeros", low=0)
 
-    def __init__(self, zeros, **more):
-        super().__init__(padding="same", **more)
+    def __init__(self, zeros, **options):
+        super().__init__(padding="same", **options)
         self.zeros = zeros
 
     @property
     def output_shape(self):
         """Output shape after applying convolution to input."""
         sizes = zip(self.input_shape.spatial_shape, self.kernel_size, self.strides)
-        counts = [(n + 2 * self.zeros - kernel) // stride + 1 for n, kernel, stride in sizes]
+        counts = [(n + 2 * self.zeros - size) // stride + 1 for n, size, stride in sizes]
         return ChannelShape((*counts, self.n_filters), channels_last=True)
 
 

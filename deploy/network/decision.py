@@ -120,12 +120,12 @@ def make_estimator_inputs(outputs, first: int = 0) -> np.ndarray:
     ahead = outputs - outputs.max(-1, keepdims=True)
     log_p = ahead - np.log(np.exp(ahead).sum(-1, keepdims=True))
     ranked = np.flip(np.sort(log_p, -1), -1)[..., :RANKS]
-    which = np.eye(classes)[outputs.argmax(-1)]
+    is_largest = np.eye(classes)[outputs.argmax(-1)]
     step = np.broadcast_to(
         (first + np.arange(steps, dtype=float))[:, None], (*ranked.shape[:-1], 1)
     )
     changes = (outputs - delay_outputs(outputs, lag) for lag in LAGS)
-    return np.concatenate([ranked, which, log_p, step, *changes], -1)
+    return np.concatenate([ranked, is_largest, log_p, step, *changes], -1)
 
 
 def delay_outputs(outputs, steps: int) -> np.ndarray:

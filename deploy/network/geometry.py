@@ -7,18 +7,19 @@ import numpy as np
 from ..arithmetic import divide_up
 
 
-def list_windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
+def list_windows(n: int, size: int, stride: int = 1, padding: str = "valid"):
     """Windows of a convolution along one dimension.
 
     Parameters
     ----------
     n : int
         Number of values along the dimension.
-    kernel, stride : int
+    size, stride : int
+        Of the windows.
     padding : str
         ``"valid"``; ``"same"``: ceil(n / stride) windows, which takes max((ceil(n / stride) - 1)
-        stride + kernel - n, 0) zeros, half of them before the values, rounded down (as TensorFlow
-        and Nengo have it); or a number of zeros before and after the values, such as ``"1"``.
+        stride + size - n, 0) zeros, half of them before the values, rounded down (as TensorFlow and
+        Nengo have it); or a number of zeros before and after the values, such as ``"1"``.
 
     Returns
     -------
@@ -27,40 +28,42 @@ def list_windows(n: int, kernel: int, stride: int = 1, padding: str = "valid"):
     """
     zeros = 0
     if padding == "same":
-        zeros = max((divide_up(n, stride) - 1) * stride + kernel - n, 0)
+        zeros = max((divide_up(n, stride) - 1) * stride + size - n, 0)
     elif padding != "valid":
         zeros = 2 * int(padding)
-    return (n + zeros - kernel) // stride + 1, zeros // 2, zeros - zeros // 2
+    return (n + zeros - size) // stride + 1, zeros // 2, zeros - zeros // 2
 
 
-def compute_padded_kernel_size(n: int, kernel: int, stride: int, zeros: str) -> int:
+def compute_padded_kernel_size(n: int, kernel_size: int, stride: int, zeros: str) -> int:
     """Size of a kernel with zeros at its end, whose last window ends with the padded values."""
-    count = list_windows(n, kernel, stride, zeros)[0]
+    count = list_windows(n, kernel_size, stride, zeros)[0]
     return n + 2 * int(zeros) - (count - 1) * stride
 
 
-def count_windows(n: int, count: int, kernel: int, stride: int, before: int) -> np.ndarray:
+def count_windows(n: int, count: int, size: int, stride: int, before: int) -> np.ndarray:
     """Number of windows, of ``count``, that contain each of n positions, int64, shape (n,)."""
     steps = np.zeros(n + 1, np.int64)
     start = np.arange(count) * stride - before
     np.add.at(steps, np.clip(start, 0, n), 1)
-    np.add.at(steps, np.clip(start + kernel, 0, n), -1)
+    np.add.at(steps, np.clip(start + size, 0, n), -1)
     return np.cumsum(steps)[:n]
 
 
-def compute_convolution_shape(input_shape, kernel, filters, stride=1, padding="valid") -> tuple:
+def compute_convolution_shape(
+    input_shape, kernel_size, filters, stride=1, padding="valid"
+) -> tuple:
     """(rows, columns, channels) of a convolution's output."""
-    return (*(list_windows(n, kernel, stride, padding)[0] for n in input_shape[:2]), filters)
+    return (*(list_windows(n, kernel_size, stride, padding)[0] for n in input_shape[:2]), filters)
 
 
 def count_convolution_fan_out(
-    input_shape, kernel, filters, stride=1, padding="valid"
+    input_shape, kernel_size, filters, stride=1, padding="valid"
 ) -> np.ndarray:
     """Synapses that leave each input of a convolution, int64, of shape ``input_shape``."""
     reach = []
     for n in input_shape[:2]:
-        count, before, _ = list_windows(n, kernel, stride, padding)
-        reach.append(count_windows(n, count, kernel, stride, before))
+        count, before, _ = list_windows(n, kernel_size, stride, padding)
+        reach.append(count_windows(n, count, kernel_size, stride, before))
     positions = np.outer(*reach) * filters
     return np.repeat(positions[..., None], input_shape[2], axis=2)
 
@@ -114,17 +117,17 @@ def unpool(values, input_shape, size: int) -> np.ndarray:
     return result
 
 
-def list_inputs_within(input_shape, read_shape):
-    """Numbers of the inputs in the first rows and columns, or None for all of them.
+def list_inputs_within(input_shape, complete_shape):
+    """Indices of the inputs in the first rows and columns, or None for all of them.
 
     Values outside of complete pooling windows are not read.
 
     Parameters
     ----------
-    input_shape, read_shape : tuple of int
-        (rows, columns, channels) of the input, and of what is read of it.
+    input_shape, complete_shape : tuple of int
+        (rows, columns, channels) of the input, and of its complete pooling windows.
     """
-    if read_shape == input_shape:
+    if complete_shape == input_shape:
         return None
-    places = np.arange(np.prod(input_shape)).reshape(input_shape)
-    return places[: read_shape[0], : read_shape[1]].ravel().tolist()
+    indices = np.arange(np.prod(input_shape)).reshape(input_shape)
+    return indices[: complete_shape[0], : complete_shape[1]].ravel().tolist()

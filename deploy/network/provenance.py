@@ -24,10 +24,10 @@ def read_positions(spec: NetworkSpec) -> Optional[np.ndarray]:
         To the right and down; the larger extent is 1, the origin is the upper left corner.  None if
         the positions are not known.
     """
-    known = spec.provenance.get("positions")
-    if known is None:
+    stored = spec.provenance.get("positions")
+    if stored is None:
         return None
-    positions = np.asarray(known, float)
+    positions = np.asarray(stored, float)
     positions = positions - positions.min(axis=0)
     return positions / (positions.max() or 1.0)
 

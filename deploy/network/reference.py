@@ -3,11 +3,11 @@
 In each time step a layer of neurons computes (Davies et al. 2018, Section "Neuron model";
 NengoLoihi 1.1, ``emulator/interface.py``, ``CompartmentState.update``)::
 
-    u(t) = cut(keep_u u(t-1)) + gain * sums(t)               the current
+    u(t) = cut(keep_u u(t-1)) + input_scale * sums(t)        the current
     v(t) = max(cut(keep_v v(t-1)) + u(t) + bias, floor)      the voltage; 0 while the neuron waits
     s(t) = 1 where v(t) > threshold, and then v(t) = 0       the spikes
 
-``sums(t)`` are the weighted sums (:meth:`deploy.network.spec.Layer.compute_sums`) of the spikes
+``sums(t)`` are the weighted sums (:meth:`deploy.network.layer.Layer.compute_sums`) of the spikes
 that arrive; a spike arrives one step after it was sent, at the next layer and at the layer itself
 if it is recurrent.  After a spike a neuron waits some steps, its refractory period.  In the chip's
 integers ``cut`` rounds toward zero, and the shares that remain, keep_u and keep_v, are multiples of
@@ -25,8 +25,10 @@ from typing import Iterator, Union
 
 import numpy as np
 
-from .responses import TargetOutput
-from .spec import DT, Layer, NetworkSpec
+from .chip import DT
+from .layer import Layer
+from .output import TargetOutput
+from .spec import NetworkSpec
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,8 @@ class NeuronEquations:
         Shares of current and voltage that remain after a step.
     bias : float or ndarray, shape (neurons,)
     threshold, floor : float
-    gain : float
-        What the weighted sums are multiplied with.
+    input_scale : float
+        Factor of the weighted sums.
     waiting_steps : int
         Refractory period in steps after that of the spike.
     is_integer : bool
@@ -52,7 +54,7 @@ class NeuronEquations:
     bias: Union[float, np.ndarray]
     threshold: float = 1.0
     floor: float = -np.inf
-    gain: float = 1.0
+    input_scale: float = 1.0
     waiting_steps: int = 0
     is_integer: bool = False
 
@@ -75,9 +77,9 @@ class NeuronEquations:
         waiting = np.zeros(sums.shape[1:], int)
         spikes = np.zeros(sums.shape, bool)
         for t in range(len(sums)):
-            u = self._cut(u * self.keep_u) + sums[t] * self.gain
+            u = self._cut(u * self.keep_u) + sums[t] * self.input_scale
             if recurrent is not None and t:
-                u = u + spikes[t - 1].astype(float) @ recurrent * self.gain
+                u = u + spikes[t - 1].astype(float) @ recurrent * self.input_scale
             v = np.maximum(self._cut(v * self.keep_v) + u + self.bias, self.floor)
             v[waiting > 0] = 0
             spikes[t] = v > self.threshold
@@ -108,7 +110,7 @@ def derive_equations(layer: Layer, area: float) -> NeuronEquations:
         keep_v=keep_v,
         bias=(1 - keep_v) * np.tile(layer.bias, layer.size // len(layer.bias)),
         floor=neurons.min_voltage,
-        gain=(1 - keep_u) * (1 - keep_v) * area / DT,
+        input_scale=(1 - keep_u) * (1 - keep_v) * area / DT,
         waiting_steps=round(neurons.tau_ref / DT),
     )
 
@@ -149,7 +151,7 @@ class InputNeurons:
 
     def __init__(self, stimulus, n_streams, size):
         self._static = stimulus.static
-        self._gain = stimulus.max_rate if self._static else 1.0
+        self._max_rate = stimulus.max_rate if self._static else 0.0
         self._phase = stimulus.initial_phase if self._static else 0.0
         self._voltage = np.full((n_streams, size), self._phase, float)
         self._frames = None
@@ -185,16 +187,16 @@ class InputNeurons:
 
     def _make_even_spikes(self, frame, out):
         """The steps of a constant input, in Nengo's order of operations."""
-        drive = self._gain * np.asarray(frame, float)
+        drive = self._max_rate * np.asarray(frame, float)
         voltage = self._voltage
         increase = np.maximum(drive, 0) * DT
         blank = drive <= 0
-        whole = np.empty_like(voltage)
+        crossings = np.empty_like(voltage)
         for step in range(out.shape[1]):
             voltage += increase
-            np.floor(voltage, out=whole)
-            voltage -= whole
-            np.not_equal(whole, 0, out=out[:, step].view(bool))
+            np.floor(voltage, out=crossings)
+            voltage -= crossings
+            np.not_equal(crossings, 0, out=out[:, step].view(bool))
             np.putmask(voltage, blank, self._phase)
 
 

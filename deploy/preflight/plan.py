@@ -14,9 +14,9 @@ from typing import Dict, List, Tuple
 from ..arithmetic import divide_up
 from ..errors import UserError
 from ..network.build import build
-from ..network.chip import LOIHI, Chip
+from ..network.chip import DT, LOIHI, Chip
 from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
-from ..network.spec import DT, NetworkSpec, get_spec
+from ..network.spec import NetworkSpec, get_spec
 from ..tables import align_in_blocks, format_count
 from .resources import (
     compute_worst_case,
@@ -163,8 +163,8 @@ def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:
     """
     plan = make_plan(spec, chips)
     if plan.problems:
-        more = f" (and {len(plan.problems) - 1} more)" if len(plan.problems) > 1 else ""
-        raise UserError("the network does not fit: " + plan.problems[0] + more)
+        others = f" (and {len(plan.problems) - 1} more)" if len(plan.problems) > 1 else ""
+        raise UserError("the network does not fit: " + plan.problems[0] + others)
     return plan
 
 
@@ -195,9 +195,9 @@ def _allocate(model, chips, chip):
         return {block: divmod(i, chip.cores) for i, block in enumerate(model.blocks)}
     board = nengo_loihi.hardware.allocators.GreedyInterchip()(model, n_chips=chips)
     return {
-        block: (board.chip_index(one), one.core_index(core))
-        for one in board.chips
-        for core in one.cores
+        block: (board.chip_index(used), used.core_index(core))
+        for used in board.chips
+        for core in used.cores
         for block in core.blocks
     }
 
@@ -218,14 +218,14 @@ class _Axons:
     targets: dict
 
 
-def _plan_core(layer, index, place, block, axons, chip):
+def _plan_core(layer, index, position, block, axons, chip):
     shared, unshared = count_axon_cfg_registers(block, axons.targets)
     worst_input, worst_current = compute_worst_case(block, axons.intervals, chip)
     return CorePlan(
         layer=layer,
         part=index,
-        chip=place[0],
-        core=place[1],
+        chip=position[0],
+        core=position[1],
         used=count_used(block, chip, shared),
         unshared_axon_cfgs=unshared,
         pop_types=tuple(sorted({synapse.pop_type for synapse in block.synapses})),
@@ -311,12 +311,12 @@ def _warn_of_layers(cores, chip):
                 f"{unshared - limit} more than the {limit} of a core: a board may refuse it "
                 f"(NengoLoihi issue 326); {REMEDIES['AxonCfg registers']}"
             )
-        for what, worst, most in (
+        for name, worst, largest in (
             ("one step's input", max(core.worst_input for core in of_layer), chip.input_limit),
             ("the current", max(core.worst_current for core in of_layer), chip.current_limit),
         ):
-            if worst >= most:
-                yield f"layer {layer}: {what} can wrap around ({worst / most:.1f} x)"
+            if worst >= largest:
+                yield f"layer {layer}: {name} can wrap around ({worst / largest:.1f} x)"
 
 
 # What the columns of a plan are.

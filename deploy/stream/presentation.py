@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..arithmetic import divide_up
-from ..network.responses import RunningReadout
+from ..network.readout import RunningReadout
 from ..targets.fast import Emulation
 
 # Maximum number of steps that are computed at once, which bounds the memory for their frames.

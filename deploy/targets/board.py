@@ -21,7 +21,8 @@ from ..arithmetic import divide_up
 from ..errors import UserError, format_as_line
 from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, nengo_loihi
-from ..network.responses import TargetOutput, record_stream
+from ..network.output import TargetOutput
+from ..network.simulation import record_stream
 from ..network.spec import NetworkSpec
 from ..preflight.plan import REMEDIES, require_fit
 from .options import MAX_WAIT_S, BoardOptions

@@ -17,10 +17,11 @@ import numpy as np
 
 from ..errors import UserError
 from ..network.build import build
+from ..network.chip import DT
 from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
+from ..network.output import TargetOutput, hash_spikes
 from ..network.reference import InputNeurons
-from ..network.responses import TargetOutput, hash_spikes
-from ..network.spec import DT, NetworkSpec
+from ..network.spec import NetworkSpec
 
 from fastloihi.layout import Unsupported  # isort: skip  (NengoLoihi without TensorFlow comes first)
 
@@ -132,7 +133,7 @@ class Emulation:
         """Compartment of each neuron of a layer, which may be on several cores."""
         neurons = np.concatenate([list(model.block_comp_map[block]) for block in blocks])
         slices = (self.chip.blocks[block] for block in blocks)
-        compartments = np.concatenate([np.arange(one.start, one.stop) for one in slices])
+        compartments = np.concatenate([np.arange(block.start, block.stop) for block in slices])
         return compartments[np.argsort(neurons, kind="stable")]
 
     def _find_decoders(self, probe):
@@ -220,14 +221,14 @@ class Emulation:
                 n_input += sent.sum(axis=1, dtype=np.int32)
                 if watch is not None:
                     packed["input"].append(np.packbits(sent, axis=2))
-                    for name, places in self.positions.items():
+                    for name, compartments in self.positions.items():
                         packed[name].append(
-                            np.packbits(_select_compartments(spikes, places), axis=2)
+                            np.packbits(_select_compartments(spikes, compartments), axis=2)
                         )
             counts["input"].append(n_input)
-            for name, places in self.positions.items():
+            for name, compartments in self.positions.items():
                 counts[name].append(
-                    _select_compartments(state.chip.counters[:, 1] - before, places)
+                    _select_compartments(state.chip.counters[:, 1] - before, compartments)
                 )
             if watch is not None:
                 watch({name: np.concatenate(arrays, axis=1) for name, arrays in packed.items()})
@@ -267,12 +268,12 @@ def _find_senders(model, spike_input):
     return np.arange(connection.pre_obj.size_out)[connection.pre_slice]
 
 
-def _select_compartments(values, places):
+def _select_compartments(values, compartments):
     """Some compartments' values, of an array with all compartments as its last axis."""
-    first, n = (int(places[0]), len(places)) if len(places) else (0, 0)
-    if np.array_equal(places, np.arange(first, first + n)):
+    first, n = (int(compartments[0]), len(compartments)) if len(compartments) else (0, 0)
+    if np.array_equal(compartments, np.arange(first, first + n)):
         return values[..., first : first + n]
-    return np.take(values, places, axis=-1)
+    return np.take(values, compartments, axis=-1)
 
 
 class Readout:
@@ -314,9 +315,9 @@ class Readout:
         if self._step is not None:
             for step in range(values.shape[1]):
                 # A filter's output has Nengo's delay of one step.
-                now = self._filtered
+                delayed = self._filtered
                 self._filtered = np.array(self._step(None, np.ascontiguousarray(values[:, step])))
-                values[:, step] = now
+                values[:, step] = delayed
         return values
 
 
@@ -376,8 +377,8 @@ def _list_batches(streams, count_fitting_streams):
 def _warn_of(overflows):
     for name, counts in overflows.items():
         if counts.any():
-            places = ", ".join(f"{n} in {place}" for n, place in zip(counts, OVERFLOWS) if n)
-            message = f"layer {name!r}: overflows of the chip's integers: {places}"
+            compartments = ", ".join(f"{n} in {place}" for n, place in zip(counts, OVERFLOWS) if n)
+            message = f"layer {name!r}: overflows of the chip's integers: {compartments}"
             warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 
@@ -420,8 +421,8 @@ def measure_firing_rates(
         def watch(spikes, of_batch=of_batch):
             """Unpack and count the spikes of one sample of each stream."""
             for name, size in sizes.items():
-                read = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
-                of_batch[name].append(read.sum(axis=1))
+                in_window = np.unpackbits(spikes[name][:, -window:], axis=2, count=size)
+                of_batch[name].append(in_window.sum(axis=1))
 
         emulation.run(batch, watch)
         for name, of_samples in of_batch.items():

@@ -9,9 +9,9 @@ from ..errors import UserError
 MAX_WAIT_S = 600.0
 
 
-def option(default, text, least=None, most=None):
+def option(default, help_text, least=None, largest=None):
     """A field with its range, and its help on both command lines."""
-    return field(default=default, metadata={"help": text, "range": (least, most)})
+    return field(default=default, metadata={"help": help_text, "range": (least, largest)})
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,15 @@ class Options:
     """
 
     def __post_init__(self):
-        for each in fields(self):
-            lowest, highest = each.metadata["range"]
+        for entry in fields(self):
+            lowest, highest = entry.metadata["range"]
             if lowest is None:
                 continue
-            value = getattr(self, each.name)
+            value = getattr(self, entry.name)
             if value < lowest:
-                raise UserError(f"--{each.name} must be at least {lowest:g}")
+                raise UserError(f"--{entry.name} must be at least {lowest:g}")
             if not value <= highest:  # also refuses NaN
-                raise UserError(f"--{each.name} must be at most {highest:g}")
+                raise UserError(f"--{entry.name} must be at most {highest:g}")
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,13 @@ class BoardOptions(Options):
     chips : int
         Maximum number of chips for the network.
     attempts : int
-        Maximum number of attempts per stream.  NengoLoihi tries to connect three times in each.
+        Maximum number of attempts per stream.  NengoLoihi tries to connect three times in entry.
     wait : float
         Seconds before the second attempt, doubled for each further one up to `MAX_WAIT_S`.
     energy : bool
         Measure power.
     timeout : float
-        Time limit in seconds for the connection and for the run of a stream, each.
+        Time limit in seconds for the connection and for the run of a stream, entry.
     """
 
     board: Optional[str] = option(None, "Name of a board (default: the cluster's choice).")

@@ -4,7 +4,7 @@ To add a target:
 
 1. Write a function ``run(spec, streams, seed)`` in a file of this folder.  A stream is an array of
    samples that are presented one after the other, from a fresh network on.  For each stream the
-   function yields a :class:`~deploy.network.responses.TargetOutput`: the readout at each step, and
+   function yields a :class:`~deploy.network.output.TargetOutput`: the readout at each step, and
    the spikes if the target knows them.  Scores and decisions are computed from it in one place.
    :mod:`deploy.network.reference` has what a target computes, as equations, and
    :func:`~deploy.network.reference.run_reference` is a target of them.  :mod:`.simulators` has
@@ -44,7 +44,7 @@ class Target:
     ----------
     name : str
     run : callable
-        ``run(spec, streams, seed)`` yields a :class:`~deploy.network.responses.TargetOutput` for
+        ``run(spec, streams, seed)`` yields a :class:`~deploy.network.output.TargetOutput` for
         each stream, in order.  Targets with options also have a keyword argument ``options``, which
         is None for their defaults.
     title : str
@@ -315,7 +315,7 @@ def run_target(
         There is no target of that name, the network's stimulus cannot present the samples, or
         NengoLoihi cannot build the network.
     """
-    from ..network.responses import join
+    from ..network.responses import join_responses
 
     flat = spec.flatten_samples(samples)
     refuse_unfit(spec, target, seed)
@@ -328,4 +328,4 @@ def run_target(
             advance(len(responses.scores))
     if watch.names:
         remark(WARNING + describe_overflows(spec, target, watch.names))
-    return join(by_stream)
+    return join_responses(by_stream)

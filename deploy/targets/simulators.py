@@ -8,7 +8,8 @@ import nengo
 
 from ..network.build import build
 from ..network.loihi_import import BUILD_ERRORS, make_build_error, nengo_loihi
-from ..network.responses import TargetOutput, record_stream
+from ..network.output import TargetOutput
+from ..network.simulation import record_stream
 from ..network.spec import NetworkSpec
 
 

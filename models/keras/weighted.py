@@ -48,9 +48,8 @@ def convert_convolution(converter: LayerConverter, layer: KerasLayer):
     if offset.any() and _reads_padding(window, built, counts):
         _pad_without_offset(converter, layer, scale, offset)
     if len(kernel) != max(layer.read_pair("kernel_size")):
-        converter.notes.append(
-            f"{layer}: its windows became a kernel of {operation.kernel}x{operation.kernel}"
-        )
+        size = f"{operation.kernel_size}x{operation.kernel_size}"
+        converter.notes.append(f"{layer}: its windows became a kernel of {size}")
     bias = bias + np.einsum("ijcf,c->f", kernel, offset)
     converter.append_sums(layer, operation, kernel * scale[:, None], bias)
     converter.use_layer_activation(layer)

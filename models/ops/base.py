@@ -111,7 +111,7 @@ class Operation(DeployedOperation):
         return {"kernel": kernel, "bias": self.compute_shape(input_shape)[-1:]}
 
     def to_deployed(self, kernel, sections: int = 1) -> np.ndarray:
-        """A trained kernel in the order of :attr:`deploy.network.spec.Layer.weights`.
+        """A trained kernel in the order of :attr:`deploy.network.layer.Layer.weights`.
 
         Parameters
         ----------

@@ -19,18 +19,18 @@ class Convolution(Operation, DeployedConvolution):
     examples = ("6c4", "6c4s2", "6c4p")
 
     def __post_init__(self):
-        if min(self.filters, self.kernel, self.stride) < 1:
+        if min(self.filters, self.kernel_size, self.stride) < 1:
             raise ValueError(f"{self}: filters, kernel and stride must be at least 1")
         if self.padding not in ("valid", "same") and not self.padding.isdecimal():
             raise ValueError(f"{self}: padding is neither 'valid' nor 'same' nor a number")
 
     @classmethod
     def from_token(cls, match):
-        filters, kernel, stride = (int(n) for n in match.groups("1")[:3])
-        return cls(filters, kernel, stride, "same" if match[4] else "valid")
+        filters, kernel_size, stride = (int(n) for n in match.groups("1")[:3])
+        return cls(filters, kernel_size, stride, "same" if match[4] else "valid")
 
     def count_fan_in(self, input_shape):
-        return self.kernel**2 * input_shape[2]
+        return self.kernel_size**2 * input_shape[2]
 
     def make_keras_layer(self, name, gain=None):
         from models.keras.keras2 import tf
@@ -38,8 +38,9 @@ class Convolution(Operation, DeployedConvolution):
         if gain is not None:
             return super().make_keras_layer(name, gain)
         # NengoDL converts Keras's own layers.
-        size = self.filters, self.kernel
-        return tf.keras.layers.Conv2D(*size, self.stride, self.padding, name=name)
+        return tf.keras.layers.Conv2D(
+            self.filters, self.kernel_size, self.stride, self.padding, name=name
+        )
 
     def compute_tensor_sums(self, kernel, frames):
         from models.keras.keras2 import tf
@@ -51,7 +52,7 @@ class Convolution(Operation, DeployedConvolution):
         (top, _), (left, _) = self.compute_padding(input_shape)
         out_rows, out_columns, _ = self.compute_shape(input_shape)
         out_row, out_column, kernel_row, kernel_column, channel = np.indices(
-            (out_rows, out_columns, self.kernel, self.kernel, channels)
+            (out_rows, out_columns, self.kernel_size, self.kernel_size, channels)
         ).reshape(5, -1)
         row = out_row * self.stride + kernel_row - top
         column = out_column * self.stride + kernel_column - left
@@ -63,16 +64,16 @@ class Convolution(Operation, DeployedConvolution):
         return Synapses(
             np.concatenate([[0], np.cumsum(counts)]),
             (out_row * out_columns + out_column)[order],
-            ((kernel_row * self.kernel + kernel_column) * channels + channel)[order],
+            ((kernel_row * self.kernel_size + kernel_column) * channels + channel)[order],
             self.filters,
         )
 
     def gather_inputs(self, values):
         # Channels are the last axis, as in the weights.
-        read = np.moveaxis(self.view_windows(values), 3, 5)
-        return read.reshape(*read.shape[:3], -1)
+        windows = np.moveaxis(self.view_windows(values), 3, 5)
+        return windows.reshape(*windows.shape[:3], -1)
 
     def __str__(self):
         stride = f"s{self.stride}" if self.stride > 1 else ""
         padding = {"valid": "", "same": "p"}.get(self.padding, f"p{self.padding}")
-        return f"{self.filters}c{self.kernel}{stride}{padding}"
+        return f"{self.filters}c{self.kernel_size}{stride}{padding}"

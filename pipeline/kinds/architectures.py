@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.network.spec import NetworkSpec, Neurons, Presentation
+from deploy.network.layer import Neurons
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
 from models.chain import build_network_spec, make_links

@@ -10,7 +10,8 @@ Two shares of a layer's neurons measure how much information they can transmit:
 
 import numpy as np
 
-from deploy.network.spec import DT, NetworkSpec
+from deploy.network.chip import DT
+from deploy.network.spec import NetworkSpec
 from deploy.tables import align_rows, format_count
 
 # Share of the fastest rate from which a neuron counts as saturated on a sample.

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 from deploy import limits
 from deploy.network.chip import LOIHI
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from pipeline.recordings.events import Recordings, Sensor
 from pipeline.settings import Choice, Settings

@@ -17,13 +17,13 @@ import numpy as np
 from deploy import limits
 from deploy.check.bundle import Bundle
 from deploy.network.decision import compute_confidence, compute_probabilities
-from deploy.network.responses import (
+from deploy.network.readout import (
     compute_running_sums,
     find_score_unit,
-    read_output,
     round_scores,
     select_readout,
 )
+from deploy.network.responses import compute_responses
 from deploy.network.stimulus import EventFrames
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
@@ -216,7 +216,7 @@ class ImageDecider(Decider):
         done = self._emulation.run(spec.stimulus.flatten(images)[None], watch)
         counts = {name: done.counts[name][0] for name in spec.spiking_layers}
         output = select_readout(spec, done.output[0, :, spec.presentation.gap :])
-        responses = read_output(spec, output, counts)
+        responses = compute_responses(spec, output, counts)
         if responses.decisions[0, -1] < 0:
             return None
         return responses.scores[0], spikes, compute_running_sums(spec, output)[0]

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 from deploy import limits
 from deploy.errors import UserError
 from deploy.loading import Limit, WrongValue, between, key_of, load, one_of
-from deploy.network.spec import Presentation
+from deploy.network.presentation import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from models.architecture import NotationError, parse
 from pipeline import paper
@@ -379,7 +379,7 @@ class Deployment(SettingsGroup):
 
 @dataclass(frozen=True)
 class PresentationSettings(SettingsGroup):
-    """Presentation of the samples; see :class:`deploy.network.spec.Presentation`."""
+    """Presentation of the samples; see :class:`deploy.network.presentation.Presentation`."""
 
     #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
     #: ``input.step``.  0 for 100 steps, or with events for as many as the
@@ -527,7 +527,7 @@ class Settings(SettingsGroup):
         Parameters
         ----------
         confidence : float, optional
-            See :class:`deploy.network.spec.Presentation`.
+            See :class:`deploy.network.presentation.Presentation`.
         """
         values = {**asdict(self.presentation), "steps": self.steps, "confidence": confidence}
         del values["early_loss"]  # by which the confidence was chosen

@@ -30,8 +30,9 @@ from deploy.network.chip import LOIHI
 from deploy.network.decision import choose_threshold
 from deploy.network.ops.dense import DeployedDense
 from deploy.network.provenance import TRAINING_RECORDINGS, read_classes, read_training_hashes
-from deploy.network.responses import compute_running_sums, select_readout
-from deploy.network.spec import NetworkSpec, Rehearsal
+from deploy.network.readout import compute_running_sums, select_readout
+from deploy.network.rehearsal import Rehearsal
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, find_last_steps
 from deploy.tables import list_names
 from deploy.targets.fast import Emulation
@@ -365,7 +366,7 @@ class Responder:
         Returns
         -------
         ndarray, shape (n_samples, sections * inputs)
-            See :class:`deploy.network.spec.Rehearsal`.
+            See :class:`deploy.network.rehearsal.Rehearsal`.
         """
         start = self.spec.presentation.readout_start
         readout = self.spec.layers[-1]

@@ -12,7 +12,7 @@ import numpy as np
 
 from deploy.arithmetic import thin
 from deploy.errors import UserError
-from deploy.network.spec import DT
+from deploy.network.chip import DT
 from models.architecture import Architecture, parse
 from models.chain import make_links
 from models.cnn import (

@@ -9,11 +9,13 @@ import numpy as np
 
 from deploy.network.build import build
 from deploy.network.geometry import compute_pooled_shape
+from deploy.network.layer import Layer, Neurons
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.ops.conv import DeployedConvolution
 from deploy.network.ops.dense import DeployedDense
-from deploy.network.responses import show
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.simulation import present
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
 
 LOUD = 300.0
@@ -177,5 +179,5 @@ def overflows_of(spec, images) -> np.ndarray:
                 counts[("q0", "current", "u2").index(name)] += over.sum()
 
             sim.sims["emulator"].compartment._overflow = counting
-            list(show(built, sim, images))
+            list(present(built, sim, images))
     return counts

@@ -4,9 +4,11 @@ import numpy as np
 
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.network.geometry import compute_pooled_shape
+from deploy.network.layer import Layer, Neurons
 from deploy.network.ops.conv import DeployedConvolution
 from deploy.network.ops.dense import DeployedDense
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
 
 LIF = Neurons(amplitude=0.01)

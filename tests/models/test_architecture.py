@@ -177,7 +177,7 @@ def test_an_impossible_architecture_is_refused(shape, layers, fact):
 convolutions = st.builds(
     Convolution,
     filters=st.integers(1, 8),
-    kernel=st.integers(1, 5),
+    kernel_size=st.integers(1, 5),
     stride=st.integers(1, 4),
     padding=st.sampled_from(["valid", "same"]),
 )

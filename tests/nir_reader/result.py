@@ -11,7 +11,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import make_result
 from deploy.check.run import list_sample_records
 from deploy.files import read_arrays, write_json
-from deploy.network.responses import read_output
+from deploy.network.responses import compute_responses
 
 REMEDY = "run 'make check-nir' again"
 
@@ -36,7 +36,7 @@ def responses_of(spec, given, answered):
     readout = spec.layers[-1]
     bias = readout.bias if readout.neurons is None else 0  # NIR has it in the graph's output
     shown = answered["outputs"][:, spec.presentation.gap :]
-    return read_output(spec, shown - bias, flat)
+    return compute_responses(spec, shown - bias, flat)
 
 
 def main(bundle, given, answered, out):

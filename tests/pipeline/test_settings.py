@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from deploy.network.spec import Presentation
+from deploy.network.presentation import Presentation
 from pipeline.settings import (
     Settings,
     describe,

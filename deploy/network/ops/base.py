@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import ClassVar, Tuple
 
 import numpy as np
@@ -30,24 +30,25 @@ class DeployedOperation:
     """A linear map from a layer's input, after average pooling, to its neurons.
 
     A subclass with numbers, such as the number of filters, is a frozen dataclass whose fields they
-    are; names of the fields of a layer's record in a bundle (`deploy.network.spec.LAYER_NAMES`) are
+    are; the names of a layer's own values in a bundle (`deploy.network.layer.LAYER_NAMES`) are
     reserved.  It has `kind`, `compute_shape`, `compute_weight_shape` and `compute_sums`, which is
     its meaning: all else follows from the sums.  The other methods are for operations whose
     defaults are not good enough:
 
     ===========================  ===================================================================
-    `to_file`, `from_file`       if a number is already in the layer's shape
+    `to_file`, `from_file`,      if a number is already in the layer's shape, or has another name in
+    `list_file_names`            a bundle
     `count_fan_out`,             if the sums of as many samples as there are inputs need much memory
     `make_matrix`,
     `find_largest_weights`
-    `transform`,                 if the chip needs no synapse from every input to every neuron
+    `make_transform`,               if the chip needs no synapse from every input to every neuron
     `make_resources`
     `make_nir_nodes`             for the export to NIR, which is refused without it
     ===========================  ===================================================================
 
-    ``read_shape`` is the shape of the values that the weights read, those of the input after
-    average pooling: (rows, columns, channels) or (values,).  ``layer`` is a
-    :class:`deploy.network.spec.Layer`.  No method but `transform` knows of Nengo.
+    ``pooled_shape`` is the shape of the layer's input after average pooling, which is what the
+    operation reads: (rows, columns, channels) or (values,).  ``layer`` is a
+    :class:`deploy.network.layer.Layer`.  No method but `make_transform` knows of Nengo.
 
     Attributes
     ----------
@@ -68,7 +69,7 @@ class DeployedOperation:
 
     # --- the meaning ------------------------------------------------------------------------------
 
-    def compute_shape(self, read_shape) -> Tuple[int, ...]:
+    def compute_shape(self, pooled_shape) -> Tuple[int, ...]:
         """Shape of the output.
 
         Raises
@@ -78,7 +79,7 @@ class DeployedOperation:
         """
         raise NotImplementedError
 
-    def compute_weight_shape(self, read_shape) -> Tuple[int, ...]:
+    def compute_weight_shape(self, pooled_shape) -> Tuple[int, ...]:
         """Shape of the weights; of a readout in sections, that of one section."""
         raise NotImplementedError
 
@@ -92,7 +93,7 @@ class DeployedOperation:
         weights : ndarray
             In the shape of `compute_weight_shape`.
         values : ndarray, shape (n, ...)
-            Values of n samples or steps, in ``read_shape`` each.
+            Values of n samples or steps, in ``pooled_shape`` each.
 
         Returns
         -------
@@ -103,7 +104,7 @@ class DeployedOperation:
 
     # --- what follows from it ---------------------------------------------------------------------
 
-    def find_synapses(self, read_shape) -> np.ndarray:
+    def find_synapses(self, pooled_shape) -> np.ndarray:
         """The weight of each synapse, as an index into the flat weights; -1 where there is none.
 
         Returns
@@ -115,12 +116,12 @@ class DeployedOperation:
         ValueError
             A sum is not one weight times each value that it reads.
         """
-        return _find_synapses(self, tuple(read_shape))
+        return _find_synapses(self, tuple(pooled_shape))
 
-    def count_fan_out(self, read_shape) -> np.ndarray:
-        """Number of synapses of each value of the input, int64, of shape ``read_shape``."""
-        has_synapse = self.find_synapses(read_shape) >= 0
-        return has_synapse.sum(1, dtype=np.int64).reshape(read_shape)
+    def count_fan_out(self, pooled_shape) -> np.ndarray:
+        """Number of synapses of each value of the input, int64, of shape ``pooled_shape``."""
+        has_synapse = self.find_synapses(pooled_shape) >= 0
+        return has_synapse.sum(1, dtype=np.int64).reshape(pooled_shape)
 
     def count_input_fan_out(self, input_shape, pool: int = 1) -> np.ndarray:
         """Number of synapses of each value before pooling, of shape ``input_shape``.
@@ -133,12 +134,12 @@ class DeployedOperation:
             self.count_fan_out(compute_pooled_shape(input_shape, pool)), input_shape, pool
         )
 
-    def make_matrix(self, weights: np.ndarray, read_shape) -> np.ndarray:
+    def make_matrix(self, weights: np.ndarray, pooled_shape) -> np.ndarray:
         """The weights as a matrix, shape (outputs, inputs)."""
-        units = _make_units(read_shape)
+        units = _make_units(pooled_shape)
         return self.compute_sums(weights, units).reshape(len(units), -1).T
 
-    def transform(self, layer, chip: Chip) -> tuple:
+    def make_transform(self, layer, chip: Chip) -> tuple:
         """The transform in Nengo with pooling folded in, and the inputs that it reads.
 
         The default has a synapse from every input to every neuron.
@@ -151,15 +152,15 @@ class DeployedOperation:
         """
         import nengo
 
-        matrix = self.make_matrix(layer.weights, layer.read_shape)
+        matrix = self.make_matrix(layer.weights, layer.pooled_shape)
         if layer.pool > 1:
-            by_place = np.moveaxis(matrix.reshape(len(matrix), *layer.read_shape), 0, -1)
-            by_place = unpool(by_place, layer.input_shape, layer.pool) / layer.pool**2
-            matrix = np.moveaxis(by_place, -1, 0).reshape(len(matrix), -1)
+            by_position = np.moveaxis(matrix.reshape(len(matrix), *layer.pooled_shape), 0, -1)
+            by_position = unpool(by_position, layer.input_shape, layer.pool) / layer.pool**2
+            matrix = np.moveaxis(by_position, -1, 0).reshape(len(matrix), -1)
         return nengo.Dense(matrix.shape, init=matrix), None
 
     def make_resources(self, layer, chip: Chip) -> Resources:
-        """The resources of cores that the synapses of the layer's `transform` need."""
+        """The resources of cores that the synapses of the layer's `make_transform` need."""
         return DiscreteResources(layer, chip)
 
     # --- files and tables -------------------------------------------------------------------------
@@ -167,6 +168,11 @@ class DeployedOperation:
     def to_file(self) -> dict:
         """The operation's numbers in a bundle, by name, but for those in the layer's shapes."""
         return asdict(self)
+
+    @classmethod
+    def list_file_names(cls) -> tuple:
+        """Names of the operation's numbers in a bundle."""
+        return tuple(entry.name for entry in fields(cls))
 
     @classmethod
     def from_file(cls, numbers: dict, shape) -> DeployedOperation:
@@ -185,15 +191,12 @@ class DeployedOperation:
         """
         return load(cls, numbers)
 
-    def find_largest_weights(self, weights: np.ndarray, read_shape) -> np.ndarray:
+    def find_largest_weights(self, weights: np.ndarray, pooled_shape) -> np.ndarray:
         """The largest magnitude of a weight of each channel or unit, shape (channels,)."""
-        synapses = self.find_synapses(read_shape)
+        synapses = self.find_synapses(pooled_shape)
         sizes = np.where(synapses < 0, 0, np.abs(weights.ravel())[synapses]).max(0)
-        return (
-            sizes.reshape(self.compute_shape(read_shape))
-            .reshape(-1, self.compute_shape(read_shape)[-1])
-            .max(0)
-        )
+        channels = self.compute_shape(pooled_shape)[-1]
+        return sizes.reshape(-1, channels).max(0)
 
     def make_nir_nodes(self, layer, nir, area: float):
         """Names and nodes of the export to NIR, without the pooling and the neurons.
@@ -217,32 +220,32 @@ class DeployedOperation:
         return self.kind
 
 
-def _make_units(read_shape) -> np.ndarray:
+def _make_units(pooled_shape) -> np.ndarray:
     """As many samples as there are inputs; sample i has a 1 at input i, and is 0 elsewhere."""
-    inputs = math.prod(read_shape)
-    return np.eye(inputs).reshape(inputs, *read_shape)
+    inputs = math.prod(pooled_shape)
+    return np.eye(inputs).reshape(inputs, *pooled_shape)
 
 
 @functools.lru_cache(maxsize=16)
-def _find_synapses(operation: DeployedOperation, read_shape) -> np.ndarray:
+def _find_synapses(operation: DeployedOperation, pooled_shape) -> np.ndarray:
     """As `DeployedOperation.find_synapses`: the sums of units show which weight they have."""
-    weight_shape = operation.compute_weight_shape(read_shape)
+    weight_shape = operation.compute_weight_shape(pooled_shape)
     numbers = np.arange(math.prod(weight_shape) + 1.0)
-    units = _make_units(read_shape)
+    units = _make_units(pooled_shape)
 
     def sum_units(weights):
         return operation.compute_sums(weights[1:].reshape(weight_shape), units)
 
     numbered = sum_units(numbers).reshape(len(units), -1)
-    found = np.clip(np.rint(numbered), 0, numbers[-1]).astype(np.int64)
+    indices = np.clip(np.rint(numbered), 0, numbers[-1]).astype(np.int64)
     other_weights = np.where(numbers > 0, np.sqrt(numbers + 1), 0)  # none is its own square
     other_sums = sum_units(other_weights).reshape(len(units), -1)
-    if not np.allclose(other_weights[found], other_sums):
+    if not np.allclose(other_weights[indices], other_sums):
         raise ValueError(
             f"operation {operation.kind!r}: 'compute_sums' adds something other than one weight "
             "times each value that a sum reads"
         )
-    synapses = found - 1
+    synapses = indices - 1
     synapses.flags.writeable = False  # it is cached
     return synapses
 
@@ -254,7 +257,7 @@ class Resources:
 
     Parameters
     ----------
-    layer : deploy.network.spec.Layer
+    layer : deploy.network.layer.Layer
     chip : Chip
     """
 
@@ -314,9 +317,9 @@ def find_index_bits(highest: int) -> int:
 
 def count_input_words(synapses: int, bits: int, chip: Chip) -> int:
     """Number of words of synapse memory for the lists of one input's synapses."""
-    full, rest = divmod(synapses, SYNAPSES_OF_LIST)
-    words = full * count_list_words(SYNAPSES_OF_LIST, bits, chip)
-    return words + (count_list_words(rest, bits, chip) if rest else 0)
+    full_lists, remaining = divmod(synapses, SYNAPSES_OF_LIST)
+    words = full_lists * count_list_words(SYNAPSES_OF_LIST, bits, chip)
+    return words + (count_list_words(remaining, bits, chip) if remaining else 0)
 
 
 def count_axon_words(atoms: int, synapses: int, bits: int, chip: Chip) -> int:

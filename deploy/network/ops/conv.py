@@ -8,7 +8,7 @@ from typing import List, NamedTuple
 import numpy as np
 
 from ...arithmetic import divide_up
-from ...loading import Limit, limited_field, load
+from ...loading import Limit, WrongValue, limited_field, load
 from ..geometry import (
     compute_convolution_shape,
     compute_padded_kernel_size,
@@ -39,11 +39,11 @@ MAX_LIST_OFFSET = 256
 class DeployedConvolution(DeployedOperation):
     """A convolution with square filters over rows and columns.
 
-    A layer's weights have the shape (kernel, kernel, channels in, filters).
+    A layer's weights have the shape (kernel_size, kernel_size, channels in, filters).
 
     Attributes
     ----------
-    filters, kernel : int
+    filters, kernel_size : int
         Number of filters and side length of each.
     stride : int
     padding : str
@@ -52,30 +52,41 @@ class DeployedConvolution(DeployedOperation):
     """
 
     filters: int = limited_field(AT_LEAST_1)
-    kernel: int = limited_field(AT_LEAST_1)
+    kernel_size: int = limited_field(AT_LEAST_1)
     stride: int = limited_field(AT_LEAST_1, 1)
     padding: str = limited_field(PADDING, "valid")
     kind = "conv"
     is_spatial = True
 
     def to_file(self):
-        return {"kernel": self.kernel, "stride": self.stride, "padding": self.padding}
+        return {"kernel": self.kernel_size, "stride": self.stride, "padding": self.padding}
+
+    @classmethod
+    def list_file_names(cls):
+        return ("kernel", "stride", "padding")
 
     @classmethod
     def from_file(cls, numbers, shape):
-        return load(cls, {**numbers, "filters": shape[-1]})
+        values = {**numbers, "filters": shape[-1]}
+        if "kernel" in values:
+            values["kernel_size"] = values.pop("kernel")
+        try:
+            return load(cls, values)
+        except WrongValue as error:
+            name = "kernel" if error.name == "kernel_size" else error.name
+            raise WrongValue(name, error.problem) from error
 
-    def compute_shape(self, read_shape):
+    def compute_shape(self, pooled_shape):
         shape = compute_convolution_shape(
-            read_shape, self.kernel, self.filters, self.stride, self.padding
+            pooled_shape, self.kernel_size, self.filters, self.stride, self.padding
         )
         if min(shape) < 1:
-            rows, columns = read_shape[:2]
+            rows, columns = pooled_shape[:2]
             raise ValueError(f"does not fit: its kernel is larger than its {rows}x{columns} input")
         return shape
 
-    def compute_weight_shape(self, read_shape):
-        return (self.kernel, self.kernel, read_shape[2], self.filters)
+    def compute_weight_shape(self, pooled_shape):
+        return (self.kernel_size, self.kernel_size, pooled_shape[2], self.filters)
 
     def compute_sums(self, weights, values):
         axes = ((3, 4, 5), (2, 0, 1))
@@ -90,7 +101,7 @@ class DeployedConvolution(DeployedOperation):
 
         Returns
         -------
-        ndarray, shape (n, windows down, windows across, channels, kernel, kernel)
+        ndarray, shape (n, windows down, windows across, channels, kernel rows, kernel columns)
         """
         pads = self.compute_padding(values.shape[1:])
         padded = np.pad(values, ((0, 0), *pads, (0, 0)))
@@ -99,27 +110,28 @@ class DeployedConvolution(DeployedOperation):
         n, row, column, channel = padded.strides
         return np.lib.stride_tricks.as_strided(
             padded,
-            shape=(len(padded), down, across, padded.shape[3], self.kernel, self.kernel),
+            shape=(len(padded), down, across, padded.shape[3], self.kernel_size, self.kernel_size),
             strides=(n, row * self.stride, column * self.stride, channel, row, column),
             writeable=False,
         )
 
-    def compute_padding(self, read_shape) -> tuple:
+    def compute_padding(self, pooled_shape) -> tuple:
         """Numbers of zeros padded to rows and columns: ((before, after), (before, after))."""
         return tuple(
-            list_windows(n, self.kernel, self.stride, self.padding)[1:] for n in read_shape[:2]
+            list_windows(n, self.kernel_size, self.stride, self.padding)[1:]
+            for n in pooled_shape[:2]
         )
 
-    def count_fan_out(self, read_shape):
+    def count_fan_out(self, pooled_shape):
         return count_convolution_fan_out(
-            read_shape, self.kernel, self.filters, self.stride, self.padding
+            pooled_shape, self.kernel_size, self.filters, self.stride, self.padding
         )
 
-    def find_largest_weights(self, weights, read_shape):
+    def find_largest_weights(self, weights, pooled_shape):
         return np.abs(weights).max((0, 1, 2))
 
-    def transform(self, layer, chip):
-        """As `DeployedOperation.transform`.
+    def make_transform(self, layer, chip):
+        """As `DeployedOperation.make_transform`.
 
         Average pooling over P x P values without overlap, followed by a convolution with a kernel
         of size K and a stride S, is one convolution with a kernel of size K P and a stride of S P.
@@ -131,13 +143,13 @@ class DeployedConvolution(DeployedOperation):
         kernel = layer.weights
         input_shape = layer.input_shape
         inputs = None
-        has_own_padding = self.padding not in ("valid", "same")
-        if has_own_padding:
+        has_numbered_padding = self.padding not in ("valid", "same")
+        if has_numbered_padding:
             sizes = [
-                compute_padded_kernel_size(n, self.kernel, self.stride, self.padding)
-                for n in layer.read_shape[:2]
+                compute_padded_kernel_size(n, self.kernel_size, self.stride, self.padding)
+                for n in layer.pooled_shape[:2]
             ]
-            edges = [(0, size - self.kernel) for size in sizes]
+            edges = [(0, size - self.kernel_size) for size in sizes]
             kernel = np.pad(kernel, (*edges, (0, 0), (0, 0)))
         if layer.pool > 1:
             kernel, input_shape = _fold_pooling(layer, kernel)
@@ -148,7 +160,7 @@ class DeployedConvolution(DeployedOperation):
             "kernel_size": kernel.shape[:2],
             "strides": (self.stride * layer.pool,) * 2,
         }
-        if has_own_padding:
+        if has_numbered_padding:
             zeros = int(self.padding) * layer.pool
             return PaddedConvolution(zeros, init=kernel, **shapes), inputs
         return nengo.Convolution(padding=self.padding, init=kernel, **shapes), inputs
@@ -161,7 +173,7 @@ class DeployedConvolution(DeployedOperation):
         yield (
             f"{layer.name}_weights",
             nir.Conv2d(
-                input_shape=layer.read_shape[:2],
+                input_shape=layer.pooled_shape[:2],
                 weight=weights.transpose(3, 2, 0, 1) * area,  # filter, channel, row, column
                 stride=self.stride,
                 padding=padding,
@@ -172,7 +184,7 @@ class DeployedConvolution(DeployedOperation):
         )
 
     def describe(self, layer):
-        return f"{self.kernel}x{self.kernel} convolution, stride {self.stride}"
+        return f"{self.kernel_size}x{self.kernel_size} convolution, stride {self.stride}"
 
 
 def _fold_pooling(layer, kernel):
@@ -187,10 +199,10 @@ def _fold_pooling(layer, kernel):
     kernel = kernel.repeat(pool, axis=0).repeat(pool, axis=1) / pool**2
     if operation.padding == "valid":
         return kernel, layer.input_shape
-    cut = tuple(n * pool for n in layer.read_shape[:2])
+    cut = tuple(n * pool for n in layer.pooled_shape[:2])
     if operation.padding != "same":
         return kernel, (*cut, layer.input_shape[2])
-    zeros_before = [pool * before for before, _ in operation.compute_padding(layer.read_shape)]
+    zeros_before = [pool * before for before, _ in operation.compute_padding(layer.pooled_shape)]
     for zeros in (0, pool):
         size = len(kernel) + zeros
         front = [
@@ -210,7 +222,7 @@ def _pad_evenly(layer):
     padding = layer.operation.padding
     if padding != "same":
         return layer.weights, 0 if padding == "valid" else int(padding)
-    pads = layer.operation.compute_padding(layer.read_shape)
+    pads = layer.operation.compute_padding(layer.pooled_shape)
     front = [(after - before, 0) for before, after in pads]
     return np.pad(layer.weights, (*front, (0, 0), (0, 0))), tuple(after for _, after in pads)
 
@@ -242,14 +254,14 @@ class _Line(NamedTuple):
     """A layer's windows along one dimension of its input, including pooling before it."""
 
     n: int
-    kernel: int
+    kernel_size: int
     stride: int
     before: int
 
     def find_reach(self, first, last) -> _Reach:
         """For each input position the windows among ``first`` to ``last - 1`` that contain it."""
         at = np.arange(self.n) + self.before
-        lowest = np.maximum(divide_up(at - self.kernel + 1, self.stride), first)
+        lowest = np.maximum(divide_up(at - self.kernel_size + 1, self.stride), first)
         highest = np.minimum(at // self.stride, last - 1)
         number = np.maximum(highest - lowest + 1, 0)
         return _Reach(lowest, number, at - lowest * self.stride)
@@ -257,16 +269,18 @@ class _Line(NamedTuple):
 
 def _make_lines(layer) -> List[_Line]:
     operation = layer.operation
-    lines = []
+    stride = operation.stride
+    padding = operation.padding
     pool = layer.pool
-    for n, read in zip(layer.input_shape[:2], layer.read_shape[:2]):
-        _, before, _ = list_windows(read, operation.kernel, operation.stride, operation.padding)
-        kernel = operation.kernel
-        if operation.padding not in ("valid", "same"):  # the network is built with zeros at the end
-            kernel = compute_padded_kernel_size(read, kernel, operation.stride, operation.padding)
+    lines = []
+    for n, n_pooled in zip(layer.input_shape[:2], layer.pooled_shape[:2]):
+        kernel_size = operation.kernel_size
+        _, before, _ = list_windows(n_pooled, kernel_size, stride, padding)
+        if padding not in ("valid", "same"):  # the network is built with zeros at the end
+            kernel_size = compute_padded_kernel_size(n_pooled, kernel_size, stride, padding)
         # With padding a window would reach values outside of complete pooling windows.
-        length = n if operation.padding == "valid" else read * pool
-        lines.append(_Line(length, kernel * pool, operation.stride * pool, before * pool))
+        length = n if padding == "valid" else n_pooled * pool
+        lines.append(_Line(length, kernel_size * pool, stride * pool, before * pool))
     return lines
 
 

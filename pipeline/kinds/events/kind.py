@@ -7,8 +7,9 @@ import numpy as np
 from deploy.arithmetic import divide_up, thin
 from deploy.files import reporting_damage
 from deploy.network.decision import Estimator, Threshold
-from deploy.network.responses import read_output
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.responses import compute_responses
+from deploy.network.spec import NetworkSpec
 from deploy.tables import format_count
 from models import chain
 from models.architecture import parse
@@ -85,7 +86,7 @@ def _respond(inputs, bundle, advance):
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
     delayed = delay_as_on_chip(outcome.outputs, network.design).astype(float)
     output = np.diff(delayed, axis=1, prepend=0)
-    return read_output(bundle.spec, output, {"input": arrived, **outcome.spikes})
+    return compute_responses(bundle.spec, output, {"input": arrived, **outcome.spikes})
 
 
 class EventsKind(NetworkKind):

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.network.chip import LOIHI
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Stimulus
 from deploy.terminal import WARNING
 from models import chain

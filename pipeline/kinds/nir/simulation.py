@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.check.bundle import Bundle
-from deploy.network.responses import Responses, read_output
+from deploy.network.responses import Responses, compute_responses
 from models.nir.chain import merges_polarities
 from models.nir.graph import NirNetwork
 from models.nir.simulator import SAMPLES_AT_ONCE, simulate
@@ -112,14 +112,14 @@ def compute_graph_responses(
     outputs, counts = simulate_samples(network, stepping, inputs, settings, advance)
     readout = spec.layers[-1]
     if readout.neurons is None:
-        outputs = outputs - readout.bias  # which read_output adds
+        outputs = outputs - readout.bias  # which compute_responses adds
     if spec.stimulus.static:  # a graph takes the image itself, not spikes
         sizes = {"input": int(np.prod(spec.input_shape))}
         sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
         silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}
-        responses = read_output(replace(spec, estimator=None), outputs, silent)
+        responses = compute_responses(replace(spec, estimator=None), outputs, silent)
         return replace(responses, spikes={}, operations={})
     spikes = {"input": inputs.reshape(*inputs.shape[:2], -1).sum(1, dtype=np.int64)}
     names = [name for name in spec.spiking_layers if name != "input"]
     spikes |= dict(zip(names, counts.values(), strict=True))
-    return read_output(spec, outputs, spikes)
+    return compute_responses(spec, outputs, spikes)

@@ -14,7 +14,8 @@ from deploy.network.geometry import list_windows
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.ops.base import count_blocks, list_ranges
 from deploy.network.ops.conv import DeployedConvolution
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
@@ -23,7 +24,7 @@ from tests.deploy.networks import conv, dense, readout, small_spec
 
 def matrix_of(layer):
     """What the layer is in Nengo, as a matrix (n_outputs, n_inputs)."""
-    transform, inputs = layer.operation.transform(layer, LOIHI)
+    transform, inputs = layer.operation.make_transform(layer, LOIHI)
     with nengo.Network(seed=0) as network:
         source = nengo.Node(size_in=int(np.prod(layer.input_shape)))
         target = nengo.Node(size_in=layer.size)
@@ -43,7 +44,7 @@ def matrix_by_hand(layer):
     rows, columns, channels = layer.input_shape
     matrix = np.zeros((*layer.shape, rows, columns, channels))
     p = layer.pool
-    read = layer.read_shape
+    read = layer.pooled_shape
     if layer.kind == "dense":
         weights = layer.weights.reshape(layer.size, *read)
         for r in range(read[0] * p):
@@ -52,13 +53,13 @@ def matrix_by_hand(layer):
     else:
         operation = layer.operation
         before = [
-            list_windows(n, operation.kernel, operation.stride, operation.padding)[1]
+            list_windows(n, operation.kernel_size, operation.stride, operation.padding)[1]
             for n in read[:2]
         ]
         for i in range(layer.shape[0]):
             for j in range(layer.shape[1]):
-                for k in range(operation.kernel):
-                    for m in range(operation.kernel):
+                for k in range(operation.kernel_size):
+                    for m in range(operation.kernel_size):
                         r = i * operation.stride + k - before[0]
                         c = j * operation.stride + m - before[1]
                         if 0 <= r < read[0] and 0 <= c < read[1]:

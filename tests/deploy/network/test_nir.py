@@ -10,8 +10,8 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import read_arrays
+from deploy.network.chip import DT
 from deploy.network.nir import make_graph_input, make_nir_graph, write_nir
-from deploy.network.spec import DT
 from deploy.targets.registry import run_target
 from tests.deploy.network.test_build import matrix_by_hand
 from tests.deploy.networks import conv, dense, paper_spec, random_checks, readout, small_spec

@@ -13,7 +13,8 @@ from deploy.network.reference import (
     read_equations,
     run_reference,
 )
-from deploy.network.responses import make_responses, show
+from deploy.network.responses import make_responses
+from deploy.network.simulation import present
 from deploy.targets.registry import run_target
 from tests.deploy.networks import events_spec, mixed_spec, random_checks, random_frames, small_spec
 
@@ -49,7 +50,7 @@ def test_the_equations_are_the_emulator_s_integers_spike_by_spike(tau_ref, min_v
     built = build(spec)
     with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
         blocks = list(sim.model.blocks)
-        shown = list(show(built, sim, samples))
+        shown = list(present(built, sim, samples))
     theirs = {
         name: np.concatenate([of_sample.spikes[name] for of_sample in shown])
         for name in spec.spiking_layers

@@ -5,13 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.responses import (
-    Responses,
-    compute_seconds_per_sample,
-    read_output,
-    select_readout,
-)
-from deploy.network.spec import Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.readout import select_readout
+from deploy.network.responses import Responses, compute_responses, compute_seconds_per_sample
 from deploy.network.stimulus import Feed
 from tests.deploy.networks import events_spec, small_spec
 
@@ -36,7 +32,7 @@ def test_scores_and_decisions_by_hand():
     output[0, 1, 3] = 3
     output[0, 2, 5] = 8
     output[0, 3, 5] = 1
-    responses = read_output(spec, output, spikes_of(spec, 1))
+    responses = compute_responses(spec, output, spikes_of(spec, 1))
     bias = spec.layers[-1].bias
     expected = bias + np.eye(10)[3] * 1 + np.eye(10)[5] * 3
     np.testing.assert_allclose(responses.scores[0], expected)
@@ -66,7 +62,7 @@ def test_each_step_is_read_with_the_weights_of_its_part():
 
 def test_the_readout_on_the_chip_has_no_bias_to_add():
     spec = small_spec(on_chip_output=True, steps=3, readout_start=0)
-    responses = read_output(spec, np.ones((2, 3, 10)), spikes_of(spec, 2))
+    responses = compute_responses(spec, np.ones((2, 3, 10)), spikes_of(spec, 2))
     np.testing.assert_array_equal(responses.scores, 1)
 
 
@@ -89,7 +85,7 @@ def test_an_empty_output_is_not_the_answer_class_0():
     output = np.zeros((3, 4, 3))
     output[0, 2] = [1, 0, 0]
     output[2, 0] = [0, 0, 2]
-    responses = read_output(spec, output, spikes_of(spec, 3))
+    responses = compute_responses(spec, output, spikes_of(spec, 3))
     assert responses.decisions.tolist() == [[-1, -1, 0, 0], [-1] * 4, [2] * 4]
 
 
@@ -98,7 +94,7 @@ def test_no_early_decision_on_an_empty_output():
     spec = unbiased(events_spec(steps=4, confidence=0.3))
     output = np.zeros((1, 4, 3))
     output[0, 2] = [9, 0, 0]
-    assert read_output(spec, output, spikes_of(spec, 1)).stopped_at.tolist() == [3]
+    assert compute_responses(spec, output, spikes_of(spec, 1)).stopped_at.tolist() == [3]
 
 
 def test_equal_scores_tie_alike_whatever_the_order_of_adding():
@@ -112,7 +108,7 @@ def test_equal_scores_tie_alike_whatever_the_order_of_adding():
     output[:, :, [0, 1, 3, 5, 6, 7, 8, 9]] = -100
     output[0, :, 4] -= spec.layers[-1].bias[4]
     output[0, :, 2] -= spec.layers[-1].bias[2]
-    assert read_output(spec, output, spikes_of(spec, 1)).predictions.tolist() == [2]
+    assert compute_responses(spec, output, spikes_of(spec, 1)).predictions.tolist() == [2]
 
 
 @pytest.mark.parametrize("factor", [1e-25, 1e-9, 1e6])
@@ -122,10 +118,10 @@ def test_a_readout_of_another_scale_decides_alike(factor):
     output = np.random.default_rng(0).normal(size=(20, 30, 10))
     readout = spec.layers[-1]
     scaled = replace(readout, weights=readout.weights * factor, bias=readout.bias * factor)
-    found = read_output(
+    found = compute_responses(
         replace(spec, layers=(*spec.layers[:-1], scaled)), output * factor, spikes_of(spec, 20)
     )
-    expected = read_output(spec, output, spikes_of(spec, 20))
+    expected = compute_responses(spec, output, spikes_of(spec, 20))
     np.testing.assert_array_equal(found.decisions, expected.decisions)
     assert len(set(found.predictions)) > 1
 

@@ -7,7 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.layer import Layer, Neurons
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
 from tests.deploy.networks import conv, paper_spec, readout, small_spec
 

@@ -10,7 +10,7 @@ from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
-from deploy.network.responses import show
+from deploy.network.simulation import present
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, find_last_steps
 from deploy.preflight.plan import make_plan
@@ -41,7 +41,7 @@ def test_an_event_is_one_spike_in_its_step(target):
     else:
         simulator = nengo_loihi.Simulator(built.network, target=target, precompute=True)
     with simulator as sim:
-        shown = list(show(built, sim, spec.stimulus.flatten(frames)))
+        shown = list(present(built, sim, spec.stimulus.flatten(frames)))
     gap = spec.presentation.gap
     for one, frame in zip(shown, frames, strict=True):
         assert not one.spikes["input"][:gap].any()
@@ -60,7 +60,7 @@ def test_an_event_arrives_as_a_spike_of_height_one():
         changed = replace(spec, layers=(replace(layer, weights=weights), *spec.layers[1:]))
         built = build(changed)
         with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
-            (shown,) = show(built, sim, changed.stimulus.flatten(frames))
+            (shown,) = present(built, sim, changed.stimulus.flatten(frames))
         fires[weight] = shown.spikes["conv1"].any()
     assert fires == {15.0: False, 25.0: True}
 

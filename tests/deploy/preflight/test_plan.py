@@ -12,7 +12,8 @@ from deploy.network.build import build
 from deploy.network.chip import LOIHI
 from deploy.network.loihi_import import nengo_loihi
 from deploy.network.nir import write_nir
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
 from deploy.preflight.resources import count_words_of_synapses

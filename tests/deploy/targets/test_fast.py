@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, Phase, event, given, reject, settings
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from deploy.network.responses import join, make_responses
+from deploy.network.responses import join_responses, make_responses
 from deploy.targets.fast import OVERFLOWS, Emulation, run_fast
 from deploy.targets.simulators import run_emulator
 from tests.deploy.fast_networks import images_for, loud_spec, overflows_of, random_spec
@@ -72,8 +72,8 @@ def test_the_papers_network_answers_like_the_emulator():
     spec = replace(spec, layers=(conv1, replace(conv2, block_shape=(3, 5, 24)), output))
     images = images_for(spec, 5)
     streams = [images[:2], images[2:4], images[4:]]
-    found = join(answers(spec, run_fast(spec, streams), streams))
-    assert_same(found, join(answers(spec, run_emulator(spec, streams), streams)))
+    found = join_responses(answers(spec, run_fast(spec, streams), streams))
+    assert_same(found, join_responses(answers(spec, run_emulator(spec, streams), streams)))
     assert all(spikes.all() for spikes in found.spikes.values())
 
 

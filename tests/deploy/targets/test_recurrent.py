@@ -7,7 +7,8 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.network.blocks import choose_blocks
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target

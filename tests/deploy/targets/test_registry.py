@@ -11,9 +11,11 @@ from deploy.check.bundle import write_bundle
 from deploy.check.run import run_check
 from deploy.errors import UserError
 from deploy.network.build import build
+from deploy.network.layer import Layer, Neurons
 from deploy.network.ops.conv import DeployedConvolution
 from deploy.network.ops.dense import DeployedDense
-from deploy.network.spec import Layer, NetworkSpec, Neurons, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
 from deploy.targets.registry import TARGETS, find_target, run_target

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from deploy.network.decision import Estimator, decide
-from deploy.network.spec import NetworkSpec, Presentation
+from deploy.network.presentation import Presentation
+from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from models.architecture import parse

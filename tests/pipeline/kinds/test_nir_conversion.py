@@ -11,7 +11,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.nir import make_nir_graph, write_nir
-from deploy.network.spec import Presentation
+from deploy.network.presentation import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.network.spec import Presentation
+from deploy.network.presentation import Presentation
 from pipeline.kinds.preparation import choose_settings
 from pipeline.kinds.presentation import (
     MAX_SHARE_LEFT,

@@ -5,7 +5,7 @@ import pytest
 
 from deploy.check.results import read_result
 from deploy.errors import UserError
-from deploy.network.spec import Presentation
+from deploy.network.presentation import Presentation
 from pipeline.kinds.reference import compute_responses
 from pipeline.results.ladder import (
     find_losing_stages,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.network.responses import join
+from deploy.network.responses import join_responses
 from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.cnn import find_gain
@@ -98,7 +98,7 @@ def test_on_the_emulator_it_is_near_too(images, weights):
         run_target(make_image_spec(settings, weights, {}), images[i : i + 2], "emulator")
         for i in (0, 2)
     ]
-    scores = join(parts).scores
+    scores = join_responses(parts).scores
     assert np.corrcoef(scores.ravel(), rates[:4].ravel())[0, 1] > 0.95
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from deploy.network.spec import Rehearsal
+from deploy.network.rehearsal import Rehearsal
 from pipeline.training import adaptation
 from pipeline.training.adaptation import Person, refit, round_to_8_bits
 
