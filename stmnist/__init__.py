@@ -37,7 +37,7 @@ GROUPS = {
     },
     "Deployed networks": {
         "Stream": "deploy.stream.stream",
-        "Decision": "deploy.stream.stream",
+        "Decision": "deploy.stream.touch",
         "read_bundle": "deploy.check.bundle",
         "run_check": "deploy.check.run",
         "compare_results": "deploy.check.results",

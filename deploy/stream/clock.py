@@ -25,17 +25,17 @@ class SensorClock:
     """The time of a stream, which never goes back, from the times of a sensor's events.
 
     An event that is far from all before it has either a wrong time, or there was silence, or the
-    clock has jumped.  It is held until the next event or :meth:`advance` tells which:
+    clock has jumped.  It waits until the next event or :meth:`advance` tells which:
 
-    - if the next time is near the one of the event held, there was silence, or the clock has jumped
+    - if the next time is near that of the waiting event, there was silence, or the clock has jumped
       back; after a jump, the stream's time goes on without one;
-    - if the next time is near those before, the time of the event held is wrong, and the event is
+    - if the next time is near those before, the time of the waiting event is wrong, and the event is
       used at the present time.
 
     Parameters
     ----------
     silence_ns : float
-        Time without events after which an event is held.
+        Time without events after which an event waits.
     faults : Faults
 
     Attributes
@@ -51,7 +51,7 @@ class SensorClock:
         self._silence_ns = silence_ns
         self._faults = faults
         self._offset_ns = 0  # from the sensor's time to the stream's
-        self._held: Optional[_Event] = None  # at the sensor's time
+        self._waiting: Optional[_Event] = None  # at the sensor's time
         self._advanced_ns: Optional[int] = None  # the stream's time of the last call of `advance`
         self.now_ns: Optional[int] = None
         self.latest_ns: Optional[int] = None
@@ -66,7 +66,7 @@ class SensorClock:
 
     def is_next(self, stream_ns: int) -> bool:
         """True for the time of an event that follows those before, without silence."""
-        if self._held is not None or self.latest_ns is None or stream_ns < self.latest_ns:
+        if self._waiting is not None or self.latest_ns is None or stream_ns < self.latest_ns:
             return False
         assert self.now_ns is not None  # set with the time of the latest event
         return -MAX_DISORDER_NS <= stream_ns - self.now_ns <= self._silence_ns
@@ -89,17 +89,17 @@ class SensorClock:
         Returns
         -------
         time_ns, cell : ndarray of int64, shape (m,)
-            The events in order of the stream's time, without the one that is held now and with one
-            that was held before.
+            The events in order of the stream's time, without the one that waits now and with one
+            that waited before.
         """
         if self._are_regular(time_ns):
             time_ns = time_ns + self._offset_ns
             self.note(int(time_ns[-1]))
             return time_ns, cell
-        taken: List[_Event] = []
+        released: List[_Event] = []
         for time, number in zip(time_ns.tolist(), cell.tolist()):
-            self._take(time, number, taken)
-        return _sort(taken)
+            self._take(time, number, released)
+        return _sort(released)
 
     def advance(self, time_ns: int):
         """Say what time it is on the sensor's clock.
@@ -107,11 +107,11 @@ class SensorClock:
         Returns
         -------
         time_ns, cell : ndarray of int64
-            The event that was held, unless it is held on.
+            The event that waited, unless it waits on.
         """
-        taken: List[_Event] = []
-        if self._held is not None:
-            self._release(time_ns, taken)
+        released: List[_Event] = []
+        if self._waiting is not None:
+            self._release(time_ns, released)
         now_ns = time_ns + self._offset_ns
         if self._advanced_ns is not None and now_ns < self._advanced_ns - MAX_DISORDER_NS:
             self._faults.count("jump")
@@ -119,28 +119,28 @@ class SensorClock:
             now_ns = self._advanced_ns
         self._advanced_ns = now_ns
         self._move_to(now_ns)
-        return _sort(taken)
+        return _sort(released)
 
     def advance_quietly(self, stream_ns: int) -> bool:
-        """As :meth:`advance`, in a short time, if the clock goes on and no event is held.
+        """As :meth:`advance`, in a short time, if the clock goes on and no event waits.
 
         Returns
         -------
         bool
             False if it does not; nothing has been done then.
         """
-        if self._held is not None or self._advanced_ns is None or stream_ns < self._advanced_ns:
+        if self._waiting is not None or self._advanced_ns is None or stream_ns < self._advanced_ns:
             return False
         self._advanced_ns = stream_ns
         self._move_to(stream_ns)
         return True
 
     def release(self):
-        """Return the event that is held, at its own time; no other will follow."""
-        taken: List[_Event] = []
-        if self._held is not None:
-            self._release(self._held[0], taken)
-        return _sort(taken)
+        """Return the event that waits, at its own time; no other will follow."""
+        released: List[_Event] = []
+        if self._waiting is not None:
+            self._release(self._waiting[0], released)
+        return _sort(released)
 
     def _move_to(self, stream_ns: int):
         """Set the present time, unless it is later already."""
@@ -153,41 +153,41 @@ class SensorClock:
         steps = np.diff(time_ns)
         return steps.min(initial=0) >= 0 and steps.max(initial=0) <= self._silence_ns
 
-    def _take(self, time_ns, cell, taken):
-        if self._held is not None:
-            self._release(time_ns, taken)
+    def _take(self, time_ns, cell, released):
+        if self._waiting is not None:
+            self._release(time_ns, released)
         if self.now_ns is None:
             self.now_ns = time_ns + self._offset_ns
         ahead_ns = time_ns + self._offset_ns - self.now_ns
         if ahead_ns > self._silence_ns or ahead_ns < -MAX_DISORDER_NS:
-            self._held = time_ns, cell
+            self._waiting = time_ns, cell
             return
         if self.latest_ns is not None and self.now_ns + ahead_ns < self.latest_ns:
             self._faults.count("late")
-        self._use(self.now_ns + ahead_ns, cell, taken)
+        self._use(self.now_ns + ahead_ns, cell, released)
 
-    def _release(self, next_ns, taken):
-        """Use the event that is held, at a time that depends on the next time of the sensor."""
-        time_ns, cell = self._held
-        self._held = None
+    def _release(self, next_ns, released):
+        """Use the event that waits, at a time that depends on the next time of the sensor."""
+        time_ns, cell = self._waiting
+        self._waiting = None
         ahead_ns = time_ns + self._offset_ns - self.now_ns
-        nearer_held = abs(next_ns - time_ns) <= abs(next_ns + self._offset_ns - self.now_ns)
-        if not nearer_held:
+        is_near_waiting = abs(next_ns - time_ns) <= abs(next_ns + self._offset_ns - self.now_ns)
+        if not is_near_waiting:
             self._faults.count("future" if ahead_ns > 0 else "late")
         elif ahead_ns < 0:
             self._faults.count("jump")
             self._offset_ns -= ahead_ns
         else:
             self.now_ns += ahead_ns
-        self._use(self.now_ns, cell, taken)
+        self._use(self.now_ns, cell, released)
 
-    def _use(self, stream_ns, cell, taken):
-        taken.append((stream_ns, cell))
+    def _use(self, stream_ns, cell, released):
+        released.append((stream_ns, cell))
         self.note(stream_ns if self.latest_ns is None else max(stream_ns, self.latest_ns))
 
 
-def _sort(taken):
+def _sort(events):
     """Events as two arrays, in order of time; those of the same time stay in their order."""
-    table = np.array(taken, np.int64).reshape(-1, 2)
+    table = np.array(events, np.int64).reshape(-1, 2)
     table = table[np.argsort(table[:, 0], kind="stable")]
     return table[:, 0], table[:, 1]

@@ -136,7 +136,7 @@ class PresentingNetwork:
         """Output of the readout in some steps; records the spikes from a row on."""
         spikes, output, _ = self._emulation.advance(self._state, frames[None])
         for name, rows in presentation.spikes.items():
-            places = self._emulation.positions.get(name)
-            layer = frames if places is None else spikes[0][:, places]
+            compartments = self._emulation.positions.get(name)
+            layer = frames if compartments is None else spikes[0][:, compartments]
             rows[row : row + len(frames)] = np.packbits(layer, axis=1)
         return output[0]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass
 from numbers import Integral
 from pathlib import Path
 from typing import List, Optional
@@ -16,86 +15,16 @@ from ..errors import UserError
 from ..network.stimulus import EventFrames
 from ..targets.fast import Emulation
 from ..terminal import format_command
-from .clock import MAX_TIME_NS, UNIT_NS, SensorClock
+from .clock import UNIT_NS, SensorClock
+from .events import EventReader
 from .faults import LOG, Faults
 from .presentation import PresentingNetwork, SharedNetwork
-
-NANOSECONDS_PER_MS = 1e6
+from .touch import NANOSECONDS_PER_MS, Decision, Touch, TouchSteps
 
 NUMBERS = (int, float, np.number)
 
-# Share of a step near its end in which the rounding of single precision decides.
-STEP_ROUNDING = 1e-6
-
 # Number of consecutive touches of one event each from which the unit of the times is doubted.
 SINGLE_EVENTS = 5
-
-
-@dataclass(frozen=True)
-class Decision:
-    """The network's decision on one touch.
-
-    Attributes
-    ----------
-    label : str
-        Name of the class.
-    number : int
-        The class, from 0.
-    probability : float or None
-        Estimated probability that the class is right, from 0 to 1; None without an estimate: no
-        spike has reached the readout, so that the class means nothing, or the touch has lasted
-        longer than the samples of the training, on which probabilities are estimated.
-    time : float
-        Time at which the decision was due, in the unit and on the clock of the events.
-    start : float
-        Time of the first event of the touch.
-    early : bool
-        True if the threshold of the bundle was reached before the end.
-    ended : bool
-        True if the touch had ended at that time.  Otherwise the decision is preliminary: what
-        follows may make another class of it.
-    events : int
-        Number of events of the touch until the decision.
-    """
-
-    label: str
-    number: int
-    probability: Optional[float]
-    time: float
-    start: float
-    early: bool
-    ended: bool
-    events: int
-
-    def to_dict(self) -> dict:
-        """The decision as plain values, for JSON."""
-        return asdict(self)
-
-
-class Touch:
-    """A touch: its events and the network's presentation of them.
-
-    Attributes
-    ----------
-    start_ns, last_ns : int
-        Time of the first and the last event, on the stream's clock.
-    events : ndarray of int, shape (steps,)
-        Number of events in each step.
-    end_ns : int or None
-        Time at which the touch ended, by silence; None before.
-    presentation : TouchPresentation
-    decision : Decision or None
-        None until the network has decided.
-    """
-
-    def __init__(self, start_ns, presentation, steps):
-        self.start_ns = start_ns
-        self.last_ns = start_ns
-        self.end_ns: Optional[int] = None
-        self.events = np.zeros(steps, int)
-        self.presentation = presentation
-        self.decision: Optional[Decision] = None
-        self.checked = 0  # steps in which an early decision was looked for
 
 
 class Stream:
@@ -170,7 +99,7 @@ class Stream:
         self._spec = spec = bundle.spec
         self._unit = unit
         self._tick_ns = UNIT_NS[unit]
-        self._set_steps(longest)
+        self._steps = TouchSteps(spec, longest)
         self._rows, self._columns = spec.input_shape[:2]
         self._has_off = spec.provenance.get("polarities", 2) == 2
         names = spec.provenance.get("classes") or range(spec.layers[-1].size)
@@ -178,13 +107,14 @@ class Stream:
         self._silence_ns = 1e9 * self.silence
         self._faults = Faults()
         self._clock = SensorClock(self._silence_ns, self._faults)
+        self._reader = EventReader(spec.input_shape, self._has_off, self._tick_ns, self._faults)
         if network is None:
             network = SharedNetwork(Emulation(spec, bundle.seed))
         if stream_length is None:
             stream_length = spec.presentation.stream_length
         elif not isinstance(stream_length, Integral) or stream_length < 1:
             raise UserError(f"stream_length {stream_length!r}: must be a whole number from 1")
-        self._network = PresentingNetwork(network, stream_length, self._longest_steps)
+        self._network = PresentingNetwork(network, stream_length, self._steps.longest)
         self._frame = np.zeros(int(np.prod(spec.input_shape)), np.uint8)
         self._touch: Optional[Touch] = None
         self._touching = False
@@ -195,16 +125,6 @@ class Stream:
         self._last_ns: Optional[int] = None
         self._arrived_s = 0.0
         self.n_events = 0
-
-    def _set_steps(self, longest):
-        """Set the durations of a step and of presentations."""
-        step_s = self._spec.stimulus.step_seconds
-        usual = self._spec.presentation.steps
-        self._step_ms = 1000 * step_s
-        self._certain_step_ns = (1 - STEP_ROUNDING) * self._step_ms * NANOSECONDS_PER_MS
-        self._usual_steps = self._longest_steps = usual
-        if longest is not None:
-            self._longest_steps = max(usual, round(longest / step_s))
 
     def __repr__(self):
         return f"Stream of {self._spec.architecture}, {self.n_events} events, {self.faults}"
@@ -228,7 +148,7 @@ class Stream:
     @property
     def step_ns(self) -> float:
         """Duration of a step in nanoseconds; a decision is due at the end of one."""
-        return self._step_ms * NANOSECONDS_PER_MS
+        return self._steps.step_ms * NANOSECONDS_PER_MS
 
     @property
     def now(self) -> Optional[float]:
@@ -258,7 +178,7 @@ class Stream:
 
         Probabilities are estimated on those samples, and are far too high for slower touches.
         """
-        return self._touch is not None and self._exceeds_training(self._touch)
+        return self._touch is not None and self._steps.exceeds_training(self._touch)
 
     def push(self, t, x, y, p) -> List[Decision]:
         """Take events that have arrived.
@@ -284,7 +204,7 @@ class Stream:
         """
         if isinstance(t, NUMBERS) and self._take_in_present_step(t, x, y, p):
             return []
-        time_ns, cell = self._select_readable(t, x, y, p)
+        time_ns, cell = self._reader.read(t, x, y, p)
         if not len(time_ns):
             return []
         self._note_arrival(int(time_ns[-1]))
@@ -313,8 +233,8 @@ class Stream:
                 return []
         if isinstance(t, NUMBERS) and self._is_nothing_due(t):
             return []
-        time_ns, known = self._convert_to_ns(np.atleast_1d(t))
-        if not known.all():
+        time_ns, is_valid = self._reader.convert_to_ns(np.atleast_1d(t))
+        if not is_valid.all():
             self._faults.count("unreadable")
             return []
         self._take(*self._clock.advance(int(time_ns[0])))
@@ -356,13 +276,13 @@ class Stream:
             sensor_ns = round(t * self._tick_ns)
             time_ns = self._clock.to_stream_time(sensor_ns)
             is_next = self._clock.is_next(time_ns)
-            is_present = time_ns < self._find_certain_end_ns(touch)
+            is_present = time_ns < self._steps.find_certain_end_ns(touch)
             inside = 0 <= x < self._columns and 0 <= y < self._rows
             is_on = p == 1
             has_polarity = is_on or (self._has_off and p in (0, -1))
         except (TypeError, ValueError, OverflowError):
             return False
-        is_presented = steps < self._longest_steps and is_present and is_next
+        is_presented = steps < self._steps.longest and is_present and is_next
         if not (is_presented and inside and has_polarity):
             return False
         self._frame[2 * (int(y) * self._columns + int(x)) + (not is_on)] = 1
@@ -383,60 +303,15 @@ class Stream:
         if self._touching:
             if time_ns - touch.last_ns > self._silence_ns:
                 return False
-            is_running = touch.presentation.n_steps < self._find_last_step(touch)
-            if is_running and time_ns >= self._find_certain_end_ns(touch):
+            is_running = touch.presentation.n_steps < self._steps.find_last_step(touch)
+            if is_running and time_ns >= self._steps.find_certain_end_ns(touch):
                 return False
         return self._clock.advance_quietly(time_ns)
-
-    def _find_certain_end_ns(self, touch):
-        """A time at which the present step is certainly not over.
-
-        The last millionth of a step is left to :meth:`_step_at`, which rounds as the check does.
-        """
-        return touch.start_ns + (touch.presentation.n_steps + 1) * self._certain_step_ns
 
     def _take_due(self):
         due = self._due
         self._due = []
         return due
-
-    def _convert_to_ns(self, t):
-        """Times as int64 nanoseconds, and which of them are numbers in the range."""
-        t = np.asarray(t)
-        if t.dtype.kind in "iu":
-            known = np.abs(t.astype(float)) < MAX_TIME_NS / self._tick_ns
-            return np.where(known, t, 0).astype(np.int64) * self._tick_ns, known
-        with np.errstate(over="ignore"):  # an infinite time is none of the known ones
-            time_ns = self._tick_ns * _convert_to_floats(t)
-        known = np.abs(time_ns) < MAX_TIME_NS  # False for NaN
-        return np.rint(np.where(known, time_ns, 0)).astype(np.int64), known
-
-    def _select_readable(self, t, x, y, p):
-        """Times and cells of the frame of those events that the network can be presented."""
-        columns = [np.atleast_1d(np.asarray(values)) for values in (t, x, y, p)]
-        if len({values.shape for values in columns}) != 1 or columns[0].ndim != 1:
-            shapes = ", ".join(str(values.shape) for values in columns)
-            raise UserError(f"events: t, x, y and p have the shapes {shapes}; give equal lengths")
-        time_ns, known = self._convert_to_ns(columns[0])
-        x, y, p = (
-            values if values.dtype.kind in "iub" else _convert_to_floats(values)
-            for values in columns[1:]
-        )
-        readable = known & np.isfinite(x) & np.isfinite(y) & np.isfinite(p)
-        inside = (x >= 0) & (x < self._columns) & (y >= 0) & (y < self._rows)
-        is_on = p == 1
-        has_polarity = is_on | (((p == 0) | (p == -1)) & self._has_off)
-        good = readable & inside & has_polarity
-        if not good.all():
-            self._faults.count("unreadable", int(np.sum(~readable)))
-            self._faults.count("outside", int(np.sum(readable & ~inside)))
-            self._faults.count("polarity", int(np.sum(readable & inside & ~has_polarity)))
-            time_ns = time_ns[good]
-            x = x[good]
-            y = y[good]
-            is_on = is_on[good]
-        place = y.astype(np.int64) * self._columns + x.astype(np.int64)
-        return time_ns, 2 * place + ~is_on
 
     def _take(self, time_ns, cell):
         """Present events in order of time, touch by touch."""
@@ -457,8 +332,8 @@ class Stream:
             self._frame[:] = 0
         touch = self._touch
         touch.last_ns = max(touch.last_ns, int(time_ns[-1]))
-        step = np.maximum(self._step_at(time_ns), touch.presentation.n_steps)
-        surplus = len(step) - int(np.searchsorted(step, self._longest_steps))
+        step = np.maximum(self._steps.find_step(touch, time_ns), touch.presentation.n_steps)
+        surplus = len(step) - int(np.searchsorted(step, self._steps.longest))
         if surplus:
             self._faults.count("surplus", surplus)
             step = step[: len(step) - surplus]
@@ -469,12 +344,7 @@ class Stream:
         self._pass_time(int(time_ns[-1]))
 
     def _begin_touch(self, start_ns):
-        return Touch(start_ns, self._network.begin(), self._longest_steps)
-
-    def _step_at(self, time_ns):
-        """Step of the touch, with the rounding of `pipeline.recordings.steps.EventTable`."""
-        since_ms = ((time_ns - self._touch.start_ns) / NANOSECONDS_PER_MS).astype(np.float32)
-        return np.floor(since_ms / np.float32(self._step_ms)).astype(np.int64)
+        return Touch(start_ns, self._network.begin(), self._steps.longest)
 
     def _present(self, touch, step, cell):
         """Present events; the step of the last one is computed later, when it is over."""
@@ -496,27 +366,9 @@ class Stream:
         if now_ns - touch.last_ns > self._silence_ns:
             self._end_touch(int(touch.last_ns + self._silence_ns))
             return
-        over = int(self._step_at(np.int64(now_ns))) - touch.presentation.n_steps
-        steps_left = self._find_last_step(touch) - touch.presentation.n_steps
+        over = int(self._steps.find_step(touch, np.int64(now_ns))) - touch.presentation.n_steps
+        steps_left = self._steps.find_last_step(touch) - touch.presentation.n_steps
         self._compute(touch, self._list_frames_to_come(min(over, steps_left)))
-
-    def _find_last_step(self, touch):
-        """Steps after which nothing happens any more, unless there are other events.
-
-        A touch whose events are within the usual presentation ends with it, as in the check.  A
-        longer one ends when the spikes of its last event have reached the output.
-        """
-        if self._longest_steps == self._usual_steps:
-            return self._usual_steps
-        if not self._exceeds_training(touch):
-            return self._usual_steps
-        settling = len(self._spec.layers) + 2
-        last_ms = (touch.last_ns - touch.start_ns) / NANOSECONDS_PER_MS
-        end = round(last_ms / self._step_ms + settling)
-        return min(max(end, self._usual_steps), self._longest_steps)
-
-    def _exceeds_training(self, touch):
-        return bool(self._step_at(np.int64(touch.last_ns)) >= self._usual_steps)
 
     def _list_frames_to_come(self, steps):
         """The frame of the present step, and silence after it."""
@@ -532,8 +384,8 @@ class Stream:
             return
         self._network.advance(touch.presentation, frames)
         self._decide_early(touch, np.inf)
-        if touch.decision is None and touch.presentation.n_steps == self._longest_steps:
-            self._decide_at_end(touch, self._step_end(touch, self._longest_steps))
+        if touch.decision is None and touch.presentation.n_steps == self._steps.longest:
+            self._decide_at_end(touch, self._steps.find_end_ns(touch, self._steps.longest))
 
     def _decide_early(self, touch, now_ns):
         """Decide at the first step that reaches the threshold, if there is one."""
@@ -542,8 +394,8 @@ class Stream:
         threshold = self._spec.presentation.threshold
         readout = touch.presentation.readout
         start = self._spec.presentation.readout_start
-        usual = readout.confidences[: self._usual_steps - start]
-        reached = np.flatnonzero(usual[touch.checked :] >= threshold)
+        confidences = readout.confidences[: self._steps.usual - start]
+        reached = np.flatnonzero(confidences[touch.checked :] >= threshold)
         if len(reached):
             row = touch.checked + int(reached[0])
             steps = start + row + 1
@@ -551,18 +403,18 @@ class Stream:
                 touch,
                 steps,
                 number=int(readout.sums[row].argmax()),
-                probability=float(usual[row]),
-                time=min(self._step_end(touch, steps), now_ns),
+                probability=float(confidences[row]),
+                time=min(self._steps.find_end_ns(touch, steps), now_ns),
                 early=True,
             )
-        touch.checked = len(usual)
+        touch.checked = len(confidences)
 
     def _decide_at_end(self, touch, time_ns):
         """The decision of a check, after the last step."""
-        steps = self._find_last_step(touch)
+        steps = self._steps.find_last_step(touch)
         row = steps - self._spec.presentation.readout_start - 1
         readout = touch.presentation.readout
-        is_estimated = readout.spoke[row] and steps <= self._usual_steps
+        is_estimated = readout.spoke[row] and steps <= self._steps.usual
         self._decide(
             touch,
             steps,
@@ -572,7 +424,7 @@ class Stream:
             early=False,
         )
 
-    def _decide(self, touch, steps, number, time, **others):
+    def _decide(self, touch, steps, number, time, **fields):
         """Store a decision that is made on the first steps of a touch, at a time of the stream."""
         touch.decision = Decision(
             label=self.classes[number],
@@ -581,19 +433,15 @@ class Stream:
             start=self._clock.to_sensor_time(touch.start_ns) / self._tick_ns,
             ended=touch.end_ns is not None and time >= touch.end_ns,
             events=int(touch.events[:steps].sum()),
-            **others,
+            **fields,
         )
         self._due.append(touch.decision)
-
-    def _step_end(self, touch, steps):
-        """Time at which some number of steps of a touch are over."""
-        return touch.start_ns + round(steps * self._step_ms * NANOSECONDS_PER_MS)
 
     def _end_touch(self, time_ns):
         """End the touch: compute the rest of its presentation, decide, prepare the next one."""
         touch = self._touch
         touch.end_ns = time_ns
-        steps_left = self._find_last_step(touch) - touch.presentation.n_steps
+        steps_left = self._steps.find_last_step(touch) - touch.presentation.n_steps
         if steps_left > 0:
             self._network.advance(touch.presentation, self._list_frames_to_come(steps_left))
         self._decide_early(touch, time_ns)
@@ -616,35 +464,15 @@ class Stream:
             )
 
 
-def _convert_to_numbers(values):
-    """Numbers as they are, and all others as floats."""
-    return values if values.dtype.kind in "iub" else _convert_to_floats(values)
-
-
-def _convert_to_floats(values):
-    """Numbers as floats; NaN for what is no number."""
-    try:
-        return np.asarray(values, float)
-    except (TypeError, ValueError, OverflowError):
-        return np.array([_convert_to_float(value) for value in np.ravel(values)])
-
-
-def _convert_to_float(value):
-    try:
-        return float(value)
-    except (TypeError, ValueError, OverflowError):
-        return np.nan
-
-
 def _require_positive_seconds(name, seconds):
     """Refuse a duration that no touch can have; it may be infinite."""
     if not seconds > 0:
         raise UserError(f"{name} {seconds:g}: must be above 0 seconds")
 
 
-def _find_bundle(place):
+def _find_bundle(bundle_or_run):
     """The folder of a bundle, which is named directly or by its run."""
-    path = Path(getattr(place, "path", place))
+    path = Path(getattr(bundle_or_run, "path", bundle_or_run))
     inside = path / "bundle"
     return inside if inside.is_dir() and not (path / "MANIFEST.json").exists() else path
 
@@ -652,16 +480,16 @@ def _find_bundle(place):
 def _require_events(bundle):
     """Refuse networks whose input is not the ON and OFF events of a sensor."""
     spec = bundle.spec
-    where = bundle.path or "the bundle"
+    name = bundle.path or "the bundle"
     if not isinstance(spec.stimulus, EventFrames):
         remedy = format_command("convert", "runs/events", "--set", "input.kind=events")
         raise UserError(
-            f"{where}: its network is on images, which are made of whole recordings; a stream "
+            f"{name}: its network is on images, which are made of whole recordings; a stream "
             f"needs one on events, such as of {remedy}"
         )
     if len(spec.input_shape) != 3 or spec.input_shape[2] != 2:
         raise UserError(
-            f"{where}: its input has the shape {spec.input_shape}; a stream needs a network on ON "
+            f"{name}: its input has the shape {spec.input_shape}; a stream needs a network on ON "
             "and OFF events, (rows, columns, 2)"
         )
 
