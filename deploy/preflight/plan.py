@@ -84,7 +84,7 @@ class Plan:
     ----------
     cores : list of CorePlan
     chips : int
-        Number of chips needed.
+        Number of chips that the network needs.
     problems : list of str
         Reasons why it cannot run; empty if it fits.
     warnings : list of str
@@ -136,21 +136,21 @@ def make_plan(spec: NetworkSpec, chips: int = 1, chip: Chip = LOIHI) -> Plan:
     placed = [
         (layer, i, block) for layer, of_layer in blocks.items() for i, block in enumerate(of_layer)
     ]
-    needed = divide_up(len(placed), chip.cores)
-    places = _allocate(model, needed, chip)
+    n_chips = divide_up(len(placed), chip.cores)
+    positions = _allocate(model, n_chips, chip)
     axons = _Axons(_find_shortest_intervals(spec, model), _find_targets(model))
     cores = [
-        _plan_core(layer, index, places[block], block, axons, chip)
+        _plan_core(layer, index, positions[block], block, axons, chip)
         for layer, index, block in placed
     ]
     problems = [*_list_problems(cores, chip), *_list_refractory_problems(blocks, chip)]
-    if needed > chips:
+    if n_chips > chips:
         problems.append(
-            f"the network: {len(cores)} cores need {needed} chips, {needed - chips} more than the "
-            f"{chips} allowed; allow more with --chips, or use larger blocks"
+            f"the network: {len(cores)} cores need {n_chips} chips, {n_chips - chips} more than "
+            f"the {chips} allowed; allow more with --chips, or use larger blocks"
         )
     warnings = [*_list_lost_weights(spec, cores), *_warn_of_layers(cores, chip)]
-    return Plan(cores, needed, problems, warnings, chip)
+    return Plan(cores, n_chips, problems, warnings, chip)
 
 
 def require_fit(spec: NetworkSpec, chips: int = 1) -> Plan:

@@ -29,8 +29,8 @@ class SensorClock:
 
     - if the next time is near that of the waiting event, there was silence, or the clock has jumped
       back; after a jump, the stream's time goes on without one;
-    - if the next time is near those before, the time of the waiting event is wrong, and the event is
-      used at the present time.
+    - if the next time is near those before, the time of the waiting event is wrong, and the event
+      is used at the present time.
 
     Parameters
     ----------

@@ -197,51 +197,63 @@ class Emulation:
             return self._run(np.asarray(samples), watch, memory)
 
     def _run(self, samples, watch, memory):
-        gap = self.spec.presentation.gap
-        period = self.spec.presentation.period
-        n_streams = samples.shape[0]
-        n_samples = samples.shape[1]
-        size = samples.shape[-1]
-        host = InputNeurons(self.spec.stimulus, n_streams, size)
+        n_streams, n_samples = samples.shape[:2]
+        host = InputNeurons(self.spec.stimulus, n_streams, samples.shape[-1])
         state = self.start(n_streams)
-        overflows = np.zeros((len(self.chip.blocks), 3), int)
-        at_once = max(1, memory // self.count_bytes_per_step(n_streams))
-        outputs = []
-        counts = defaultdict(list)
+        steps_at_once = max(1, memory // self.count_bytes_per_step(n_streams))
+        by_sample = []
         for index in range(n_samples):
             host.take(samples[:, index])
-            before = state.chip.counters[:, 1].copy()
-            n_input = np.zeros((n_streams, size), int)
-            packed = defaultdict(list)
-            for first in range(-gap, period - gap, at_once):
-                sent = host.make_spikes(first, min(first + at_once, period - gap))
-                spikes, output, over = self.advance(state, sent)
-                overflows += over
-                outputs.append(output)
-                n_input += sent.sum(axis=1, dtype=np.int32)
-                if watch is not None:
-                    packed["input"].append(np.packbits(sent, axis=2))
-                    for name, compartments in self.positions.items():
-                        packed[name].append(
-                            np.packbits(_select_compartments(spikes, compartments), axis=2)
-                        )
-            counts["input"].append(n_input)
-            for name, compartments in self.positions.items():
-                counts[name].append(
-                    _select_compartments(state.chip.counters[:, 1] - before, compartments)
-                )
-            if watch is not None:
-                watch({name: np.concatenate(arrays, axis=1) for name, arrays in packed.items()})
-        output = np.concatenate(outputs, axis=1)
-        overflows_of_block = dict(zip(self.chip.blocks, overflows))
-        overflows_of_layer = {}
-        for name, blocks in self._blocks.items():
-            overflows_of_layer[name] = sum(overflows_of_block[block] for block in blocks)
+            by_sample.append(self._present_sample(state, host, steps_at_once, watch))
         return StreamOutputs(
-            output=output.reshape(n_streams, n_samples, period, -1),
-            counts={name: np.stack(arrays, axis=1) for name, arrays in counts.items()},
-            overflows=overflows_of_layer,
+            output=np.stack([sample.output for sample in by_sample], axis=1),
+            counts={
+                name: np.stack([sample.counts[name] for sample in by_sample], axis=1)
+                for name in by_sample[0].counts
+            },
+            overflows={
+                name: sum(sample.overflows[name] for sample in by_sample) for name in self._blocks
+            },
         )
+
+    def _present_sample(self, state, host, steps_at_once, watch) -> StreamOutputs:
+        """The outputs of the current sample of each stream, without an axis for samples."""
+        presentation = self.spec.presentation
+        counters_before = state.chip.counters[:, 1].copy()
+        outputs = []
+        input_counts = 0
+        overflows = 0
+        packed = defaultdict(list)
+        for first in range(-presentation.gap, presentation.steps, steps_at_once):
+            sent = host.make_spikes(first, min(first + steps_at_once, presentation.steps))
+            spikes, output, overflows_of_steps = self.advance(state, sent)
+            outputs.append(output)
+            input_counts = input_counts + sent.sum(axis=1, dtype=int)
+            overflows = overflows + overflows_of_steps
+            if watch is not None:
+                packed["input"].append(np.packbits(sent, axis=2))
+                for name, of_layer in self._split_by_layer(spikes):
+                    packed[name].append(np.packbits(of_layer, axis=2))
+        if watch is not None:
+            watch({name: np.concatenate(arrays, axis=1) for name, arrays in packed.items()})
+        counts = dict(self._split_by_layer(state.chip.counters[:, 1] - counters_before))
+        return StreamOutputs(
+            output=np.concatenate(outputs, axis=1),
+            counts={"input": input_counts, **counts},
+            overflows=self._sum_by_layer(overflows),
+        )
+
+    def _split_by_layer(self, values):
+        """(name, values of its compartments) of each layer on the chip."""
+        for name, compartments in self.positions.items():
+            yield name, _select_compartments(values, compartments)
+
+    def _sum_by_layer(self, overflows):
+        """The overflows of each layer, from those of each block."""
+        by_block = dict(zip(self.chip.blocks, overflows))
+        return {
+            name: sum(by_block[block] for block in blocks) for name, blocks in self._blocks.items()
+        }
 
     def count_bytes_per_step(self, n_streams):
         """Approximate memory for one step of some streams."""
@@ -350,11 +362,12 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
         hashes: List[list] = []
 
         def watch(packed, hashes=hashes):
+            """Hash the spikes of one sample of each stream."""
             rows = [packed[name] for name in spec.spiking_layers]
             hashes.append([hash_spikes(layers) for layers in zip(*rows)])
 
         recording = emulation.run(np.stack(batch), watch, memory)
-        _warn_of(recording.overflows)
+        _warn_of_overflows(recording.overflows)
         for index, output in enumerate(recording.output):
             counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
             yield TargetOutput(output[:, gap:], counts, np.transpose(hashes)[index])
@@ -374,11 +387,12 @@ def _list_batches(streams, count_fitting_streams):
         yield batch
 
 
-def _warn_of(overflows):
+def _warn_of_overflows(overflows):
+    """Warn of the overflows of each layer."""
     for name, counts in overflows.items():
         if counts.any():
-            compartments = ", ".join(f"{n} in {place}" for n, place in zip(counts, OVERFLOWS) if n)
-            message = f"layer {name!r}: overflows of the chip's integers: {compartments}"
+            texts = [f"{count} in {number}" for count, number in zip(counts, OVERFLOWS) if count]
+            message = f"layer {name!r}: overflows of the chip's integers: {', '.join(texts)}"
             warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 
