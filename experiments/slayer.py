@@ -38,7 +38,8 @@ import numpy as np
 
 from models.architecture import parse
 from models.keras.keras2 import quiet_compiler, tf
-from models.spiking import compute_weighted_sums, scan
+from models.spiking.network import compute_weighted_sums
+from models.spiking.neurons import scan
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Recordings
 from pipeline.recordings.steps import make_spike_frames

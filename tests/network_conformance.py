@@ -145,7 +145,7 @@ def _assert_built(layer, rng):
 
 def _assert_trained(operation, input_shape, rng):
     """TensorFlow computes its sums, and so do the synapses of the compiled functions."""
-    from models.spiking_kernels import sum_inputs
+    from models.spiking.compiled import sum_inputs
 
     if len(input_shape) == 3 and operation.kind in OPERATIONS:
         output = Dense(3, output=True)

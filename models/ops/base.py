@@ -14,28 +14,28 @@ NUMBER = "([0-9]{1,9})"
 
 
 class Synapses(NamedTuple):
-    """The synapses of a layer by its inputs; see :mod:`models.spiking_kernels`.
+    """The synapses of a layer by its inputs; see :mod:`models.spiking.compiled`.
 
     Entries ``first[i]`` to ``first[i + 1] - 1`` leave input i.  Entry k is ``width`` synapses: row
     ``row[k]`` of the kernel, reshaped to (-1, width), is added to the ``width`` neurons from
-    ``place[k] * width`` on.
+    ``position[k] * width`` on.
 
     Attributes
     ----------
     first : ndarray of int64, shape (inputs + 1,)
-    place, row : ndarray of int64, shape (entries,)
+    position, row : ndarray of int64, shape (entries,)
     width : int
     """
 
     first: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     row: np.ndarray
     width: int
 
     @property
     def arrays(self) -> tuple:
         """The arrays, as the compiled functions take them."""
-        return self.first, self.place, self.row
+        return self.first, self.position, self.row
 
     @property
     def is_matrix(self) -> bool:
@@ -45,7 +45,7 @@ class Synapses(NamedTuple):
         return (
             np.array_equal(self.first[1:], every + 1)
             and np.array_equal(self.row, every)
-            and not self.place.any()
+            and not self.position.any()
         )
 
 
@@ -134,10 +134,10 @@ class Operation(DeployedOperation):
 
     def _find_kernel_entries(self, input_shape) -> np.ndarray:
         """As `find_synapses`, as an index into the flat kernel."""
-        found = self.find_synapses(input_shape)
+        synapses = self.find_synapses(input_shape)
         kernel_shape = self.list_array_shapes(input_shape)["kernel"]
         numbers = np.arange(math.prod(kernel_shape)).reshape(kernel_shape)
-        return np.where(found < 0, -1, self.to_deployed(numbers).ravel()[found])
+        return np.where(synapses < 0, -1, self.to_deployed(numbers).ravel()[synapses])
 
     # --- training ---------------------------------------------------------------------------------
 

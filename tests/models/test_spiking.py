@@ -5,8 +5,9 @@ from hypothesis import strategies as st
 
 from models import spiking
 from models.architecture import parse
+from models.integers import Integers
 from models.keras.keras2 import tf
-from models.spiking import Integers, Neuron, SpikingNetwork
+from models.spiking.network import Neuron, SpikingNetwork
 from tests.models import spiking_in_numpy
 from tests.models.on_emulator import emulate
 

@@ -6,8 +6,8 @@ import pytest
 from models import ops
 from models.architecture import parse
 from models.keras.keras2 import tf
-from models.spiking import SpikingNetwork, count_operations
-from models.spiking_gradient import Batch, SpikingGradient
+from models.spiking.gradient import Batch, SpikingGradient
+from models.spiking.network import SpikingNetwork, count_operations
 from tests.models.test_spiking import ARCHITECTURES, frames_for, network_of
 from tests.test_extensions import OneToOne
 
@@ -21,20 +21,22 @@ def values_of(network):
 def batch_for(network, samples=6, steps=40):
     rng = np.random.default_rng(2)
     frames = frames_for(network, samples, steps)
-    gains = [
+    dropout_factors = [
         ((rng.random((samples, neurons)) < 0.8) / 0.8).astype(np.float32)
         for neurons in network.architecture.neurons.values()
     ][:-1]
     labels = rng.integers(0, network.architecture.outputs, samples)
     last_step = rng.integers(10, steps - 3, samples)
-    return Batch(np.moveaxis(frames, 0, 1), labels, last_step, gains)
+    return Batch(np.moveaxis(frames, 0, 1), labels, last_step, dropout_factors)
 
 
 def in_tensorflow(network, batch):
     """Sum of the losses, and the gradients with the price on operations, by TensorFlow."""
     frames = np.moveaxis(batch.frames, 0, 1)
     with tf.GradientTape() as tape:
-        outputs, spikes = network(tf.constant(frames), [tf.constant(gain) for gain in batch.gains])
+        outputs, spikes = network(
+            tf.constant(frames), [tf.constant(factors) for factors in batch.dropout_factors]
+        )
         labels = tf.tile(tf.constant(batch.labels)[None], (len(frames), 1))
         loss_at = tf.nn.sparse_softmax_cross_entropy_with_logits(labels, outputs)
         writing = (np.arange(len(frames))[:, None] <= batch.last_step).astype(np.float32)

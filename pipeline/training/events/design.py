@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.network.stimulus import EventFrames
 from models.architecture import parse
-from models.spiking import Neuron, SpikingNetwork
+from models.spiking.network import Neuron, SpikingNetwork
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.steps import EventTable, SpikeLimits, make_spike_frames
@@ -36,7 +36,7 @@ class EventDesign:
     tau_u_ms, tau_v_ms : tuple of float
         Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float
-        See :class:`models.spiking.Neuron`.
+        See :class:`models.spiking.network.Neuron`.
     starts : tuple of int
         First step of each section of a sample.
     epochs, batch_size : int

@@ -11,7 +11,7 @@ from deploy.network.decision import Estimator, Threshold, choose_threshold, dela
 from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
 from models.keras.keras2 import tf
-from models.spiking import SpikingNetwork, count_operations
+from models.spiking.network import SpikingNetwork, count_operations
 from pipeline.settings import Settings
 from pipeline.training.events.design import EventDesign
 
@@ -29,8 +29,8 @@ class TrainedOnEvents:
     ----------
     design : EventDesign
     weights : dict of str to ndarray
-        See :meth:`models.spiking.SpikingNetwork.get_weights`; also the arrays of the confidence
-        estimator (:class:`deploy.network.decision.Estimator`).
+        See :meth:`models.spiking.network.SpikingNetwork.get_weights`; also the arrays of the
+        confidence estimator (:class:`deploy.network.decision.Estimator`).
     history : list of dict
         One row per epoch: ``epoch``, ``loss`` (without the penalty), ``accuracy`` and
         ``operations`` (in multiples of the CNN's) on the augmented training samples, ``seconds``,

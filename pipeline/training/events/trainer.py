@@ -11,7 +11,7 @@ from deploy.arithmetic import divide_up
 from deploy.errors import UserError
 from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
-from models.spiking_gradient import Batch, SpikingGradient
+from models.spiking.gradient import Batch, SpikingGradient
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.steps import EventTable
 from pipeline.training.event_rules import TAIL_STEPS
@@ -208,13 +208,15 @@ class Trainer:
         design = self.design
         n = len(batch)
         frames, last_step = self._alter(batch, rng)
-        gains = [self._draw_gains(rng, n, neurons) for neurons in self._gradient.neurons]
+        dropout_factors = [
+            self._draw_dropout_factors(rng, n, neurons) for neurons in self._gradient.neurons
+        ]
         # The operations are those of the batch before: a sum over the whole batch would keep the
         # states of all its samples.
         price = design.price / CNN_MACS if self._cost > design.budget else 0.0
         result = self._gradient.compute_gradients(
             self._optimizer.values,
-            Batch(frames, self.labels[batch], last_step, gains),
+            Batch(frames, self.labels[batch], last_step, dropout_factors),
             design.early,
             price,
         )
@@ -223,7 +225,7 @@ class Trainer:
         self._cost[...] = result.operations / n / CNN_MACS
         return result.loss / n, result.right / n, float(self._cost)
 
-    def _draw_gains(self, rng, samples, neurons):
+    def _draw_dropout_factors(self, rng, samples, neurons):
         """Factors of dropout, shape (samples, neurons)."""
         dropout = self.design.dropout
         if not dropout:

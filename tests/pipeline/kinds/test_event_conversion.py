@@ -9,7 +9,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from models.architecture import parse
-from models.spiking import Neuron, SpikingNetwork
+from models.spiking.network import Neuron, SpikingNetwork
 from pipeline.kinds.events.kind import make_event_spec
 from pipeline.settings import Settings
 from pipeline.training.events import EventDesign, build_network, run_on_frames

@@ -6,7 +6,7 @@ import pytest
 from deploy.errors import UserError
 from deploy.network.decision import Estimator, choose_threshold
 from models.architecture import parse
-from models.spiking import SpikingNetwork
+from models.spiking.network import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration
 from pipeline.training.event_rules import TAIL_STEPS

@@ -4,7 +4,7 @@ The equations are those of :mod:`models.spiking`.  Events are rare, so that the 
 go from spike to spike.  Arrays of one layer have the shape (samples, steps, neurons), in float32;
 spikes are uint8.  The synapses of a layer are in three arrays, see
 :class:`models.ops.base.Synapses`: those of input i are ``first[i]`` to ``first[i + 1]``;
-synapse k connects it with all filters at the place ``place[k]`` of the layer, through row
+synapse k connects it with all filters at the position ``position[k]`` of the layer, through row
 ``row[k]`` of the kernel.
 """
 
@@ -26,8 +26,8 @@ def _compile(function):
 
 
 @_compile
-def sum_inputs(spikes, gains, first, place, row, kernel, sums):
-    """Set ``sums`` to the weighted sums of spikes, each multiplied by its input's gain."""
+def sum_inputs(spikes, factors, first, position, row, kernel, sums):
+    """Set ``sums`` to the weighted sums of spikes, each multiplied by its input's factor."""
     samples, steps, inputs = spikes.shape
     filters = kernel.shape[1]
     sums[:] = _ZERO
@@ -35,28 +35,28 @@ def sum_inputs(spikes, gains, first, place, row, kernel, sums):
         for t in range(steps):
             for i in range(inputs):
                 if spikes[n, t, i]:
-                    gain = gains[n, i]
+                    factor = factors[n, i]
                     for k in range(first[i], first[i + 1]):
-                        start = place[k] * filters
+                        start = position[k] * filters
                         weights = kernel[row[k]]
                         for f in range(filters):
-                            sums[n, t, start + f] += gain * weights[f]
+                            sums[n, t, start + f] += factor * weights[f]
 
 
 @_compile
 def integrate(  # noqa: PLR0913 - Numba takes each array as an argument
-    current, bias, rest, keep_u, keep_v, threshold, floor, voltage, spikes
+    current, bias, rest_voltage, keep_u, keep_v, threshold, floor, voltage, spikes
 ):
     """Integrate the neurons of a layer.
 
     ``current`` has the synaptic inputs q and is replaced by the currents u; ``voltage`` is set to
-    the voltages before the reset, and ``spikes`` to the spikes.  ``bias`` and ``rest``, the voltage
-    at the beginning, have an entry for each neuron.
+    the voltages before the reset, and ``spikes`` to the spikes.  ``bias`` and ``rest_voltage``, the
+    voltage at the beginning, have an entry for each neuron.
     """
     samples, steps, neurons = current.shape
     for n in range(samples):
         u = np.zeros(neurons, np.float32)
-        v = rest.copy()
+        v = rest_voltage.copy()
         for t in range(steps):
             for i in range(neurons):
                 u[i] = np.trunc(u[i] * keep_u) + current[n, t, i]
@@ -78,37 +78,37 @@ def integrate_back(  # noqa: PLR0913 - Numba takes each array as an argument
 
     Returns
     -------
-    to_bias : ndarray, shape (neurons,)
-    to_keep_u, to_keep_v : float
+    grad_bias : ndarray, shape (neurons,)
+    grad_keep_u, grad_keep_v : float
         dE/da and dE/db.
     """
     samples, steps, neurons = error.shape
-    to_bias = np.zeros(neurons, np.float32)
-    to_a = np.zeros(neurons, np.float32)
-    to_b = np.zeros(neurons, np.float32)
+    grad_bias = np.zeros(neurons, np.float32)
+    grad_a = np.zeros(neurons, np.float32)
+    grad_b = np.zeros(neurons, np.float32)
     scale = _ONE / threshold
     for n in range(samples):
-        to_u = np.zeros(neurons, np.float32)
-        to_v = np.zeros(neurons, np.float32)
+        grad_u = np.zeros(neurons, np.float32)
+        grad_v = np.zeros(neurons, np.float32)
         for t in range(steps - 1, -1, -1):
             for i in range(neurons):
                 v = voltage[n, t, i]
                 stays = _ZERO if v > threshold else _ONE
-                to_a[i] += to_u[i] * current[n, t, i]
-                to_b[i] += to_v[i] * v * stays
+                grad_a[i] += grad_u[i] * current[n, t, i]
+                grad_b[i] += grad_v[i] * v * stays
                 distance = _ONE + beta * abs(v * scale - _ONE)
                 slope = error[n, t, i] * scale / (distance * distance)
-                value = slope + keep_v * stays * to_v[i]
+                value = slope + keep_v * stays * grad_v[i]
                 value = value if v > floor else _ZERO
-                to_v[i] = value
-                to_bias[i] += value
-                to_u[i] = value + keep_u * to_u[i]
-                error[n, t, i] = to_u[i]
-    return to_bias, to_a.astype(np.float64).sum(), to_b.astype(np.float64).sum()
+                grad_v[i] = value
+                grad_bias[i] += value
+                grad_u[i] = value + keep_u * grad_u[i]
+                error[n, t, i] = grad_u[i]
+    return grad_bias, grad_a.astype(np.float64).sum(), grad_b.astype(np.float64).sum()
 
 
 @_compile
-def add_kernel_gradient(spikes, gains, first, place, row, to_sums, gradient):
+def add_kernel_gradient(spikes, factors, first, position, row, grad_sums, gradient):
     """Add the gradient of the sums of :func:`sum_inputs` to the kernel to ``gradient``."""
     samples, steps, inputs = spikes.shape
     filters = gradient.shape[1]
@@ -116,28 +116,28 @@ def add_kernel_gradient(spikes, gains, first, place, row, to_sums, gradient):
         for t in range(steps):
             for i in range(inputs):
                 if spikes[n, t, i]:
-                    gain = gains[n, i]
+                    factor = factors[n, i]
                     for k in range(first[i], first[i + 1]):
-                        start = place[k] * filters
+                        start = position[k] * filters
                         weights = gradient[row[k]]
                         for f in range(filters):
-                            weights[f] += gain * to_sums[n, t, start + f]
+                            weights[f] += factor * grad_sums[n, t, start + f]
 
 
 @_compile
-def gather(by_row, first, place, row, to_inputs):
-    """Set ``to_inputs`` to the sums over each input's synapses of ``by_row[..., place, row]``."""
-    moments, inputs = to_inputs.shape
+def sum_over_synapses(by_row, first, position, row, grad_inputs):
+    """Set ``grad_inputs`` to sums of ``by_row[..., position, row]`` over each input's synapses."""
+    moments, inputs = grad_inputs.shape
     for m in range(moments):
         for i in range(inputs):
             total = _ZERO
             for k in range(first[i], first[i + 1]):
-                total += by_row[m, place[k], row[k]]
-            to_inputs[m, i] = total
+                total += by_row[m, position[k], row[k]]
+            grad_inputs[m, i] = total
 
 
 @_compile
-def read_out(spikes, gains, kernel, section, outputs):
+def read_out(spikes, factors, kernel, section, outputs):
     """Set ``outputs`` to the sums of the output weights of all spikes so far."""
     samples, steps, inputs = spikes.shape
     classes = kernel.shape[2]
@@ -148,13 +148,13 @@ def read_out(spikes, gains, kernel, section, outputs):
             for i in range(inputs):
                 if spikes[n, t, i]:
                     for c in range(classes):
-                        total[c] += gains[n, i] * weights[i, c]
+                        total[c] += factors[n, i] * weights[i, c]
             for c in range(classes):
                 outputs[n, t, c] = total[c]
 
 
 @_compile
-def read_out_back(spikes, gains, kernel, section, to_outputs, gradient, to_spikes):
+def read_out_back(spikes, factors, kernel, section, grad_outputs, gradient, grad_spikes):
     """Gradients of :func:`read_out`: add that of the kernel, and set that of the spikes."""
     samples, steps, inputs = spikes.shape
     classes = kernel.shape[2]
@@ -163,12 +163,12 @@ def read_out_back(spikes, gains, kernel, section, to_outputs, gradient, to_spike
         for t in range(steps - 1, -1, -1):
             weights = kernel[section[t]]
             for c in range(classes):
-                total[c] += to_outputs[n, t, c]
+                total[c] += grad_outputs[n, t, c]
             for i in range(inputs):
                 value = _ZERO
                 for c in range(classes):
                     value += total[c] * weights[i, c]
-                to_spikes[n, t, i] = gains[n, i] * value
+                grad_spikes[n, t, i] = factors[n, i] * value
                 if spikes[n, t, i]:
                     for c in range(classes):
-                        gradient[section[t], i, c] += gains[n, i] * total[c]
+                        gradient[section[t], i, c] += factors[n, i] * total[c]

@@ -1,7 +1,7 @@
 """Outputs, loss and gradients of a network on events, computed by Numba instead of TensorFlow.
 
 These are the equations of :mod:`models.spiking`, and the loss of
-:mod:`pipeline.training.events`, computed from spike to spike by :mod:`models.spiking_kernels`: a
+:mod:`pipeline.training.events`, computed from spike to spike by :mod:`models.spiking.compiled`: a
 third of the time of dense sums, since one input in fifty spikes in a step.  Samples are computed a
 few at a time, so that their states stay in the cache of a core, and these groups by several
 threads; the sums over the groups have a fixed order, so that the number of threads does not change
@@ -18,7 +18,6 @@ import numba
 import numpy as np
 
 from deploy.network.chip import LOIHI
-from models import spiking_kernels as kernels
 from models.architecture import Architecture
 from models.integers import (
     BIAS_MANTISSA,
@@ -27,7 +26,8 @@ from models.integers import (
     THRESHOLD_UNIT,
     WEIGHT_UNIT,
 )
-from models.spiking import BIAS_CAP, BIAS_EXPONENTS, OUTPUT_SCALE, Neuron
+from models.spiking import compiled
+from models.spiking.network import BIAS_CAP, BIAS_EXPONENTS, OUTPUT_SCALE, Neuron
 
 # Samples that are computed together.
 SAMPLES_IN_GROUP = 4
@@ -40,22 +40,22 @@ class ChipLayer(NamedTuple):
     ----------
     kernel : ndarray, shape (rows, filters)
         Weights, multiplied by ``WEIGHT_UNIT``.
-    bias, rest : ndarray, shape (neurons,)
+    bias, rest_voltage : ndarray, shape (neurons,)
     keep_u, keep_v : float
         Remaining share of current and voltage after a step.
     threshold, floor : float
-    gain : float
+    kernel_slope : float
         Derivative of ``kernel`` by the trained weights.
     """
 
     kernel: np.ndarray
     bias: np.ndarray
-    rest: np.ndarray
+    rest_voltage: np.ndarray
     keep_u: np.float32
     keep_v: np.float32
     threshold: np.float32
     floor: np.float32
-    gain: np.float32
+    kernel_slope: np.float32
 
     @classmethod
     def of(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
@@ -71,18 +71,18 @@ class ChipLayer(NamedTuple):
         bias = _round_to_twelve_bits(np.minimum(bias, cap) * threshold)
         lowest = 1 - 2.0 ** np.round(np.log2(1 - floor * threshold))
         below = np.floor((np.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
-        rest = np.maximum(np.sign(bias) * (below + 1), lowest)
+        rest_voltage = np.maximum(np.sign(bias) * (below + 1), lowest)
         repeats = neurons // len(bias)
         weights = np.round(kernel / scale)
         return cls(
             kernel=(WEIGHT_UNIT * weights).astype(np.float32),
             bias=np.tile(bias, repeats).astype(np.float32),
-            rest=np.tile(rest, repeats).astype(np.float32),
+            rest_voltage=np.tile(rest_voltage, repeats).astype(np.float32),
             keep_u=np.float32(keep_u / DECAY_UNIT),
             keep_v=np.float32(keep_v / DECAY_UNIT),
             threshold=np.float32(threshold),
             floor=np.float32(lowest),
-            gain=np.float32(WEIGHT_UNIT / scale),
+            kernel_slope=np.float32(WEIGHT_UNIT / scale),
         )
 
 
@@ -97,14 +97,14 @@ class Batch:
     labels : ndarray of int, shape (samples,)
     last_step : ndarray of int, shape (samples,)
         Step of each sample's last event.
-    gains : list of ndarray of float32, each of shape (samples, neurons)
+    dropout_factors : list of ndarray of float32, each of shape (samples, neurons)
         Dropout: for each layer the factors that multiply its spikes before the next layer.
     """
 
     frames: np.ndarray
     labels: np.ndarray
     last_step: np.ndarray
-    gains: list
+    dropout_factors: list
 
 
 class Result(NamedTuple):
@@ -118,7 +118,7 @@ class Result(NamedTuple):
     operations : float
         Synaptic operations.
     gradients : dict of str to ndarray
-        By the names of the variables of a :class:`models.spiking.SpikingNetwork`.
+        By the names of the variables of a :class:`models.spiking.network.SpikingNetwork`.
     """
 
     loss: float
@@ -135,7 +135,7 @@ class SpikingGradient:
     architecture : Architecture
     neuron : Neuron
     starts : tuple of int
-        See :class:`models.spiking.SpikingNetwork`.
+        See :class:`models.spiking.network.SpikingNetwork`.
     """
 
     def __init__(self, architecture: Architecture, neuron: Neuron, starts: tuple = (0,)):
@@ -186,10 +186,10 @@ class SpikingGradient:
         kernel = self._scale_output_kernel(values)
 
         def run(group):
-            gains = self._make_ones(len(group))
-            passed = self._forward(layers, kernel, group, gains)
-            counts = [spikes.sum(1, dtype=np.int64) for spikes in passed.spikes]
-            return passed.outputs, self._count_operations(counts), counts[1:]
+            factors = self._make_ones(len(group))
+            forward = self._forward(layers, kernel, group, factors)
+            counts = [spikes.sum(1, dtype=np.int64) for spikes in forward.spikes]
+            return forward.outputs, self._count_operations(counts), counts[1:]
 
         outputs, operations, counts = zip(*_run_in_groups(run, np.asarray(frames)), strict=True)
         rates = [np.concatenate(layer) for layer in zip(*counts, strict=True)]
@@ -211,8 +211,8 @@ class SpikingGradient:
         layers = self.make_chip_layers(values)
         kernel = self._scale_output_kernel(values)
 
-        def run(chosen):
-            return self._compute_gradients(layers, kernel, batch, chosen, early, price)
+        def run(samples_of_group):
+            return self._compute_gradients(layers, kernel, batch, samples_of_group, early, price)
 
         results = _run_in_groups(run, np.arange(len(batch.labels)))
         sums: dict[str, Any] = {}  # arrays, and zeros where sum() begins
@@ -220,14 +220,15 @@ class SpikingGradient:
             sums[name] = sum(result.gradients[name] for result in results)
         for name, layer in zip(self.names, layers, strict=True):
             kernel_shape = np.shape(values[f"{name}.kernel"])
-            sums[f"{name}.kernel"] = (sums[f"{name}.kernel"] * layer.gain).reshape(kernel_shape)
-            to_bias = sums[f"{name}.bias"].reshape(-1, len(values[f"{name}.bias"])).sum(0)
-            sums[f"{name}.bias"] = to_bias * layer.threshold
+            grad_kernel = sums[f"{name}.kernel"] * layer.kernel_slope
+            sums[f"{name}.kernel"] = grad_kernel.reshape(kernel_shape)
+            grad_bias = sums[f"{name}.bias"].reshape(-1, len(values[f"{name}.bias"])).sum(0)
+            sums[f"{name}.bias"] = grad_bias * layer.threshold
             for tau in ("tau_u", "tau_v"):
                 share = _compute_sigmoid(values[f"{name}.{tau}"])
                 sums[f"{name}.{tau}"] = sums[f"{name}.{tau}"] * share * (1 - share)
-        to_output = sums["output.kernel"] * OUTPUT_SCALE
-        sums["output.kernel"] = to_output.reshape(np.shape(values["output.kernel"]))
+        grad_output = sums["output.kernel"] * OUTPUT_SCALE
+        sums["output.kernel"] = grad_output.reshape(np.shape(values["output.kernel"]))
         return Result(
             sum(result.loss for result in results),
             sum(result.right for result in results),
@@ -235,73 +236,73 @@ class SpikingGradient:
             sums,
         )
 
-    def _compute_gradients(self, layers, kernel, batch, chosen, early, price):
+    def _compute_gradients(self, layers, kernel, batch, samples_of_group, early, price):
         """The result for some samples, with gradients by the chip's values."""
-        gains = [gain[chosen] for gain in batch.gains]
-        passed = self._forward(layers, kernel, batch.frames[chosen], gains)
-        labels = batch.labels[chosen]
-        last_step = batch.last_step[chosen]
-        loss, to_outputs = _compute_loss_gradient(passed.outputs, labels, last_step, early)
-        error = np.empty(passed.spikes[-1].shape, np.float32)
-        to_kernel = np.zeros_like(kernel)
+        factors = [of_layer[samples_of_group] for of_layer in batch.dropout_factors]
+        forward = self._forward(layers, kernel, batch.frames[samples_of_group], factors)
+        labels = batch.labels[samples_of_group]
+        last_step = batch.last_step[samples_of_group]
+        loss, grad_outputs = _compute_loss_gradient(forward.outputs, labels, last_step, early)
+        error = np.empty(forward.spikes[-1].shape, np.float32)
+        grad_kernel = np.zeros_like(kernel)
         section = self._find_section(error.shape[1])
-        kernels.read_out_back(
-            passed.spikes[-1], gains[-1], kernel, section, to_outputs, to_kernel, error
+        compiled.read_out_back(
+            forward.spikes[-1], factors[-1], kernel, section, grad_outputs, grad_kernel, error
         )
-        gradients = {"output.kernel": to_kernel}
+        gradients = {"output.kernel": grad_kernel}
         for index in reversed(range(len(layers))):
             layer = layers[index]
             name = self.names[index]
             if price:
                 error += np.float32(price) * self.fan_out[index + 1].astype(np.float32)
-            to_bias, to_keep_u, to_keep_v = kernels.integrate_back(
-                error, passed.spikes[index + 1], passed.currents[index], passed.voltages[index],
+            grad_bias, grad_keep_u, grad_keep_v = compiled.integrate_back(
+                error, forward.spikes[index + 1], forward.currents[index], forward.voltages[index],
                 layer.keep_u, layer.keep_v, layer.threshold, layer.floor,
                 np.float32(self.neuron.beta),
             )  # fmt: skip
-            gain = gains[index - 1] if index else self._make_ones_like(error, passed.spikes[0])
-            to_kernel = np.zeros_like(layer.kernel)
-            kernels.add_kernel_gradient(
-                passed.spikes[index], gain, *self.synapses[index].arrays, error, to_kernel
+            factor = factors[index - 1] if index else self._make_ones_like(error, forward.spikes[0])
+            grad_kernel = np.zeros_like(layer.kernel)
+            compiled.add_kernel_gradient(
+                forward.spikes[index], factor, *self.synapses[index].arrays, error, grad_kernel
             )
             gradients |= {
-                f"{name}.kernel": to_kernel,
-                f"{name}.bias": to_bias,
-                f"{name}.tau_u": to_keep_u,
-                f"{name}.tau_v": to_keep_v,
+                f"{name}.kernel": grad_kernel,
+                f"{name}.bias": grad_bias,
+                f"{name}.tau_u": grad_keep_u,
+                f"{name}.tau_v": grad_keep_v,
             }
             if index:
-                error = self._to_inputs(index, layer, error) * gain[:, None, :]
-        counts = [spikes.sum(1, dtype=np.int64) for spikes in passed.spikes]
-        right = int(np.sum(passed.outputs[:, -1].argmax(1) == labels))
+                error = self._compute_input_gradients(index, layer, error) * factor[:, None, :]
+        counts = [spikes.sum(1, dtype=np.int64) for spikes in forward.spikes]
+        right = int(np.sum(forward.outputs[:, -1].argmax(1) == labels))
         return Result(loss, right, float(self._count_operations(counts).sum()), gradients)
 
-    def _forward(self, layers, kernel, frames, gains):
+    def _forward(self, layers, kernel, frames, factors):
         spikes = [np.ascontiguousarray(frames.reshape(*frames.shape[:2], -1))]
         currents = []
         voltages = []
-        gain = np.ones((len(frames), spikes[0].shape[2]), np.float32)
+        factor = np.ones((len(frames), spikes[0].shape[2]), np.float32)
         for index, layer in enumerate(layers):
             shape = (*frames.shape[:2], self.neurons[index])
             current = np.empty(shape, np.float32)
             voltage = np.empty(shape, np.float32)
-            fired = np.empty(shape, np.uint8)
-            kernels.sum_inputs(
-                spikes[-1], gain, *self.synapses[index].arrays, layer.kernel, current
+            spiked = np.empty(shape, np.uint8)
+            compiled.sum_inputs(
+                spikes[-1], factor, *self.synapses[index].arrays, layer.kernel, current
             )
-            kernels.integrate(
-                current, layer.bias, layer.rest, layer.keep_u, layer.keep_v, layer.threshold,
-                layer.floor, voltage, fired,
+            compiled.integrate(
+                current, layer.bias, layer.rest_voltage, layer.keep_u, layer.keep_v,
+                layer.threshold, layer.floor, voltage, spiked,
             )  # fmt: skip
             currents.append(current)
             voltages.append(voltage)
-            spikes.append(fired)
-            gain = gains[index]
+            spikes.append(spiked)
+            factor = factors[index]
         outputs = np.empty((*frames.shape[:2], kernel.shape[2]), np.float32)
-        kernels.read_out(spikes[-1], gain, kernel, self._find_section(frames.shape[1]), outputs)
+        compiled.read_out(spikes[-1], factor, kernel, self._find_section(frames.shape[1]), outputs)
         return _ForwardPass(spikes, currents, voltages, outputs)
 
-    def _to_inputs(self, index, layer, error):
+    def _compute_input_gradients(self, index, layer, error):
         """Gradients of a layer's sums to the spikes of its inputs."""
         samples, steps, _ = error.shape
         filters = layer.kernel.shape[1]
@@ -309,10 +310,10 @@ class SpikingGradient:
         inputs = self.neurons[index - 1]
         if self.synapses[index].is_matrix:
             return by_row.reshape(samples, steps, inputs)
-        to_inputs = np.empty((samples * steps, inputs), np.float32)
+        grad_inputs = np.empty((samples * steps, inputs), np.float32)
         by_row = by_row.reshape(samples * steps, -1, layer.kernel.shape[0])
-        kernels.gather(by_row, *self.synapses[index].arrays, to_inputs)
-        return to_inputs.reshape(samples, steps, inputs)
+        compiled.sum_over_synapses(by_row, *self.synapses[index].arrays, grad_inputs)
+        return grad_inputs.reshape(samples, steps, inputs)
 
     def _count_operations(self, counts):
         """Synaptic operations of each sample, from the numbers of spikes of input and layers."""
@@ -336,7 +337,7 @@ class SpikingGradient:
 
 
 class _ForwardPass(NamedTuple):
-    """What a forward pass leaves: the input's spikes and each layer's, currents and voltages."""
+    """The results of a forward pass: spikes of the input and of each layer, currents, voltages."""
 
     spikes: list
     currents: list

@@ -1,48 +1,5 @@
-"""A spiking network trained on events, with Loihi 1's integer arithmetic in its forward pass.
+"""A spiking network on events in TensorFlow; the equations are in :mod:`models.spiking`."""
 
-In each step a neuron computes, in the chip's integers (Davies et al. 2018, Section "Neuron model";
-rounding as in NengoLoihi's emulator, ``emulator/interface.py`` and ``builder/discretize.py``):
-
-=======================  ========================================================================
-synaptic input           q(t) = 128 sum over i of w_i s_i(t),  w_i an integer, -127 to 127
-current                  u(t) = trunc(keep_u u(t-1) / 4096) + q(t)
-voltage                  v(t) = max(trunc(keep_v v(t-1) / 4096) + u(t) + bias, floor)
-spike                    s(t) = 1 if v(t) > theta, and then v(t) is reset to 0
-=======================  ========================================================================
-
-keep_u and keep_v are integers from 2 to 4095; theta is a multiple of 64; floor, the lower voltage
-bound, is -(2^k) + 1; the bias is 12 bits times a power of two.  Without a refractory period
-(NengoLoihi's ``tau_ref`` of 0) the neuron integrates again in the step after its spike.  On the
-chip a spike arrives one step after it was sent; here it arrives in the same step, which only shifts
-the spikes of layer n by n steps.
-
-The trained parameters are real numbers: weights W and biases b in units of the threshold, and for
-each layer one time constant of the current and one of the voltage.  They determine the integers:
-
-    w = round(127 W / max abs W),   theta = 64 round(2 * 127 / max abs W),   bias = round(theta b)
-
-so that the largest weight is 127, as NengoLoihi requires, and W is w 128 / theta.  (In a layer that
-is divided among cores by its outputs, NengoLoihi does this for each core's block, so that the
-chip's integers differ slightly: :func:`deploy.network.blocks.find_rescaled_layers`.)  The gradient
-of rounding is straight-through.  A neuron's bias is limited so that it cannot fire without input.
-
-The gradients through time are below, with a = keep_u / 4096, b = keep_v / 4096, the loss E, and the
-surrogate theta' = 1 / (theta (1 + beta abs(v / theta - 1))^2) for the derivative of a spike (the
-fast sigmoid of Zenke and Ganguli 2018); the reset is not differentiated (Zenke and Vogels 2021):
-
-    dE/dv(t) = dE/ds(t) theta' + b (1 - s(t)) dE/dv(t+1),      0 where v(t) is at its lower bound
-    dE/du(t) = dE/dv(t) + a dE/du(t+1),                        dE/dq(t) = dE/du(t)
-    dE/da = sum over t of dE/du(t) u(t-1),                     dE/db likewise with v
-
-The output accumulates its weights K over the spikes of the last layer, from the sample's start:
-
-    y(t) = sum over t' <= t of K(t') s(t').
-
-K may differ between consecutive sections of the sample: the readout is on the host, which knows the
-step.
-"""
-
-import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +15,7 @@ from models.integers import (
 )
 from models.keras.keras2 import quiet_compiler, tf
 from models.quantised import find_weight_scale, pass_gradient_through
+from models.spiking.neurons import find_length, fire
 
 BIAS_EXPONENTS = 7
 
@@ -192,14 +150,14 @@ class SpikingNetwork(tf.Module):
                 value = _compute_logit(value)
             variable.assign(value / OUTPUT_SCALE if name == "output.kernel" else value)
 
-    def __call__(self, frames, keep=None, dtype=tf.float32, values=None):
+    def __call__(self, frames, dropout_factors=None, dtype=tf.float32, values=None):
         """Run the network on event frames from its resting state (no current).
 
         Parameters
         ----------
         frames : tensor, shape (steps, samples, rows, columns, channels)
             1 where there is a spike, 0 elsewhere; any type.
-        keep : list of tensor, optional
+        dropout_factors : list of tensor, optional
             Dropout: for each layer the factors that multiply its spikes before the next layer,
             of a shape that broadcasts to (samples, neurons).
         dtype : tf.DType
@@ -224,17 +182,19 @@ class SpikingNetwork(tf.Module):
             parameters = self._round_to_chip(name, values, dtype)
             current = compute_weighted_sums(layer, parameters["kernel"], signal)
             current = tf.reshape(current, (steps, samples, self.architecture.neurons[name]))
-            parameters = _spread(parameters, current.shape[2])
+            parameters = _repeat_bias(parameters, current.shape[2])
             spikes.append(fire(current, parameters, self.neuron.beta))
-            signal = spikes[-1] if keep is None else spikes[-1] * keep[index]
+            signal = spikes[-1]
+            if dropout_factors is not None:
+                signal = signal * dropout_factors[index]
             signal = tf.reshape(signal, (steps, samples, *layer.compute_shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
         kernels = tf.split(kernel, len(self.starts))
         ends = (*self.starts[1:], None)
         added = []
-        for first, end, of_section in zip(self.starts, ends, kernels, strict=True):
-            section = tf.reshape(signal[first:end], (-1, of_section.shape[0]))
-            added.append(tf.matmul(section, of_section))
+        for first, end, section_kernel in zip(self.starts, ends, kernels, strict=True):
+            section = tf.reshape(signal[first:end], (-1, section_kernel.shape[0]))
+            added.append(tf.matmul(section, section_kernel))
         added = tf.reshape(tf.concat(added, 0), (steps, samples, kernel.shape[1]))
         return tf.cumsum(added), spikes
 
@@ -286,40 +246,6 @@ class SpikingNetwork(tf.Module):
         return layers
 
 
-def scan(step, like, state, outputs: int, backwards: bool = False):
-    """Call a step function at every time step and collect its values.
-
-    Parameters
-    ----------
-    step : callable
-        ``step(t, state) -> state, values``, with ``outputs`` values.
-    like : tensor, shape (steps, ...)
-        Defines the number of steps and the type of the values.
-    state : tuple of tensor
-        State before the first step.
-    outputs : int
-        Number of values per step.
-    backwards : bool
-        Run from the last step to the first.
-
-    Returns
-    -------
-    tuple of tensor, each of shape (steps, ...)
-        One tensor for each value.
-    """
-    steps = _find_length(like, 0)
-    arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
-
-    def body(i, state, arrays):
-        t = steps - 1 - i if backwards else i
-        state, values = step(t, state)
-        return i + 1, state, tuple(a.write(t, x) for a, x in zip(arrays, values, strict=True))
-
-    loop = (tf.constant(0), state, arrays)
-    *_, arrays = tf.while_loop(lambda i, *_: i < steps, body, loop, maximum_iterations=steps)
-    return tuple(a.stack() for a in arrays)
-
-
 def compute_weighted_sums(layer, kernel, signal):
     """Weighted sums of a layer's inputs, for all steps of all samples at once.
 
@@ -336,15 +262,10 @@ def compute_weighted_sums(layer, kernel, signal):
     -------
     tensor, shape (steps, samples, ...)
     """
-    steps = _find_length(signal, 0)
-    samples = _find_length(signal, 1)
+    steps = find_length(signal, 0)
+    samples = find_length(signal, 1)
     sums = layer.compute_tensor_sums(kernel, tf.reshape(signal, (-1, *signal.shape[2:])))
     return tf.reshape(sums, (steps, samples, *sums.shape[1:]))
-
-
-def _find_length(tensor, axis):
-    """The size of an axis: an int if it is static, else a tensor."""
-    return tf.shape(tensor)[axis] if tensor.shape[axis] is None else tensor.shape[axis]
 
 
 def count_operations(architecture: Architecture, frames, spikes):
@@ -374,100 +295,7 @@ def count_operations(architecture: Architecture, frames, spikes):
     )
 
 
-_NEURON_PARAMETERS = ("keep_u", "keep_v", "bias", "threshold", "floor")
-
-
-def fire(current, parameters: dict, beta: float):
-    """Simulate a layer of neurons, with the surrogate gradient of the module's docstring.
-
-    Parameters
-    ----------
-    current : tensor, shape (steps, samples, neurons)
-        q of the module's docstring.
-    parameters : dict of str to tensor
-        ``keep_u``, ``keep_v``, ``threshold``, ``floor``: scalars; ``bias``: shape (neurons,).  All
-        are in the chip's integers; threshold and floor have no gradient.
-    beta : float
-        See :class:`Neuron`.
-
-    Returns
-    -------
-    tensor, shape (steps, samples, neurons)
-        Spikes, 0 or 1.
-    """
-
-    @tf.custom_gradient
-    def with_gradient(current, keep_u, keep_v, bias, threshold, floor):
-        constants = [tf.stop_gradient(x) for x in (keep_u, keep_v, bias, threshold, floor)]
-        spikes, u, v = _run(tf.stop_gradient(current), *constants)
-
-        def gradient(error):
-            to_u, to_v = _run_back(error, spikes, v, beta, *constants)
-            kept = v * (1 - spikes)
-            over_u = tf.reduce_sum(to_u[1:] * u[:-1]) / DECAY_UNIT
-            over_v = tf.reduce_sum(to_v[1:] * kept[:-1]) / DECAY_UNIT
-            return to_u, over_u, over_v, tf.reduce_sum(to_v, (0, 1)), None, None
-
-        return spikes, gradient
-
-    return with_gradient(current, *(parameters[name] for name in _NEURON_PARAMETERS))
-
-
-_compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
-
-
-@_compiled
-def _run(current, keep_u, keep_v, bias, threshold, floor):
-    """Spikes, currents, and voltages before the reset, at every step; see :func:`fire`."""
-    rest = tf.maximum(_compute_rest(keep_v, bias), floor)
-
-    def step(t, state):
-        u, v = state
-        u = _decay(u, keep_u) + current[t]
-        v = tf.maximum(_decay(v, keep_v) + u + bias, floor)
-        return (u, tf.where(v > threshold, tf.zeros_like(v), v)), (u, v)
-
-    v = tf.zeros_like(current[0]) + rest
-    u, v = scan(step, current, (tf.zeros_like(v), v), outputs=2)
-    return tf.cast(v > threshold, current.dtype), u, v
-
-
-@_compiled
-def _run_back(  # noqa: PLR0913 - TensorFlow compiles a function of tensors
-    error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor
-):
-    """dE/du and dE/dv at every step."""
-    slope = error / (threshold * tf.square(1 + beta * tf.abs(v / threshold - 1)))
-    free = tf.cast(v > floor, error.dtype)
-    a = keep_u / DECAY_UNIT
-    b = keep_v / DECAY_UNIT
-
-    def step(t, state):
-        to_u, to_v = state
-        # v(t) does not influence v(t + 1) after a spike or where the lower bound replaced it.
-        to_v = (slope[t] + b * (1 - spikes[t]) * to_v) * free[t]
-        to_u = to_v + a * to_u
-        return (to_u, to_v), (to_u, to_v)
-
-    nothing = tf.zeros_like(error[0])
-    return scan(step, error, (nothing, nothing), outputs=2, backwards=True)
-
-
-def _compute_rest(keep_v, bias):
-    """The resting voltage: the first fixed point that a bias alone reaches from 0.
-
-    v = trunc(keep_v v / 4096) + bias is true if ceil(v (4096 - keep_v) / 4096) = bias, v > 0.
-    """
-    lower = tf.floor((tf.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
-    return tf.sign(bias) * (lower + 1)
-
-
-def _decay(x, keep):
-    """trunc(x keep / 4096)."""
-    return tf.cast(tf.cast(x * (keep / DECAY_UNIT), tf.int32), x.dtype)
-
-
-def _spread(parameters, neurons):
+def _repeat_bias(parameters, neurons):
     """The parameters with the bias repeated from channels to neurons."""
     bias = parameters["bias"]
     return {**parameters, "bias": tf.tile(bias, [neurons // bias.shape[0]])}
