@@ -1,6 +1,6 @@
 """The target ``fast``: bit-identical to NengoLoihi's emulator, with many streams at once.
 
-NengoLoihi builds and discretises the network; the chip's part runs on the compiled kernel of
+NengoLoihi builds and discretises the network; the chip's part runs on the compiled steps of
 `fastloihi`, the host's part (input neurons before it, linear readout after it) in NumPy on all
 streams together.
 """
@@ -54,7 +54,7 @@ class StreamOutputs(NamedTuple):
 
 
 class EmulationState(NamedTuple):
-    """State of a network on the kernel between two steps, for some streams.
+    """State of a network on the fast emulator between two steps, for some streams.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class EmulationState(NamedTuple):
 
 
 class Emulation:
-    """A network on the compiled kernel; several threads may use it.
+    """A network on the fast emulator; several threads may use it.
 
     Parameters
     ----------

@@ -303,7 +303,7 @@ def run_target(
     advance : callable, optional
         Called with the number of samples done since the last call.
     **options
-        Keyword arguments of the target's ``run``, such as the kernel of ``fast``.
+        Keyword arguments of the target's ``run``, such as the memory of ``fast``.
 
     Returns
     -------

@@ -22,7 +22,7 @@ from fastloihi import NotAccelerated, emulator  # noqa: E402
 def permissive(monkeypatch):
     """Overflows are warnings, and what is warned of once is warned of again in each test."""
     monkeypatch.setattr(EmulatorInterface, "strict", False)
-    monkeypatch.setattr(emulator, "_said", set())
+    monkeypatch.setattr(emulator, "_warned", set())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.simplefilter("error", NotAccelerated)

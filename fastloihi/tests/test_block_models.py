@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from block_models import feed, random_calls, random_model
 from comparison import NUMPY_1, Outcome, assert_same, state_of
+from fastloihi.arrays import LOG_LINES
 from fastloihi.emulator import hand_over, take_over
-from fastloihi.link import LOG_LINES
 from hypothesis import HealthCheck, Phase, event, example, given, reject, settings
 from hypothesis import strategies as st
 from nengo_loihi.emulator.interface import EmulatorInterface
@@ -133,7 +133,7 @@ def test_a_warning_that_is_an_error_ends_the_step_where_the_emulator_ends_it(see
 
 @settings(max_examples=15, **PROFILE)
 @given(seed=SEEDS)
-def test_after_a_step_of_nengo_loihis_own_the_kernel_goes_on(seed):
+def test_after_a_step_of_nengo_loihis_own_the_compiled_code_goes_on(seed):
     """A warning might be an error, so that NengoLoihi does the step; it is none."""
     plain, fast = two_emulators(seed) or reject()
     with warnings.catch_warnings():
@@ -171,9 +171,9 @@ def test_more_warnings_than_the_log_holds_are_all_given():
 
 def test_a_call_is_cut_where_it_would_take_too_much_memory(monkeypatch):
     plain, fast = two_emulators(5)
-    fast._link.at_once = 7
-    run, seen = fast._link.run, []
-    monkeypatch.setattr(fast._link, "run", lambda *given: seen.append(given[1]) or run(*given))
+    fast._arrays.at_once = 7
+    run, seen = fast._arrays.run, []
+    monkeypatch.setattr(fast._arrays, "run", lambda *given: seen.append(given[1]) or run(*given))
     run_both(plain, fast, 5, each_step=False)
     assert max(seen) == 7
 
@@ -202,14 +202,14 @@ def test_an_emulator_can_be_taken_over_and_handed_back_between_steps(seed):
 
 @pytest.mark.skipif(NUMPY_1, reason="NumPy 1 makes floats of uint64 and int")
 def test_no_place_outside_of_an_array_is_used():
-    """The kernel as plain Python, where NumPy refuses what compiled code would not notice."""
+    """The functions as plain Python, where NumPy refuses what compiled code would not notice."""
     code = """
 import sys
 sys.modules.update(dict.fromkeys(("tensorflow", "nengo_dl", "keras")))
 import numpy as np
 from test_block_models import run_both, two_emulators
-from fastloihi import link
-link.LOG_LINES = 4
+from fastloihi import arrays
+arrays.LOG_LINES = 4
 np.seterr(all="ignore")  # Python tells of integers that wrap
 for seed in (3, 5, 19, 27, 48, 55):
     run_both(*two_emulators(seed), seed, each_step=False, n_calls=1)

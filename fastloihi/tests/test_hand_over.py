@@ -1,4 +1,4 @@
-"""What the kernel does not do is left to NengoLoihi's own steps, errors included, and said once."""
+"""What the compiled steps do not do is left to NengoLoihi's, errors included, with one warning."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("what", TAKEN)
-def test_the_kernel_gives_nengo_loihis_answer(what):
+def test_the_compiled_code_gives_nengo_loihis_answer(what):
     case = TAKEN[what]
     plain, fast = pair(case.change)
     for chip in (plain, fast):

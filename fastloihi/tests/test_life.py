@@ -10,7 +10,7 @@ from comparison import NUMPY_1, Outcome, assert_same, state_of
 from nengo_loihi.emulator.interface import EmulatorInterface
 from parts import as_it_is, floating, learns, made, mapped, noisy, together
 
-from fastloihi import FastEmulator, NotAccelerated, emulator, kernel
+from fastloihi import FastEmulator, NotAccelerated, compiled, emulator
 
 LEARNS_IN_FLOATING_POINT = together(floating, learns)
 CHANGES = {
@@ -173,8 +173,8 @@ def test_indices_and_maps_are_read_only():
 
 def test_functions_of_an_archive_are_compiled_although_nothing_is_cached():
     """As in a bundle's ``deploy.pyz``."""
-    archived, names = "bundle/deploy.pyz/fastloihi/kernel.py", {}
+    archived, names = "bundle/deploy.pyz/fastloihi/compiled.py", {}
     exec(compile("def twice(value):\n    return 2 * value\n", archived, "exec"), names)
-    twice = kernel._jit(from_python=True)(names["twice"])
+    twice = compiled._jit(from_python=True)(names["twice"])
     assert twice(3) == 6
     assert len(twice.signatures) == 1

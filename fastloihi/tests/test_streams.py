@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import fastloihi.kernel
+import fastloihi.compiled
 import nengo
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_every_spike_and_overflow_of_every_stream_is_the_emulators(seed):
     for b in range(3):
         spiked, overflows, compartment = emulated(model, inputs[b])
         assert np.array_equal(spikes[b], spiked)
-        assert np.array_equal(state.cells[b, fastloihi.kernel.VOLTAGE], compartment.voltage)
+        assert np.array_equal(state.cells[b, fastloihi.compiled.VOLTAGE], compartment.voltage)
         expected += [overflows[part].sum(axis=0) for part in streams.blocks.values()]
     assert np.array_equal(total, expected)
     event(f"overflows: {total.any()}")
@@ -95,9 +95,9 @@ def test_weights_and_constants_are_those_of_the_blocks():
             inputs = np.zeros((1, 2, matrix.shape[0] - streams.n), np.uint8)
             inputs[0, 0, neuron] = 1
             quiet = streams.start(1)
-            quiet.cells[:, fastloihi.kernel.BIAS] = 0
+            quiet.cells[:, fastloihi.compiled.BIAS] = 0
             streams.advance(quiet, inputs)
-            q = quiet.cells[0, fastloihi.kernel.INPUT]
+            q = quiet.cells[0, fastloihi.compiled.INPUT]
             if np.abs(matrix[neuron]).max() < 2**21:
                 assert np.array_equal(q, matrix[neuron])
     assert compared > 10

@@ -164,7 +164,7 @@ class ImageDecider(Decider):
     """A decider for a bundle on images: each answer presents the image so far, from rest.
 
     Making a decider takes a few seconds, and about five more the first time on a machine, when the
-    kernel is compiled.  Each answer then takes about a millisecond.
+    emulator is compiled.  Each answer then takes about a millisecond.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class ImageDecider(Decider):
     def __init__(self, bundle: Bundle, sensor: Sensor):
         super().__init__(bundle, sensor)
         self._taxels = TaxelMap.grid(sensor.rows, sensor.columns)
-        self._present(np.zeros((1, *self._spec.input_shape)))  # compiles the kernel
+        self._present(np.zeros((1, *self._spec.input_shape)))  # compiles the emulator
 
     def begin(self):
         """Begin a recording; its answers are stored for the curve."""
@@ -245,7 +245,7 @@ class EventDecider(Decider):
         self.window_s = step_s * longest
         self._bundle = bundle
         self._network = SharedNetwork(self._emulation, self.layers)
-        self.begin()  # compiles the kernel
+        self.begin()  # compiles the emulator
 
     def begin(self):
         """Begin a recording: a fresh network, whose only touch ends when the recording does."""
@@ -333,7 +333,7 @@ class TouchDecider:
 
 
 def make_decider(bundle: Bundle, sensor: Sensor) -> Decider:
-    """The decider for a bundle; compiles the kernel if necessary."""
+    """The decider for a bundle; compiles the emulator if necessary."""
     if isinstance(bundle.spec.stimulus, EventFrames):
         return EventDecider(bundle, sensor)
     return ImageDecider(bundle, sensor)

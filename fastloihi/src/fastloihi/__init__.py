@@ -5,7 +5,7 @@
 ...     sim.run(1.0)
 
 `simulator` has the public names; `emulator` replaces NengoLoihi's emulator; `layout` converts a
-network to flat arrays, `link` has these arrays and the state, and `kernel` advances them.  The
+network to flat arrays, `arrays` has these arrays and the state, and `compiled` advances them.  The
 import of this package lets NengoLoihi 1.1 run on NumPy 2 (`numpy1`); Numba is imported when a
 network is first built.
 """

@@ -1,9 +1,9 @@
-"""NengoLoihi's emulator with a compiled kernel for its steps: same methods, bit-identical results.
+"""NengoLoihi's emulator with compiled steps: the same methods, bit-identical results.
 
-NengoLoihi's own class makes the arrays of the chip's state.  They become views of the arrays of the
-kernel, so that other code can still read them or change them in place.  Values that only
-NengoLoihi's steps use (the spikes of the last step, random numbers that nothing depends on) are
-computed on request.
+NengoLoihi's own class makes the arrays of the chip's state.  They become views of the
+arrays of the compiled steps, so that other code can still read them or change them in place.
+Values that only NengoLoihi's steps use (the spikes of the last step, random numbers that nothing
+depends on) are computed on request.
 
 In two cases NengoLoihi's own steps run, so that no result can differ: for networks that `layout`
 does not support (`Unsupported`), and for a step with a warning that should be an error.
@@ -25,31 +25,31 @@ from nengo_loihi.emulator.interface import (
     SynapseState,
 )
 
+from .arrays import COUNTERS, ROWS, ArrivingSpikes, EmulatorArrays
 from .layout import Unsupported
-from .link import COUNTERS, ROWS, ArrivingSpikes, KernelArrays
 
 FIXED = ("decay_u", "decay_v", "scale_u", "scale_v", "vmin", "vmax", "ref")
 FIXED_NOISE = ("mant_offset", "mult", "target_u")
 
-LOST, TRACE, WEIGHTS, OVERFLOWS = range(4)  # in the kernel's log
+LOST, TRACE, WEIGHTS, OVERFLOWS = range(4)  # in the log of the compiled steps
 
 
 class NotAccelerated(UserWarning):
     """Warning: NengoLoihi's own, slower code runs a network; the results are the same."""
 
 
-_said: Set[str] = set()
+_warned: Set[str] = set()
 
 
-def say_once(message):
+def warn_once(message):
     """Warn, unless the same warning was given before in this process."""
-    if message not in _said:
-        _said.add(message)
+    if message not in _warned:
+        _warned.add(message)
         warnings.warn(message, NotAccelerated, stacklevel=3)
 
 
 class FastEmulator(EmulatorInterface):
-    """NengoLoihi's `EmulatorInterface` with a compiled kernel, for any of its models.
+    """NengoLoihi's `EmulatorInterface` with compiled steps, for any of its models.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class FastEmulator(EmulatorInterface):
     @rng.setter
     def rng(self, rng):
         self.__dict__["rng"] = rng
-        if self.__dict__.get("_link") is not None:
+        if self.__dict__.get("_arrays") is not None:
             try:
                 self._random.draw_from(rng)
             except Unsupported as reason:
@@ -81,54 +81,54 @@ class FastEmulator(EmulatorInterface):
                 self._random.share()
 
     def __deepcopy__(self, memo):
-        """Copy the state as NengoLoihi keeps it; the copy has its own arrays of the kernel."""
-        link = self._link
+        """Copy the state as NengoLoihi keeps it; the copy has arrays of its own."""
+        arrays = self._arrays
         kind = type(self)
-        if link is None:
+        if arrays is None:
             raise TypeError("a closed emulator cannot be copied")
         _disconnect(self)
         try:
             other = copy.deepcopy(self, memo)
         finally:
             self.__class__ = kind
-            _connect(self, link)
+            _connect(self, arrays)
         take_over(other, kind)
         return other
 
     def close(self):
-        if self._link is not None:
-            _unlock(self._link)
+        if self._arrays is not None:
+            _unlock(self._arrays)
         super().close()
-        self._link = None
+        self._arrays = None
 
     def step(self):
-        if self._link is not None:
+        if self._arrays is not None:
             self.run_steps(1)
         else:
             super().step()
 
     def run_steps(self, steps):
         steps = len(range(steps))
-        while steps > 0 and isinstance(self, FastEmulator) and self._link is not None:
-            steps -= self._advance(min(steps, self._link.at_once))
+        while steps > 0 and isinstance(self, FastEmulator) and self._arrays is not None:
+            steps -= self._advance(min(steps, self._arrays.at_once))
         if steps > 0:
             EmulatorInterface.run_steps(self, steps)
 
     def _advance(self, steps):
         """Advance by some steps, at least one if there is no error; return their number."""
-        link = self._link
+        arrays = self._arrays
         careful = bool(self.compartment.strict or self.synapses.strict or _warnings_are_errors())
-        kept = link.copy() if careful else None
+        state = arrays.copy() if careful else None
         try:
             arriving = ArrivingSpikes(self.inputs, self.t, steps)
-            done = link.run(self, steps, arriving, careful)
+            done = arrays.run(self, steps, arriving, careful)
         except Unsupported as reason:
             hand_over(self, reason)
             return 0
-        if careful and link.log[0, 0]:
-            link.restore(kept)
+        if careful and arrays.log[0, 0]:
+            arrays.restore(state)
             if done > 1:
-                link.run(self, done - 1, arriving, False)
+                arrays.run(self, done - 1, arriving, False)
                 self._finish(done - 1, arriving)
             run_step_as_nengo_loihi(self)
             return done
@@ -137,29 +137,29 @@ class FastEmulator(EmulatorInterface):
 
     def _finish(self, done, arriving):
         """Store the probed values of some steps, and issue the warnings of these steps."""
-        link = self._link
+        arrays = self._arrays
         self.t += done
         arriving.forget(self.inputs, done)
-        link.last_spikes = arriving.get_spikes(done - 1)
-        if not link.draws:
-            link.random.owed += done
-            if link.random.is_shared:
-                link.random.settle()
-        if link.has_probes:
-            current, voltage, spikes = link.histories
+        arrays.last_spikes = arriving.get_spikes(done - 1)
+        if not arrays.draws:
+            arrays.random.owed += done
+            if arrays.random.is_shared:
+                arrays.random.settle()
+        if arrays.has_probes:
+            current, voltage, spikes = arrays.histories
             histories = (current, voltage, spikes.view(bool))
-            self.probes.keep(link.layout.columns, histories, done)
-        if link.log[0, 0]:
-            for kind, count in link.log[1 : link.log[0, 0] + 1].tolist():
+            self.probes.keep(arrays.layout.columns, histories, done)
+        if arrays.log[0, 0]:
+            for kind, count in arrays.log[1 : arrays.log[0, 0] + 1].tolist():
                 _warn(self, kind, count)
 
 
 def _warn(emulator, kind, count):
-    """Issue the warnings in the kernel's log as NengoLoihi does, from its module."""
+    """Issue the warnings in the log of the compiled steps as NengoLoihi does, from its module."""
     if kind == OVERFLOWS:
-        for bit, place in enumerate(("q0", "current", "u2")):
+        for bit, number in enumerate(("q0", "current", "u2")):
             if count & 1 << bit:
-                emulator.compartment.error(f"Overflow in {place}")
+                emulator.compartment.error(f"Overflow in {number}")
     for _ in range(count if kind != OVERFLOWS else 0):
         if kind == LOST:
             emulator.synapses.error("Synaptic trace spikes lost")
@@ -182,7 +182,7 @@ def _warnings_are_errors():
     return False
 
 
-# --- NengoLoihi's parts, which compute on request what the kernel does not store ------------------
+# --- NengoLoihi's parts, which compute on request what is not stored ------------------------------
 
 
 class _Compartments(CompartmentState):
@@ -211,11 +211,11 @@ class _Synapses(SynapseState):
 
     @property
     def trace_spikes(self):
-        return self.link.trace_spikes(self)
+        return self.fast_arrays.trace_spikes(self)
 
     @property
     def spikes_in(self):
-        return self.link.spikes_in(self)
+        return self.fast_arrays.spikes_in(self)
 
 
 class _Probes(ProbeState):
@@ -265,10 +265,10 @@ def _concatenate(parts):
 
 
 def take_over(emulator, kind=FastEmulator):
-    """Let an emulator of NengoLoihi continue with the kernel, after any number of steps.
+    """Let an emulator of NengoLoihi continue with the compiled steps, after any number of its own.
 
     The emulator is not changed, and one warning is given, if its network has a feature that the
-    kernel does not support.
+    compiled steps do not support.
 
     Parameters
     ----------
@@ -276,36 +276,36 @@ def take_over(emulator, kind=FastEmulator):
     kind : type
         `FastEmulator` or a class derived from it.
     """
-    emulator.__dict__["_link"] = emulator.__dict__["_random"] = None
+    emulator.__dict__["_arrays"] = emulator.__dict__["_random"] = None
     try:
-        link = KernelArrays(emulator)
+        arrays = EmulatorArrays(emulator)
     except Unsupported as reason:
         emulator.__class__ = EmulatorInterface
-        say_once(f"NengoLoihi's own emulator is used, because of {reason}")
+        warn_once(f"NengoLoihi's own emulator is used, because of {reason}")
         return
     emulator.__class__ = kind
-    _connect(emulator, link)
+    _connect(emulator, arrays)
 
 
-def _connect(emulator, link):
-    """Let an emulator use the arrays of a link, which have its state."""
+def _connect(emulator, arrays):
+    """Let an emulator use arrays that have its state."""
     state = emulator.compartment
     synapses = emulator.synapses
     probes = emulator.probes
-    vars(state).update(link.list_state_arrays())
-    _lock(emulator, link)
-    link.learn_from(synapses)
+    vars(state).update(arrays.list_state_arrays())
+    _lock(emulator, arrays)
+    arrays.learn_from(synapses)
     lists = vars(probes).pop("outputs")
     probes.kept = {probe: _stack_parts(parts) for probe, parts in lists.items()}
     vars(synapses).pop("spikes_in")
     vars(synapses).pop("trace_spikes")
-    synapses.link = link
+    synapses.fast_arrays = arrays
     state.__class__ = _Compartments
     synapses.__class__ = _Synapses
     probes.__class__ = _Probes
     state.noise.__class__ = _Noise
-    emulator.__dict__["_link"] = link
-    emulator.__dict__["_random"] = link.random
+    emulator.__dict__["_arrays"] = arrays
+    emulator.__dict__["_random"] = arrays.random
 
 
 def _stack_parts(parts) -> list:
@@ -315,8 +315,8 @@ def _stack_parts(parts) -> list:
 
 def _disconnect(emulator):
     """The inverse of `_connect`: NengoLoihi's own steps find all arrays where they expect them."""
-    link = emulator._link
-    link.random.settle()
+    arrays = emulator._arrays
+    arrays.random.settle()
     state = emulator.compartment
     synapses = emulator.synapses
     probes = emulator.probes
@@ -330,54 +330,54 @@ def _disconnect(emulator):
     synapses.trace_spikes = trace_spikes
     synapses.spikes_in = spikes_in
     probes.outputs = lists
-    del synapses.link, probes.kept
-    _unlock(link)
+    del synapses.fast_arrays, probes.kept
+    _unlock(arrays)
     emulator.__class__ = EmulatorInterface
-    emulator._link = emulator._random = None
+    emulator._arrays = emulator._random = None
 
 
-def _lock(emulator, link):
-    """Protect the arrays that the kernel has copied: changing them would have no effect."""
+def _lock(emulator, arrays):
+    """Protect the arrays that were copied: changing them would have no effect."""
     state = emulator.compartment
-    arrays = [getattr(state, name) for name in FIXED]
-    arrays += [getattr(state.noise, name) for name in FIXED_NOISE]
+    copied = [getattr(state, name) for name in FIXED]
+    copied += [getattr(state.noise, name) for name in FIXED_NOISE]
     for synapse in emulator.synapses.slices:
-        arrays += synapse.indices
+        copied += synapse.indices
         if not synapse.learning:
-            arrays += synapse.weights
+            copied += synapse.weights
     for source in (*emulator.inputs, *emulator.block_info.blocks):
         for axon in source.axons:
             maps = (axon.compartment_map, axon.compartment_atoms)
-            arrays += [chosen for chosen in maps if chosen is not None]
-    link.locked = [array for array in arrays if array.flags.writeable]
-    for array in link.locked:
+            copied += [array for array in maps if array is not None]
+    arrays.locked = [array for array in copied if array.flags.writeable]
+    for array in arrays.locked:
         array.flags.writeable = False
 
 
-def _unlock(link):
-    for array in link.locked:
+def _unlock(arrays):
+    for array in arrays.locked:
         array.flags.writeable = True
 
 
 def hand_over(emulator, reason):
     """Let an emulator continue with NengoLoihi's own steps, with one warning."""
     _disconnect(emulator)
-    say_once(f"NengoLoihi's own emulator continues, because of {reason}")
+    warn_once(f"NengoLoihi's own emulator continues, because of {reason}")
 
 
 def run_step_as_nengo_loihi(emulator):
-    """Run one step of NengoLoihi; the kernel continues afterwards, unless the step failed."""
-    link = emulator._link
+    """Run one step of NengoLoihi; the compiled ones continue afterwards, unless it failed."""
+    arrays = emulator._arrays
     kind = type(emulator)
     spiked = emulator.compartment.spiked.copy()
     t = emulator.t
     last = [(item, item.spikes.get(t, [])) for item in emulator.inputs]
     _disconnect(emulator)
     EmulatorInterface.step(emulator)
-    link.last_spikes = [spikes for _, spikes in last]
-    link.before[: len(spiked)] = spiked
-    link.pending[:] = 0
-    for synapse, first in link.first_trace.items():
-        link.pending[[first + axon for axon in emulator.synapses.trace_spikes[synapse]]] = 1
+    arrays.last_spikes = [spikes for _, spikes in last]
+    arrays.before[: len(spiked)] = spiked
+    arrays.pending[:] = 0
+    for synapse, first in arrays.first_trace.items():
+        arrays.pending[[first + axon for axon in emulator.synapses.trace_spikes[synapse]]] = 1
     emulator.__class__ = kind
-    _connect(emulator, link)
+    _connect(emulator, arrays)

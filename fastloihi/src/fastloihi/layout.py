@@ -23,7 +23,7 @@ from nengo_loihi.block import Axon, Synapse
 from nengo_loihi.builder.discretize import LEARN_FRAC, learn_overflow_bits
 from nengo_loihi.inputs import SpikeInput
 
-KEYS = ("current", "voltage", "spiked")  # of probes; the kernel has their indices
+KEYS = ("current", "voltage", "spiked")  # of probes; the compiled functions have their indices
 LANES = 16  # narrow runs are padded to multiples: vectors of 256 bits
 LARGEST_NARROW = 4095  # a sum of 16 bits has room for at least eight rows
 
@@ -39,7 +39,7 @@ class Layout(NamedTuple):
     ----------
     network : tuple of ndarray
         ``segments, constants, blocks, routes, entries, first_run, runs, narrow, wide, sums,
-        input_sizes``: as the kernel takes them, which names their columns.
+        input_sizes``: as the compiled functions take them, which name their columns.
     learning : tuple of ndarray
         ``rules, rates``: a line for each synapse that learns.
     noise : tuple of ndarray
@@ -75,8 +75,8 @@ def make_layout(emulator) -> Layout:
     Raises
     ------
     Unsupported
-        The network has a feature that the kernel does not support, or something in it cannot be
-        read: NengoLoihi may read it later, never, or raise an error of its own.
+        The network has a feature that the compiled steps do not support, or something in it cannot
+        be read: NengoLoihi may read it later, never, or raise an error of its own.
     """
     try:
         return _make_layout(emulator)
@@ -180,7 +180,7 @@ class _Pools:
         self.largest = {}
         self.shifts = []
         self.is_wide = []
-        self._place = {}
+        self._first_weight = {}
         self._runs = []
         self._runs_of_row = []
         self._pools = {True: [], False: []}
@@ -201,7 +201,7 @@ class _Pools:
                 self.first_row[synapse] = n_rows
                 self.atoms[synapse] = rows.n_atoms
                 self.reach[synapse] = rows.lowest, rows.highest
-                self._place[synapse] = self._sizes[narrow]
+                self._first_weight[synapse] = self._sizes[narrow]
                 runs, per_row, pool = rows.cut(shift) if narrow else rows.cut(None)
                 runs[:, 1] += self._sizes[narrow]
                 self._sizes[narrow] += len(pool)
@@ -225,12 +225,12 @@ class _Pools:
 
     def find_first_weight(self, synapse):
         """Position in the wide pool at which the weights of a learning synapse begin."""
-        return self._place[synapse]
+        return self._first_weight[synapse]
 
     def view_weights(self, synapse, wide):
         """The weights of a synapse that learns, as parts of the wide pool."""
         width = len(synapse.weights[0].ravel()) if synapse.weights else 0
-        first = self._place[synapse]
+        first = self._first_weight[synapse]
         return [
             wide[first + i * width : first + (i + 1) * width].reshape(1, -1)
             for i in range(len(synapse.weights))
@@ -310,9 +310,10 @@ class _Rows:
         and lengths are multiples of `LANES`.
         """
         gap = LANES if shift is not None else 1
-        new = np.ones(len(self.row), bool)
-        new[1:] = (self.row[1:] != self.row[:-1]) | (self.targets[1:] > self.targets[:-1] + gap)
-        starts = np.flatnonzero(new)
+        begins_run = np.ones(len(self.row), bool)
+        begins_row = self.row[1:] != self.row[:-1]
+        begins_run[1:] = begins_row | (self.targets[1:] > self.targets[:-1] + gap)
+        starts = np.flatnonzero(begins_run)
         ends = np.append(starts[1:], len(self.row)) - 1
         per_row = np.bincount(self.row[starts], minlength=len(self.lengths))
         if not len(starts):
@@ -322,11 +323,11 @@ class _Rows:
         if shift is None:
             return np.stack([first, starts, lengths], axis=1), per_row, self.weights
         lengths = -(-lengths // LANES) * LANES
-        places = np.cumsum(lengths) - lengths
+        positions = np.cumsum(lengths) - lengths
         pool = np.zeros(int(lengths.sum()), np.int16)
-        run = np.cumsum(new) - 1
-        pool[places[run] + self.targets - first[run]] = self.weights >> shift
-        return np.stack([first, places, lengths], axis=1), per_row, pool
+        run = np.cumsum(begins_run) - 1
+        pool[positions[run] + self.targets - first[run]] = self.weights >> shift
+        return np.stack([first, positions, lengths], axis=1), per_row, pool
 
 
 def _count_trailing_zeros(bits):
@@ -388,8 +389,9 @@ def _make_routes(emulator, pools):
 
 def _map_axons(axon, n):
     """Axon and atom of the spike of each neuron of a source; a negative axon means none."""
-    who = np.arange(n)
-    return _convert_to_integers(axon.map_axon(who)), _convert_to_integers(axon.map_atoms(who))
+    neurons = np.arange(n)
+    axons = _convert_to_integers(axon.map_axon(neurons))
+    return axons, _convert_to_integers(axon.map_atoms(neurons))
 
 
 def _convert_to_integers(values):
@@ -408,10 +410,10 @@ def _find_rows(synapse, index, atom, pools):
         base[used] = _convert_to_integers(synapse.axon_compartment_bases)[index[used]]
         used = used & (base >= 0)
     row = np.full(len(index), -1)
-    of = synapse.axon_to_weight_map
-    row[used] = (
-        index[used] if of is None else _convert_to_integers([of[i] for i in index[used].tolist()])
-    )
+    row_of_axon = synapse.axon_to_weight_map
+    row[used] = index[used]
+    if row_of_axon is not None:
+        row[used] = _convert_to_integers([row_of_axon[i] for i in index[used].tolist()])
     n_atoms = pools.atoms[synapse]
     if np.any(used & (row < 0)):
         raise Unsupported("an axon that its synapse does not have")
@@ -428,24 +430,26 @@ def _make_learning(synapses, pools, integers):
     for s in synapses.traces:
         n = s.n_axons
         n_errors = len(synapses.pes_errors[s])
-        product = old = new = bits = limit = 0
+        product_shift = old_shift = new_shift = fraction_bits = limit = 0
         rate = s._lr_int if integers else 0
-        whole = [s.train_epoch, s.learn_epoch]
+        parameters = [s.train_epoch, s.learn_epoch]
         if integers:
-            whole += [rate, s._lr_exp, s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits]
-        if any(type(value) is not int for value in whole):  # NengoLoihi uses 64 bits for NumPy's
+            parameters += [rate, s._lr_exp, s.synapse_cfg.real_weight_exp, s.synapse_cfg.shift_bits]
+        # NengoLoihi uses 64 bits for NumPy's integers.
+        if any(type(value) is not int for value in parameters):
             raise Unsupported("a learning rule whose parameters are not Python's integers")
         if not (min(s.train_epoch, s.learn_epoch) > 0 and s.tracing_tau > 0):
             raise Unsupported("a learning rule with a period that is not positive")
         if integers:
             exponent = s.synapse_cfg.real_weight_exp
             spare = s.synapse_cfg.shift_bits
-            product = LEARN_FRAC + s._lr_exp - learn_overflow_bits(n_factors=2)
-            old = LEARN_FRAC - exponent
-            new = exponent + spare
-            bits = LEARN_FRAC + spare
+            product_shift = LEARN_FRAC + s._lr_exp - learn_overflow_bits(n_factors=2)
+            old_shift = LEARN_FRAC - exponent
+            new_shift = exponent + spare
+            fraction_bits = LEARN_FRAC + spare
             limit = 2 ** (8 - spare) - 1
-            if not (abs(product) < 32 and abs(old) < 32 and 0 <= new < 32 and 0 < bits < 28):
+            shifts_fit = abs(product_shift) < 32 and abs(old_shift) < 32 and 0 <= new_shift < 32
+            if not (shifts_fit and 0 < fraction_bits < 28):
                 raise Unsupported("learning with shifts beyond 32 bits")
             if not -(2**31) <= rate < 2**31 or not 0 <= s.tracing_mag < 2**30:
                 raise Unsupported("a learning rate beyond 32 bits")
@@ -454,7 +458,8 @@ def _make_learning(synapses, pools, integers):
         product_type = (s.learning_rate * np.ones(1, np.float32)).dtype
         rules.append(
             (trace, trace + n, error, error + n_errors, pools.find_first_weight(s), s.train_epoch,
-             s.learn_epoch, rate, product, old, bits, new, limit, product_type == np.float64)
+             s.learn_epoch, rate, product_shift, old_shift, fraction_bits, new_shift, limit,
+             product_type == np.float64)
         )  # fmt: skip
         rates.append((np.exp(-s.train_epoch / s.tracing_tau), s.tracing_mag, s.learning_rate))
         trace = trace + n
@@ -472,17 +477,17 @@ def _plan_probes(probes):
             raise Unsupported(f"a probe of {probe.key!r}")
         key = KEYS.index(probe.key)
         parts = []
-        for part, chosen in zip(blocks.values(), probe.slice):
-            where = np.arange(part.start, part.stop)[chosen]
-            if where.ndim != 1:
+        for part, selected in zip(blocks.values(), probe.slice):
+            compartments = np.arange(part.start, part.stop)[selected]
+            if compartments.ndim != 1:
                 raise Unsupported("a probe of a single compartment by its number")
-            starts = np.flatnonzero(np.diff(where, prepend=-2) != 1)
-            lengths = np.diff(np.append(starts, len(where)))
+            starts = np.flatnonzero(np.diff(compartments, prepend=-2) != 1)
+            lengths = np.diff(np.append(starts, len(compartments)))
             runs += [
-                (key, where[at], length, widths[key] + at)
+                (key, compartments[at], length, widths[key] + at)
                 for at, length in zip(starts.tolist(), lengths.tolist())
             ]
-            parts.append(slice(widths[key], widths[key] + len(where)))
-            widths[key] += len(where)
+            parts.append(slice(widths[key], widths[key] + len(compartments)))
+            widths[key] += len(compartments)
         columns[probe] = (key, parts)
     return np.array(runs, np.int64).reshape(-1, 4), widths, columns

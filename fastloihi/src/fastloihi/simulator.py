@@ -6,7 +6,7 @@ import nengo_loihi
 from nengo.exceptions import ValidationError
 from nengo_loihi.emulator.interface import EmulatorInterface
 
-from .emulator import FastEmulator, say_once, take_over
+from .emulator import FastEmulator, take_over, warn_once
 
 
 class FastSimulator(nengo_loihi.Simulator):
@@ -21,7 +21,7 @@ class FastSimulator(nengo_loihi.Simulator):
 
     Notes
     -----
-    The first step on a machine takes about five seconds more, because the kernel is compiled.
+    The first step on a machine takes about five seconds more, because its steps are compiled.
     """
 
     def __init__(self, network, *args, **kwargs):
@@ -56,7 +56,7 @@ def accelerate(simulator):
     if isinstance(emulator, FastEmulator) or emulator.closed:
         return simulator
     if type(emulator) is not EmulatorInterface:
-        say_once(f"an emulator of the class {type(emulator).__name__} is left as it is")
+        warn_once(f"an emulator of the class {type(emulator).__name__} is left as it is")
         return simulator
     take_over(emulator)
     return simulator

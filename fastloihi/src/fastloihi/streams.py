@@ -4,7 +4,7 @@
 >>> state = streams.start(n_streams=20)
 >>> spikes, overflows = streams.advance(state, inputs)
 
-It uses the kernel of `FastEmulator`; the network's arrays are shared by all streams.
+It uses the compiled steps of `FastEmulator`; the network's arrays are shared by all streams.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from nengo_loihi.emulator.interface import EmulatorInterface
 
-from . import kernel
+from . import compiled
+from .arrays import EmulatorArrays
 from .layout import Unsupported
-from .link import KernelArrays
 
 _CONSTANTS = ("keep_u", "keep_v", "v_min", "v_max")
 _SPIKED = 2  # index of the key "spiked" in `layout.KEYS`
@@ -28,7 +28,7 @@ class StreamState(NamedTuple):
     Attributes
     ----------
     cells, counters, spiked : ndarray
-        The arrays of the kernel, with the streams as their first axis.
+        The arrays of `EmulatorArrays`, with the streams as their first axis.
     arriving : (n_streams, n_inputs) array
         Spikes that arrive in the next step.
     """
@@ -68,13 +68,13 @@ class StreamEmulator:
 
     def __init__(self, model):
         emulator = EmulatorInterface(model)
-        self._link = link = KernelArrays(emulator)
-        if link.draws or emulator.compartment.dtype != np.int32:
+        self._arrays = arrays = EmulatorArrays(emulator)
+        if arrays.draws or emulator.compartment.dtype != np.int32:
             raise Unsupported("learning, noise, or a model that is not discretised")
         self.n = emulator.block_info.n_compartments
         self.blocks = dict(emulator.block_info.slices)
         self.input_sizes = [item.n_neurons for item in emulator.inputs]
-        self.network = link.layout.network
+        self.network = arrays.layout.network
         self._edges = np.cumsum([0, *self.input_sizes])
         self._record = np.array([[_SPIKED, 0, self.n, 0]], np.int64)
 
@@ -85,9 +85,9 @@ class StreamEmulator:
             return np.tile(array, (n_streams, *[1] * array.ndim))
 
         return StreamState(
-            cells=repeat(self._link.cells),
-            counters=repeat(self._link.counters),
-            spiked=repeat(self._link.spiked),
+            cells=repeat(self._arrays.cells),
+            counters=repeat(self._arrays.counters),
+            spiked=repeat(self._arrays.spiked),
             arriving=np.zeros((n_streams, self._edges[-1]), np.uint8),
         )
 
@@ -119,20 +119,20 @@ class StreamEmulator:
         ends = np.zeros(n_steps * len(self.input_sizes) + 1, np.int64)
         log = np.zeros((n_steps + 4, 2), np.int64)  # so that it cannot fill up
         empty = np.zeros((1, 0), np.int32)
-        link = self._link
-        link.overflows[:] = 0
+        arrays = self._arrays
+        arrays.overflows[:] = 0
         for b in range(n_streams):
-            kernel.list_inputs(arriving[b].view(np.uint64), self._edges, sent, ends)
+            compiled.list_inputs(arriving[b].view(np.uint64), self._edges, sent, ends)
             log[0, 0] = 0
-            done = link.advance(
+            done = arrays.advance(
                 state.cells[b], state.counters[b], state.spiked[b],
-                state.spiked[b].view(np.uint64), link.before, *link.fixed_arguments,
-                link.random.words, self._record, False, False, 0, n_steps,
+                state.spiked[b].view(np.uint64), arrays.before, *arrays.fixed_arguments,
+                arrays.random.words, self._record, False, False, 0, n_steps,
                 sent, ends, empty, empty, spikes[b], log, False,
             )  # fmt: skip
             if done < 0:
                 raise Unsupported("a voltage of -2**31")
-        return spikes, link.overflows.copy()
+        return spikes, arrays.overflows.copy()
 
     def read_constants(self):
         """Integers of the compartments.
@@ -140,24 +140,24 @@ class StreamEmulator:
         Returns
         -------
         dict of str to (n,) int64 array
-            ``bias``, ``threshold``, the decays' ``keep_u`` and ``keep_v`` (see `kernel`),
+            ``bias``, ``threshold``, the decays' ``keep_u`` and ``keep_v`` (see `compiled`),
             ``v_min``, ``v_max``, and the steps after a spike in which the voltage stays at 0,
             ``refractory``.
         """
         segments, table = self.network[:2]
-        lengths = segments[:, kernel.STOP] - segments[:, kernel.START]
-        columns = {name: table[:, getattr(kernel, name.upper())] for name in _CONSTANTS}
-        columns["refractory"] = np.maximum(segments[:, kernel.REFRACTORY] - 1, 0)
+        lengths = segments[:, compiled.STOP] - segments[:, compiled.START]
+        columns = {name: table[:, getattr(compiled, name.upper())] for name in _CONSTANTS}
+        columns["refractory"] = np.maximum(segments[:, compiled.REFRACTORY] - 1, 0)
         values = {name: np.repeat(column, lengths) for name, column in columns.items()}
-        values["bias"] = self._link.cells[kernel.BIAS]
-        values["threshold"] = self._link.cells[kernel.THRESHOLD]
+        values["bias"] = self._arrays.cells[compiled.BIAS]
+        values["threshold"] = self._arrays.cells[compiled.THRESHOLD]
         return {name: value.astype(np.int64) for name, value in values.items()}
 
     def set_constants(self, refractory, v_min):
         """Give all compartments other refractory steps and another lower bound of the voltage."""
         segments, table = self.network[:2]
-        segments[:, kernel.REFRACTORY] = refractory + 1
-        table[:, kernel.V_MIN] = v_min
+        segments[:, compiled.REFRACTORY] = refractory + 1
+        table[:, compiled.V_MIN] = v_min
 
     def read_weights(self):
         """All weights on the chip: (source, target, value) of each, int64 arrays.
@@ -170,7 +170,7 @@ class StreamEmulator:
         firsts = [*self._edges[:-1], *[self._edges[-1]] * len(blocks)]
         weights = [np.zeros((3, 0), np.int64)]
         for source, offset, block, is_wide, *_ in routes.tolist():
-            pool, shift = (wide, 0) if is_wide else (narrow, int(blocks[block, kernel.SHIFT]))
+            pool, shift = (wide, 0) if is_wide else (narrow, int(blocks[block, compiled.SHIFT]))
             for neuron in range(*ranges[source]):
                 row, base, _ = entries[:, neuron + offset].tolist()
                 if row < 0:
@@ -200,7 +200,7 @@ def sum_rows(spikes, matrix):
     rows = np.zeros((spikes.size // max(n, 1), _pad_to_8(n)), np.uint8)
     rows[:, :n] = spikes.reshape(len(rows), n)
     sums = np.zeros((len(rows), n_outputs))
-    kernel.sum_rows(rows.view(np.uint64), np.ascontiguousarray(matrix), sums)
+    compiled.sum_rows(rows.view(np.uint64), np.ascontiguousarray(matrix), sums)
     return sums.reshape(*spikes.shape[:-1], n_outputs)
 
 

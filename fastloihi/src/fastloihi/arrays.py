@@ -1,4 +1,4 @@
-"""The kernel's arrays for one emulator, and the spikes of its inputs."""
+"""The arrays of the compiled steps for one emulator, and the spikes of its inputs."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .layout import Unsupported, make_layout
 ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, by NengoLoihi's names
 COUNTERS = ("ref_count", "spike_count")  # of `counters`
 
-MAX_PROBED_BYTES = 32 << 20  # bytes of probed values in one call of the kernel
+MAX_PROBED_BYTES = 32 << 20  # bytes of probed values in one call of the compiled function
 AT_ONCE = 1 << 28  # updates of compartments in one call: half a second, in which Ctrl-C waits
-LOG_LINES = 256  # lines of the kernel's log of warnings
+LOG_LINES = 256  # lines of the log of warnings
 
 # Learning parameters of a synapse, in floating point and in integers.
 PERIODS = ("train_epoch", "learn_epoch", "tracing_tau", "tracing_mag")
@@ -74,27 +74,27 @@ class Random:
             self.owed = 0
 
 
-class KernelArrays:
-    """The arrays of the kernel for one emulator.
+class EmulatorArrays:
+    """The arrays of the compiled steps for one emulator.
 
     Attributes
     ----------
     layout : Layout
     cells, counters, spiked, before, traces, pending, errors, wide : ndarray
-        The state: see the kernel.  ``before`` are the spikes before the last step.
+        The state: see :mod:`fastloihi.compiled`.  ``before`` are the spikes before the last step.
     last_spikes : list
         Spikes of each input that arrived in the last step.
     draws : bool
-        True if anything depends on random numbers; otherwise the kernel does not draw them.
+        True if anything depends on random numbers; otherwise they are not drawn.
     random : Random
     overflows : (n_blocks, 3) int64 array
         Number of overflows since the start in integers.
     advance : callable
-        The kernel, whose arguments after those of the state are `fixed_arguments`.
+        The compiled function, whose arguments after those of the state are `fixed_arguments`.
     """
 
     def __init__(self, emulator):
-        from . import kernel  # Numba takes long to import, and not everyone runs a network
+        from . import compiled  # Numba takes long to import, and not everyone runs a network
 
         state = emulator.compartment
         synapses = emulator.synapses
@@ -107,8 +107,8 @@ class KernelArrays:
         n = emulator.block_info.n_compartments
         dtype = state.dtype
         integers = dtype == np.int32
-        self.advance = kernel.advance_integers if integers else kernel.advance_floats
-        skip = (kernel.skip_noise, n) if integers else (kernel.skip_words, 2 * n)
+        self.advance = compiled.advance_integers if integers else compiled.advance_floats
+        skip = (compiled.skip_noise, n) if integers else (compiled.skip_words, 2 * n)
         self.random = Random(vars(emulator)["rng"], *skip)
         self.cells = np.zeros((len(ROWS), n), dtype)
         self.counters = np.zeros((len(COUNTERS), n), np.int32)
@@ -116,7 +116,7 @@ class KernelArrays:
             self.cells[row] = getattr(state, name).reshape(n)
         for row, name in enumerate(COUNTERS):
             self.counters[row] = getattr(state, name)
-        # The kernel looks at eight spikes at a time.
+        # Eight spikes are looked at together.
         self.spiked, self.before = (np.zeros(-(-n // 8) * 8, np.uint8) for _ in range(2))
         self.spiked[:n] = state.spiked
         self._n = n
@@ -126,7 +126,7 @@ class KernelArrays:
         self.draws = bool(layout.is_noisy or (integers and n_rules))
         self._parameters_of = parameters_of_integers if integers else parameters_of_floats
         self.has_probes = bool(layout.columns)
-        self._spikes_in = synapses.spikes_in  # of the step before the kernel's first
+        self._spikes_in = synapses.spikes_in  # of the step before the first
         self.last_spikes = None
         self.at_once = max(
             1, min(AT_ONCE // max(n, 1000), MAX_PROBED_BYTES // max(1, 4 * sum(layout.widths)))
@@ -137,12 +137,13 @@ class KernelArrays:
         self.histories = self._empty
         self._inputs = list(emulator.inputs)
         self._axons = emulator.axons
-        most = max([s.n_axons * max(1, len(e) * 2) for s, e in synapses.pes_errors.items()] + [n])
+        learned = [s.n_axons * max(1, len(e) * 2) for s, e in synapses.pes_errors.items()]
+        scratch_size = max([*learned, n])
         n_blocks = len(emulator.block_info.blocks)
         self.overflows = np.zeros((n_blocks, 3), np.int64)
         self.fixed_arguments = (
             *layout.network, *layout.learning, self.traces, self.pending, self.errors,
-            *layout.noise, self.overflows, *self._make_scratch(n_blocks, most, dtype),
+            *layout.noise, self.overflows, *self._make_scratch(n_blocks, scratch_size, dtype),
         )  # fmt: skip
         self._arguments = (
             self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
@@ -164,8 +165,8 @@ class KernelArrays:
             self.errors[error : error + len(errors)] = errors
             error += len(errors)
 
-    def _make_scratch(self, n_blocks, most, dtype) -> tuple:
-        """Arrays in which the kernel works."""
+    def _make_scratch(self, n_blocks, scratch_size, dtype) -> tuple:
+        """Arrays in which the compiled function works."""
         return (
             np.zeros(self._n, np.int64),  # events
             np.zeros(n_blocks + 1, np.int64),  # their ends
@@ -173,8 +174,8 @@ class KernelArrays:
             np.zeros((n_blocks, 2), np.int64),
             np.zeros(len(self.first_trace), np.int64),  # spikes lost
             np.zeros(len(self.layout.network[0]), np.uint8),  # whether a segment waits
-            np.zeros(2 * most, np.uint32),  # random numbers
-            np.zeros(most, dtype),
+            np.zeros(2 * scratch_size, np.uint32),  # random numbers
+            np.zeros(scratch_size, dtype),
             np.zeros(self._n, dtype),
         )
 
@@ -187,7 +188,7 @@ class KernelArrays:
         return arrays
 
     def learn_from(self, synapses):
-        """Make traces, errors and weights of learning synapses views of the kernel's arrays."""
+        """Make traces, errors and weights of learning synapses views of these arrays."""
         error = 0
         self._learning = []
         for s, first in self.first_trace.items():
@@ -211,7 +212,7 @@ class KernelArrays:
                 raise Unsupported("a learning rule or its arrays, which were replaced")
 
     def run(self, emulator, steps, arriving, careful):
-        """Call the kernel; return the number of steps that it ran."""
+        """Call the compiled function; return the number of steps that it ran."""
         layout = self.layout
         self._check_learning(emulator.synapses)
         if self.has_probes:
@@ -231,18 +232,20 @@ class KernelArrays:
         return done
 
     def copy(self):
-        """Copy the state that a call of the kernel changes."""
+        """Copy the state that a call changes."""
         learned = self.wide if len(self.traces) else _NOTHING
         changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
         return [array.copy() for array in (*changed, learned, self.random.words)]
 
-    def restore(self, kept):
+    def restore(self, copies):
+        """Give the state back that :meth:`copy` returned."""
         learned = self.wide if len(self.traces) else _NOTHING
         changed = (self.cells, self.counters, self.spiked, self.before, self.traces, self.pending)
-        for array, before in zip((*changed, learned, self.random.words), kept):
-            array[...] = before
+        for array, copy in zip((*changed, learned, self.random.words), copies):
+            array[...] = copy
 
     def trace_spikes(self, synapses):
+        """Axons of each synapse on which a spike waits for its trace."""
         return {
             s: set(np.flatnonzero(self.pending[first : first + s.n_axons]).tolist())
             for s, first in self.first_trace.items()

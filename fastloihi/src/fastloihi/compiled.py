@@ -4,8 +4,8 @@ Every function that a step of NengoLoihi's emulator calls has a counterpart here
 results: sums of float32 are taken in the emulator's order, integers wrap around like NumPy's, and
 random numbers are those that its ``RandomState`` would draw.  `layout` makes the arrays.
 
-The whole kernel is in this file because Numba's cache on disk only notices changes of the file of
-the called function.
+All compiled functions are in this file, because Numba's cache on disk only notices changes of the
+file of the called function.
 
 Reasons for the form of the code, each measured:
 
@@ -99,8 +99,8 @@ def _twist(state):
 
 
 @_jit(inline="always")
-def _twist_word(this, after, far):
-    y = uint32((this & uint32(0x80000000)) | (after & uint32(0x7FFFFFFF)))
+def _twist_word(word, after, far):
+    y = uint32((word & uint32(0x80000000)) | (after & uint32(0x7FFFFFFF)))
     odd = uint32(uint32(0) - uint32(y & uint32(1)))
     return uint32(far ^ uint32(uint32(y >> uint32(1)) ^ uint32(odd & uint32(0x9908B0DF))))
 
@@ -121,39 +121,39 @@ def _draw(state, n, into):
         if state[624] == uint32(624):
             _twist(state)
         first = uint64(state[624])
-        now = min(uint64(n) - done, uint64(624) - first)
-        for i in range(now):
+        count = min(uint64(n) - done, uint64(624) - first)
+        for i in range(count):
             into[done + i] = _temper(state[first + i])
-        done += now
-        state[624] = uint32(first + now)
+        done += count
+        state[624] = uint32(first + count)
 
 
 @_jit(from_python=True)
 def skip_words(state, n):
     """Skip n words of 32 bits."""
-    left = uint64(n)
-    while left:
+    remaining = uint64(n)
+    while remaining:
         if state[624] == uint32(624):
             _twist(state)
-        now = min(left, uint64(624) - uint64(state[624]))
-        state[624] += uint32(now)
-        left -= now
+        count = min(remaining, uint64(624) - uint64(state[624]))
+        state[624] += uint32(count)
+        remaining -= count
 
 
 @_jit(from_python=True)
 def skip_noise(state, n):
     """Skip n numbers of ``RandomState.randint(-127, 128)``: bytes, where 255 is rejected."""
-    left = uint64(n)
-    while left:
+    remaining = uint64(n)
+    while remaining:
         if state[624] == uint32(624):
             _twist(state)
         first = uint64(state[624])
-        now = min(left, uint64(624) - first)
+        count = min(remaining, uint64(624) - first)
         rejected = uint32(0)
-        for i in range(now):
+        for i in range(count):
             rejected += uint32(uint32(_temper(state[first + i]) & uint32(255)) == uint32(255))
-        state[624] += uint32(now)
-        left -= now - uint64(rejected)
+        state[624] += uint32(count)
+        remaining -= count - uint64(rejected)
 
 
 @_jit()
@@ -194,8 +194,8 @@ def _list_spikes(words, blocks, events, ends, in_use):
         while word:
             lowest = word & (~word + uint64(1))
             # A multiplication by 2**(8 k) brings byte 7 - k of the constant, which is k, on top.
-            place = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
-            events[n] = int64(uint64(8) * w + place)
+            byte = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
+            events[n] = int64(uint64(8) * w + byte)
             n += uint64(1)
             word ^= lowest
     e = uint64(0)
@@ -217,10 +217,10 @@ def _add_weights(  # noqa: PLR0913 - Numba takes each array as an argument
             continue
         base = entries[TARGET, entry]
         for r in range(uint64(first_run[row]), uint64(first_run[row + 1])):
-            to = uint64(base + runs[r, 0])
-            place = uint64(runs[r, 1])
+            target = uint64(base + runs[r, 0])
+            first_weight = uint64(runs[r, 1])
             for i in range(uint64(runs[r, 2])):
-                sums[to + i] += pool[place + i]
+                sums[target + i] += pool[first_weight + i]
 
 
 @_jit()
@@ -252,9 +252,9 @@ def _mark_axons(spikes, first, last, offset, entries, pending):
 def _are_spikes_of_inputs(arriving, arriving_ends, input_sizes):
     """True if every spike of an input belongs to one of its neurons."""
     n_inputs = len(input_sizes)
-    for place in range(len(arriving_ends) - 1):
-        size = input_sizes[place % n_inputs]
-        for e in range(arriving_ends[place], arriving_ends[place + 1]):
+    for position in range(len(arriving_ends) - 1):
+        size = input_sizes[position % n_inputs]
+        for e in range(arriving_ends[position], arriving_ends[position + 1]):
             if arriving[e] < 0 or arriving[e] >= size:
                 return False
     return True
@@ -368,9 +368,9 @@ def _round_traces(rule, rate, traces, pending, drawn):
         x = decay * traces[first + i]
         x = x + magnitude if pending[first + i] else x
         size = abs(x)
-        whole = int32(size)
-        above = size - whole > _draw_unit(drawn[uint64(2) * i], drawn[uint64(2) * i + uint64(1)])
-        y = int32(whole + int32(above))
+        integer = int32(size)
+        above = size - integer > _draw_unit(drawn[uint64(2) * i], drawn[uint64(2) * i + uint64(1)])
+        y = int32(integer + int32(above))
         clipped |= int32(y > int32(127))
         y = int32(127) if y > int32(127) else y
         traces[first + i] = y if x > 0 else int32(-y)
@@ -395,34 +395,34 @@ def _learn(rule, traces, errors, wide, drawn, scratch):
             scratch[r * width + j] = int32(int32(-product) * rate)
             scratch[r * width + half + j] = int32(product * rate)
     _shift(scratch, n_rows * width, rule[PRODUCT_SHIFT])
-    old = int32(rule[OLD_SHIFT])
+    shift = int32(rule[OLD_SHIFT])
     bits = uint32(rule[FRACTION_BITS])
     mask = int32((1 << rule[FRACTION_BITS]) - 1)
-    rest = uint32(32 - rule[FRACTION_BITS])
+    draw_shift = uint32(32 - rule[FRACTION_BITS])
     limit = int32(rule[LIMIT])
-    up = int32(rule[NEW_SHIFT])
+    new_shift = int32(rule[NEW_SHIFT])
     clipped = int32(0)
     for i in range(n_rows * width):
         weight = wide[weight0 + i]
-        weight = int32(weight << old) if old >= int32(0) else int32(weight >> int32(-old))
-        new = int32(weight + scratch[i])
-        negative = int32(new >> int32(31))
-        size = uint32(int32(int32(new ^ negative) - negative))
+        weight = int32(weight << shift) if shift >= int32(0) else int32(weight >> int32(-shift))
+        changed = int32(weight + scratch[i])
+        negative = int32(changed >> int32(31))
+        size = uint32(int32(int32(changed ^ negative) - negative))
         # The fraction exceeds the random number of 53 bits if it exceeds that number's first bits.
-        above = int32(int32(size) & mask) > int32(drawn[uint64(2) * i] >> rest)
+        above = int32(int32(size) & mask) > int32(drawn[uint64(2) * i] >> draw_shift)
         y = int32(int32(size >> bits) + int32(above))
         scratch[i] = y
         clipped |= int32(y > limit)
         y = limit if y > limit else y
-        wide[weight0 + i] = int32(int32(int32(y ^ negative) - negative) << up)
+        wide[weight0 + i] = int32(int32(int32(y ^ negative) - negative) << new_shift)
     if not clipped:
         return 0
     rows = 0
     for r in range(n_rows):
-        found = False
+        is_clipped = False
         for j in range(width):
-            found |= scratch[r * width + j] > limit
-        rows += found
+            is_clipped |= scratch[r * width + j] > limit
+        rows += is_clipped
     return rows
 
 
@@ -467,16 +467,16 @@ def _update_float_traces(rule, rate, traces, pending):
 def _learn_floats(rule, rate, traces, errors, wide):
     half = uint64(rule[ERROR1] - rule[ERROR0])
     error0 = uint64(rule[ERROR0])
-    place = uint64(rule[WEIGHT0])
+    weight = uint64(rule[WEIGHT0])
     for t in range(uint64(rule[TRACE0]), uint64(rule[TRACE1])):
         for j in range(uint64(2) * half):
             error = -errors[error0 + j] if j < half else errors[error0 + j - half]
             change = float32(traces[t] * error)
             if rule[IS_DOUBLE]:
-                wide[place] = float32(float(wide[place]) + rate[REAL_RATE] * change)
+                wide[weight] = float32(float(wide[weight]) + rate[REAL_RATE] * change)
             else:
-                wide[place] += float32(float32(rate[REAL_RATE]) * change)
-            place += uint64(1)
+                wide[weight] += float32(float32(rate[REAL_RATE]) * change)
+            weight += uint64(1)
 
 
 # --- A step ---------------------------------------------------------------------------------------
@@ -567,20 +567,20 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
             offset = routes[r, OFFSET]
             b = routes[r, BLOCK]
             if source < n_inputs:
-                heard = arriving
-                place = s * n_inputs + source
-                first = arriving_ends[place]
-                last = arriving_ends[place + 1]
+                arrived = arriving
+                position = s * n_inputs + source
+                first = arriving_ends[position]
+                last = arriving_ends[position + 1]
             else:
-                heard = events
+                arrived = events
                 first = ends[source - n_inputs]
                 last = ends[source - n_inputs + 1]
             if first == last:
                 continue
             if routes[r, RULE] >= 0:
-                lost[routes[r, RULE]] += _mark_axons(heard, first, last, offset, entries, pending)
+                lost[routes[r, RULE]] += _mark_axons(arrived, first, last, offset, entries, pending)
             if routes[r, IS_WIDE]:
-                _add_weights(heard, first, last, offset, entries, first_run, runs, wide, total)
+                _add_weights(arrived, first, last, offset, entries, first_run, runs, wide, total)
                 continue
             largest = routes[r, LARGEST]
             while first < last:
@@ -589,7 +589,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
                     _move_sums(blocks[b], blocks_now[b], sums, total)
                     continue
                 until = min(last, first + rows)
-                _add_weights(heard, first, until, offset, entries, first_run, runs, narrow, sums)
+                _add_weights(arrived, first, until, offset, entries, first_run, runs, narrow, sums)
                 blocks_now[b, SPENT] += (until - first) * largest
                 first = until
         # Synapses learn.
@@ -687,19 +687,19 @@ def advance_floats(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on all
             source = routes[r, SOURCE]
             offset = routes[r, OFFSET]
             if source < n_inputs:
-                heard = arriving
-                place = s * n_inputs + source
-                first = arriving_ends[place]
-                last = arriving_ends[place + 1]
+                arrived = arriving
+                position = s * n_inputs + source
+                first = arriving_ends[position]
+                last = arriving_ends[position + 1]
             else:
-                heard = events
+                arrived = events
                 first = ends[source - n_inputs]
                 last = ends[source - n_inputs + 1]
             if first == last:
                 continue
             if routes[r, RULE] >= 0:
-                lost[routes[r, RULE]] += _mark_axons(heard, first, last, offset, entries, pending)
-            _add_weights(heard, first, last, offset, entries, first_run, runs, wide, total)
+                lost[routes[r, RULE]] += _mark_axons(arrived, first, last, offset, entries, pending)
+            _add_weights(arrived, first, last, offset, entries, first_run, runs, wide, total)
         t = t0 + s + 1
         for k in range(n_rules):
             _log(log, LOST, lost[k])
@@ -751,8 +751,8 @@ def list_inputs(words, edges, spikes, ends):
             word = words[s, w]
             while word:
                 lowest = word & (~word + uint64(1))
-                place = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
-                column = int64(uint64(8) * w + place)
+                byte = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
+                column = int64(uint64(8) * w + byte)
                 while column >= edges[i + 1]:
                     i += 1
                     ends[s * n_inputs + i] = n
@@ -772,8 +772,8 @@ def sum_rows(words, matrix, sums):
             word = words[s, w]
             while word:
                 lowest = word & (~word + uint64(1))
-                place = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
-                row = uint64(8) * w + place
+                byte = uint64(lowest * uint64(0x0001020304050607)) >> uint64(56)
+                row = uint64(8) * w + byte
                 for k in range(uint64(matrix.shape[1])):
                     sums[s, k] += matrix[row, k]
                 word ^= lowest
