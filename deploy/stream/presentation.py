@@ -78,7 +78,7 @@ class PresentingNetwork:
         self._max_spikes = self._spec.stimulus.max_spikes or steps
         self._presented = stream_length
         self._state = None
-        # The first step compiles the emulator, which takes some seconds the first time on a machine.
+        # The first step compiles the emulator, which takes seconds the first time on a machine.
         emulation.advance(emulation.start(), np.zeros((1, 1, self._size), np.uint8))
         self.prepare()
 
