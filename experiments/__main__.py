@@ -25,7 +25,8 @@ OTHERS = {
 
 def main(arguments=None):
     """Run an experiment, or list all of them; exit status as that of ``stmnist``."""
-    from experiments.studies import EXPERIMENTS, make_command
+    from experiments.catalogue import EXPERIMENTS
+    from experiments.studies import make_command
     from pipeline.commands.main import run_alone
 
     name, *words = (sys.argv[1:] if arguments is None else list(arguments)) or [""]

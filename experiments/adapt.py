@@ -20,7 +20,7 @@ from deploy.errors import UserError
 from deploy.files import hash_file, write_json
 from deploy.tables import align_rows
 from experiments import handwriting, unipen
-from experiments.studies import RESULTS, Store, describe_machine
+from experiments.results import RESULTS, Store, describe_machine
 from experiments.tables import format_interval
 from pipeline.commands import options
 from pipeline.paper import SAMPLES_PER_DIGIT
@@ -70,8 +70,8 @@ def select_people(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> Peo
         shapes = handwriting.add_straight_one(handwriting.estimate(others))
     except ValueError as error:
         raise UserError(f"{pen}: {error}, without fold {fold}; give more people") from error
-    own = tuple(trace for trace in traces if trace.writer in people)
-    return People(own, replace(parameters.load(writers), shapes=shapes))
+    selected = tuple(trace for trace in traces if trace.writer in people)
+    return People(selected, replace(parameters.load(writers), shapes=shapes))
 
 
 def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
@@ -80,8 +80,8 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     fold = int(case.alter.partition(" ")[2])
     people = select_people(pen, fold, settings.data.writers)
     seed = settings.data.simulation_seed
-    each = settings.data.samples_per_digit
-    counts = [each] * 10 if each else list(SAMPLES_PER_DIGIT)
+    samples_per_digit = settings.data.samples_per_digit
+    counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
     training = load_simulated(seed, counts, 1, parameters=people.parameters)
     shares = settings.split.test_fraction, settings.split.validation_fraction
     split = split_of(training, case.seed, *shares)
@@ -94,8 +94,8 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     spec = opened.make_spec()
     spec = add_rehearsal(spec, dataset.inputs, dataset.labels, split.train, case.seed)
     counts = np.bincount([trace.digit for trace in people.traces], minlength=10)
-    own = load_simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
-    cases = list(measure_fits_to_people(spec, dataset.subset("test"), own, draws, case.seed))
+    recordings = load_simulated(seed, counts, 1, parameters=people.parameters, traces=people.traces)
+    cases = list(measure_fits_to_people(spec, dataset.subset("test"), recordings, draws, case.seed))
     return {"recordings": hash_file(pen), "simulated": True, "people": cases}
 
 
@@ -122,42 +122,42 @@ def measure_fits_to_people(spec, others, recordings, draws: int, seed: int):
     require_fit(spec, recordings)
     responder = Responder(spec, seed)
     readout = spec.layers[-1]
-    kept = spec.rehearsal
-    elsewhere = responder.compute_responses(others[0]), others[1]
-    for who in np.unique(recordings.writers[recordings.writers >= 0]):
-        mine = recordings.subset(np.flatnonzero(recordings.writers == who))
+    rehearsal = spec.rehearsal
+    samples_of_others = responder.compute_responses(others[0]), others[1]
+    for writer in np.unique(recordings.writers[recordings.writers >= 0]):
+        own_recordings = recordings.subset(np.flatnonzero(recordings.writers == writer))
         classes = len(recordings.sensor.classes)
-        if np.bincount(mine.labels, minlength=classes).min() <= max(EACH):
+        if np.bincount(own_recordings.labels, minlength=classes).min() <= max(EACH):
             continue
-        responses = responder.respond_to(mine)
-        copies = responder.respond_to_copies(mine, [seed, int(who)])
-        results = {each: [] for each in EACH}
+        responses = responder.respond_to(own_recordings)
+        copies = responder.respond_to_copies(own_recordings, [seed, int(writer)])
+        results = {count: [] for count in EACH}
         for draw in range(draws):
-            first, rest = split_recordings(mine.labels, [seed, int(who), draw])
-            for each in EACH:
-                some = first[:, :each].ravel()
-                person = Person(responses[some], mine.labels[some], copies[some])
-                fit = refit(
-                    readout.weights_by_class, readout.bias, person, kept, draw, responder.scale
+            first, test_indices = split_recordings(own_recordings.labels, [seed, int(writer), draw])
+            for count in EACH:
+                fitted_indices = first[:, :count].ravel()
+                person = Person(
+                    responses[fitted_indices],
+                    own_recordings.labels[fitted_indices],
+                    copies[fitted_indices],
                 )
-                new = fit.weights if fit.helps else readout.weights_by_class
-                tested = responses[rest], mine.labels[rest]
-                results[each].append(
+                fit = refit(
+                    readout.weights_by_class, readout.bias, person, rehearsal, draw, responder.scale
+                )
+                weights = fit.weights if fit.helps else readout.weights_by_class
+                tested = responses[test_indices], own_recordings.labels[test_indices]
+                results[count].append(
                     [
-                        *(
-                            _measure_accuracy(readout, w, tested)
-                            for w in (readout.weights_by_class, new)
-                        ),
-                        *(
-                            _measure_accuracy(readout, w, elsewhere)
-                            for w in (readout.weights_by_class, new)
-                        ),
+                        _measure_accuracy(readout, readout.weights_by_class, tested),
+                        _measure_accuracy(readout, weights, tested),
+                        _measure_accuracy(readout, readout.weights_by_class, samples_of_others),
+                        _measure_accuracy(readout, weights, samples_of_others),
                         float(fit.helps),
                     ]
                 )
-        for each, values in results.items():
+        for count, values in results.items():
             means = map(float, np.mean(values, axis=0))
-            yield {"who": int(who), "each": each, **dict(zip(MEASURES, means, strict=True))}
+            yield {"who": int(writer), "each": count, **dict(zip(MEASURES, means, strict=True))}
 
 
 def split_recordings(labels, seed) -> tuple:
@@ -188,43 +188,48 @@ def summarise(people) -> list:
         interval over people, the ``worst`` person's gain, ``lowest`` and ``highest`` person before.
     """
     rows = []
-    for each in sorted({person["each"] for person in people}):
-        some = [person for person in people if person["each"] == each]
+    for count in sorted({person["each"] for person in people}):
+        rows_of_count = [person for person in people if person["each"] == count]
         table = {}
         for name in MEASURES:
-            table[name] = np.array([person[name] for person in some])
-        gain = table["after"] - table["before"]
-        row = {"each": each, "people": len(some), **{k: float(v.mean()) for k, v in table.items()}}
-        error = gain.std(ddof=1) / np.sqrt(len(gain)) if len(gain) > 1 else np.nan
-        reach = float(statistics.t.ppf(0.975, len(gain) - 1) * error) if len(gain) > 2 else None
-        middle = float(gain.mean())
-        row |= {"gain": middle, "worst": float(gain.min())}
-        row["ci95"] = None if reach is None else [middle - reach, middle + reach]
+            table[name] = np.array([person[name] for person in rows_of_count])
+        improvement = table["after"] - table["before"]
+        row = {
+            "each": count,
+            "people": len(rows_of_count),
+            **{k: float(v.mean()) for k, v in table.items()},
+        }
+        mean = float(improvement.mean())
+        row |= {"gain": mean, "worst": float(improvement.min()), "ci95": None}
+        if len(improvement) > 2:
+            error = improvement.std(ddof=1) / np.sqrt(len(improvement))
+            reach = float(statistics.t.ppf(0.975, len(improvement) - 1) * error)
+            row["ci95"] = [mean - reach, mean + reach]
         row |= {"lowest": float(table["before"].min()), "highest": float(table["before"].max())}
         rows.append(row)
     return rows
 
 
-def make_cells(found: dict) -> list:
+def make_cells(result: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     heads = ["of each digit", "people", "before", "after", "gain, points", "95 % over people"]
     lines = [[*heads, "worst person", "on others", "changed"]]
-    for row in found["rows"]:
-        gain = f"{100 * row['gain']:+.1f}"
+    for row in result["rows"]:
+        improvement = f"{100 * row['gain']:+.1f}"
         worst = f"{100 * row['worst']:+.1f}"
-        lost = 100 * (row["others_after"] - row["others_before"])
+        change_on_others = 100 * (row["others_after"] - row["others_before"])
         lines.append(
             [
                 *(str(row["each"]), str(row["people"])),
                 *(f"{row[key]:.3f}" for key in ("before", "after")),
-                *(gain, format_interval(row["ci95"], 100, 1, "+"), worst),
-                *(f"{lost:+z.1f}", f"{row['used']:.0%}"),
+                *(improvement, format_interval(row["ci95"], 100, 1, "+"), worst),
+                *(f"{change_on_others:+z.1f}", f"{row['used']:.0%}"),
             ]
         )
     return lines
 
 
-Given = Annotated[
+Requested = Annotated[
     options.RequestedSettings,
     options.group(
         options.RequestedSettings, seed=options.Seed, input=options.Input, **options.CHANGES
@@ -239,13 +244,13 @@ def main(
     ),
     draws: Annotated[int, typer.Option(help="Random draws for each person.", min=1)] = 5,
     *,
-    given: Given,
+    requested: Requested,
     store: Store = "",
     workers: options.Workers,
     as_json: options.Json = False,
 ):
     """Measure the gain of fitting a network to one person, as a mean over people."""
-    with options.resolve_settings(out, given, of_results=True) as (folder, settings):
+    with options.resolve_settings(out, requested, of_results=True) as (folder, settings):
         if settings.data.source != SIMULATED:
             raise UserError("the networks are trained on simulated recordings; omit data.source")
         pen = pen.absolute()
@@ -259,12 +264,12 @@ def main(
         by = partial(measure_fold, pen, draws)
         rows, failed = run_study(cases, folder.path, hash_file(pen), workers, options.say, by)
     people = [person for row in rows for person in row["people"]]
-    found = {"experiment": name, "simulated": True, "pen": hash_file(pen), "draws": draws}
-    found |= {"rows": summarise(people), "measured": describe_machine()}
-    write_json(out / f"{name}.json", found)
+    result = {"experiment": name, "simulated": True, "pen": hash_file(pen), "draws": draws}
+    result |= {"rows": summarise(people), "measured": describe_machine()}
+    write_json(out / f"{name}.json", result)
     if store and not failed:
-        write_json(RESULTS / f"{store}.json", found)
+        write_json(RESULTS / f"{store}.json", result)
     title = "real pen trajectories pressed on the simulated sensor, people nobody trained on"
     errors = "; ".join(f"{case.alter}: {error}" for case, error in failed.items())
-    text = "\n".join([title, *align_rows(make_cells(found))])
-    options.print_summary(found, errors, lambda value: text, as_json)
+    text = "\n".join([title, *align_rows(make_cells(result))])
+    options.print_summary(result, errors, lambda value: text, as_json)

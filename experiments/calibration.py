@@ -8,8 +8,8 @@ estimated           from                                                   funct
 ==================  =====================================================  =====================
 hot taxels          taxels that are active far from the digit              :func:`find_sessions`
 ways of writing     the paths of the pens (:mod:`experiments.paths`)       :func:`learn_shapes`
-place and size      the boxes of the paths of each digit                   :func:`place_forms`
-force, contact      number of active taxels and of bits of each digit      :func:`step_forms`
+place and size      the boxes of the paths of each digit                   :func:`fit_digit_boxes`
+force, contact      number of active taxels and of bits of each digit      :func:`step_digits`
 faults              bits of hot taxels                                     :func:`step_faults`
 gain of a taxel     mean number of its events when it is active            :func:`step_gain`
 contact, receptors  quantiles of the summaries of all recordings           :func:`fit_sections`
@@ -143,18 +143,21 @@ def find_sessions(bits, labels) -> list:
     groups = []
     for taxel in np.argsort(-share)[: (share > HOT_SHARE).sum()]:
         for group in groups:
-            both = alone[:, taxel] & alone[:, group[0]]
-            together = (is_hot[both, taxel] & is_hot[both, group[0]]).mean()
-            if together > is_hot[both, taxel].mean() * is_hot[both, group[0]].mean():
+            common = alone[:, taxel] & alone[:, group[0]]
+            together = (is_hot[common, taxel] & is_hot[common, group[0]]).mean()
+            if together > is_hot[common, taxel].mean() * is_hot[common, group[0]].mean():
                 group.append(taxel)
                 break
         else:
             groups.append([taxel])
     sessions = []
     for group in groups:
-        seen = is_hot[alone[:, group].all(1)][:, group]
+        reports = is_hot[alone[:, group].all(1)][:, group]
         sessions.append(
-            [round(float(seen.any(1).mean()), 3), [_find_place(taxel) for taxel in group]]
+            [
+                round(float(reports.any(1).mean()), 3),
+                [_find_row_and_column(taxel) for taxel in group],
+            ]
         )
     return sessions
 
@@ -171,8 +174,8 @@ def measure_hot(bits, hot) -> np.ndarray:
     is_hot = (total >= HOT_BITS) & (count_neighbours(total > FEWEST_BITS) == 0)
     logs = np.concatenate([np.log(total[is_hot[:, taxel], taxel]) for taxel in hot])
     rises = sum(bits[is_hot[:, taxel], taxel, 0].sum() for taxel in hot)
-    every = sum(total[is_hot[:, taxel], taxel].sum() for taxel in hot)
-    return np.array([logs.mean(), logs.std(), rises / every])
+    n_bits = sum(total[is_hot[:, taxel], taxel].sum() for taxel in hot)
+    return np.array([logs.mean(), logs.std(), rises / n_bits])
 
 
 def step_faults(fit: dict, target: FitData, bits) -> dict:
@@ -180,15 +183,17 @@ def step_faults(fit: dict, target: FitData, bits) -> dict:
     fit = copy.deepcopy(fit)
     faults = fit["sections"]["faults"]
     real = measure_hot(target.bits, target.hot)
-    mine = measure_hot(bits, target.hot)
-    faults["hot_rate"] = round(float(faults["hot_rate"] * np.exp(1.2 * (real[0] - mine[0]))), 2)
-    spread = faults["hot_rate_spread"] * real[1] / mine[1]
+    simulated = measure_hot(bits, target.hot)
+    faults["hot_rate"] = round(
+        float(faults["hot_rate"] * np.exp(1.2 * (real[0] - simulated[0]))), 2
+    )
+    spread = faults["hot_rate_spread"] * real[1] / simulated[1]
     faults["hot_rate_spread"] = round(float(np.clip(spread, 0.1, 1.5)), 3)
-    faults["rise"] = round(float(np.clip(faults["rise"] + real[2] - mine[2], 0.1, 0.9)), 3)
+    faults["rise"] = round(float(np.clip(faults["rise"] + real[2] - simulated[2], 0.1, 0.9)), 3)
     return fit
 
 
-def _find_place(taxel):
+def _find_row_and_column(taxel):
     return [int(taxel) % GRID, int(taxel) // GRID]
 
 
@@ -219,7 +224,7 @@ def learn_shapes(traces, seed: int, about: dict) -> ShapeModel:
     return shapes.vary(VARIATION)
 
 
-def place_forms(fit: dict, traces) -> dict:
+def fit_digit_boxes(fit: dict, traces) -> dict:
     """Set usual place and height of each digit, and their covariance, to those of the paths."""
     fit = copy.deepcopy(fit)
     for digit, form in enumerate(fit["digits"]):
@@ -240,25 +245,27 @@ def _measure_box(strokes):
     return [*(low + high) / 2, np.log(high[0] - low[0])]
 
 
-def simulate_fit(fit: dict, shapes: ShapeModel, each: int, seed: int, jobs: int):
+def simulate_fit(fit: dict, shapes: ShapeModel, samples_per_digit: int, seed: int, jobs: int):
     """Bits and labels of recordings that are simulated with a fit."""
-    recordings = simulate(seed, [each] * 10, jobs, parameters=from_fit(fit, shapes))
+    recordings = simulate(seed, [samples_per_digit] * 10, jobs, parameters=from_fit(fit, shapes))
     return chunk_recordings(recordings), recordings.labels
 
 
-def step_forms(fit: dict, target: FitData, bits, labels, damping: float = 0.6) -> dict:
+def step_digits(fit: dict, target: FitData, bits, labels, damping: float = 0.6) -> dict:
     """Move the force and the contact of each digit towards the real ones."""
     fit = copy.deepcopy(fit)
-    found = summarise_recordings(bits)
+    summaries = summarise_recordings(bits)
     for digit, form in enumerate(fit["digits"]):
-        real = target.labels == digit
-        mine = labels == digit
-        more = {
-            name: np.log(target.summaries[name][real].mean() / found[name][mine].mean())
+        is_real = target.labels == digit
+        is_simulated = labels == digit
+        change = {
+            name: np.log(
+                target.summaries[name][is_real].mean() / summaries[name][is_simulated].mean()
+            )
             for name in ("bits per taxel", "active")
         }
-        form["force"] += damping * (more["bits per taxel"] - more["active"] / 2)
-        form["contact"] += damping * more["active"]
+        form["force"] += damping * (change["bits per taxel"] - change["active"] / 2)
+        form["contact"] += damping * change["active"]
         for name, (low, high) in FORM_BOUNDS.items():
             form[name] = round(float(np.clip(form[name], low, high)), 4)
     return fit
@@ -269,7 +276,9 @@ def fit_sections(fit: dict, shapes: ShapeModel, target: FitData, seed: int, jobs
     names = list(BOUNDS)
     low, high = np.array([BOUNDS[name] for name in names]).T
     start = np.array([fit["sections"][section][name] for section, name in names])
-    wanted = {name: np.quantile(values, QUANTILES) for name, values in target.summaries.items()}
+    target_quantiles = {
+        name: np.quantile(values, QUANTILES) for name, values in target.summaries.items()
+    }
     scale = {name: values.std() for name, values in target.summaries.items()}
 
     def insert_values(values):
@@ -280,9 +289,10 @@ def fit_sections(fit: dict, shapes: ShapeModel, target: FitData, seed: int, jobs
 
     def compare(values):
         bits, _ = simulate_fit(insert_values(values), shapes, STEP_SAMPLES, seed, jobs)
-        found = summarise_recordings(bits)
+        summaries = summarise_recordings(bits)
         differences = [
-            (np.quantile(found[name], QUANTILES) - wanted[name]) / scale[name] for name in wanted
+            (np.quantile(summaries[name], QUANTILES) - target_quantiles[name]) / scale[name]
+            for name in target_quantiles
         ]
         return np.concatenate(differences)
 
@@ -297,11 +307,11 @@ def step_gain(fit: dict, target: FitData, bits, damping: float = 0.5) -> dict:
     """Move the gain of each taxel towards the real mean number of its bits when it is active."""
     fit = copy.deepcopy(fit)
     real = _measure_usual_bits(target.bits)
-    mine = _measure_usual_bits(bits)
-    change = np.log(real / mine)
+    simulated = _measure_usual_bits(bits)
+    change = np.log(real / simulated)
     change[target.hot] = 0
-    gain = np.array(fit["sections"]["skin"]["gain"]) + damping * (change - change.mean())
-    fit["sections"]["skin"]["gain"] = np.round(np.clip(gain, -1, 1), 3).tolist()
+    log_gain = np.array(fit["sections"]["skin"]["gain"]) + damping * (change - change.mean())
+    fit["sections"]["skin"]["gain"] = np.round(np.clip(log_gain, -1, 1), 3).tolist()
     return fit
 
 
@@ -334,7 +344,7 @@ def calibrate(
     """
     for number in range(STEPS):
         bits, labels = simulate_fit(fit, shapes, STEP_SAMPLES, 1000 * seed + number, jobs)
-        fit = step_forms(fit, target, bits, labels)
+        fit = step_digits(fit, target, bits, labels)
         fit = step_faults(fit, target, bits)
         fit = step_gain(fit, target, bits)
         advance(1)
@@ -389,7 +399,7 @@ def main(
     about |= {"seed": seed}
     traces = trace_paths(target.bits, target.labels)
     shapes = learn_shapes(traces, seed, about)
-    fit = place_forms(read_json(FITTED, "install the package again"), traces)
+    fit = fit_digit_boxes(read_json(FITTED, "install the package again"), traces)
     fit["sections"]["faults"]["sessions"] = target.sessions
     if sections:
         fit = fit_sections(fit, shapes, target, 1000 * seed + STEPS, jobs)

@@ -31,10 +31,12 @@ from experiments import (
     licences,
     speed,
     stream,
-    studies,
+    study_tables,
     tables,
     transfer,
 )
+from experiments.catalogue import EXPERIMENTS
+from experiments.results import RESULTS
 from pipeline.results.sweep import format_sweep
 from pipeline.settings import Settings, describe
 
@@ -73,7 +75,7 @@ COLUMNS = {
 
 def read_result(name: str) -> dict:
     """The content of a file in ``results/``, by its name without ``.json``."""
-    return read_json(studies.RESULTS / f"{name}.json", "it is a file of the repository: restore it")
+    return read_json(RESULTS / f"{name}.json", "it is a file of the repository: restore it")
 
 
 def describe_commands() -> str:
@@ -84,13 +86,15 @@ def describe_commands() -> str:
     groups = {}  # the first word of each command that has a parameter of this name and meaning
     for group, parameter in _list_parameters(command):
         groups.setdefault(_find_help(parameter), []).append(group)
-    common = [one for one, own in groups.items() if len(own) > 3]
+    common = [parameter for parameter, groups_of in groups.items() if len(groups_of) > 3]
     names = Counter(name for name, _ in common)
     lines = ["\n## Options of several commands\n"]
     for name, text in common:
-        own = set(groups[name, text])
-        where = f" of `stmnist {own.pop()}`" if names[name] > 1 and len(own) == 1 else ""
-        lines.append(f"- `{name}`{where}: {text}")
+        groups_of = set(groups[name, text])
+        of_command = (
+            f" of `stmnist {groups_of.pop()}`" if names[name] > 1 and len(groups_of) == 1 else ""
+        )
+        lines.append(f"- `{name}`{of_command}: {text}")
     return "\n".join([*lines, *_list_sections(command, "stmnist", 2, common)])
 
 
@@ -142,9 +146,9 @@ def make_part(name: str) -> str:
         return make_markdown(stream.make_cells(content))
     if kind == "growth":
         return make_markdown(growth.make_cells(content))
-    experiment = next(one for one in studies.EXPERIMENTS if one.name == kind)
+    experiment = next(candidate for candidate in EXPERIMENTS if candidate.name == kind)
     splits = dict.fromkeys(row["split"] for row in content["rows"])
-    parts = [make_markdown(studies.make_cells(experiment, content, split)) for split in splits]
+    parts = [make_markdown(study_tables.make_cells(experiment, content, split)) for split in splits]
     if content["comparisons"]:
         titles = {line.name: line.title for line in experiment.lines}
         parts.append(make_markdown(tables.make_comparison_cells(content, titles)))
@@ -190,14 +194,14 @@ def with_parts(text: str) -> str:
     for name in re.findall(rf"^<!-- ([\w-]+): {mark}$", text, re.MULTILINE):
         begin = f"<!-- {name}: {mark}"
         end = f"<!-- end of {name} -->"
-        before, _, rest = text.partition(begin)
-        _, closed, after = rest.partition(end)
+        before, _, following = text.partition(begin)
+        _, closed, after = following.partition(end)
         if not closed:
             raise ValueError(f"no mark {end!r} in the text")
         text = f"{before}{begin}\n{make_part(name)}\n{end}{after}"
 
-    def write(found):
-        return f"<!-- figure: {found[1]} -->{read_figure(found[1])}<!-- /figure -->"
+    def write(match):
+        return f"<!-- figure: {match[1]} -->{read_figure(match[1])}<!-- /figure -->"
 
     return re.sub(r"<!-- figure: ([^>]*?) -->.*?<!-- /figure -->", write, text, flags=re.DOTALL)
 

@@ -25,8 +25,8 @@ from pipeline.sources import SimulatedSource, load_recordings
 SLICES = 10
 RIDGE = 0.03
 
-# Summaries that are places, in taxels.
-PLACES = ("row", "column", "height", "width")
+# Summaries that are positions or extents, in taxels.
+POSITIONS = ("row", "column", "height", "width")
 
 # Taxels, rows and columns that have at least this many bits belong to the digit and not to strays.
 FEWEST_BITS = 2
@@ -61,12 +61,12 @@ def chunk_recordings(recordings: Recordings) -> np.ndarray:
     time = recordings.events.time_ns
     is_chunked = len(time) and not (time % CHUNK_NS).any() and time.max() < CHUNKS * CHUNK_NS
     bits = np.zeros((len(recordings), N_TAXELS, 2, CHUNKS), bool)
-    place = taxels.column * GRID + taxels.row
+    taxel_index = taxels.column * GRID + taxels.row
     for index in range(len(recordings)):
         events = recordings[index] if is_chunked else chunk_events(recordings[index])
         chunk = events.time_ns // CHUNK_NS
         falls = (events.polarity < 0).astype(int)
-        bits[index, place[events.taxel], falls, chunk] = True
+        bits[index, taxel_index[events.taxel], falls, chunk] = True
     return bits
 
 
@@ -92,7 +92,7 @@ def summarise_recordings(bits) -> dict:
     counts = bits.sum(-1, dtype=np.int32)
     total = counts.sum(2)
     active = total > 0
-    some = np.maximum(total.sum(1), 1)
+    n_bits = np.maximum(total.sum(1), 1)
     n_active = np.maximum(active.sum(1), 1)
     row = np.arange(N_TAXELS) % GRID
     column = np.arange(N_TAXELS) // GRID
@@ -105,11 +105,11 @@ def summarise_recordings(bits) -> dict:
     height, width = _measure_largest(total >= FEWEST_BITS)
     median = [np.median(row[row > 0]) if row.any() else 0.0 for row in total]
     return {
-        "bits": some,
+        "bits": n_bits,
         "active": n_active,
-        "bits per taxel": some / n_active,
+        "bits per taxel": n_bits / n_active,
         "median bits": np.array(median),
-        "largest share": total.max(1) / some,
+        "largest share": total.max(1) / n_bits,
         "neighbours": (neighbours * active).sum(1) / n_active,
         "isolated": ((neighbours == 0) & active).sum(1) / n_active,
         "span": ((last - first + 1) * active).sum(1) / n_active,
@@ -171,18 +171,18 @@ def classify(train, labels, test) -> np.ndarray:
     -------
     ndarray of int, shape (n_test,)
     """
-    known = compute_features(train, SLICES)
-    new = compute_features(test, SLICES)
-    kernel = _compute_gaussian(known, known)
+    train_features = compute_features(train, SLICES)
+    test_features = compute_features(test, SLICES)
+    kernel = _compute_gaussian(train_features, train_features)
     kernel[np.diag_indices_from(kernel)] += RIDGE
     weights = solve(kernel, 2.0 * np.eye(10)[labels] - 1.0, assume_a="pos", overwrite_a=True)
-    return (_compute_gaussian(new, known) @ weights).argmax(1)
+    return (_compute_gaussian(test_features, train_features) @ weights).argmax(1)
 
 
-def _compute_gaussian(one, other):
+def _compute_gaussian(features, centres):
     """Gaussian kernel whose width is the mean squared length of the features."""
-    squares = (one**2).sum(1)[:, None] + (other**2).sum(1) - 2 * one @ other.T
-    return np.exp(-2 * squares / (other**2).sum(1).mean())
+    squares = (features**2).sum(1)[:, None] + (centres**2).sum(1) - 2 * features @ centres.T
+    return np.exp(-2 * squares / (centres**2).sum(1).mean())
 
 
 def compute_features(bits, slices: int) -> np.ndarray:
@@ -229,15 +229,20 @@ def compare_summaries(real, labels, simulated, simulated_labels) -> list:
         ``summary``, ``real`` and ``simulated``, ten values each, and ``within``, for how many
         digits they differ by 10 % at most (places: by 0.3 taxel).
     """
-    found = summarise_recordings(simulated)
+    simulated_summaries = summarise_recordings(simulated)
     rows = []
     for name, values in summarise_recordings(real).items():
         means = [float(values[labels == digit].mean()) for digit in range(10)]
-        other = [float(found[name][simulated_labels == digit].mean()) for digit in range(10)]
-        limits = [max(0.1 * abs(mean), 0.3 * (name in PLACES)) for mean in means]
-        errors = np.abs(np.subtract(means, other))
+        simulated_means = [
+            float(simulated_summaries[name][simulated_labels == digit].mean())
+            for digit in range(10)
+        ]
+        limits = [max(0.1 * abs(mean), 0.3 * (name in POSITIONS)) for mean in means]
+        errors = np.abs(np.subtract(means, simulated_means))
         within = int((errors <= limits).sum())
-        rows.append({"summary": name, "real": means, "simulated": other, "within": within})
+        rows.append(
+            {"summary": name, "real": means, "simulated": simulated_means, "within": within}
+        )
     return rows
 
 
@@ -274,20 +279,20 @@ def main(
     real = load_recordings(str(data), jobs=jobs)
     if not are_digits(real.sensor.classes):
         raise UserError(f"{data}: its classes are not the ten digits; give recordings of digits")
-    made = load_recordings(jobs=jobs, simulated=SimulatedSource(seed, chunked=1.0))
-    simulated = chunk_recordings(made)
-    is_known = np.arange(len(made)) % 4 > 0
-    trains = {"simulated": (simulated, made.labels)}
-    tests = {"simulated": (simulated[~is_known], made.labels[~is_known])}
+    recordings = load_recordings(jobs=jobs, simulated=SimulatedSource(seed, chunked=1.0))
+    simulated = chunk_recordings(recordings)
+    is_known = np.arange(len(recordings)) % 4 > 0
+    trains = {"simulated": (simulated, recordings.labels)}
+    tests = {"simulated": (simulated[~is_known], recordings.labels[~is_known])}
     fit, held_out = hold_out(real)
     trains["real"] = chunk_recordings(fit), fit.labels
     tests["real"] = chunk_recordings(held_out), held_out.labels
-    apart = {"simulated": (simulated[is_known], made.labels[is_known])}
+    training_recordings = {"simulated": (simulated[is_known], recordings.labels[is_known])}
     bits = np.concatenate([trains["real"][0], tests["real"][0]])
     labels = np.concatenate([fit.labels, held_out.labels])
     cases = {
         f"{train} to {test}": (
-            *(apart[train] if train == test == "simulated" else trains[train]),
+            *(training_recordings[train] if train == test == "simulated" else trains[train]),
             *tests[test],
         )
         for train in trains
@@ -299,14 +304,14 @@ def main(
     }
     result = {
         "experiment": "fidelity",
-        "recordings": [real.source.sha256, made.source.sha256],
+        "recordings": [real.source.sha256, recordings.source.sha256],
         "held_out": len(held_out),
         "accuracy": accuracy,
         "auc": tell_apart(bits, simulated),
-        "summaries": compare_summaries(bits, labels, simulated, made.labels),
+        "summaries": compare_summaries(bits, labels, simulated, recordings.labels),
         "maps": {
             "real": map_activity(bits, labels),
-            "simulated": map_activity(simulated, made.labels),
+            "simulated": map_activity(simulated, recordings.labels),
         },
     }
     write_json(out, result)

@@ -21,7 +21,7 @@ import typer
 from deploy.errors import CheckFailed, UserError
 from deploy.files import write_json
 from deploy.tables import align_rows
-from experiments.studies import RESULTS, Store, name_processor
+from experiments.results import RESULTS, Store, name_processor
 from pipeline import sources
 from pipeline.commands import options
 from pipeline.recordings import library
@@ -42,8 +42,8 @@ def repeat_recordings(recordings: Recordings, samples_per_digit: int) -> Recordi
     chosen = []
     ids = []
     for digit in range(10):
-        own = np.flatnonzero(recordings.labels == digit)
-        chosen.append(np.resize(own, samples_per_digit))
+        of_digit = np.flatnonzero(recordings.labels == digit)
+        chosen.append(np.resize(of_digit, samples_per_digit))
         ids += [f"{digit}/{index:06d}" for index in range(samples_per_digit)]
     indices = np.concatenate(chosen)
     counts = np.diff(recordings.offsets)[indices]
@@ -95,13 +95,13 @@ def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:
 
 def measure(sizes, kinds, out: Path, say=print) -> list:
     """A row for each number of recordings and kind of network."""
-    few = sources.load_recordings()
+    recordings = sources.load_recordings()
     rows = []
     for size in sizes:
         samples_per_digit = size // 10
         with tempfile.TemporaryDirectory(dir=out) as name:
             folder = Path(name)
-            store_repeated(folder / "cache", few, samples_per_digit)
+            store_repeated(folder / "cache", recordings, samples_per_digit)
             for kind in kinds:
                 row = train_once(folder, kind, samples_per_digit)
                 say(f"{kind}, {size:,} recordings: {row['peak_megabytes']:,.0f} MB")
@@ -109,10 +109,10 @@ def measure(sizes, kinds, out: Path, say=print) -> list:
     return rows
 
 
-def make_cells(found: dict) -> list:
+def make_cells(result: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     lines = [["network", "recordings", "processor time", "peak of resident memory"]]
-    for row in found["rows"]:
+    for row in result["rows"]:
         lines.append(
             [
                 row["kind"],
@@ -124,10 +124,10 @@ def make_cells(found: dict) -> list:
     return lines
 
 
-def format_result(found: dict) -> str:
+def format_result(result: dict) -> str:
     """The result as a table."""
     title = "One epoch of training, recordings in the cache"
-    return "\n".join([title, *align_rows(make_cells(found), left=1)])
+    return "\n".join([title, *align_rows(make_cells(result), left=1)])
 
 
 def main(
@@ -142,7 +142,7 @@ def main(
         raise UserError(f"--kind {min(unknown)}: it is one of {', '.join(EPOCHS)}")
     out.mkdir(parents=True, exist_ok=True)
     rows = measure(size or SIZES, kind or tuple(EPOCHS), out, options.say)
-    found = {"experiment": "growth", "rows": rows, "measured": {"processor": name_processor()}}
+    result = {"experiment": "growth", "rows": rows, "measured": {"processor": name_processor()}}
     if store:
-        write_json(RESULTS / f"{store}.json", found)
-    options.print_result(found, format_result, as_json)
+        write_json(RESULTS / f"{store}.json", result)
+    options.print_result(result, format_result, as_json)

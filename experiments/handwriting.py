@@ -79,17 +79,17 @@ def estimate(
     allographs = []
     loyalty = []
     for digit in range(DIGITS):
-        mine = [trace for trace in traces if trace.digit == digit]
-        ways, share = _find_allographs(mine, seed, most)
-        if not ways:
+        of_digit = [trace for trace in traces if trace.digit == digit]
+        digit_allographs, share = _find_allographs(of_digit, seed, most)
+        if not digit_allographs:
             raise ValueError(f"too few people wrote a {digit} in any one way")
-        allographs.append(ways)
+        allographs.append(digit_allographs)
         loyalty.append(share)
     tempo, trial_tempo = _measure_tempo(traces, digits, writers)
-    known = {"digits": len(traces), **(about or {})}
+    facts = {"digits": len(traces), **(about or {})}
     if len(set(writers.tolist())) < len(traces):
-        known["writers"] = len(set(writers.tolist()))
-    return ShapeModel(tuple(allographs), tuple(loyalty), tempo, trial_tempo, known)
+        facts["writers"] = len(set(writers.tolist()))
+    return ShapeModel(tuple(allographs), tuple(loyalty), tempo, trial_tempo, facts)
 
 
 def add_straight_one(model: ShapeModel) -> ShapeModel:
@@ -97,18 +97,18 @@ def add_straight_one(model: ShapeModel) -> ShapeModel:
 
     Its components are the change of the speed along the stroke, its slant and its bow.
     """
-    even = np.linspace(-0.5, 0.5, POINTS)
-    eased = 1.5 * even - 2 * even**3
-    nowhere = np.zeros(POINTS)
-    bow = 0.04 * (1 - (2 * even) ** 2)
-    pace = ((even - eased) / 2, nowhere)
-    parts = (((even + eased) / 2, nowhere), pace, (nowhere, 0.2 * even), (nowhere, bow))
+    position = np.linspace(-0.5, 0.5, POINTS)
+    eased = 1.5 * position - 2 * position**3
+    zeros = np.zeros(POINTS)
+    bow = 0.04 * (1 - (2 * position) ** 2)
+    pace = ((position - eased) / 2, zeros)
+    parts = (((position + eased) / 2, zeros), pace, (zeros, 0.2 * position), (zeros, bow))
     mean, *rows = (np.stack(part, 1).ravel() for part in parts)
     half = np.sqrt(0.5) * np.eye(len(rows))
     straight = Allograph(0.5, (POINTS,), mean, np.array(rows), half, half)
-    ways = list(model.allographs)
-    ways[1] = (*ways[1], straight)
-    return replace(model, allographs=tuple(ways))
+    allographs = list(model.allographs)
+    allographs[1] = (*allographs[1], straight)
+    return replace(model, allographs=tuple(allographs))
 
 
 def _measure_tempo(traces, digits, writers):
@@ -121,8 +121,8 @@ def _measure_tempo(traces, digits, writers):
     for digit in range(DIGITS):
         speed[digits == digit] -= speed[digits == digit].mean()
     means = {w: speed[writers == w].mean() for w in np.unique(writers)}
-    left = speed - np.array([means[w] for w in writers])
-    return float(np.std(list(means.values()), ddof=1)), float(left.std())
+    residuals = speed - np.array([means[w] for w in writers])
+    return float(np.std(list(means.values()), ddof=1)), float(residuals.std())
 
 
 def _measure_log_speed(trace):
@@ -134,22 +134,24 @@ def _measure_log_speed(trace):
 def _find_allographs(traces, seed, most):
     """The allographs of a digit, and the share of digits in a person's habitual one."""
     used = 0
-    ways = []
+    clusters = []
     usage = []
     writers = sorted({trace.writer for trace in traces})
     for count in sorted({len(trace.strokes) for trace in traces}):
-        mine = [trace for trace in traces if len(trace.strokes) == count]
-        points = _count_points(mine, count)
-        vectors = np.array([make_vector(trace, points) for trace in mine])
-        who = np.array([trace.writer for trace in mine])
-        for members in _find_clusters(vectors, who, seed, most):
-            ways.append((len(members), points, vectors[members], who[members]))
+        of_count = [trace for trace in traces if len(trace.strokes) == count]
+        points = _count_points(of_count, count)
+        vectors = np.array([make_vector(trace, points) for trace in of_count])
+        writer_of_trace = np.array([trace.writer for trace in of_count])
+        for members in _find_clusters(vectors, writer_of_trace, seed, most):
+            clusters.append((len(members), points, vectors[members], writer_of_trace[members]))
             usage.append(
-                np.bincount(np.searchsorted(writers, who[members]), minlength=len(writers))
+                np.bincount(
+                    np.searchsorted(writers, writer_of_trace[members]), minlength=len(writers)
+                )
             )
             used += len(members)
-    allographs = tuple(_make_allograph(n / used, *rest) for n, *rest in ways)
-    return allographs, _estimate_loyalty(np.array(usage).T) if ways else 0.0
+    allographs = tuple(_make_allograph(n / used, *fields) for n, *fields in clusters)
+    return allographs, _estimate_loyalty(np.array(usage).T) if clusters else 0.0
 
 
 def _count_points(traces, count):
@@ -163,9 +165,9 @@ def _count_points(traces, count):
 
 def make_vector(trace: Trace, points) -> np.ndarray:
     """A trajectory as the vector that :class:`.Allograph` describes."""
-    places = [resample(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
-    last = np.log([len(stroke) - 1 for stroke in trace.strokes])
-    return np.concatenate([*places, last[1:] - last[0]])
+    coordinates = [resample(s, n).ravel() for s, n in zip(trace.strokes, points, strict=True)]
+    log_times = np.log([len(stroke) - 1 for stroke in trace.strokes])
+    return np.concatenate([*coordinates, log_times[1:] - log_times[0]])
 
 
 def _find_clusters(vectors, writers, seed, most):
@@ -183,7 +185,9 @@ def _find_clusters(vectors, writers, seed, most):
     while True:
         nearest = ((vectors[:, None] - centres[None]) ** 2).sum(-1).argmin(1)
         members = [np.flatnonzero(nearest == number) for number in range(len(centres))]
-        rare = [number for number, mine in enumerate(members) if not _is_common(mine, writers)]
+        rare = [
+            number for number, indices in enumerate(members) if not _is_common(indices, writers)
+        ]
         if not rare:
             return members
         rarest = min(rare, key=lambda number: len(members[number]))
@@ -214,11 +218,11 @@ def _estimate_covariances(scores, writers):
         return UNKNOWN_SHARE * total, (1 - UNKNOWN_SHARE) * total
     counts = np.bincount(index)
     means = np.array([scores[index == i].mean(axis=0) for i in range(len(people))])
-    left = scores - means[index]
-    within = left.T @ left / max(len(scores) - len(people), 1)
-    off = (means - scores.mean(axis=0)) * np.sqrt(counts)[:, None]
-    usual = (counts.sum() - (counts**2).sum() / counts.sum()) / (len(people) - 1)
-    between = (off.T @ off / (len(people) - 1) - within) / usual
+    residuals = scores - means[index]
+    within = residuals.T @ residuals / max(len(scores) - len(people), 1)
+    deviations = (means - scores.mean(axis=0)) * np.sqrt(counts)[:, None]
+    mean_count = (counts.sum() - (counts**2).sum() / counts.sum()) / (len(people) - 1)
+    between = (deviations.T @ deviations / (len(people) - 1) - within) / mean_count
     return between, within
 
 
@@ -244,11 +248,11 @@ def _estimate_loyalty(usage):
     if not len(usage):
         return UNKNOWN_SHARE
     n = usage.sum(axis=1)
-    same = (usage * (usage - 1)).sum() / (n * (n - 1)).sum()
+    share_of_pairs = (usage * (usage - 1)).sum() / (n * (n - 1)).sum()
     chance = ((usage.sum(axis=0) / usage.sum()) ** 2).sum()
     if chance > 1 - 1e-9:
         return 1.0
-    return float(np.sqrt(np.clip((same - chance) / (1 - chance), 0, 1)))
+    return float(np.sqrt(np.clip((share_of_pairs - chance) / (1 - chance), 0, 1)))
 
 
 def main(

@@ -56,19 +56,21 @@ def list_users_packages() -> list:
     """Packages that ``pyproject.toml`` asks for, without those that only developers need."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)["project"]
-    wanted = list(project["dependencies"])
+    requirements = list(project["dependencies"])
     for extra, names in project["optional-dependencies"].items():
-        wanted += [] if extra in FOR_DEVELOPERS else names
-    return [_name_in(requirement) for requirement in wanted]
+        requirements += [] if extra in FOR_DEVELOPERS else names
+    return [_find_name(requirement) for requirement in requirements]
 
 
 def _read_requirements(package):
     """Names of the packages that an installed package needs, without its optional parts."""
     requirements = importlib.metadata.requires(package) or []
-    return [_name_in(one) for one in requirements if "extra ==" not in one]
+    return [
+        _find_name(requirement) for requirement in requirements if "extra ==" not in requirement
+    ]
 
 
-def _name_in(requirement):
+def _find_name(requirement):
     return re.match(r"[\w.-]+", requirement)[0]
 
 
@@ -98,11 +100,11 @@ def make_cells() -> list:
     indirect = [name for name in list_restricted_packages() if name not in direct]
     rows = [(name, read_licence(name)) for name in [*direct, *indirect]]
     restricted = [row for row in rows if describe_obligations(row[1]) != PERMISSIVE]
-    others = [row for row in rows if describe_obligations(row[1]) == PERMISSIVE]
+    permissive = [row for row in rows if describe_obligations(row[1]) == PERMISSIVE]
     return [
         ("package", "licence", "in short"),
         *(
             (name, licence, describe_obligations(licence))
-            for name, licence in [*restricted, *others]
+            for name, licence in [*restricted, *permissive]
         ),
     ]

@@ -1,8 +1,8 @@
 """The path of the pen of a recording, from the taxels that report in each chunk.
 
 The published arrays have, for each of the one hundred chunks of a recording, the taxels that report
-in it; most of them are under the pen.  The path is the most probable sequence of places of a hidden
-Markov model (A. Viterbi, "Error bounds for convolutional codes and an asymptotically optimum
+in it; most of them are under the pen.  The path is the most probable sequence of positions of a
+hidden Markov model (A. Viterbi, "Error bounds for convolutional codes and an asymptotically optimum
 decoding algorithm", IEEE Transactions on Information Theory 13, 1967): a report comes from near the
 pen or, rarely, from anywhere; the pen moves a little from one chunk to the next or, rarely, is
 lifted and lands anywhere.
@@ -16,10 +16,10 @@ from scipy.ndimage import gaussian_filter1d
 from pipeline.recordings.chunks import CHUNKS
 from pipeline.recordings.events import GRID, N_TAXELS
 
-# Distance of the places that a pen may have, in taxels, and their number along each side.
+# Distance of the positions that a pen may have, in taxels, and their number along each side.
 STEP = 0.5
 SIDE = 2 * GRID + 1
-PLACES = STEP * np.arange(SIDE) - 0.5
+POSITIONS = STEP * np.arange(SIDE) - 0.5
 
 # Standard deviation of the distance of a report from the pen, in taxels, and the share of reports
 # that come from anywhere.
@@ -36,7 +36,7 @@ MOVE_SPREAD = 0.6
 FARTHEST_MOVE = 3
 LIFT = -9.0
 
-# Stands for the place before a lift.
+# Stands for the position before a lift.
 LIFTED = -1
 
 # A pen that moves farther than this number of taxels within this number of chunks was lifted.
@@ -47,7 +47,7 @@ LIFT_CHUNKS = 3
 SHORTEST_CHUNKS = 4
 SHORTEST_TAXELS = 1.4
 
-# Smoothing of a path: of places in taxels, and of times in chunks.
+# Smoothing of a path: of positions in taxels, and of times in chunks.
 NEAR = 1.3
 SMOOTH = 1.2
 
@@ -74,10 +74,10 @@ def find_paths(bits) -> list:
     paths = []
     for first in range(0, len(bits), BATCH):
         reports = weigh_reports(bits[first : first + BATCH])
-        places, lifts = seek_places(reports)
-        for place, lift, report in zip(places, lifts, reports, strict=True):
+        positions, lifts = seek_positions(reports)
+        for path, lift, report in zip(positions, lifts, reports, strict=True):
             strokes = itertools.chain.from_iterable(
-                cut_leaps(stroke) for stroke in smooth_strokes(place, lift, report)
+                cut_leaps(stroke) for stroke in smooth_strokes(path, lift, report)
             )
             paths.append([stroke for stroke in strokes if _is_stroke(stroke)])
     return paths
@@ -90,8 +90,8 @@ def weigh_reports(bits) -> np.ndarray:
     return reports * np.minimum(1, FULL_REPORTS / np.maximum(total, 1))
 
 
-def seek_places(reports) -> tuple:
-    """The most probable places of the pen.
+def seek_positions(reports) -> tuple:
+    """The most probable positions of the pen.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def seek_places(reports) -> tuple:
 
     Returns
     -------
-    places : ndarray of float, shape (n, 100, 2)
+    positions : ndarray of float, shape (n, 100, 2)
         (down, right) in taxels.
     lifts : ndarray of bool, shape (n, 100)
         True where the pen has landed anew.
@@ -108,7 +108,7 @@ def seek_places(reports) -> tuple:
     count = len(reports)
     evidence = _log_likelihood()
     score = np.zeros((count, SIDE, SIDE), np.float32)
-    # Where the pen was before it came to each place: the index of a place, or LIFTED.
+    # Where the pen was before it came to each position: the index of one, or LIFTED.
     came = np.full((CHUNKS, count, SIDE, SIDE), LIFTED, np.int16)
     likeliest = np.zeros((CHUNKS, count), int)
     index = np.arange(SIDE**2, dtype=np.int16).reshape(1, SIDE, SIDE)
@@ -126,42 +126,42 @@ def seek_places(reports) -> tuple:
 
 
 def _move_along(score, before, axis):
-    """Best scores after a move along an axis, and the places before it."""
+    """Best scores after a move along an axis, and the positions before it."""
     reach = range(-FARTHEST_MOVE, FARTHEST_MOVE + 1)
     best = np.full_like(score, -np.inf)
     origin = before
     for move in reach:
-        here = [slice(None)] * 3
-        there = [slice(None)] * 3
-        here[axis] = slice(max(-move, 0), SIDE - max(move, 0))
-        there[axis] = slice(max(move, 0), SIDE - max(-move, 0))
+        target = [slice(None)] * 3
+        source = [slice(None)] * 3
+        target[axis] = slice(max(-move, 0), SIDE - max(move, 0))
+        source[axis] = slice(max(move, 0), SIDE - max(-move, 0))
         candidate = np.full_like(score, -np.inf)
         cost = np.float32((STEP * move) ** 2 / (2 * MOVE_SPREAD**2))
-        candidate[tuple(here)] = score[tuple(there)] - cost
-        places = np.zeros_like(before)
-        places[tuple(here)] = before[tuple(there)]
+        candidate[tuple(target)] = score[tuple(source)] - cost
+        origins = np.zeros_like(before)
+        origins[tuple(target)] = before[tuple(source)]
         is_better = candidate > best
         best = np.where(is_better, candidate, best)
-        origin = np.where(is_better, places, origin)
+        origin = np.where(is_better, origins, origin)
     return best, origin
 
 
 def _log_likelihood():
-    """Logarithm of the probability of a report of a taxel, for a pen at a place.
+    """Logarithm of the probability of a report of a taxel, for a pen at a position.
 
     Returns
     -------
-    ndarray of float32, shape (100 taxels, n_places)
+    ndarray of float32, shape (100 taxels, n_positions)
     """
-    down = PLACES[None, :, None] - ROW[:, None, None]
-    right = PLACES[None, None, :] - COLUMN[:, None, None]
+    down = POSITIONS[None, :, None] - ROW[:, None, None]
+    right = POSITIONS[None, None, :] - COLUMN[:, None, None]
     near = np.exp(-(down**2 + right**2) / (2 * REPORT_SPREAD**2)) / (2 * np.pi * REPORT_SPREAD**2)
     chance = (1 - STRAY_SHARE) * near + STRAY_SHARE / N_TAXELS
     return np.log(chance).reshape(N_TAXELS, -1).astype(np.float32)
 
 
 def _follow_back(score, came, likeliest):
-    """Places and lifts of the best sequences, from the last chunk to the first."""
+    """Positions and lifts of the best sequences, from the last chunk to the first."""
     count = len(score)
     index = np.zeros((count, CHUNKS), int)
     lifts = np.zeros((count, CHUNKS), bool)
@@ -170,15 +170,15 @@ def _follow_back(score, came, likeliest):
         before = came[chunk].reshape(count, -1)[np.arange(count), index[:, chunk]]
         lifts[:, chunk] = before == LIFTED
         index[:, chunk - 1] = np.where(lifts[:, chunk], likeliest[chunk - 1], before)
-    return np.stack([PLACES[index // SIDE], PLACES[index % SIDE]], -1), lifts
+    return np.stack([POSITIONS[index // SIDE], POSITIONS[index % SIDE]], -1), lifts
 
 
-def smooth_strokes(places, lifts, reports) -> list:
-    """The strokes of a recording: means of the reports near the most probable places.
+def smooth_strokes(positions, lifts, reports) -> list:
+    """The strokes of a recording: means of the reports near the most probable positions.
 
     Parameters
     ----------
-    places : ndarray, shape (100, 2)
+    positions : ndarray, shape (100, 2)
     lifts : ndarray of bool, shape (100,)
     reports : ndarray, shape (100 taxels, 100 chunks)
 
@@ -189,7 +189,7 @@ def smooth_strokes(places, lifts, reports) -> list:
     taxels = np.stack([ROW, COLUMN], 1)
     strokes = []
     for first, end in itertools.pairwise([0, *np.flatnonzero(lifts), CHUNKS]):
-        path = places[first:end]
+        path = positions[first:end]
         squares = ((path[:, None] - taxels) ** 2).sum(-1)
         weight = np.exp(-squares / (2 * NEAR**2)) * reports[:, first:end].T
         prior = 0.3
@@ -200,7 +200,7 @@ def smooth_strokes(places, lifts, reports) -> list:
 
 
 def cut_leaps(stroke) -> list:
-    """A stroke without the parts in which the pen is too fast to touch, as a list of its rest."""
+    """The parts of a stroke in which the pen is not too fast to touch."""
     leap = np.hypot(*(stroke[LIFT_CHUNKS:] - stroke[:-LIFT_CHUNKS]).T)
     touches = np.ones(len(stroke), bool)
     for start in np.flatnonzero(leap >= LIFT_TAXELS):

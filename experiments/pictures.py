@@ -32,7 +32,7 @@ from pipeline.sources import load_simulated
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ("pipeline/results/report/figures/recordings.py", "pipeline/look.css")
 # For each picture in docs/, patterns of the files that determine how it looks.
-SHOWN = {
+PICTURES = {
     "recording.png": FIGURES,
     "sheet.png": FIGURES,
     "fidelity.png": (*FIGURES, "results/fidelity.json"),
@@ -57,22 +57,22 @@ MAX_WRITERS = 12  # simulated people who write the digit of the picture until it
 def compute_stamps() -> dict:
     """The hash of the files that determine how each picture looks, by its name."""
     hashes = {}
-    for name, patterns in SHOWN.items():
+    for name, patterns in PICTURES.items():
         paths = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
         hashes[name] = hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
     return hashes
 
 
-def _hand(seed):
+def _draw_hand(seed):
     """A simulated person's 8 in 1.2 s: milliseconds, and shares of the width and height."""
     p = parameters.load()
     rng = np.random.default_rng(seed)
-    who = handwriting.draw_writer(rng, p)
-    motion = simulate.draw_motion(simulate.Sample(8, 0, 0), who, rng, p)
+    writer = handwriting.draw_writer(rng, p)
+    motion = simulate.draw_motion(simulate.Sample(8, 0, 0), writer, rng, p)
     first, last = np.flatnonzero(motion.force > 0.3 * motion.force.max())[[0, -1]]
-    at = np.linspace(first, last, 120).astype(int)
-    places = (motion.right[at] + 0.5) / 10, (motion.down[at] + 0.5) / 10
-    return np.stack([np.linspace(0, 1200, 120), *places], axis=1).tolist()
+    samples = np.linspace(first, last, 120).astype(int)
+    positions = (motion.right[samples] + 0.5) / 10, (motion.down[samples] + 0.5) / 10
+    return np.stack([np.linspace(0, 1200, 120), *positions], axis=1).tolist()
 
 
 # Points go in from inside the page, without the round trips of a browser's driver.
@@ -98,14 +98,14 @@ def _write_until_right(page):
     """
     for seed in range(MAX_WRITERS):
         page.click("#clear")
-        page.evaluate(WRITE, _hand(seed))
+        page.evaluate(WRITE, _draw_hand(seed))
         page.wait_for_timeout(2500)
         if page.inner_text("#decision") == "8" and page.is_hidden("#decision.open"):
             return
     raise UserError("the page has not recognised an 8; leave the machine to it and try again")
 
 
-def _picture_live_page(path):
+def _draw_live_page(path):
     """The live page after an 8."""
     from playwright.sync_api import sync_playwright
 
@@ -121,8 +121,8 @@ def _picture_live_page(path):
             page.wait_for_selector("body[data-ready]")
             _write_until_right(page)
             main = page.locator("main").bounding_box()
-            shown = {"x": 0, "y": 0, "width": 1040, "height": main["y"] + main["height"] + 8}
-            page.screenshot(path=path, full_page=True, clip=shown)
+            clip = {"x": 0, "y": 0, "width": 1040, "height": main["y"] + main["height"] + 8}
+            page.screenshot(path=path, full_page=True, clip=clip)
             browser.close()
         finally:
             server.terminate()
@@ -132,8 +132,8 @@ def _picture_live_page(path):
 def _animate_touch(path):
     """An animation of the first 8 of the included network's check that it recognises."""
     bundle = read_bundle(SHIPPED)
-    found = run_target(bundle.spec, bundle.checks.inputs, "fast", bundle.seed)
-    is_shown = (bundle.checks.labels == 8) & (found.scores.argmax(1) == 8)
+    responses = run_target(bundle.spec, bundle.checks.inputs, "fast", bundle.seed)
+    is_shown = (bundle.checks.labels == 8) & (responses.scores.argmax(1) == 8)
     animation.animate(path, bundle, int(np.flatnonzero(is_shown)[0]))
 
 
@@ -147,11 +147,11 @@ def draw_maps(maps: dict) -> Figure:
     """
     figure = Figure(figsize=(10, 2.3), layout="constrained")
     axes = figure.subplots(len(maps), 10)
-    for line, (kind, shares) in zip(axes, maps.items(), strict=True):
-        line[0].set_ylabel(kind)
-        for place, share in zip(line, shares, strict=True):
-            place.imshow(np.reshape(share, (GRID, GRID)).T, cmap=SHADES, vmin=0, vmax=1)
-            place.set(xticks=[], yticks=[])
+    for panels, (kind, shares) in zip(axes, maps.items(), strict=True):
+        panels[0].set_ylabel(kind)
+        for panel, share in zip(panels, shares, strict=True):
+            panel.imshow(np.reshape(share, (GRID, GRID)).T, cmap=SHADES, vmin=0, vmax=1)
+            panel.set(xticks=[], yticks=[])
     return figure
 
 
@@ -172,8 +172,8 @@ def draw_operations(rows: list) -> Figure:
         axes.errorbar(
             operations, row["mean"], row["sd"], fmt="o", color=find_colour("on"), capsize=3
         )
-        place = (operations, row["mean"])
-        axes.annotate(title, place, (8, -4), textcoords="offset points", fontsize=9)
+        point = (operations, row["mean"])
+        axes.annotate(title, point, (8, -4), textcoords="offset points", fontsize=9)
     for name, title in BASELINES.items():
         accuracy = by_name[name]["mean"]
         axes.axhline(accuracy, color=find_colour("soft"), linestyle="--", linewidth=1, zorder=0)
@@ -211,7 +211,7 @@ def main():
     figures.save(draw_maps(maps), docs / "fidelity.png")
     table = read_json(ROOT / "results" / "table2-stmnist-published.json", "run table2")
     figures.save(draw_operations(table["rows"]), docs / "operations.png")
-    _picture_live_page(docs / "live.png")
+    _draw_live_page(docs / "live.png")
     _animate_touch(docs / "touch.gif")
     write_json(ROOT / "docs" / "pictures.json", compute_stamps())
-    show("\n".join(f"docs/{name}" for name in SHOWN))
+    show("\n".join(f"docs/{name}" for name in PICTURES))

@@ -52,33 +52,35 @@ def main(
         write_arrays(frames, labels=dataset.labels[dataset.split.train], **parts)
         for seed in range(seeds):
             graph = Path(folder) / f"{seed}.nir"
-            answers = Path(folder) / f"{seed}.npz"
+            predictions = Path(folder) / f"{seed}.npz"
             script = ROOT / "experiments" / "recurrent_torch.py"
-            arguments = python, script, frames, graph, answers, seed, epochs
+            arguments = python, script, frames, graph, predictions, seed, epochs
             subprocess.run([str(argument) for argument in arguments], check=True)
-            rows.append((str(seed), *compare_with_torch(graph, answers, settings, dataset, target)))
+            rows.append(
+                (str(seed), *compare_with_torch(graph, predictions, settings, dataset, target))
+            )
     show("\n".join(align_rows(rows)))
 
 
-def compare_with_torch(graph, answers, settings, dataset, target) -> tuple:
+def compare_with_torch(graph, predictions_file, settings, dataset, target) -> tuple:
     """The columns of a network: accuracies, and what snnTorch, graph and chip have in common."""
     network = read_nir(graph)
-    theirs = read_arrays(answers, "train again")
+    of_torch = read_arrays(predictions_file, "train again")
     stepping = Stepping.of(settings, network)
-    shown = settings.make_presentation()
+    presentation = settings.make_presentation()
     samples = dataset.inputs[np.sort(dataset.split.train)[:: len(dataset.split.train) // 48]]
-    spec = make_nir_spec(network, stepping, settings.stimulus, shown, samples, {})
+    spec = make_nir_spec(network, stepping, settings.stimulus, presentation, samples, {})
     inputs, labels = (x[dataset.split.test] for x in (dataset.inputs, dataset.labels))
-    held = make_graph_inputs(network, inputs, settings.steps)
-    outputs = simulate(network, held, stepping.seconds, stepping.method).outputs
-    same = (outputs == np.moveaxis(theirs["outputs"], 0, 1)).mean()
+    graph_inputs = make_graph_inputs(network, inputs, settings.steps)
+    outputs = simulate(network, graph_inputs, stepping.seconds, stepping.method).outputs
+    share_equal = (outputs == np.moveaxis(of_torch["outputs"], 0, 1)).mean()
     chip = run_target(spec, inputs, target).predictions
-    torch = theirs["predictions"]
+    torch = of_torch["predictions"]
     accuracies = [(p == labels).mean() for p in (torch, outputs.sum(1).argmax(1), chip)]
-    lost = 100 * (accuracies[0] - accuracies[2])
+    points_lost = 100 * (accuracies[0] - accuracies[2])
     return (
         *(f"{accuracy:.3f}" for accuracy in accuracies),
-        f"{lost:.1f}",
+        f"{points_lost:.1f}",
         f"{(chip == torch).mean():.1%}",
-        f"{same:.2%}",
+        f"{share_equal:.2%}",
     )

@@ -75,10 +75,10 @@ def train(network, frames, labels, epochs, classes):
             print(f"epoch {epoch + 1}: accuracy {right / len(frames):.3f}", flush=True)
 
 
-def main(given, graph, answers, seed, epochs):
+def main(frames, graph, predictions, seed, epochs):
     torch.set_num_threads(1)
     torch.manual_seed(int(seed))
-    with np.load(given, allow_pickle=False) as file:
+    with np.load(frames, allow_pickle=False) as file:
         parts = {name: torch.from_numpy(file[name]) for name in file.files}
     classes = int(parts["labels"].max()) + 1
     network = make_network(parts["train"].shape[2], classes)
@@ -91,7 +91,7 @@ def main(given, graph, answers, seed, epochs):
     nir.write(
         graph, export_to_nir(network, torch.zeros(1, parts["test"].shape[2]), ignore_dims=[0])
     )
-    np.savez(answers, predictions=outputs.sum(0).argmax(1).numpy(), outputs=outputs.numpy())
+    np.savez(predictions, predictions=outputs.sum(0).argmax(1).numpy(), outputs=outputs.numpy())
 
 
 if __name__ == "__main__":

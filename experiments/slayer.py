@@ -182,10 +182,10 @@ class SlayerNetwork:
             Of the loss with respect to each of `kernels`.
         """
         steps, samples = frames.shape[:2]
-        decay, gain = _compute_filter(self.recipe.tau_s)
+        decay, factor = _compute_filter(self.recipe.tau_s)
         t = np.arange(steps)
         # The correlation eps (x) 1 with the error, which is constant.
-        constant = np.cumsum(gain * t * decay**t)[::-1].astype(np.float32)[:, None, None]
+        constant = np.cumsum(factor * t * decay**t)[::-1].astype(np.float32)[:, None, None]
         with tf.GradientTape() as tape:
             spikes = self.compute_layers(frames)[-1][1]
             counts = tf.reduce_sum(spikes, 0)
@@ -228,17 +228,17 @@ def fire(drive, recipe: Slayer) -> tuple:
 
 @_compiled
 def _compute_potential(drive, recipe):
-    decay, gain = _compute_filter(recipe.tau_s)
+    decay, factor = _compute_filter(recipe.tau_s)
     after, back = _compute_filter(recipe.tau_r)
     back *= -recipe.scale_ref * recipe.theta
 
     def step(t, state):
-        p, q, own_p, own_q = state
+        p, q, refractory_p, refractory_q = state
         q = decay * (q + p)
-        own_q = after * (own_q + own_p)
-        potential = gain * q + back * own_q
-        fired = tf.cast(potential >= recipe.theta, tf.float32)
-        return (decay * p + drive[t], q, after * own_p + fired, own_q), (potential,)
+        refractory_q = after * (refractory_q + refractory_p)
+        potential = factor * q + back * refractory_q
+        spikes = tf.cast(potential >= recipe.theta, tf.float32)
+        return (decay * p + drive[t], q, after * refractory_p + spikes, refractory_q), (potential,)
 
     (potential,) = scan(step, drive, (tf.zeros_like(drive[0]),) * 4, 1)
     return potential
@@ -247,14 +247,14 @@ def _compute_potential(drive, recipe):
 @_compiled
 def _credit(error, potential, recipe):
     """The gradient eps (x) (rho . error) of the drive, for that of the spikes, eps (x) e."""
-    decay, gain = _compute_filter(recipe.tau_s)
+    decay, factor = _compute_filter(recipe.tau_s)
     tau = recipe.tau_rho * recipe.theta
     delta = error * recipe.scale_rho / tau * tf.exp(-tf.abs(potential - recipe.theta) / tau)
 
     def step(t, state):
         p, q = state
         q = decay * (q + p)
-        return (decay * p + delta[t], q), (gain * q,)
+        return (decay * p + delta[t], q), (factor * q,)
 
     (credit,) = scan(step, error, (tf.zeros_like(error[0]),) * 2, 1, backwards=True)
     return credit
@@ -299,8 +299,8 @@ def train_slayer(
     size = recipe.batch_size
     optimizer = tf.keras.optimizers.Adam(recipe.learning_rate, amsgrad=True)
     optimizer.build(network.kernels)
-    wanted = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
-    desired = recipe.false_count + wanted * (recipe.true_count - recipe.false_count)
+    is_label = np.eye(network.architecture.outputs, dtype=np.float32)[labels]
+    desired = recipe.false_count + is_label * (recipe.true_count - recipe.false_count)
 
     @tf.function(autograph=False)
     def update(frames, desired):
@@ -313,8 +313,8 @@ def train_slayer(
     )
 
     def count(indices):
-        some = np.array_split(indices, -(-len(indices) // size))
-        return np.concatenate([counted(tf.constant(frames[:, each])) for each in some])
+        batches = np.array_split(indices, -(-len(indices) // size))
+        return np.concatenate([counted(tf.constant(frames[:, batch])) for batch in batches])
 
     def train_for(epoch):
         order = np.random.default_rng([seed, epoch, 0x51A]).permutation(train)
@@ -396,8 +396,8 @@ def train_and_predict(dataset, index, seed: int, conv_scale: float, checkpoint: 
     key = hashlib.sha256(f"{recipe} {seed} {dataset.origin.key}".encode()).hexdigest()
     frames = bin_events(recordings, recipe.bins)
     labels = recordings.labels
-    kept = Checkpoint(checkpoint, key)
+    state = Checkpoint(checkpoint, key)
     _, history, counts = train_slayer(
-        recipe, frames, labels, dataset.split.train, index, seed, kept
+        recipe, frames, labels, dataset.split.train, index, seed, state
     )
     return counts.argmax(1), history

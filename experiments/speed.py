@@ -24,7 +24,7 @@ from deploy.network.simulation import record_stream
 from deploy.tables import align_rows
 from deploy.targets.fast import Emulation
 from deploy.targets.registry import run_target
-from experiments.studies import RESULTS, Store, name_processor
+from experiments.results import RESULTS, Store, name_processor
 from fastloihi import FastSimulator
 from pipeline.commands import options
 from pipeline.progress import progress
@@ -59,34 +59,38 @@ def measure_on_bundle(bundle, samples: int | None = None) -> dict:
     """
     spec = bundle.spec
     inputs = bundle.checks.inputs[:samples]
-    parts = spec.presentation.list_streams(len(inputs))
-    found = run_target(spec, inputs, "fast", SEED)
+    stream_slices = spec.presentation.list_streams(len(inputs))
+    fast_responses = run_target(spec, inputs, "fast", SEED)
     emulation = Emulation(spec, SEED)
-    whole = [part for part in parts if part.stop - part.start == parts[0].stop]
-    streams = np.stack([spec.flatten_samples(inputs[part]) for part in whole])
-    n_streamed = len(whole) * parts[0].stop
+    equal_parts = [
+        stream for stream in stream_slices if stream.stop - stream.start == stream_slices[0].stop
+    ]
+    streams = np.stack([spec.flatten_samples(inputs[stream]) for stream in equal_parts])
+    n_streamed = len(equal_parts) * stream_slices[0].stop
     paces = []
     identical = True
     with progress("speed", len(inputs)) as advance, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for part in parts:
+        for stream in stream_slices:
             built = build(spec)
-            shown = spec.flatten_samples(inputs[part])
+            samples_of_part = spec.flatten_samples(inputs[stream])
             with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
-                slow, recorded = _time_call(record_stream, spec, built, sim, shown)
-            quick, _ = _time_call(emulation.run, streams)
-            expected = make_responses(spec, recorded, len(shown), "emulator")
-            identical &= np.array_equal(expected.decisions, found.decisions[part])
-            identical &= np.array_equal(expected.spike_hashes, found.spike_hashes[part])
-            paces.append([len(shown) / slow, n_streamed / quick])
-            advance(len(shown))
+                emulator_seconds, recorded = _time_call(
+                    record_stream, spec, built, sim, samples_of_part
+                )
+            fast_seconds, _ = _time_call(emulation.run, streams)
+            expected = make_responses(spec, recorded, len(samples_of_part), "emulator")
+            identical &= np.array_equal(expected.decisions, fast_responses.decisions[stream])
+            identical &= np.array_equal(expected.spike_hashes, fast_responses.spike_hashes[stream])
+            paces.append([len(samples_of_part) / emulator_seconds, n_streamed / fast_seconds])
+            advance(len(samples_of_part))
     reference, fast = np.array(paces).T
     return {
         "identical": bool(identical),
         "ratio": float(np.median(fast / reference)),
         "samples_per_second": [float(np.median(reference)), float(np.median(fast))],
         "n_samples": len(inputs),
-        "turns": len(parts),
+        "turns": len(stream_slices),
         "simulated": spec.provenance.get("simulated"),
     }
 
@@ -152,13 +156,13 @@ def build_convolutions(size=28):
         network.config[nengo.Connection].synapse = 0.005
         source = nengo.Node(image)
         shape = (size, size, 1)
-        for filters, kernel, stride in ((4, 1, 1), (8, 3, 2), (16, 3, 1), (8, 3, 2)):
+        for filters, kernel_size, stride in ((4, 1, 1), (8, 3, 2), (16, 3, 1), (8, 3, 2)):
             transform = nengo.Convolution(
-                filters, shape, kernel_size=(kernel, kernel), strides=(stride, stride),
+                filters, shape, kernel_size=(kernel_size, kernel_size), strides=(stride, stride),
                 init=nengo.dists.Uniform(-1, 1),
             )  # fmt: skip
             layer = nengo.Ensemble(transform.output_shape.size, 1)
-            if kernel == 1:
+            if kernel_size == 1:
                 network.config[layer].on_chip = False
             else:
                 network.config[layer].block_shape = nengo_loihi.BlockShape(
@@ -223,15 +227,15 @@ def measure_on_network(title, make, steps) -> dict:
     pair = [_TimedSimulator(kind, make) for kind in (nengo_loihi.Simulator, FastSimulator)]
     ratios = []
     identical = True
-    for simulator in pair:
-        simulator.run(20)  # compiles, and fills caches
+    for timed in pair:
+        timed.run(20)  # compiles, and fills caches
     for _ in range(TURNS):
-        (slow, expected), (quick, values) = (one.run(steps // TURNS) for one in pair)
+        (slow, expected), (quick, values) = (timed.run(steps // TURNS) for timed in pair)
         identical &= np.array_equal(expected, values)
         ratios.append(slow / quick)
-    identical &= all(map(np.array_equal, *(one.find_state() for one in pair)))
-    for one in pair:
-        one.simulator.close()
+    identical &= all(map(np.array_equal, *(timed.find_state() for timed in pair)))
+    for timed in pair:
+        timed.simulator.close()
     return {
         "network": title,
         "identical": bool(identical),
@@ -239,15 +243,15 @@ def measure_on_network(title, make, steps) -> dict:
     }
 
 
-def make_cells(found: dict) -> list:
+def make_cells(result: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     lines = [["", "times as fast", "identical", "samples a second"]]
-    for name, row in found["bundles"].items():
+    for name, row in result["bundles"].items():
         slow, fast = row["samples_per_second"]
         identical = "yes" if row["identical"] else "NO"
         paces = f"{slow:.0f}, {fast:.0f}"
         lines.append([f"fast, {name}", f"{row['ratio']:.0f}x", identical, paces])
-    for row in found["networks"]:
+    for row in result["networks"]:
         identical = "yes" if row["identical"] else "NO"
         ratio = f"{row['ratio_emulator']:.0f}x"
         lines.append([f"FastSimulator, {row['network']}", ratio, identical, ""])
@@ -266,19 +270,19 @@ def main(
     as_json: options.Json = False,
 ):
     """Measure how many times as fast as NengoLoihi's emulator fast and FastSimulator are."""
-    found = {"experiment": "speed", "bundles": {}, "measured": {"processor": name_processor()}}
+    result = {"experiment": "speed", "bundles": {}, "measured": {"processor": name_processor()}}
     for path in bundles or ():
         bundle = read_bundle(options.find_bundle(path))
         kind = "image" if bundle.spec.stimulus.static else "events"
-        found["bundles"][kind] = measure_on_bundle(bundle, samples)
+        result["bundles"][kind] = measure_on_bundle(bundle, samples)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found["networks"] = [measure_on_network(*case) for case in CASES]
+        result["networks"] = [measure_on_network(*case) for case in CASES]
     if store:
-        write_json(RESULTS / f"{store}.json", found)
+        write_json(RESULTS / f"{store}.json", result)
     title = "Processor time relative to NengoLoihi's emulator, medians of turns"
     options.print_result(
-        found, lambda value: "\n".join([title, *align_rows(make_cells(value))]), as_json
+        result, lambda value: "\n".join([title, *align_rows(make_cells(value))]), as_json
     )
-    if not all(row["identical"] for row in (*found["bundles"].values(), *found["networks"])):
+    if not all(row["identical"] for row in (*result["bundles"].values(), *result["networks"])):
         raise CheckFailed("the predictions differ from those of NengoLoihi's emulator")

@@ -21,7 +21,7 @@ from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.tables import align_rows
 from deploy.targets.fast import Emulation
-from experiments.studies import RESULTS, Store, name_processor
+from experiments.results import RESULTS, Store, name_processor
 from pipeline.commands import options
 from pipeline.live.network import SHIPPED
 
@@ -80,22 +80,22 @@ def make_events_at(bundle, rate: float, samples: int, pause_s: float):
         if not len(step):
             continue
         steps = int(step[-1]) + 1
-        wanted = max(len(step), round(rate * steps * step_ns * 1e-9))
-        which = np.concatenate([np.arange(len(step)), _draw_repetitions(rng, step, wanted)])
-        within_ns = rng.integers(0, step_ns, len(which))
+        n_events = max(len(step), round(rate * steps * step_ns * 1e-9))
+        indices = np.concatenate([np.arange(len(step)), _draw_repetitions(rng, step, n_events)])
+        within_ns = rng.integers(0, step_ns, len(indices))
         within_ns[0] = 0  # the first event, from which the steps are counted
-        time_ns = start_ns + step[which] * step_ns + within_ns
+        time_ns = start_ns + step[indices] * step_ns + within_ns
         order = np.argsort(time_ns, kind="stable")
-        columns = (time_ns, column[which], row[which], polarity[which] == 0)
+        columns = (time_ns, column[indices], row[indices], polarity[indices] == 0)
         parts.append([values[order] for values in columns])
         start_ns += steps * step_ns + round(1e9 * pause_s)
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
 
-def _draw_repetitions(rng, step, wanted):
+def _draw_repetitions(rng, step, n_events):
     """Events to repeat, evenly over the time from the first step to the last."""
-    more = wanted - len(step)
-    moments = rng.integers(0, int(step[-1]) + 1, more)
+    n_repeated = n_events - len(step)
+    moments = rng.integers(0, int(step[-1]) + 1, n_repeated)
     return np.minimum(np.searchsorted(step, moments), len(step) - 1)
 
 
@@ -120,7 +120,7 @@ def play(stream, columns, one_by_one: bool) -> dict:
     """
     times = columns[0].tolist()
     events = list(zip(*(column.tolist() for column in columns), strict=True))
-    said = []
+    made = []
     done = 0
     pushed_ns = 0
     begun = time.perf_counter()
@@ -131,7 +131,7 @@ def play(stream, columns, one_by_one: bool) -> dict:
 
     def note(decisions):
         now_ns = passed_ns()
-        said.extend((decision, now_ns) for decision in decisions)
+        made.extend((decision, now_ns) for decision in decisions)
 
     while done < len(times):
         now_ns = passed_ns()
@@ -149,12 +149,12 @@ def play(stream, columns, one_by_one: bool) -> dict:
             done = arrived
             pushed_ns = now_ns
     busy = (time.thread_time() - processor_s) / (passed_ns() * 1e-9)
-    last = stream.finish()  # at no time of its own
-    latency = [now_ns - _find_moment(decision, times, stream.step_ns) for decision, now_ns in said]
+    at_end = stream.finish()  # at no time of its own
+    latency = [now_ns - _find_moment(decision, times, stream.step_ns) for decision, now_ns in made]
     return {
         "latency_ms": np.array(latency) / 1e6,
         "busy": busy,
-        "decisions": [decision.number for decision, _ in said] + [d.number for d in last],
+        "decisions": [decision.number for decision, _ in made] + [d.number for d in at_end],
     }
 
 
@@ -178,8 +178,8 @@ def measure_pushing_at_once(stream, columns, one_by_one: bool) -> float:
             stream.push(*event)
     else:
         edges = np.arange(time_ns[0], time_ns[-1] + BLOCK_NS, BLOCK_NS)
-        places = np.unique(np.searchsorted(time_ns, edges)).tolist()
-        for first, end in itertools.pairwise([*places, len(time_ns)]):
+        starts = np.unique(np.searchsorted(time_ns, edges)).tolist()
+        for first, end in itertools.pairwise([*starts, len(time_ns)]):
             stream.push(*(column[first:end] for column in columns))
     stream.finish()
     return (time.thread_time() - begun) / (time_ns[-1] * 1e-9)
@@ -203,8 +203,8 @@ def measure(bundle, rate: float, samples: int) -> dict:
         for load in rates:
             events = make_events_at(bundle, load, LOAD_SAMPLES, TOUCHING_S)
             loads.append(measure_pushing_at_once(open_stream(), events, one_by_one))
-        slope, rest = np.polyfit(rates, loads, 1)
-        highest = float((1 - rest) / slope) if slope > 0 else np.inf
+        slope, intercept = np.polyfit(rates, loads, 1)
+        highest = float((1 - intercept) / slope) if slope > 0 else np.inf
         rows.append(
             {
                 "pushed": name,
@@ -235,10 +235,10 @@ def _push_at_once(stream, columns):
     return stream.push(*columns) + stream.finish()
 
 
-def make_cells(found: dict) -> list:
+def make_cells(result: dict) -> list:
     """The rows of a result as lists of text, the heads first."""
     lines = [["pushed", "median", "99 %", "largest", "within 20 ms", "busy", "highest rate"]]
-    for row in found["rows"]:
+    for row in result["rows"]:
         at_least = "above " if row["is_extrapolation_cut"] else ""
         lines.append(
             [
@@ -254,13 +254,13 @@ def make_cells(found: dict) -> list:
     return lines
 
 
-def format_result(found: dict) -> str:
+def format_result(result: dict) -> str:
     """The result as a table."""
     title = (
-        f"Latency of the decisions on {found['samples']} touches, {found['rate']:,.0f} events per "
-        f"second, {found['architecture']}, steps of {found['step_ms']:g} ms, one core"
+        f"Latency of the decisions on {result['samples']} touches, {result['rate']:,.0f} events "
+        f"per second, {result['architecture']}, steps of {result['step_ms']:g} ms, one core"
     )
-    return "\n".join([title, *align_rows(make_cells(found))])
+    return "\n".join([title, *align_rows(make_cells(result))])
 
 
 def main(
@@ -271,11 +271,11 @@ def main(
     as_json: options.Json = False,
 ):
     """Measure the latency of a stream's decisions, and the highest rate of events."""
-    found = measure(read_bundle(options.find_bundle(bundle)), rate, samples)
+    result = measure(read_bundle(options.find_bundle(bundle)), rate, samples)
     if store:
-        write_json(RESULTS / f"{store}.json", found)
-    options.print_result(found, format_result, as_json)
-    for row in found["rows"]:
+        write_json(RESULTS / f"{store}.json", result)
+    options.print_result(result, format_result, as_json)
+    for row in result["rows"]:
         if not row["same_decisions"]:
             raise CheckFailed("the decisions in real time differ from those at once")
         if row["share_within_target"] < TARGET_SHARE:

@@ -55,10 +55,11 @@ def make_table(rows, by=("split", "name"), against=()) -> dict:
             entry["costs"] = {name: _compute_mean(costs, name) for name in names}
         entries.append(entry)
     comparisons = [
-        {**dict(zip(by, key, strict=True)), "a": key[-1], "b": b, **found}
+        {**dict(zip(by, key, strict=True)), "a": key[-1], "b": b, **difference}
         for a, b in against
         for key in groups
-        if key[-1] == a and (found := _compare_rows(groups[key], groups.get((*key[:-1], b), {})))
+        if key[-1] == a
+        and (difference := _compare_rows(groups[key], groups.get((*key[:-1], b), {})))
     ]
     for comparison, p in zip(
         comparisons, correct_by_holm([c["p"] for c in comparisons]), strict=True
@@ -76,30 +77,30 @@ def _compute_mean(rows, name):
     return float(np.mean([row[name] for row in rows]))
 
 
-def _compare_rows(ones, others):
+def _compare_rows(rows, other_rows):
     """Accuracy of one row minus another's, over their common seeds and samples."""
-    seeds = [seed for seed in ones if seed in others]
+    seeds = [seed for seed in rows if seed in other_rows]
     if not seeds:
         return None
-    pairs = [(ones[seed], others[seed]) for seed in seeds]
+    pairs = [(rows[seed], other_rows[seed]) for seed in seeds]
     differences = [float(np.subtract(*_pair_common(*pair)).mean()) for pair in pairs]
-    shared = [one for one, _ in pairs]
+    shared = [row for row, _ in pairs]
     sizes = [_compute_mean(shared, name) for name in ("n_train", "n_test")]
-    found = estimate(differences, *sizes, pairs[0][0]["split"])
+    comparison = estimate(differences, *sizes, pairs[0][0]["split"])
     if len(pairs) == 1:
-        found["p"] = compute_mcnemar_p(*_pair_common(*pairs[0]))
+        comparison["p"] = compute_mcnemar_p(*_pair_common(*pairs[0]))
     agree = [np.mean(np.equal(*_pair_common(*pair, "predictions"))) for pair in pairs]
-    return {**found, "values": differences, "agreement": float(np.mean(agree))}
+    return {**comparison, "values": differences, "agreement": float(np.mean(agree))}
 
 
-def _pair_common(one, other, what="right"):
+def _pair_common(row, other_row, entry="right"):
     """An entry of two rows for each sample that both have."""
-    ours = dict(zip(one["samples"], one[what], strict=True))
-    theirs = dict(zip(other["samples"], other[what], strict=True))
-    shared = sorted(ours.keys() & theirs.keys())
+    of_row = dict(zip(row["samples"], row[entry], strict=True))
+    of_other = dict(zip(other_row["samples"], other_row[entry], strict=True))
+    shared = sorted(of_row.keys() & of_other.keys())
     return [
-        np.array([ours[sample] for sample in shared]),
-        np.array([theirs[sample] for sample in shared]),
+        np.array([of_row[sample] for sample in shared]),
+        np.array([of_other[sample] for sample in shared]),
     ]
 
 
@@ -152,18 +153,18 @@ def format_interval(ci95, scale: float = 1.0, digits: int = 3, sign: str = "") -
     return " to ".join(f"{scale * bound:{sign}.{digits}f}" for bound in ci95 or ())
 
 
-def make_comparison_cells(found: dict, titles: dict) -> list:
+def make_comparison_cells(table: dict, titles: dict) -> list:
     """The comparisons of a table as lists of text, the heads first; a loss is negative.
 
     Parameters
     ----------
-    found : dict
+    table : dict
         From :func:`make_table`.
     titles : dict of str to str
         What each name of a row is called.
     """
     rows = []
-    for entry in found["comparisons"]:
+    for entry in table["comparisons"]:
         p = "" if entry["p_holm"] is None else format_p(entry["p_holm"])
         interval = format_interval(entry["ci95"], 100, 2, "+")
         agreement = f"{entry['agreement']:.1%}" if "agreement" in entry else ""

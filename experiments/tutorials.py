@@ -52,14 +52,14 @@ def execute(notebook: dict, folder) -> tuple:
         for cell in notebook["cells"]:
             if cell["cell_type"] == "code":
                 count += 1
-                names["display"] = (shown := []).append
+                names["display"] = (displayed := []).append
                 text = io.StringIO()
                 code = compile("".join(cell["source"]), f"cell {count}", "exec")
                 with contextlib.redirect_stdout(text):
                     exec(code, names)
                 lines = text.getvalue().splitlines(keepends=True)
                 printed = {"name": "stdout", "output_type": "stream", "text": lines}
-                figures = [*shown, *map(plt.figure, plt.get_fignums())]
+                figures = [*displayed, *map(plt.figure, plt.get_fignums())]
                 outputs = [printed] * bool(lines) + list(map(_encode_picture, figures))
                 plt.close("all")
                 cell = {**cell, "execution_count": count, "outputs": outputs}

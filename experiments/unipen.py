@@ -66,7 +66,7 @@ class _Reader:
         self._begin = 1  # line of the segment
         self._strokes = []
         self._pen_is_down = False
-        self._places = (0, 1)  # of x and y in a line
+        self._coordinate_columns = (0, 1)  # of x and y in a line
 
     def read_line(self, number, line):
         if line.startswith("."):
@@ -97,7 +97,7 @@ class _Reader:
             label, _, n_strokes = self._segment
             self._segment = label, _find_writer(line, label), n_strokes
         elif keyword == ".COORD":
-            self._places = self._find_places(number, line)
+            self._coordinate_columns = self._find_coordinate_columns(number, line)
         elif keyword == ".PEN_DOWN":
             self._strokes.append([])
         self._pen_is_down = keyword == ".PEN_DOWN"
@@ -121,8 +121,8 @@ class _Reader:
     def _read_point(self, number, line):
         """The point (down, right) of a line."""
         try:
-            values = line.split(maxsplit=max(self._places) + 1)
-            right, up = (float(values[place]) for place in self._places)
+            values = line.split(maxsplit=max(self._coordinate_columns) + 1)
+            right, up = (float(values[column]) for column in self._coordinate_columns)
             if not (abs(right) <= MAX_COORDINATE and abs(up) <= MAX_COORDINATE):  # NaN is not
                 raise ValueError
         except (ValueError, IndexError):

@@ -33,14 +33,14 @@ def vary(recordings: Recordings, variant: str, seed: int, lasts_ns: float) -> Re
     lasts_ns : float
         Duration of each recording, see :func:`keep_only_counts`.
     """
-    made = {
+    functions = {
         "as-is": lambda: recordings,
         "no-polarity": lambda: without_polarity(recordings),
         "even": lambda: even(recordings),
         "shuffled": lambda: shuffle_events(recordings, seed),
         "counts": lambda: keep_only_counts(recordings, lasts_ns),
     }
-    return made[variant]()
+    return functions[variant]()
 
 
 def vary_dataset(dataset: Dataset, variant: str, seed: int) -> Dataset:
@@ -123,9 +123,9 @@ def _find_ends(recordings):
     """Time of each recording's first and last event, 0 without events."""
     time_ns = recordings.events.time_ns
     offsets = recordings.offsets
-    some = np.diff(offsets) > 0
+    has_events = np.diff(offsets) > 0
     first = np.zeros(len(recordings), np.int64)
     last = np.zeros(len(recordings), np.int64)
-    first[some] = time_ns[offsets[:-1][some]]
-    last[some] = time_ns[offsets[1:][some] - 1]
+    first[has_events] = time_ns[offsets[:-1][has_events]]
+    last[has_events] = time_ns[offsets[1:][has_events] - 1]
     return first, last

@@ -8,7 +8,13 @@ import pytest
 from deploy.errors import UserError
 from deploy.files import read_json
 from experiments import calibration
-from experiments.calibration import FitData, find_sessions, place_forms, simulate_fit, step_forms
+from experiments.calibration import (
+    FitData,
+    find_sessions,
+    fit_digit_boxes,
+    simulate_fit,
+    step_digits,
+)
 from pipeline.recordings.writing import write_zip
 from pipeline.simulation import parameters, shape_model
 from pipeline.simulation.handwriting import Trace
@@ -44,7 +50,7 @@ def test_the_built_in_fit_has_its_source_and_no_recording():
 
 def test_a_step_moves_digits_towards_the_recordings():
     here, there = changed_fit(force=0.0, contact=0.0), changed_fit(force=0.0, contact=0.2)
-    moved = step_forms(here, target_of(there), *simulate_fit(here, SHAPES, 15, 5, 1))
+    moved = step_digits(here, target_of(there), *simulate_fit(here, SHAPES, 15, 5, 1))
     found = np.mean([form["contact"] for form in moved["digits"]])
     assert 0.04 < found < 0.3
 
@@ -57,7 +63,7 @@ def test_places_and_sizes_of_digits_are_those_of_the_paths():
         for digit in range(10)
         for down, right, size in boxes
     ]
-    for form in place_forms(BUILT_IN, traces)["digits"]:
+    for form in fit_digit_boxes(BUILT_IN, traces)["digits"]:
         assert form["down"] == pytest.approx(4, abs=0.1)
         assert form["height"] == pytest.approx(np.exp(2), rel=0.03)
         root = np.array(form["variation"])

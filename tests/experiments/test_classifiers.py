@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments import classifiers, readings, studies, styles
+from experiments import classifiers, measuring, readings, styles
 from pipeline.results.study import Case
 from pipeline.settings import Settings
 from pipeline.sources import load_dataset
@@ -42,7 +42,7 @@ def test_whole_clusters_are_held_out(dataset):
 
 def test_styles_are_a_split_of_their_own_in_the_rows(tmp_path):
     case = Case("nearest", SETTINGS, "nearest", split=styles.STYLES)
-    row = studies.measure(case, Library(tmp_path))
+    row = measuring.measure(case, Library(tmp_path))
     assert (row["split"], row["stage"]) == ("styles", "nearest")
     assert row["accuracy"] == np.mean(row["right"])
 
@@ -52,7 +52,7 @@ def test_a_row_of_the_papers_samples_is_a_part_of_the_others(dataset):
     right = (np.arange(len(test)) % 2).tolist()
     row = {"samples": test.tolist(), "predictions": test.tolist(), "right": right, "stage": "fast"}
     case = Case("loihi-200", SETTINGS, "fast-200")
-    drawn = studies._draw_check_samples(row, dataset, case)
+    drawn = measuring._draw_check_samples(row, dataset, case)
     assert set(drawn["samples"]) <= set(test.tolist())
     assert drawn["predictions"] == drawn["samples"]
     assert drawn["accuracy"] == np.mean(drawn["right"])

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import read_bundle
-from experiments import adapt, document, speed, studies, tables
+from experiments import adapt, document, measuring, results, speed, studies, study_tables, tables
 from experiments.__main__ import OTHERS, main
+from experiments.catalogue import EXPERIMENTS, FAULTY_STAGES
 from pipeline.results.study import Case
 from pipeline.settings import Settings
 from pipeline.sources import load_named_recordings
@@ -18,7 +19,7 @@ from pipeline.training.adaptation import add_rehearsal
 from tests.command import call, missing
 from tests.experiments.test_tables import row
 
-BY_NAME = {experiment.name: experiment for experiment in studies.EXPERIMENTS}
+BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
 
 
 def cases_of(experiment, seeds=(0,)):
@@ -27,7 +28,7 @@ def cases_of(experiment, seeds=(0,)):
     return studies.list_cases(experiment, experiment.lines, settings, seeds, ("random",))
 
 
-@pytest.mark.parametrize("experiment", studies.EXPERIMENTS, ids=lambda e: e.name)
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda e: e.name)
 def test_the_lines_of_an_experiment_are_cases(experiment):
     names = [line.name for line in experiment.lines]
     assert len(set(names)) == len(names)
@@ -38,7 +39,7 @@ def test_the_lines_of_an_experiment_are_cases(experiment):
 
 
 def test_rows_on_the_chip_say_where_the_readout_is():
-    for experiment in studies.EXPERIMENTS:
+    for experiment in EXPERIMENTS:
         cases = cases_of(experiment)
         for case, line in zip(cases, experiment.lines, strict=True):
             if "emulated Loihi, readout on" in line.title:
@@ -62,14 +63,14 @@ def test_the_paper_is_beside_random_splits_only():
     ]
     found = tables.make_table(rows, against=BY_NAME["table2"].pairs)
     random, writers = (
-        studies.make_cells(BY_NAME["table2"], found, s) for s in ("random", "writers")
+        study_tables.make_cells(BY_NAME["table2"], found, s) for s in ("random", "writers")
     )
     assert [line[-1] for line in random] == ["paper, real data", "0.89 (0.01)", "0.86 (0.02)"]
     assert len(writers[0]) == len(random[0]) - 1
     titles = {line.name: line.title for line in BY_NAME["table2"].lines}
     pairs = [tuple(cells[:3]) for cells in tables.make_comparison_cells(found, titles)[1:]]
     assert (titles["loihi"], titles["cnn"], "random") in pairs
-    text = studies.format_result(BY_NAME["table2"], found)
+    text = study_tables.format_result(BY_NAME["table2"], found)
     assert missing(text, "random splits", "writers splits", "this row", "against", "Holm") == []
 
 
@@ -115,10 +116,10 @@ def test_faulty_taxels_are_in_the_test_samples_only(tmp_path):
     settings = Settings().with_values(changes)
     networks = Library(tmp_path)
     rows = [
-        studies.measure(Case(stage, settings, stage), networks)
-        for stage in ("fast", *studies.FAULTY_STAGES)
+        measuring.measure(Case(stage, settings, stage), networks)
+        for stage in ("fast", *FAULTY_STAGES)
     ]
-    assert [row["stage"] for row in rows] == ["fast", *studies.FAULTY_STAGES]
+    assert [row["stage"] for row in rows] == ["fast", *FAULTY_STAGES]
     assert len({tuple(row["samples"]) for row in rows}) == 1
     assert len({row["costs"]["operations"] for row in rows}) == 3
     assert len(list(tmp_path.rglob("weights.npz"))) == 2  # a CNN and its rates, for all three
@@ -133,7 +134,7 @@ def test_slayer_is_trained_on_events(tmp_path, monkeypatch):
     small = {"epochs": 1, "bins": 20}
     monkeypatch.setattr(slayer, "Slayer", lambda **given: whole(**given, **small))
     settings = Settings().with_values({"data": {"samples_per_digit": 12}})
-    found = studies.measure(Case("slayer", settings, "slayer"), Library(tmp_path))
+    found = measuring.measure(Case("slayer", settings, "slayer"), Library(tmp_path))
     assert (found["n_train"], len(found["right"]), len(found["history"])) == (96, 24, 1)
 
 
@@ -192,7 +193,7 @@ def test_fast_simulator_is_compared_with_nengoloihis_in_turns():
 
 
 def test_a_figure_of_a_document(tmp_path, monkeypatch):
-    monkeypatch.setattr(studies, "RESULTS", tmp_path)
+    monkeypatch.setattr(document, "RESULTS", tmp_path)
     result = {"rows": [{"name": "a", "mean": 0.1234}], "n": 7}
     (tmp_path / "some.json").write_text(json.dumps(result))
     assert document.read_figure("some rows a mean .3f") == "0.123"
@@ -204,7 +205,7 @@ def test_a_figure_of_a_document(tmp_path, monkeypatch):
             document.read_figure(wrong)
 
 
-@pytest.mark.parametrize("path", sorted(studies.RESULTS.glob("*.json")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(results.RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_every_result_is_a_table_of_the_documents(path):
     """Its lines exist, and none has an interval that the statistics would not give."""
     assert document.make_part(path.stem)
