@@ -3,11 +3,17 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from models import spiking
 from models.architecture import parse
-from models.integers import Integers
+from models.integers import MAX_THRESHOLD, Integers
 from models.keras.keras2 import tf
-from models.spiking.network import Neuron, SpikingNetwork
+from models.spiking.network import (
+    Neuron,
+    SpikingNetwork,
+    _round_to_power_of_two,
+    _round_to_twelve_bits,
+    count_operations,
+)
+from models.spiking.neurons import fire
 from tests.models import spiking_in_numpy
 from tests.models.on_emulator import emulate
 
@@ -85,14 +91,12 @@ def test_nengoloihis_emulator_makes_the_same_spikes(text):
     seed=st.integers(0, 2**20),
     keep_u=st.integers(2, 4095),
     keep_v=st.integers(2, 4095),
-    threshold=st.integers(20, spiking.MAX_THRESHOLD // 64),
+    threshold=st.integers(20, MAX_THRESHOLD // 64),
     floor=st.integers(0, 23),
     largest_bias=st.sampled_from([0, 100, 4095, 4095 << 7]),
 )
 # NengoLoihi halves a network whose threshold is one unit above this one.
-@example(
-    seed=0, keep_u=273, keep_v=587, threshold=spiking.MAX_THRESHOLD // 64, floor=0, largest_bias=0
-)
+@example(seed=0, keep_u=273, keep_v=587, threshold=MAX_THRESHOLD // 64, floor=0, largest_bias=0)
 def test_nengoloihi_comes_to_any_integers(seed, keep_u, keep_v, threshold, floor, largest_bias):
     rng = np.random.default_rng(seed)
     weights = rng.integers(-127, 128, (3, 3, 2, 4))
@@ -141,7 +145,7 @@ def test_gradients_through_time_are_those_of_plain_numpy(floor):
         "floor": tf.constant(float(layer.floor), tf.float64),
     }
     with tf.GradientTape() as tape:
-        result = spiking.fire(inputs[0], parameters, beta)
+        result = fire(inputs[0], parameters, beta)
         total = tf.reduce_sum(result[:, 0] * error)
     np.testing.assert_array_equal(result[:, 0], spikes)
     for mine, its in zip(tape.gradient(total, inputs), expected, strict=True):
@@ -153,7 +157,7 @@ def test_gradients_reach_everything_that_is_trained():
     frames = tf.constant(frames_for(network))
     with tf.GradientTape() as tape:
         outputs, spikes = network(frames)
-        costs = spiking.count_operations(network.architecture, frames, spikes)
+        costs = count_operations(network.architecture, frames, spikes)
         loss = tf.reduce_sum(outputs[-1, :, 0]) + 1e-3 * tf.reduce_sum(costs)
     for variable, gradient in zip(
         network.variables_in_order, tape.gradient(loss, network.variables_in_order), strict=True
@@ -182,7 +186,7 @@ def test_operations_are_counted_as_the_deployed_networks():
     network = network_of("10x10x2-6c3-8c3-10o")
     frames = frames_for(network)
     _, spikes = network(tf.constant(frames))
-    counted = spiking.count_operations(network.architecture, tf.constant(frames), spikes)
+    counted = count_operations(network.architecture, tf.constant(frames), spikes)
     for layer, (sender, fan_out) in enumerate(
         zip((frames, *spikes), network.architecture.fan_out.values(), strict=True)
     ):
@@ -198,12 +202,10 @@ def test_rounding_of_biases_and_floors_is_nengoloihis():
     )
     mantissa, exponent = bias_to_manexp(values)
     np.testing.assert_array_equal(
-        spiking._round_to_twelve_bits(tf.constant(values)), mantissa * 2.0**exponent
+        _round_to_twelve_bits(tf.constant(values)), mantissa * 2.0**exponent
     )
     x = np.geomspace(1, 2**23, 1000)
-    np.testing.assert_array_equal(
-        spiking._round_to_power_of_two(tf.constant(x)), 2 ** np.round(np.log2(x))
-    )
+    np.testing.assert_array_equal(_round_to_power_of_two(tf.constant(x)), 2 ** np.round(np.log2(x)))
 
 
 def test_weights_there_and_back():
