@@ -64,8 +64,8 @@ class Curve:
 
     def find_first(self, threshold: float | None, until_s: float = np.inf) -> Verdict | None:
         """The early decision up to a time, or None if there is none."""
-        sure = self.values >= (np.inf if threshold is None else threshold)
-        reached = np.flatnonzero(sure & (self.seconds <= until_s))
+        is_sure = self.values >= (np.inf if threshold is None else threshold)
+        reached = np.flatnonzero(is_sure & (self.seconds <= until_s))
         return self._make_verdict(reached[0], True) if len(reached) else None
 
     def find_last(self) -> Verdict:
@@ -133,7 +133,7 @@ class Decider:
         Number of time steps of the spikes in an answer.
     first_step : int
         Number of the first step; negative if the network rests before the presentation.
-    clocked : bool
+    changes_with_time : bool
         True if an answer can change without an event, as time passes.
     threshold : float or None
         Confidence for early decisions; None if the network always decides at the end.
@@ -143,7 +143,7 @@ class Decider:
         As `window_s`, of the samples that the network was trained on.
     """
 
-    clocked = False
+    changes_with_time = False
     window_s: float | None = None
     usual_s: float | None = None
 
@@ -213,9 +213,9 @@ class ImageDecider(Decider):
             for name in self.layers:
                 spikes[name] = packed[name][0].copy()
 
-        done = self._emulation.run(spec.stimulus.flatten(images)[None], watch)
-        counts = {name: done.counts[name][0] for name in spec.spiking_layers}
-        output = select_readout(spec, done.output[0, :, spec.presentation.gap :])
+        outputs = self._emulation.run(spec.stimulus.flatten(images)[None], watch)
+        counts = {name: outputs.counts[name][0] for name in spec.spiking_layers}
+        output = select_readout(spec, outputs.output[0, :, spec.presentation.gap :])
         responses = compute_responses(spec, output, counts)
         if responses.decisions[0, -1] < 0:
             return None
@@ -231,7 +231,7 @@ class EventDecider(Decider):
     sensor : Sensor
     """
 
-    clocked = True
+    changes_with_time = True
     window_s: float
     usual_s: float
 

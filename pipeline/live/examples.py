@@ -43,18 +43,18 @@ class Examples:
 
     Parameters
     ----------
-    tests : list of Example
+    examples : list of Example
     seed : sequence of int
     """
 
-    def __init__(self, tests, seed):
-        self._tests = tests
+    def __init__(self, examples, seed):
+        self._examples = examples
         self._rng = np.random.default_rng(seed)
         self._decks = {}
 
-    def counts(self, classes: int) -> list:
+    def count_by_class(self, classes: int) -> list:
         """Number of examples of each class."""
-        labels = np.array([example.label for example in self._tests], int)
+        labels = np.array([example.label for example in self._examples], int)
         return np.bincount(labels, minlength=classes).tolist()
 
     def draw(self, label: int | None = None) -> Example:
@@ -65,7 +65,7 @@ class Examples:
         UserError
             There is none.
         """
-        fitting = [e for e in self._tests if label in (None, e.label)]
+        fitting = [e for e in self._examples if label in (None, e.label)]
         if not fitting:
             raise UserError("there is no example of this class; choose another class")
         deck = self._decks.get(label) or self._rng.permutation(len(fitting)).tolist()
@@ -82,7 +82,7 @@ class ReplayedTouch:
     """
 
     def __init__(self, events: Events):
-        self._every = events
+        self._all_events = events
         self.time_s = START_S
         last_s = events.time_ns[-1] * 1e-9 if len(events) else START_S
         self.settled_s = float(last_s) + AFTERWARDS_S
@@ -99,8 +99,10 @@ class ReplayedTouch:
         return self._select_between(begun_s, self.time_s)
 
     def _select_between(self, begun_s, until_s):
-        first, end = np.searchsorted(self._every.time_ns, np.array([begun_s, until_s]) * 1e9)
-        return Events(*(getattr(self._every, name)[first:end] for name in vars(self._every)))
+        first, end = np.searchsorted(self._all_events.time_ns, np.array([begun_s, until_s]) * 1e9)
+        return Events(
+            *(getattr(self._all_events, name)[first:end] for name in vars(self._all_events))
+        )
 
 
 def list_check_examples(run: RunFolder, bundle: Bundle) -> list:
@@ -122,9 +124,9 @@ def list_check_examples(run: RunFolder, bundle: Bundle) -> list:
             raise UserError(f"{bundle.path}: is a bundle without its run and recordings")
         return list_recorded_examples(run, bundle)
     except UserError:
-        if not (tests := list_bundle_examples(bundle)):
+        if not (examples := list_bundle_examples(bundle)):
             raise
-        return tests
+        return examples
 
 
 def list_recorded_examples(run: RunFolder, bundle: Bundle) -> list:
@@ -140,8 +142,10 @@ def list_recorded_examples(run: RunFolder, bundle: Bundle) -> list:
     if recordings.source.sha256 != bundle.spec.provenance.get("source_sha256"):
         raise UserError(f"{settings.data.source}: has changed since the network was trained")
     index = {name: i for i, name in enumerate(recordings.ids)}
-    some = [index[name] for name in bundle.checks.ids if name in index]
-    part = recordings.subset([i for i in some if recordings.offsets[i] < recordings.offsets[i + 1]])
+    indices = [index[name] for name in bundle.checks.ids if name in index]
+    part = recordings.subset(
+        [i for i in indices if recordings.offsets[i] < recordings.offsets[i + 1]]
+    )
     return [
         Example(_from_start(_number_by_columns(part, i)), int(part.labels[i]), part.ids[i])
         for i in range(len(part))

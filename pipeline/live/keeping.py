@@ -34,7 +34,7 @@ WRITER_LIMIT = 1000
 # Number with which every page begins, until a writer is chosen there.
 FIRST_WRITER = 1
 
-# Place of each taxel, beside the classes' folders.
+# Position of each taxel, beside the classes' folders.
 TABLE = "LUT.mat"
 
 LOCK = ".lock"
@@ -101,13 +101,13 @@ class Keeper:
         self._taxels = TaxelMap.grid(self.sensor.rows, self.sensor.columns)
         self._class_folders = name_class_folders(self.sensor.classes)
         self._guard = threading.Lock()
-        # Numbers of writers that were on any page.  They are not given again when it closes,
+        # Numbers of writers that were on any page.  They are not assigned again when it closes,
         # because a page that has lost its connection comes back with its number.
-        self._given: set[int] = set()
-        self._held = contextlib.ExitStack()
+        self._assigned: set[int] = set()
+        self._lock = contextlib.ExitStack()
         try:
             self._refuse_another_sensor()
-            self._hold()
+            self._lock_folder()
             self.read_folder()
         except BaseException:
             self.close()
@@ -126,19 +126,19 @@ class Keeper:
                 stored = read_lookup_table(read_limited(file))
         except (OSError, BadRecording):
             return  # no recordings, or unreadable ones
-        own = self._taxels
-        if not np.array_equal((stored.row, stored.column), (own.row, own.column)):
+        taxels = self._taxels
+        if not np.array_equal((stored.row, stored.column), (taxels.row, taxels.column)):
             raise UserError(
                 f"{self.folder}: has recordings of {len(stored)} taxels in another "
                 f"arrangement than {self.sensor.rows}x{self.sensor.columns}; choose another folder "
                 "with --record"
             )
 
-    def _hold(self):
+    def _lock_folder(self):
         """Lock the folder, which is created if it does not exist."""
         remedy = "choose another folder with --record"
-        taken = f"{self.folder}: another 'stmnist live' saves there; end it, or {remedy}"
-        self._held.enter_context(lock_file(self.folder / LOCK, taken, remedy))
+        problem = f"{self.folder}: another 'stmnist live' saves there; end it, or {remedy}"
+        self._lock.enter_context(lock_file(self.folder / LOCK, problem, remedy))
         remove_leftovers(self.folder)
 
     def read_folder(self):
@@ -151,15 +151,15 @@ class Keeper:
         """
         with reporting_os_errors(self.folder, "cannot read", "check its permissions"):
             files = _list_recordings(self.folder, self._class_folders)
-        self._kept = sorted(files, key=lambda kept: (kept.writer, kept.number))
+        self._recordings = sorted(files, key=lambda file: (file.writer, file.number))
 
     def close(self):
         """Wait until nothing is being saved, then release the folder for other processes."""
         with self._guard:
-            self._held.close()
+            self._lock.close()
 
     def __len__(self):
-        return len(self._kept)
+        return len(self._recordings)
 
     @property
     def data_set(self) -> str:
@@ -168,13 +168,13 @@ class Keeper:
         Browsers store a page's writer under it.  It is a hash, because the path of the folder is
         not for other devices.
         """
-        own = [str(self.folder.resolve()), *self.sensor.classes]
-        return hashlib.sha256(json.dumps(own).encode()).hexdigest()[:16]
+        identity = [str(self.folder.resolve()), *self.sensor.classes]
+        return hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
 
     @property
     def writers(self) -> Counter:
         """How many recordings each writer has, by the writer's number."""
-        return Counter(kept.writer for kept in self._kept)
+        return Counter(file.writer for file in self._recordings)
 
     def save(self, label: int, recording: MatRecording) -> SavedRecording:
         """Write a recording; when the function returns, it is on the disk.
@@ -194,15 +194,15 @@ class Keeper:
             table = self.folder / TABLE
             if not table.exists():
                 _create(table, encode_lookup_table(self._taxels))
-            numbers = [kept.number for kept in self._kept if kept.writer == recording.writer]
+            numbers = [file.number for file in self._recordings if file.writer == recording.writer]
             number = max(numbers, default=0) + 1
             class_folder = self._class_folders[label]
-            kept = SavedRecording(label, recording.writer, number, class_folder)
-            _create(self.folder / kept.name, encode_recording(recording))
+            saved = SavedRecording(label, recording.writer, number, class_folder)
+            _create(self.folder / saved.name, encode_recording(recording))
             self.read_folder()
-            return kept
+            return saved
 
-    def remove(self, kept: SavedRecording):
+    def remove(self, recording: SavedRecording):
         """Remove a recording; nothing happens if it does not exist any more.
 
         Raises
@@ -210,7 +210,7 @@ class Keeper:
         UserError
             The recording could not be removed.
         """
-        path = self.folder / kept.name
+        path = self.folder / recording.name
         with self._guard:
             with reporting_os_errors(path, "cannot remove", "check the folder's permissions"):
                 path.unlink(missing_ok=True)
@@ -221,7 +221,7 @@ class Keeper:
     def note_writer(self, number: int):
         """Note that a page has a writer's number, which :meth:`add_writer` then does not return."""
         with self._guard:
-            self._given.add(number)
+            self._assigned.add(number)
 
     def add_writer(self) -> int:
         """A number that no other page has or had, also if its writer has not saved anything yet.
@@ -235,15 +235,15 @@ class Keeper:
         """
         with self._guard:
             self.read_folder()
-            known = {*self._given, *self.writers}
-            numbers = [max(known, default=0) + 1, *range(1, WRITER_LIMIT)]
-            free = next((n for n in numbers if n < WRITER_LIMIT and n not in known), None)
+            used = {*self._assigned, *self.writers}
+            numbers = [max(used, default=0) + 1, *range(1, WRITER_LIMIT)]
+            free = next((n for n in numbers if n < WRITER_LIMIT and n not in used), None)
             if free is None:
                 raise UserError(
                     f"{self.folder}: all {WRITER_LIMIT - 1} numbers of writers are taken; "
                     "choose another folder with --record"
                 )
-            self._given.add(free)
+            self._assigned.add(free)
             return free
 
 

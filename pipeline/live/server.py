@@ -30,7 +30,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import MAX_TAXELS, PAUSE_S, BadMessage, Session, make_problem_message
+from pipeline.live.messages import MAX_TAXELS, BadMessage, make_problem_message
+from pipeline.live.recording import PAUSE_S
+from pipeline.live.session import Session
 from pipeline.simulation.pen import START_S
 
 # Default address of the page, which other machines cannot reach.
@@ -121,22 +123,22 @@ class Live:
     p : pipeline.simulation.parameters.Parameters
     about : dict
         Plain values for the page: ``bundle``, ``accuracy`` and the like.
-    make_tests : callable, optional
+    make_examples : callable, optional
         Returns the list of :class:`~pipeline.live.examples.Example` of the network's check; called
         when the network is ready.
     """
 
-    def __init__(self, make_decider, keeper: Keeper, p, about: dict, make_tests=list):
-        self._make_tests = make_tests
+    def __init__(self, make_decider, keeper: Keeper, p, about: dict, make_examples=list):
+        self._make_examples = make_examples
         self._make_decider = make_decider
         self._keeper = keeper
         self._p = p
         self._about = about
         self._numbers = itertools.count(1)
         self._open = 0
-        self._hands = concurrent.futures.ThreadPoolExecutor(MAX_PAGES, "page")
-        self._thread = concurrent.futures.ThreadPoolExecutor(1, "network")
-        self._decider = self._tests = None
+        self._page_threads = concurrent.futures.ThreadPoolExecutor(MAX_PAGES, "page")
+        self._network_thread = concurrent.futures.ThreadPoolExecutor(1, "network")
+        self._decider = self._examples = None
         self.picture: bytes | None = None  # QR code of the address, for other devices
         self._files = {file.name: file for file in (*PAGE.iterdir(), LOOK) if file.suffix in _KINDS}
         self.token = secrets.token_urlsafe(18)
@@ -144,25 +146,25 @@ class Live:
     @contextlib.asynccontextmanager
     async def lifespan(self, app):
         """Make the network ready while the page is already there."""
-        work = asyncio.get_running_loop().run_in_executor(self._thread, self._make_decider)
+        work = asyncio.get_running_loop().run_in_executor(self._network_thread, self._make_decider)
         self._decider = asyncio.ensure_future(work)
-        self._tests = asyncio.ensure_future(self._wait_for_tests())
+        self._examples = asyncio.ensure_future(self._wait_for_examples())
         try:
             yield
         finally:
-            for threads in (self._hands, self._thread):
+            for threads in (self._page_threads, self._network_thread):
                 threads.shutdown(wait=False, cancel_futures=True)
 
-    async def _wait_for_tests(self):
+    async def _wait_for_examples(self):
         """The samples of the check and, where there are none, the reason."""
         try:
             await asyncio.shield(self._decider)
             loop = asyncio.get_running_loop()
-            return await loop.run_in_executor(self._hands, self._make_tests), ""
+            return await loop.run_in_executor(self._page_threads, self._make_examples), ""
         except Exception as error:  # reported on the page, which works without examples
             return [], str(error)
 
-    def app(self):
+    def make_app(self):
         """The ASGI application."""
         routes = [
             Route("/{token}/", self._send_page),
@@ -196,7 +198,7 @@ class Live:
         await socket.accept()
         if self._open >= MAX_PAGES:
             text = f"{MAX_PAGES} pages are open; close one of them, and this page will connect"
-            await _say(socket, [make_problem_message(text)])
+            await _send_messages(socket, [make_problem_message(text)])
             await socket.close(1013, "too many pages")
             return
         self._open += 1
@@ -220,9 +222,9 @@ class Live:
             "data_set": self._keeper.data_set,
             "shared": self.picture is not None,
         }
-        await _say(socket, [hello, session.make_writer_message()])
+        await _send_messages(socket, [hello, session.make_writer_message()])
         work = self._send_outputs, self._send_spikes, self._send_examples
-        tasks = [asyncio.create_task(each(page)) for each in work]
+        tasks = [asyncio.create_task(send(page)) for send in work]
         try:
             while True:
                 message = await socket.receive()
@@ -232,14 +234,14 @@ class Live:
                     raise BadMessage("not text")
                 async with page.turn:
                     replies = await loop.run_in_executor(
-                        self._hands, session.handle, message["text"]
+                        self._page_threads, session.handle, message["text"]
                     )
-                await _say(socket, replies)
+                await _send_messages(socket, replies)
                 events = [reply for reply in replies if reply["type"] == "events"]
-                if any(r["ns"] or r["settled"] or session.clocked for r in events):
+                if any(r["ns"] or r["settled"] or session.changes_with_time for r in events):
                     page.wake.set()
         except BadMessage as error:
-            await _say(
+            await _send_messages(
                 socket, [make_problem_message(f"a message was refused: {error}; reload this page")]
             )
             await socket.close(1008, "a message was refused")
@@ -249,11 +251,11 @@ class Live:
 
     async def _send_examples(self, page):
         """Say which examples there are as soon as they are known."""
-        tests, reason = await asyncio.shield(self._tests)
+        samples, reason = await asyncio.shield(self._examples)
         async with page.turn:
-            examples = page.session.show(tests)
+            examples = page.session.set_examples(samples)
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _say(page.socket, [{**examples, "reason": reason}])
+            await _send_messages(page.socket, [{**examples, "reason": reason}])
 
     async def _send_outputs(self, page):
         """Send the outputs of the network one at a time, each for the latest events."""
@@ -262,7 +264,9 @@ class Live:
         try:
             decider = await asyncio.shield(self._decider)
         except Exception as error:  # any error is reported on the page
-            await _say(socket, [make_problem_message(f"the network cannot be made ready: {error}")])
+            await _send_messages(
+                socket, [make_problem_message(f"the network cannot be made ready: {error}")]
+            )
             return
         async with page.turn:
             page.session.begin(decider)
@@ -277,18 +281,18 @@ class Live:
             "usual_s": decider.usual_s,
         }
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _say(socket, [ready])
+            await _send_messages(socket, [ready])
             while True:
                 await page.wake.wait()
                 page.wake.clear()
                 async with page.turn:
-                    ask = page.session.ask()
-                if ask is not None:
+                    task = page.session.make_output_task()
+                if task is not None:
                     try:
-                        output = await loop.run_in_executor(self._thread, ask)
+                        output = await loop.run_in_executor(self._network_thread, task)
                     except Exception as error:  # reported; the next one may succeed
                         output = make_problem_message(f"the network could not answer: {error}")
-                    await _say(socket, [output] if output is not None else [])
+                    await _send_messages(socket, [output] if output is not None else [])
                     page.draw.set()
                     await asyncio.sleep(MIN_ANSWER_INTERVAL_S)
 
@@ -299,14 +303,14 @@ class Live:
                 await page.draw.wait()
                 page.draw.clear()
                 spikes = page.session.make_spikes_message()
-                await _say(page.socket, [spikes] if spikes is not None else [])
+                await _send_messages(page.socket, [spikes] if spikes is not None else [])
                 await asyncio.sleep(MIN_SPIKES_INTERVAL_S)
 
 
 _LIMITS = {"start_s": START_S, "pause_s": PAUSE_S, "most_taxels": MAX_TAXELS}
 
 
-async def _say(socket, messages):
+async def _send_messages(socket, messages):
     for message in messages:
         await socket.send_text(json.dumps(message))
 
@@ -331,22 +335,22 @@ def listen(port: int, host: str = HOST) -> socket.socket:
     UserError
         The port is in use or not permitted, or the address is not one of this machine.
     """
-    where = "choose an address of this machine, such as 'hostname -I' or 'ip address' lists"
+    remedy = "choose an address of this machine, such as 'hostname -I' or 'ip address' lists"
     try:
-        family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:
-        raise UserError(f"--host {host!r}: no such address ({error}); {where}") from error
-    if ipaddress.ip_address(str(place[0]).partition("%")[0]).is_unspecified:
-        raise UserError(f"--host {host!r}: stands for all addresses; {where}")
+        raise UserError(f"--host {host!r}: no such address ({error}); {remedy}") from error
+    if ipaddress.ip_address(str(address[0]).partition("%")[0]).is_unspecified:
+        raise UserError(f"--host {host!r}: stands for all addresses; {remedy}")
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind(place)
+        listening.bind(address)
         listening.listen(MAX_WAITING_MESSAGES)
     except OSError as error:
         listening.close()
         if error.errno == errno.EADDRNOTAVAIL:
-            raise UserError(f"--host {host!r}: {error.strerror}; {where}") from error
+            raise UserError(f"--host {host!r}: {error.strerror}; {remedy}") from error
         raise UserError(
             f"port {port}: {error.strerror}; another 'stmnist live' may be running: "
             "choose another port with --port, or --port 0 for any that is free"
@@ -383,7 +387,7 @@ class Server(uvicorn.Server):
         self.listens = threading.Event()
         super().__init__(
             uvicorn.Config(
-                live.app(),
+                live.make_app(),
                 log_level="error",
                 access_log=False,
                 ws="websockets-sansio",

@@ -66,7 +66,7 @@ def serve(
 
             return make_decider(bundle, sensor)
 
-        def make_tests():
+        def make_examples():
             from pipeline.live.examples import list_check_examples
 
             return list_check_examples(folder, bundle)
@@ -79,7 +79,7 @@ def serve(
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         facts = describe_for_page(bundle, sensor, record, note)
-        page = Live(load_decider, keeper, parameters.load(), facts, make_tests=make_tests)
+        page = Live(load_decider, keeper, parameters.load(), facts, make_examples=make_examples)
         try:
             Server(page, listening, when_listening, host).run()
         finally:

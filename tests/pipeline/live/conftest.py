@@ -50,7 +50,9 @@ def served(folder, make_decider=None, tests=(), sensor=None, host=None, port=0):
         **{name: getattr(sensor, name) for name in ("rows", "columns", "polarities")},
     }
     with closing(Keeper(folder, sensor)) as keeper:
-        live = Live(make_decider, keeper, parameters.load(), about, make_tests=lambda: list(tests))
+        live = Live(
+            make_decider, keeper, parameters.load(), about, make_examples=lambda: list(tests)
+        )
         server = Server(live, listen(port, host), host=host)
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()

@@ -74,7 +74,7 @@ def test_layers_are_as_many_bytes_as_the_page_reads(bundle, decider, recordings)
 
 
 @pytest.fixture(scope="module")
-def clocked():
+def events_bundle():
     """An events bundle of random weights, for whole recordings in steps of 10 ms."""
     rng = np.random.default_rng(0)
     small = networks.events_spec()
@@ -89,12 +89,12 @@ def clocked():
     return Bundle(None, "random", spec, None)
 
 
-def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
+def test_a_slow_hand_is_answered_at_its_own_end(events_bundle, recordings):
     """Longer than the presentation: as the target answers with as many steps as it takes."""
     slow = replace(recordings.events, time_ns=4 * recordings.events.time_ns)
     slow = replace(recordings, events=slow)
-    decider = make_decider(clocked, Sensor())
-    spec = clocked.spec.with_presentation(steps=600, stream_length=1)
+    decider = make_decider(events_bundle, Sensor())
+    spec = events_bundle.spec.with_presentation(steps=600, stream_length=1)
     frames = EventTable.of(slow).make_frames(np.arange(len(slow)), 10.0, 600, SpikeLimits(1))
     expected = answers_of(spec, np.moveaxis(frames, 0, 1), "fast")
     longer = 0
@@ -110,12 +110,12 @@ def test_a_slow_hand_is_answered_at_its_own_end(clocked, recordings):
 
 
 def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
-    clocked, recordings
+    events_bundle, recordings
 ):
-    decider = make_decider(clocked, Sensor())
+    decider = make_decider(events_bundle, Sensor())
     assert isinstance(decider, EventDecider)
-    assert decider.clocked
-    spec = clocked.spec.with_presentation(stream_length=1)
+    assert decider.changes_with_time
+    spec = events_bundle.spec.with_presentation(stream_length=1)
     settings = Settings().with_values({"input": {"kind": "events"}}, "test")
     frames = make_inputs(recordings, settings)
     assert frames.shape[1] == 200
@@ -154,9 +154,9 @@ def test_an_events_bundle_says_at_each_moment_what_its_target_says_at_that_step(
             assert at_the_end.decided is None
 
 
-def test_before_the_first_step_is_over_an_events_bundle_says_nothing(clocked, recordings):
+def test_before_the_first_step_is_over_an_events_bundle_says_nothing(events_bundle, recordings):
     events = recordings[0]
     names = ("time_ns", "taxel", "polarity", "columns")
     first = Events(*(getattr(events, name)[:1] for name in names))
-    deciding = make_decider(clocked, Sensor()).begin()
+    deciding = make_decider(events_bundle, Sensor()).begin()
     assert deciding.compute_output(first, events.time_ns[0] * 1e-9 + 0.009) is None

@@ -10,7 +10,9 @@ import pytest
 
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
-from pipeline.live.session import LONGEST_S, PAUSE_S, BadMessage, Session
+from pipeline.live.messages import BadMessage
+from pipeline.live.recording import LONGEST_S, PAUSE_S
+from pipeline.live.session import Session
 from pipeline.recordings.events import Events, Sensor
 from pipeline.recordings.formats.mat import read_recording
 from pipeline.simulation import parameters
@@ -70,11 +72,11 @@ def test_events_come_while_writing_and_are_those_that_are_kept(session, keeper):
 
 
 def test_the_answer_is_to_all_events_so_far(session):
-    assert session.ask() is session.make_spikes_message() is None
+    assert session.make_output_task() is session.make_spikes_message() is None
     replies = written(session)
     assert session.make_spikes_message() is None  # nothing has been asked yet
     n = sum(len(reply["ns"]) for reply in of(replies, "events"))
-    answer = session.ask()()
+    answer = session.make_output_task()()
     assert (answer["events"], answer["decision"]) == (n, n % 10)
     assert sum(answer["shares"]) == pytest.approx(1)
     spikes = session.make_spikes_message()
@@ -117,12 +119,12 @@ def test_without_an_early_decision_the_verdict_is_the_answer_at_the_end(keeper):
     messages = list(stroke())
     for message in messages[:8]:
         say(session, message)
-    assert session.ask()()["verdict"] is None
+    assert session.make_output_task()()["verdict"] is None
     for message in messages[8:]:
         say(session, message)
-    assert session.ask()()["verdict"] is None
+    assert session.make_output_task()()["verdict"] is None
     paused(session)
-    answer = session.ask()()
+    answer = session.make_output_task()()
     verdict = answer["verdict"]
     assert verdict["early"] is False
     assert verdict["label"] == answer["decision"]
@@ -238,7 +240,7 @@ LINE = Events(205_000_000 + 20_000_000 * np.arange(40), np.arange(40), [1, -1] *
 
 
 def test_an_example_goes_its_own_pace_and_is_kept_no_second_time(session, keeper):
-    assert session.show([Example(LINE, 7, "7/0001")])["counts"] == [0] * 7 + [1, 0, 0]
+    assert session.set_examples([Example(LINE, 7, "7/0001")])["counts"] == [0] * 7 + [1, 0, 0]
     ask = {"type": "example", "now": 5000.0, "label": 7}
     begun = say(session, ask)[0]
     assert begun["example"] == {"name": "7/0001", "label": 7}
@@ -248,7 +250,7 @@ def test_an_example_goes_its_own_pace_and_is_kept_no_second_time(session, keeper
         told += part["ns"]
         assert told == [ns for ns in LINE.time_ns.tolist() if ns < 1e6 * (now - 5000) + 2e8]
     assert part["settled"]
-    assert session.ask()()["events"] == 40
+    assert session.make_output_task()()["events"] == 40
     assert of(say(session, {"type": "label", "label": 7}), "problem")
     assert len(keeper) == 0
     start = stroke(start_ms=9000.0)
