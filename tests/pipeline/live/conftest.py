@@ -16,7 +16,7 @@ class Parrot:
     """Decides for the number of events, modulo that of the classes; early, after some of them."""
 
     layers: ClassVar = {"input": 100}
-    steps, first_step, clocked, threshold = 3, -1, False, 0.9
+    steps, first_step, changes_with_time, threshold = 3, -1, False, 0.9
     window_s, usual_s = 2.0, 2.0
 
     def __init__(self, classes=10):
