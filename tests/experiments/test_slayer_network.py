@@ -75,7 +75,7 @@ def weigh(response, kernel, layer=None):
     out = np.zeros((len(frames), *layer.compute_shape(before)))
     for y, x in np.ndindex(out.shape[1:3]):
         row, column = y * layer.stride, x * layer.stride
-        window = frames[:, row : row + layer.kernel, column : column + layer.kernel]
+        window = frames[:, row : row + layer.kernel_size, column : column + layer.kernel_size]
         out[:, y, x] = np.tensordot(window, kernel, 3)
     return out
 
