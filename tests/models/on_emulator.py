@@ -66,7 +66,7 @@ def emulate(architecture, integers, frames, gap=0):
             else:
                 transform = nengo.Convolution(
                     layer.filters, shape, strides=(layer.stride,) * 2,
-                    kernel_size=(layer.kernel,) * 2, padding=layer.padding, init=chip.weights,
+                    kernel_size=(layer.kernel_size,) * 2, padding=layer.padding, init=chip.weights,
                 )  # fmt: skip
             synapse = nengo.Lowpass(chip.synapse) if chip.synapse else None
             nengo.Connection(sender.neurons, ensemble.neurons, transform=transform, synapse=synapse)

@@ -14,7 +14,7 @@ def convolve(frame, layer, weights):
     for r in range(rows):
         for c in range(columns):
             y, x = r * layer.stride, c * layer.stride
-            window = padded[y : y + layer.kernel, x : x + layer.kernel]
+            window = padded[y : y + layer.kernel_size, x : x + layer.kernel_size]
             result[r, c] = np.tensordot(window, weights, 3)
     return result
 
