@@ -109,7 +109,7 @@ class _Reader:
         self._begin = number
         self._strokes = []
 
-    def _find_places(self, number, line):
+    def _find_coordinate_columns(self, number, line):
         names = line.split()[1:]
         if not {"X", "Y"} <= set(names):
             raise UserError(
