@@ -43,7 +43,7 @@ export class Link extends EventTarget {
     if (this.socket.readyState !== WebSocket.OPEN) return;
     this.socket.send(JSON.stringify(message));
     const { type } = message;
-    if (!answers.length || this.waiting.some((other) => other.type === type)) return;
+    if (!answers.length || this.waiting.some((message) => message.type === type)) return;
     const timer = setTimeout(() => {
       this.silent = true;
       this.tell("silent");
@@ -54,7 +54,7 @@ export class Link extends EventTarget {
   // Ends the waiting for which this holds.
   heard(holds) {
     for (const { timer } of this.waiting.filter(holds)) clearTimeout(timer);
-    this.waiting = this.waiting.filter((one) => !holds(one));
+    this.waiting = this.waiting.filter((message) => !holds(message));
     if (this.silent && !this.waiting.length) {
       this.silent = false;
       this.tell("heard");

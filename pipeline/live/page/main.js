@@ -1,14 +1,16 @@
 // The page: messages of the server, input of the user, and what is displayed.
 
 import { describeDecision } from "./decision.js";
-import { count, drawRace, drawSkin, onColours, setSensor } from "./drawing.js";
+import { count, onColours, setSensor } from "./drawing.js";
 import { Link } from "./link.js";
 import { Pen } from "./pen.js";
+import { drawRace } from "./race.js";
+import { drawSkin } from "./skin.js";
+import { readWriter, storeLoss, storeWriter, takeLoss } from "./storage.js";
 
 const $ = (id) => document.getElementById(id);
 const AGAIN_MS = 2000; // until the page tries to connect again
 const [REFUSED, TOO_MANY] = [1008, 1013]; // codes with which the server ends a connection
-const LOST = "stmnist-lost";
 const SCORES = 5; // number of displayed classes, with the highest scores, if there is no room for all
 const BUTTONS = 12; // with more classes, their buttons can be searched
 const SHORT = 3; // characters of a name that is shown large
@@ -21,9 +23,9 @@ let ready = null; // description of the network, once it is ready
 let writer = null; // the writer, and the number of its saved recordings
 let examples = null; // number of examples of each class, once they are known
 let recording = null; // number of the recording that is written or played
-let kept = false;
-let warned = false; // of writing that the network does not receive
-let over = false; // the recording has been cut at its maximum duration
+let isKept = false;
+let hasWarned = false; // of writing that the network does not receive
+let isOver = false; // the recording has been cut at its maximum duration
 let strokes = [], flashes = [], counts = [];
 let events = { s: [], taxel: [], polarity: [] };
 let time = 0;
@@ -41,9 +43,9 @@ function forget() {
   events = { s: [], taxel: [], polarity: [] };
   counts = Array(taxels).fill(0);
   time = 0;
-  answer = shown = spikes = null;
+  answer = displayed = spikes = null;
   delete $("shown").dataset.label;
-  kept = over = warned = false;
+  isKept = isOver = hasWarned = false;
   $("undo").disabled = true;
   $("announce").textContent = $("shown").textContent = "";
   showDecision(null);
@@ -87,10 +89,10 @@ function showHint() {
   const verb = about.digits ? "Write" : "Draw";
   $("hint").replaceChildren(canDraw() ? `${verb} here, large` : "Show an example");
   if (!canDraw() || ready === null || ready.window_s === null) return;
-  const more = document.createElement("small");
-  more.textContent = about.digits ? "from top to bottom, as usual: the direction of strokes counts"
+  const note = document.createElement("small");
+  note.textContent = about.digits ? "from top to bottom, as usual: the direction of strokes counts"
     : "as in the recordings: the direction of strokes counts";
-  $("hint").append(more);
+  $("hint").append(note);
 }
 
 const canDraw = () => about.rows * about.columns <= about.most_taxels;
@@ -144,8 +146,8 @@ function classSought(typed) {
     (name) => lower(name) === lower(typed),
     (name) => typed !== "" && lower(name).includes(lower(typed)),
   ]) {
-    const found = [...about.classes.keys()].filter((label) => fits(about.classes[label]));
-    if (found.length) return found.length === 1 ? found[0] : null;
+    const labels = [...about.classes.keys()].filter((label) => fits(about.classes[label]));
+    if (labels.length) return labels.length === 1 ? labels[0] : null;
   }
   return null;
 }
@@ -226,7 +228,7 @@ link.on("hello", (message) => {
   $("share").hidden = !about.shared;
   if (about.shared) $("qr").src = "qr.svg";
   forget();
-  complain(lost());
+  complain(describeLoss());
 });
 
 link.on("examples", (message) => {
@@ -292,12 +294,12 @@ link.on("events", (message) => {
   else pen.watch();
   if (message.settled && answer === null) showDecision(null); // without events, no answer will come
   const late = ready?.window_s != null && events.s.length && time > events.s[0] + ready.window_s;
-  if (late && pen.writes && !warned) {
-    warned = true;
+  if (late && pen.writes && !hasWarned) {
+    hasWarned = true;
     complain(`The network receives the first ${ready.window_s} s of a recording only: what you write now is saved, but does not count.`);
   }
-  if (message.over && !over && !kept) {
-    over = true;
+  if (message.over && !isOver && !isKept) {
+    isOver = true;
     complain("This recording has reached its maximum duration: press its class, or lift the pen and write again.");
   }
   stale.skin = stale.rest = true;
@@ -324,10 +326,10 @@ link.on("spikes", (message) => {
 });
 
 link.on("saved", (message) => {
-  kept = true;
+  isKept = true;
   $("undo").disabled = false;
   $("shown").dataset.label = message.label; // right or wrong
-  showDecision(shown);
+  showDecision(displayed);
   unmark();
   $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${count(message.events, "event")}. Undo takes that back.`;
   $(`label-${message.label}`).setAttribute("aria-pressed", "true");
@@ -335,9 +337,9 @@ link.on("saved", (message) => {
 });
 
 link.on("undone", (message) => {
-  kept = false; // the drawing can be saved again
+  isKept = false; // the drawing can be saved again
   delete $("shown").dataset.label;
-  showDecision(shown);
+  showDecision(displayed);
   $("undo").disabled = true;
   $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
   unmark();
@@ -348,15 +350,15 @@ link.on("writer", (state) => {
   const first = writer === null;
   writer = state;
   $("saved").textContent = state.saved;
-  const known = [...new Set([...state.known, state.number])].sort((a, b) => a - b);
+  const numbers = [...new Set([...state.known, state.number])].sort((a, b) => a - b);
   $("writer").replaceChildren(
-    ...known.map((number) => new Option(`Writer ${number}`, number, false, number === state.number)),
+    ...numbers.map((number) => new Option(`Writer ${number}`, number, false, number === state.number)),
     new Option("new writer", "new"),
   );
-  if (first) recall();
+  if (first) recallWriter();
   else if (recalled === null || recalled === state.number) {
     recalled = null;
-    remember();
+    storeWriter(about.data_set, writer.number);
   }
 });
 
@@ -387,56 +389,20 @@ async function comeBack() {
     setTimeout(comeBack, AGAIN_MS);
     return;
   }
-  if (recording !== null && !kept) store("sessionStorage", LOST, true);
+  if (recording !== null && !isKept) storeLoss();
   location.reload();
 }
 
 // What the page has to say of the time before it was loaded again.
-function lost() {
-  const drawing = stored("sessionStorage", LOST);
-  store("sessionStorage", LOST, null);
-  return drawing
+function describeLoss() {
+  return takeLoss()
     ? "The connection was lost, and with it the drawing on the sensor. If you had just pressed its class, look at the number of saved recordings; otherwise write it again."
     : null;
 }
 
-// A browser may have no storage, or refuse even to name it.
-function store(storage, key, value) {
-  try {
-    window[storage].setItem(key, JSON.stringify(value));
-  } catch {
-    // the page works without it
-  }
-}
-
-function stored(storage, key) {
-  try {
-    return JSON.parse(window[storage].getItem(key));
-  } catch {
-    return null;
-  }
-}
-
-// Every browser is one writer, and stores its number for each data set.  A server on another port has
-// another storage, but the same cookies.
-const remembered = () => `stmnist-writer:${about.data_set}`;
-const cookie = () => `stmnist-writer-${about.data_set}`;
-const YEAR_S = 365 * 24 * 3600;
-
-function storedInCookie() {
-  const found = document.cookie.split("; ").find((each) => each.startsWith(`${cookie()}=`));
-  return found === undefined ? null : Number(found.split("=")[1]);
-}
-
-function recall() {
-  const number = stored("localStorage", remembered()) ?? storedInCookie();
-  if (Number.isInteger(number)) recalled = number; // earlier states are of the writer that every connection begins with
+function recallWriter() {
+  recalled = readWriter(about.data_set); // earlier states are of the writer that every connection begins with
   link.send({ type: "writer", number: recalled });
-}
-
-function remember() {
-  store("localStorage", remembered(), writer.number);
-  document.cookie = `${cookie()}=${writer.number}; path=/; max-age=${YEAR_S}; samesite=strict`;
 }
 
 // ---- what is shown
@@ -466,7 +432,7 @@ function showExamples() {
 }
 
 function showExample(example) {
-  kept = true;
+  isKept = true;
   $("shown").textContent = `${about.simulated ? "Test sample" : "Recorded test sample"} ${example.name}: it is ${named(example.label)}.`;
   $("shown").dataset.label = example.label;
   pen.watch();
@@ -498,8 +464,8 @@ function showDecision(message) {
 // The shares of the classes; if there are more than bars, of those with the highest shares.
 function showScores(message, decided) {
   const items = [...$("scores").children];
-  const known = message !== null && !message.exceeds_training; // else no bar means anything
-  const shares = known ? message.shares : about.classes.map(() => 0);
+  const hasMeaning = message !== null && !message.exceeds_training; // of the bars
+  const shares = hasMeaning ? message.shares : about.classes.map(() => 0);
   const hasMore = about.classes.length > items.length;
   const labels = [...about.classes.keys()];
   if (hasMore) labels.sort((a, b) => shares[b] - shares[a]);
@@ -513,7 +479,7 @@ function showScores(message, decided) {
 }
 
 let drawing = false;
-let shown = null;
+let displayed = null; // the answer that is displayed
 function draw() {
   if (drawing) return;
   drawing = true;
@@ -522,8 +488,8 @@ function draw() {
     if (stale.skin) stale.skin = drawSkin($("skin"), strokes, counts, flashes, performance.now());
     if (stale.rest) {
       stale.rest = false;
-      if (answer !== null && answer !== shown) {
-        shown = answer;
+      if (answer !== null && answer !== displayed) {
+        displayed = answer;
         showDecision(answer);
         announce();
         afterPaint(answer.last_ms);
@@ -531,7 +497,7 @@ function draw() {
       $("race").dataset.events = events.taxel.length;
       if (ready) drawRace($("race"), {
         events, time, classes: about.classes, steps: ready.steps, firstStep: ready.first_step,
-        windowS: ready.window_s, usualS: ready.usual_s, threshold: ready.threshold, verdict: shown?.verdict ?? null,
+        windowS: ready.window_s, usualS: ready.usual_s, threshold: ready.threshold, verdict: displayed?.verdict ?? null,
         ...(spikes ?? { seconds: [], chances: [], layers: ready.layers.map((layer) => ({ ...layer, packed: [] })) }),
       });
     }

@@ -3,7 +3,7 @@
 const BEYOND = 1.5; // taxels beyond the outer sensors to which a pen's position is limited
 const BEAT_MS = 12;
 const APART_MS = 8; // interval of messages while the pen moves
-const MOST = 500; // points in a message, of which the server accepts a few more
+const MAX_POINTS = 500; // points in a message, of which the server accepts a few more
 
 export class Pen {
   // tell(points, now): [[ms, right, down, pressure, touches], ...]
@@ -49,8 +49,8 @@ export class Pen {
   move(event) {
     if (event.pointerId !== this.pointer) return;
     const every = event.getCoalescedEvents?.() ?? [];
-    for (const one of every.length ? every : [event]) {
-      const point = this.point(one, 1);
+    for (const reported of every.length ? every : [event]) {
+      const point = this.point(reported, 1);
       if (point[0] <= this.last[0]) continue; // processed already
       this.waiting.push(point);
       this.last = point;
@@ -97,7 +97,7 @@ export class Pen {
     this.settled = false;
     this.told = performance.now();
     do {
-      const piece = points.splice(0, MOST);
+      const piece = points.splice(0, MAX_POINTS);
       // The skin's time must not pass the points of the next piece.
       this.tell(piece, points.length ? piece.at(-1)[0] : this.told);
     } while (points.length);
