@@ -1,4 +1,4 @@
-"""Docstrings name the parameters that a function has, and types that exist."""
+"""Docstrings name parameters, types, modules and functions that exist."""
 
 import ast
 import builtins
@@ -82,6 +82,19 @@ def find_wrong_entries(tree, known):
                         yield f"{node.lineno}: {node.name}: there is no {word}"
 
 
+def is_defined(name):
+    """Whether a dotted name leads to a package, a module, or what one defines itself."""
+    path, below = ROOT, name.split(".")
+    while below and (path / below[0]).is_dir():
+        path /= below.pop(0)
+    module = path / f"{below[0]}.py" if below else path
+    path, below = (module, below[1:]) if module.is_file() else (path / "__init__.py", below)
+    text = path.read_text(encoding="utf-8")
+    return all(
+        re.search(rf"^ *(?:(?:class|def) {word}\b|{word}(?::| =))", text, re.M) for word in below
+    )
+
+
 @pytest.fixture(scope="module")
 def modules():
     """Path and syntax tree of each module."""
@@ -118,3 +131,13 @@ def move(way):
 '''
     wrong = list(find_wrong_entries(ast.parse(source), {"Motion"}))
     assert len(wrong) == 2
+
+
+@pytest.mark.parametrize("package", ["deploy", "experiments", "models", "pipeline", "stmnist"])
+def test_names_in_docstrings_exist(package):
+    """In a role, such as :mod:`pipeline.paper`, or as the type of a parameter."""
+    for path in (ROOT / package).rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        ours = r"(?:deploy|experiments|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
+        for name in re.findall(rf"(?:`~?| : |of )({ours})", text):
+            assert is_defined(name), f"{path}: {name}"

@@ -224,29 +224,6 @@ def test_what_a_page_imports_in_python_exists(page):
                 assert names <= set(defined(node.module)), node.module
 
 
-def is_defined(name):
-    """Whether a dotted name leads to a package, a module, or what one defines itself."""
-    path, below = ROOT, name.split(".")
-    while below and (path / below[0]).is_dir():
-        path /= below.pop(0)
-    module = path / f"{below[0]}.py" if below else path
-    path, below = (module, below[1:]) if module.is_file() else (path / "__init__.py", below)
-    text = path.read_text(encoding="utf-8")
-    return all(
-        re.search(rf"^ *(?:(?:class|def) {word}\b|{word}(?::| =))", text, re.M) for word in below
-    )
-
-
-@pytest.mark.parametrize("package", ["deploy", "experiments", "models", "pipeline", "stmnist"])
-def test_what_a_docstring_names_is_there(package):
-    """In a role, such as :mod:`pipeline.paper`, or as the type of a parameter."""
-    for path in (ROOT / package).rglob("*.py"):
-        text = path.read_text(encoding="utf-8")
-        ours = r"(?:deploy|experiments|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
-        for name in re.findall(rf"(?:`~?| : |of )({ours})", text):
-            assert is_defined(name), f"{path}: {name}"
-
-
 def targets():
     """The targets of the Makefile that are no files."""
     return re.findall(r"^([a-z][\w-]*):", (ROOT / "Makefile").read_text(), re.MULTILINE)

@@ -62,7 +62,7 @@ def imported(path):
 # Of each package, from the ground up: a module imports from its own floor or from below.
 FLOORS = {
     "pipeline": [
-        {"interrupts", "jobs", "look", "paper", "progress", "target_check"},
+        {"interrupts", "jobs", "look", "paper", "progress"},
         {"settings"},
         {"storage"},
         {"recordings"},

@@ -42,7 +42,7 @@ from pipeline.results.report.samples import replay
 from pipeline.settings import SIMULATED, Settings, read_settings, set_nested
 from pipeline.sources import load_named_recordings
 from pipeline.storage.run_folder import RunFolder, lock_run, refuse_other_folders
-from pipeline.target_check import TargetCheck
+from pipeline.workflow.target_check import TargetCheck
 
 # Source of the settings in the messages of errors.
 ORIGIN = "Run"

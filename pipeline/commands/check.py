@@ -14,7 +14,7 @@ from deploy.terminal import WARNING
 from pipeline.commands import options
 from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.storage.run_folder import find_checks_folder
-from pipeline.target_check import TargetCheck
+from pipeline.workflow.target_check import TargetCheck
 
 
 def _annotate_option(target, option):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deploy.check.bundle import Bundle
     from pipeline.recordings.faulty_taxels import FaultCounts
-    from pipeline.target_check import TargetCheck
+    from pipeline.workflow.target_check import TargetCheck
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from pipeline.kinds.kind import NetworkKind
 from pipeline.progress import hide_progress, progress
 from pipeline.storage.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.storage.run_folder import RunFolder
-from pipeline.target_check import TargetCheck
 from pipeline.workflow.opening import OpenedRun
+from pipeline.workflow.target_check import TargetCheck
 
 # What the record of a check says of its samples if they are those in the bundle.
 OWN_SAMPLES = "the bundle's"
