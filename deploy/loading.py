@@ -21,7 +21,15 @@ MAX_NUMBER = 1e300
 
 
 class Limit(NamedTuple):
-    """A condition on a value, and its wording in an error."""
+    """A condition on a value.
+
+    Attributes
+    ----------
+    holds : callable
+        From a value to whether it is allowed.
+    expected : str
+        Wording of the condition in an error, after "must be".
+    """
 
     holds: Callable
     expected: str

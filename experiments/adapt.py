@@ -42,7 +42,15 @@ MEASURES = ("before", "after", "others_before", "others_after", "used")
 
 @dataclass(frozen=True)
 class People:
-    """The trajectories of a fold's people, and the parameters of the simulation for the others."""
+    """The people of a fold, and a simulation of all others.
+
+    Attributes
+    ----------
+    traces : tuple of pipeline.simulation.handwriting.Trace
+        The trajectories of the people of the fold.
+    parameters : pipeline.simulation.parameters.Parameters
+        The simulation whose model of handwriting was estimated from the others.
+    """
 
     traces: tuple
     parameters: parameters.Parameters

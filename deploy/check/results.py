@@ -202,6 +202,8 @@ COUNTS = Limit(lambda counts: all(n >= 0 for n in counts.values()), "counts of a
 
 @dataclass(frozen=True)
 class _Sample:
+    """The fields of a sample in a result."""
+
     id: str
     label: int = limited_field(COUNT)
     prediction: int = limited_field(COUNT)
@@ -212,6 +214,8 @@ class _Sample:
 
 @dataclass(frozen=True)
 class _ByItself:
+    """The fields of the network's own decisions, from ``while_written``."""
+
     confidence: float = limited_field(SHARE)
     accuracy: float = limited_field(SHARE)
     accuracy_ci95: List[float] = limited_field(INTERVAL)
@@ -221,6 +225,8 @@ class _ByItself:
 
 @dataclass(frozen=True)
 class _WhileWritten:
+    """The fields of the accuracy while samples are being written."""
+
     shares: List[float] = limited_field(SHARES_OF_1)
     accuracy: List[float] = limited_field(SHARES_OF_1)
     step_ms: float
@@ -234,6 +240,8 @@ class _WhileWritten:
 
 @dataclass(frozen=True)
 class _Data:
+    """The fields of the recordings, if they are not those of the bundle."""
+
     source: str
     sha256: str
     recordings: int = limited_field(COUNT)
@@ -241,6 +249,8 @@ class _Data:
 
 @dataclass(frozen=True)
 class _Part:
+    """The fields of the accuracy on a part of the samples."""
+
     n: int = limited_field(COUNT)
     accuracy: float = limited_field(SHARE)
     accuracy_ci95: List[float] = limited_field(INTERVAL)

@@ -342,7 +342,15 @@ class Layer:
 
 @dataclass(frozen=True)
 class LayerRecord:
-    """A layer in ``network.json``, without the numbers of its operation."""
+    """A layer in ``network.json``, without the numbers of its operation.
+
+    Attributes
+    ----------
+    kind, shape, placement
+        Those of the layer, with which the values below must agree.
+    name, input_shape, neurons, synapse, block_shape, pool, starts
+        See `Layer`.
+    """
 
     name: str
     kind: str = limited_field(KIND)

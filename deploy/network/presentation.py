@@ -18,22 +18,30 @@ class Presentation:
     samples, because a board cannot be.  The gap comes first, so that the first sample of a stream,
     too, starts with a network at rest under its bias currents.
 
+    Attributes
+    ----------
+    steps : int
+        Steps for which a sample is presented.
+    gap : int
+        Silent steps before each sample.
+    readout_start : int
+        Steps at the start of each sample that the readout ignores.
+    stream_length : int
+        Samples per stream; 1 means that every sample starts from a fresh network.
+    confidence : float or None
+        Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
+        the end.
+
     Raises
     ------
     ValueError
         A number is out of range; the message names the setting.
     """
 
-    # Steps for which a sample is presented.
     steps: int = limited_field(between(1, limits.STEPS), 100)
-    # Silent steps before each sample.
     gap: int = limited_field(between(0, limits.STEPS), 20)
-    # Steps at the start of each sample that the readout ignores.
     readout_start: int = limited_field(between(0, limits.STEPS), 20)
-    # Samples per stream; 1 means that every sample starts from a fresh network.
     stream_length: int = limited_field(between(1, limits.SAMPLES), 10)
-    # Confidence for an early decision, see :mod:`deploy.network.decision`; None for a decision at
-    # the end.
     confidence: Optional[float] = limited_field(
         Limit(lambda value: 0 < value <= 1, "above 0, at most 1"), None
     )

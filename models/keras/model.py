@@ -10,7 +10,18 @@ from models.keras.files import ModelFileError
 
 
 class KerasLayer(NamedTuple):
-    """A layer of a Keras model: its class, name, arguments, and arrays in Keras's order."""
+    """A layer of a Keras model.
+
+    Attributes
+    ----------
+    kind : str
+        Name of its class.
+    name : str
+    config : dict
+        Its arguments.
+    arrays : tuple of ndarray
+        In Keras's order.
+    """
 
     kind: str
     name: str

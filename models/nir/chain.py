@@ -179,7 +179,23 @@ class _InputEffect:
 
 @dataclass(frozen=True)
 class _LinkNodes:
-    """The nodes of a link, whose input has the shape ``before`` in the graph or ``chip_shape``."""
+    """The nodes of the graph that become one link.
+
+    Attributes
+    ----------
+    nodes : list of Node
+    before : tuple of int
+        Shape of their input in the graph.
+    chip_shape : tuple of int
+        Shape of their input on the chip.
+    is_image : bool
+        True if the link may be a convolution.
+    is_last : bool
+        True for the nodes after the last layer of neurons.
+    step : float
+    method : str
+        As for :func:`from_nir`.
+    """
 
     nodes: list
     before: tuple

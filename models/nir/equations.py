@@ -28,7 +28,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class StepEquation:
-    """The coefficients of a node's step, see the module's docstring; one value a neuron, or 0."""
+    """The coefficients of a node's step; see the module's docstring.
+
+    Attributes
+    ----------
+    keep_v, v_from_s, added, keep_i, i_from_s, v_from_i : ndarray or float
+        One value for each neuron, or 0.
+    """
 
     keep_v: np.ndarray
     v_from_s: np.ndarray

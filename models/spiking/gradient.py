@@ -337,7 +337,16 @@ class SpikingGradient:
 
 
 class _ForwardPass(NamedTuple):
-    """The results of a forward pass: spikes of the input and of each layer, currents, voltages."""
+    """The results of a forward pass.
+
+    Attributes
+    ----------
+    spikes : list of ndarray
+        Of the input, and of each layer.
+    currents, voltages : list of ndarray
+        Of each layer.
+    outputs : ndarray, shape (samples, steps, classes)
+    """
 
     spikes: list
     currents: list

@@ -251,7 +251,17 @@ class _Reach(NamedTuple):
 
 
 class _Line(NamedTuple):
-    """A layer's windows along one dimension of its input, including pooling before it."""
+    """A layer's windows along one dimension of its input, including pooling before it.
+
+    Attributes
+    ----------
+    n : int
+        Number of inputs.
+    kernel_size, stride : int
+        Of the windows.
+    before : int
+        Zeros before the first input.
+    """
 
     n: int
     kernel_size: int
