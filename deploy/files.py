@@ -26,14 +26,14 @@ TEMPORARY = ".tmp"
 
 
 @contextlib.contextmanager
-def reporting_os_errors(path, what, remedy):
+def reporting_os_errors(path, failure, remedy):
     """Turn an error of the operating system in the block into one line for the user.
 
     Parameters
     ----------
     path : path-like
         The file or folder that the block reads or writes.
-    what : str
+    failure : str
         What failed, such as "cannot read".
     remedy : str
         The user's remedy, at the end of the error message.
@@ -45,7 +45,7 @@ def reporting_os_errors(path, what, remedy):
     try:
         yield
     except OSError as error:
-        raise UserError(f"{path}: {what} ({error.strerror or error}); {remedy}") from error
+        raise UserError(f"{path}: {failure} ({error.strerror or error}); {remedy}") from error
 
 
 def require_ending(path, ending):
@@ -158,14 +158,14 @@ def open_regular(path, mode="rb", **options):
 
 
 @contextlib.contextmanager
-def lock_file(path, taken: str, remedy: str):
+def lock_file(path, problem: str, remedy: str):
     """Lock a file of this program against other processes while the block runs.
 
     Parameters
     ----------
     path : path-like
         Created with its folders if it does not exist.  A symbolic link is not followed.
-    taken : str
+    problem : str
         Message of the error if another process holds the lock.
     remedy : str
         The user's remedy if the file cannot be written, at the end of the error message.
@@ -189,7 +189,7 @@ def lock_file(path, taken: str, remedy: str):
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise UserError(taken) from None
+            raise UserError(problem) from None
         except OSError:  # a file system without locks
             pass
         yield file
@@ -302,7 +302,7 @@ def zip_member(name, kind=zipfile.ZIP_DEFLATED):
     return member
 
 
-def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
+def read_arrays(path, remedy, max_bytes=limits.ARRAY_BYTES):
     """Read every array of an ``.npz`` file into a dict, refusing pickled objects.
 
     Parameters
@@ -310,7 +310,7 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     path : path-like
     remedy : str
         The user's remedy if the file is missing or damaged; ends the error's line.
-    most : int
+    max_bytes : int
         Maximum size of the arrays in bytes.
 
     Raises
@@ -321,8 +321,8 @@ def read_arrays(path, remedy, most=limits.ARRAY_BYTES):
     try:
         reporting = reporting_os_errors(path, "cannot read", remedy)
         with reporting, open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
-            if sum(member.file_size for member in archive.zip.infolist()) > most:
-                raise UserError(f"{path}: arrays of more than {most >> 20} MB; {remedy}")
+            if sum(member.file_size for member in archive.zip.infolist()) > max_bytes:
+                raise UserError(f"{path}: arrays of more than {max_bytes >> 20} MB; {remedy}")
             arrays = {name: archive[name] for name in archive.files}
     except UserError:
         raise

@@ -35,21 +35,21 @@ def describe_missing():
     if sys.version_info < OLDEST_PYTHON or version is None:
         installed = ".".join(str(n) for n in sys.version_info[:3])
         return f"Python {installed} is too old; use Python 3.8 or later"
-    found_numbers = {}
+    installed_numbers = {}
     for package, (oldest, first_not, reason) in PACKAGES.items():
-        wanted = f"{package}>={_format_version(oldest)},<{_format_version(first_not)}"
-        remedy = f"pip install '{wanted}'" + (f" ({reason})" if reason else "")
+        requirement = f"{package}>={_format_version(oldest)},<{_format_version(first_not)}"
+        remedy = f"pip install '{requirement}'" + (f" ({reason})" if reason else "")
         try:
             installed = version(package)
         except PackageNotFoundError:
             return f"{package} is not installed; {remedy}"
         number = tuple(int(n) for n in re.findall(r"\d+", installed)[:3])
-        found_numbers[package] = number
+        installed_numbers[package] = number
         if number < oldest:
             return f"{package} {installed} is too old; {remedy}"
         if number >= first_not:
             return f"{package} {installed} is too new; {remedy}"
-    if found_numbers["nengo"] < (4,) and found_numbers["numpy"] >= (2,):
+    if installed_numbers["nengo"] < (4,) and installed_numbers["numpy"] >= (2,):
         return "Nengo 3 fails with NumPy 2; pip install 'numpy<2' or 'nengo>=4,<5'"
     return None
 

@@ -44,7 +44,7 @@ def events_of(line):
         values = json.loads(line)
     except (ValueError, RecursionError):
         return [NO_EVENT]
-    is_list = isinstance(values, list) and all(isinstance(each, (list, dict)) for each in values)
+    is_list = isinstance(values, list) and all(isinstance(item, (list, dict)) for item in values)
     return [event_of(value) for value in (values if is_list else [values])]
 
 
@@ -54,7 +54,7 @@ def event_of(value):
         value = [value.get(name) for name in "txyp"]
     if not isinstance(value, list) or len(value) != 4:
         return NO_EVENT
-    return value if all(isinstance(each, (int, float)) for each in value) else NO_EVENT
+    return value if all(isinstance(number, (int, float)) for number in value) else NO_EVENT
 
 
 def say(decisions):
@@ -156,17 +156,19 @@ def main():
     parser.add_argument("--silence", type=float, help="seconds without events that end a touch")
     parser.add_argument("--replay", metavar="DATA", help="recordings to play, a zip or folder")
     parser.add_argument("--speed", type=float, default=1.0, help="of --replay; 0: at once")
-    given = parser.parse_args()
-    stream = stmnist.Stream(given.bundle, "ns" if given.replay else given.unit, given.silence)
-    if given.replay:
-        replay(stream, stmnist.Recordings.read(given.replay), given.speed)
+    arguments = parser.parse_args()
+    stream = stmnist.Stream(
+        arguments.bundle, "ns" if arguments.replay else arguments.unit, arguments.silence
+    )
+    if arguments.replay:
+        replay(stream, stmnist.Recordings.read(arguments.replay), arguments.speed)
         return
     lines = queue.SimpleQueue()
-    if given.udp is None:
+    if arguments.udp is None:
         reader = threading.Thread(target=put_input, args=(lines,), daemon=True)
     else:
         reader = threading.Thread(
-            target=put_datagrams, args=(listen(given.udp), lines), daemon=True
+            target=put_datagrams, args=(listen(arguments.udp), lines), daemon=True
         )
     reader.start()
     try:

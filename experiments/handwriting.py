@@ -43,7 +43,7 @@ EXPLAINED = 0.97
 
 
 def estimate(
-    traces, seed: int = 0, about: dict | None = None, most: int = MOST_ALLOGRAPHS
+    traces, seed: int = 0, about: dict | None = None, max_allographs: int = MOST_ALLOGRAPHS
 ) -> ShapeModel:
     """Estimate the model.
 
@@ -58,7 +58,7 @@ def estimate(
         Seed of the start of the search for allographs.
     about : dict, optional
         Source of the trajectories.
-    most : int
+    max_allographs : int
         Largest number of ways of writing with an equal number of strokes.
 
     Returns
@@ -80,7 +80,7 @@ def estimate(
     loyalty = []
     for digit in range(DIGITS):
         of_digit = [trace for trace in traces if trace.digit == digit]
-        digit_allographs, share = _find_allographs(of_digit, seed, most)
+        digit_allographs, share = _find_allographs(of_digit, seed, max_allographs)
         if not digit_allographs:
             raise ValueError(f"too few people wrote a {digit} in any one way")
         allographs.append(digit_allographs)
@@ -131,7 +131,7 @@ def _measure_log_speed(trace):
     return np.log(length / sum(len(stroke) - 1 for stroke in trace.strokes))
 
 
-def _find_allographs(traces, seed, most):
+def _find_allographs(traces, seed, max_allographs):
     """The allographs of a digit, and the share of digits in a person's habitual one."""
     used = 0
     clusters = []
@@ -142,7 +142,7 @@ def _find_allographs(traces, seed, most):
         points = _count_points(of_count, count)
         vectors = np.array([make_vector(trace, points) for trace in of_count])
         writer_of_trace = np.array([trace.writer for trace in of_count])
-        for members in _find_clusters(vectors, writer_of_trace, seed, most):
+        for members in _find_clusters(vectors, writer_of_trace, seed, max_allographs):
             clusters.append((len(members), points, vectors[members], writer_of_trace[members]))
             usage.append(
                 np.bincount(
@@ -170,7 +170,7 @@ def make_vector(trace: Trace, points) -> np.ndarray:
     return np.concatenate([*coordinates, log_times[1:] - log_times[0]])
 
 
-def _find_clusters(vectors, writers, seed, most):
+def _find_clusters(vectors, writers, seed, max_clusters):
     """Indices of each allograph's trajectories (k-means), without those of rare allographs.
 
     An allograph that is too rare is removed, and its trajectories are assigned to the nearest other
@@ -178,7 +178,7 @@ def _find_clusters(vectors, writers, seed, most):
     """
     if not _is_common(np.arange(len(vectors)), writers):
         return []
-    count = min(most, len(vectors) // LEAST_DIGITS)
+    count = min(max_clusters, len(vectors) // LEAST_DIGITS)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # one that becomes empty is dissolved below
         centres, _ = kmeans2(vectors, count, iter=50, minit="++", seed=seed)

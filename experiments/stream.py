@@ -120,7 +120,7 @@ def play(stream, columns, one_by_one: bool) -> dict:
     """
     times = columns[0].tolist()
     events = list(zip(*(column.tolist() for column in columns), strict=True))
-    made = []
+    timed_decisions = []
     done = 0
     pushed_ns = 0
     begun = time.perf_counter()
@@ -131,7 +131,7 @@ def play(stream, columns, one_by_one: bool) -> dict:
 
     def note(decisions):
         now_ns = passed_ns()
-        made.extend((decision, now_ns) for decision in decisions)
+        timed_decisions.extend((decision, now_ns) for decision in decisions)
 
     while done < len(times):
         now_ns = passed_ns()
@@ -150,11 +150,15 @@ def play(stream, columns, one_by_one: bool) -> dict:
             pushed_ns = now_ns
     busy = (time.thread_time() - processor_s) / (passed_ns() * 1e-9)
     at_end = stream.finish()  # at no time of its own
-    latency = [now_ns - _find_moment(decision, times, stream.step_ns) for decision, now_ns in made]
+    latency = [
+        now_ns - _find_moment(decision, times, stream.step_ns)
+        for decision, now_ns in timed_decisions
+    ]
     return {
         "latency_ms": np.array(latency) / 1e6,
         "busy": busy,
-        "decisions": [decision.number for decision, _ in made] + [d.number for d in at_end],
+        "decisions": [decision.number for decision, _ in timed_decisions]
+        + [d.number for d in at_end],
     }
 
 

@@ -281,22 +281,22 @@ def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
     spiked = simulate_spikes(link, spikes)
     real_counts = spiked.sum(1, dtype=float)
     candidates = []
-    ways: list[np.ndarray | None] = [None]
+    moment_choices: list[np.ndarray | None] = [None]
     if math.prod(link.weights.shape[:-1]) <= MAX_COMPENSATED_INPUTS:
         inputs = spikes if link.recurrent is None else _append_own(spikes, spiked)
         moments = measure_moments(link, inputs)
         if moments is not None:
-            ways.append(moments)
-    for clip, moments in itertools.product(CLIPS, ways):
+            moment_choices.append(moments)
+    for clip, moments in itertools.product(CLIPS, moment_choices):
         integers = round_to_integers(link, clip, moments, chip)
         error = simulate_spikes(link, spikes, integers, chip).sum(1, dtype=float) - real_counts
         candidates.append((float(np.square(error).mean()), -clip, integers))
     return min(candidates, key=lambda entry: entry[:2])[2]
 
 
-def _append_own(spikes, own):
+def _append_own(spikes, own_spikes):
     """Inputs of a recurrent link: those from before, then its own spikes of the step before."""
-    return np.concatenate([spikes, np.pad(own[:, :-1], ((0, 0), (1, 0), (0, 0)))], 2)
+    return np.concatenate([spikes, np.pad(own_spikes[:, :-1], ((0, 0), (1, 0), (0, 0)))], 2)
 
 
 def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = LOIHI) -> Integers:
@@ -425,9 +425,9 @@ def _round_with_compensation(real, moments, levels) -> np.ndarray:
     moments = moments[np.ix_(order, order)]
     upper = np.linalg.cholesky(np.linalg.inv(moments)).T
     for i in range(len(remaining)):
-        whole = np.clip(np.rint(remaining[i]), -levels, levels)
-        error = (remaining[i] - whole) / upper[i, i]
-        remaining[i] = whole
+        rounded = np.clip(np.rint(remaining[i]), -levels, levels)
+        error = (remaining[i] - rounded) / upper[i, i]
+        remaining[i] = rounded
         remaining[i + 1 :] -= np.outer(upper[i, i + 1 :], error)
     return remaining[np.argsort(order)].reshape(real.shape)
 
@@ -457,12 +457,12 @@ def measure_moments(link: Link, spikes) -> np.ndarray | None:
     values = values.reshape(-1, values.shape[-1])
     if link.recurrent is None:  # the inputs of others have the link's own spikes at their end
         values = sum_squares(values.reshape(-1, *link.input_shape), link.pool)
-    read = link.operation.gather_inputs(values)
-    if read is None:
+    inputs_of_neuron = link.operation.gather_inputs(values)
+    if inputs_of_neuron is None:
         return None
-    inputs = read.shape[-1]
-    read = read.reshape(-1, inputs)
-    moments = read.T @ read / len(read)
+    inputs = inputs_of_neuron.shape[-1]
+    inputs_of_neuron = inputs_of_neuron.reshape(-1, inputs)
+    moments = inputs_of_neuron.T @ inputs_of_neuron / len(inputs_of_neuron)
     return moments + np.eye(inputs) * max(DAMPING * np.trace(moments) / inputs, 1e-12)
 
 

@@ -97,14 +97,18 @@ def fit_to_chip(window: Window, rows_and_columns, counts, paddings=None) -> dict
     stride = window.stride[0]
     sizes = [n // window.pool for n in rows_and_columns]
     if paddings is None:
-        zeros = range(1, max(*window.before, *reach) + 1)
-        paddings = ("valid", "same", *map(str, zeros))
+        numbers = range(1, max(*window.before, *reach) + 1)
+        paddings = ("valid", "same", *map(str, numbers))
     for padding in paddings:
         for side in range(max(reach), max(reach) + max(*reach, 4) + 1):
-            chips = [list_windows(n, side, stride, padding) for n in sizes]
-            front = [chip[1] - wanted for chip, wanted in zip(chips, window.before, strict=True)]
+            on_chip = [list_windows(n, side, stride, padding) for n in sizes]
+            has_counts = [count for count, _, _ in on_chip] == list(counts)
+            # Zeros at the edges of the kernel, which shift its windows to the right position.
+            front = [
+                zeros - before for (_, zeros, _), before in zip(on_chip, window.before, strict=True)
+            ]
             back = [side - k - f for k, f in zip(reach, front, strict=True)]
-            if [chip[0] for chip in chips] == list(counts) and min(*front, *back) >= 0:
+            if has_counts and min(*front, *back) >= 0:
                 edges = ((0, 0), (0, 0), *zip(front, back, strict=True))
                 kernel = np.pad(window.kernel, edges).transpose(2, 3, 1, 0)
                 return {

@@ -130,7 +130,7 @@ def make_graph_input(spec: NetworkSpec, samples) -> np.ndarray:
     for stream in spec.presentation.list_streams(len(flat)):
         built = build(replace(spec, layers=(nothing,)))
         with nengo.Simulator(built.network, progress_bar=False, optimize=False) as sim:
-            spikes.append([one.spikes["input"] for one in present(built, sim, flat[stream])])
+            spikes.append([sample.spikes["input"] for sample in present(built, sim, flat[stream])])
     rows, columns, channels = spec.input_shape
     images = np.concatenate(spikes).reshape(len(flat), period, rows, columns, channels)
     return np.moveaxis(images, -1, 2).astype(np.float32) * np.float32(spec.stimulus.area / DT)

@@ -373,10 +373,10 @@ def _compute_loss_gradient(outputs, labels, last_step, early):
     logits = outputs - outputs.max(2, keepdims=True)
     exponentials = np.exp(logits)
     sums = exponentials.sum(2, keepdims=True)
-    each = np.arange(samples)
-    loss = np.sum(weights * (np.log(sums[:, :, 0]) - logits[each, :, labels]))
+    index = np.arange(samples)
+    loss = np.sum(weights * (np.log(sums[:, :, 0]) - logits[index, :, labels]))
     gradient = exponentials / sums
-    gradient[each, :, labels] -= 1
+    gradient[index, :, labels] -= 1
     return float(loss), (gradient * weights[:, :, None]).astype(np.float32)
 
 

@@ -223,34 +223,34 @@ class _Probes(ProbeState):
 
     @property
     def outputs(self):
-        return _Outputs(self.kept)
+        return _Outputs(self.recorded)
 
     def keep(self, columns, histories, steps):
         """Append the values of some steps, (steps, columns) arrays by key."""
         for probe, (key, parts) in columns.items():
             history = histories[key]
-            for output, part in zip(self.kept[probe], parts):
+            for output, part in zip(self.recorded[probe], parts):
                 output.append(history[:steps, part])
 
     def clear_probe(self, probe):
-        for output in self.kept[probe]:
+        for output in self.recorded[probe]:
             output.clear()
 
 
 class _Outputs(Mapping):
     """For each probe the values of its blocks: (steps, compartments) arrays, [] for no steps."""
 
-    def __init__(self, kept):
-        self._kept = kept
+    def __init__(self, recorded):
+        self._recorded = recorded
 
     def __getitem__(self, probe):
-        return [_concatenate(output) for output in self._kept[probe]]
+        return [_concatenate(output) for output in self._recorded[probe]]
 
     def __iter__(self):
-        return iter(self._kept)
+        return iter(self._recorded)
 
     def __len__(self):
-        return len(self._kept)
+        return len(self._recorded)
 
 
 def _concatenate(parts):
@@ -296,7 +296,7 @@ def _connect(emulator, arrays):
     _lock(emulator, arrays)
     arrays.learn_from(synapses)
     lists = vars(probes).pop("outputs")
-    probes.kept = {probe: _stack_parts(parts) for probe, parts in lists.items()}
+    probes.recorded = {probe: _stack_parts(parts) for probe, parts in lists.items()}
     vars(synapses).pop("spikes_in")
     vars(synapses).pop("trace_spikes")
     synapses.fast_arrays = arrays
@@ -330,7 +330,7 @@ def _disconnect(emulator):
     synapses.trace_spikes = trace_spikes
     synapses.spikes_in = spikes_in
     probes.outputs = lists
-    del synapses.fast_arrays, probes.kept
+    del synapses.fast_arrays, probes.recorded
     _unlock(arrays)
     emulator.__class__ = EmulatorInterface
     emulator._arrays = emulator._random = None

@@ -175,8 +175,10 @@ class StreamEmulator:
                 row, base, _ = entries[:, neuron + offset].tolist()
                 if row < 0:
                     continue
-                for target, place, length in runs[first_run[row] : first_run[row + 1]].tolist():
-                    values = pool[place : place + length].astype(np.int64) << shift
+                for target, first_weight, length in runs[
+                    first_run[row] : first_run[row + 1]
+                ].tolist():
+                    values = pool[first_weight : first_weight + length].astype(np.int64) << shift
                     used = np.flatnonzero(values)
                     sender = np.full(len(used), firsts[source] + neuron)
                     weights.append(np.stack([sender, base + target + used, values[used]]))
