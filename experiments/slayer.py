@@ -260,19 +260,34 @@ def _credit(error, potential, recipe):
     return credit
 
 
+@dataclass(frozen=True)
+class SlayerSamples:
+    """Samples of a training with SLAYER.
+
+    Attributes
+    ----------
+    frames : ndarray of uint8, shape (bins, n_samples, rows, columns, 2)
+        See :func:`bin_events`.
+    labels : ndarray of int, shape (n_samples,)
+    train, test : ndarray of int
+        Indices of samples.
+    """
+
+    frames: np.ndarray
+    labels: np.ndarray
+    train: np.ndarray
+    test: np.ndarray
+
+
 def train_slayer(
-    recipe: Slayer, frames, labels, train, test, seed: int, checkpoint=None, advance=None
+    recipe: Slayer, samples: SlayerSamples, seed: int, checkpoint=None, advance=None
 ) -> tuple:
     """Train for all epochs, then evaluate the test samples.
 
     Parameters
     ----------
     recipe : Slayer
-    frames : ndarray of uint8, shape (bins, n_samples, rows, columns, 2)
-        See :func:`bin_events`.
-    labels : ndarray of int, shape (n_samples,)
-    train, test : ndarray of int
-        Indices of samples.
+    samples : SlayerSamples
     seed : int
         Seed of the initial weights and of the order of the samples.
     checkpoint : Checkpoint, optional
@@ -296,6 +311,8 @@ def train_slayer(
         The checkpoint is damaged.
     """
     network = SlayerNetwork(recipe, seed)
+    frames = samples.frames
+    labels = samples.labels
     size = recipe.batch_size
     optimizer = tf.keras.optimizers.Adam(recipe.learning_rate, amsgrad=True)
     optimizer.build(network.kernels)
@@ -317,7 +334,7 @@ def train_slayer(
         return np.concatenate([counted(tf.constant(frames[:, batch])) for batch in batches])
 
     def train_for(epoch):
-        order = np.random.default_rng([seed, epoch, 0x51A]).permutation(train)
+        order = np.random.default_rng([seed, epoch, 0x51A]).permutation(samples.train)
         loss = 0.0
         right = 0
         for start in range(0, len(order), size):
@@ -328,12 +345,13 @@ def train_slayer(
         return {"loss": loss / len(order), "accuracy": right / len(order)}
 
     def watch():
-        return {"test_accuracy": float(np.mean(count(test).argmax(1) == labels[test]))}
+        right = count(samples.test).argmax(1) == labels[samples.test]
+        return {"test_accuracy": float(np.mean(right))}
 
     variables = (*network.kernels, *optimizer.variables)
     state = {f"variable{i}": variable for i, variable in enumerate(variables)}
     history = train_epochs(train_for, recipe.epochs, state, checkpoint, watch, advance)
-    return network, history, count(test)
+    return network, history, count(samples.test)
 
 
 def bin_events(recordings: Recordings, bins: int = 200) -> np.ndarray:
@@ -394,10 +412,9 @@ def train_and_predict(dataset, index, seed: int, conv_scale: float, checkpoint: 
     architecture = "-".join([size, *layers, f"{len(sensor.classes)}o"])
     recipe = Slayer(architecture=architecture, conv_scale=conv_scale)
     key = hashlib.sha256(f"{recipe} {seed} {dataset.origin.key}".encode()).hexdigest()
-    frames = bin_events(recordings, recipe.bins)
-    labels = recordings.labels
-    state = Checkpoint(checkpoint, key)
-    _, history, counts = train_slayer(
-        recipe, frames, labels, dataset.split.train, index, seed, state
+    samples = SlayerSamples(
+        bin_events(recordings, recipe.bins), recordings.labels, dataset.split.train, index
     )
+    state = Checkpoint(checkpoint, key)
+    _, history, counts = train_slayer(recipe, samples, seed, state)
     return counts.argmax(1), history

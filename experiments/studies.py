@@ -85,7 +85,7 @@ def list_cases(experiment: Experiment, lines, settings: dict, seeds, splits) -> 
     ]
 
 
-def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers, say) -> tuple:
+def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers) -> tuple:
     """Measure an experiment's missing rows, and make its table.
 
     Returns
@@ -99,14 +99,14 @@ def run(experiment: Experiment, folder, settings, seeds: int, only: str, workers
         There is no such row, or the recordings cannot be read or do not fit.
     """
     lines = select_lines(experiment, only)
-    recordings = load_named_recordings(settings, workers.processes, say)
-    of_lines = fit_settings(list_settings(experiment, lines, settings), recordings, say)
+    recordings = load_named_recordings(settings, workers.processes, options.say)
+    of_lines = fit_settings(list_settings(experiment, lines, settings), recordings, options.say)
     splits = list_splits(experiment, settings, recordings)
     folder.save_settings(settings)
     seeds = range(settings.seed, settings.seed + seeds)
     cases = list_cases(experiment, lines, of_lines, seeds, splits)
     sha256 = recordings.source.sha256
-    rows, failed = study.run_study(cases, folder.path, sha256, workers, say, measure)
+    rows, failed = study.run_study(cases, folder.path, sha256, workers, options.say, measure)
     result = {"experiment": experiment.name, **tables.make_table(rows, against=experiment.pairs)}
     result["measured"] = describe_machine()
     write_json(folder.path / f"{experiment.name}.json", result)
@@ -172,7 +172,7 @@ def make_command(experiment: Experiment) -> Callable:
         as_json: options.Json = False,
     ):
         with options.resolve_settings(out, requested, of_results=True) as (folder, settings):
-            result, failed = run(experiment, folder, settings, seeds, only, workers, options.say)
+            result, failed = run(experiment, folder, settings, seeds, only, workers)
         if store and not failed:
             write_json(RESULTS / f"{store}.json", result)
         options.print_summary(

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.slayer import Slayer, train_slayer
+from experiments.slayer import Slayer, SlayerSamples, train_slayer
 from pipeline.training.events import Checkpoint
 
 SETTINGS = Slayer(
@@ -20,12 +20,12 @@ def data():
     for sample, label in enumerate(labels):
         at = slice(1 + 3 * label, 3 + 3 * label)
         frames[:25, sample, :, at] |= rng.random(frames[:25, sample, :, at].shape) < 0.6
-    return frames, labels, np.arange(27), np.arange(27, 36)
+    return SlayerSamples(frames, labels, np.arange(27), np.arange(27, 36))
 
 
 @pytest.fixture(scope="module")
 def trained(data):
-    return train_slayer(SETTINGS, *data, seed=3)
+    return train_slayer(SETTINGS, data, seed=3)
 
 
 def test_it_learns(trained):
@@ -36,13 +36,13 @@ def test_it_learns(trained):
 
 
 def test_the_counts_are_those_of_the_last_epoch(trained, data):
-    frames, labels, _, test = data
+    test = data.test
     network, history, counts = trained
-    layers = [spikes.numpy() for _, spikes in network.compute_layers(frames[:, test])]
+    layers = [spikes.numpy() for _, spikes in network.compute_layers(data.frames[:, test])]
     assert [s.shape for s in layers] == [(40, 9, 9, 9, 4), (40, 9, 7, 7, 6), (40, 9, 3)]
     assert all(s.any() for s in layers)
     np.testing.assert_array_equal(layers[-1].sum(0), counts)
-    assert np.mean(counts.argmax(1) == labels[test]) == history[-1]["test_accuracy"]
+    assert np.mean(counts.argmax(1) == data.labels[test]) == history[-1]["test_accuracy"]
 
 
 def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
@@ -53,9 +53,9 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
 
     seen, checkpoint = [], Checkpoint(tmp_path / "state.npz", "key")
     with pytest.raises(KeyboardInterrupt):
-        train_slayer(SETTINGS, *data, 3, checkpoint, interrupt)
+        train_slayer(SETTINGS, data, 3, checkpoint, interrupt)
     seen = [0, 0, 0]
-    network, _, counts = train_slayer(SETTINGS, *data, 3, checkpoint, interrupt)
+    network, _, counts = train_slayer(SETTINGS, data, 3, checkpoint, interrupt)
     assert seen[3:] == [3, 1, 1, 1]
     for got, expected in zip(network.kernels, trained[0].kernels, strict=True):
         np.testing.assert_array_equal(got.numpy(), expected.numpy())

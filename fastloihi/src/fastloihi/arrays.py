@@ -96,30 +96,17 @@ class EmulatorArrays:
     def __init__(self, emulator):
         from . import compiled  # Numba takes long to import, and not everyone runs a network
 
+        _refuse_other_classes(emulator)
         state = emulator.compartment
         synapses = emulator.synapses
-        kinds = {state: CompartmentState, state.noise: NoiseState, synapses: SynapseState,
-                 emulator.probes: ProbeState}  # fmt: skip
-        for part, kind in kinds.items():
-            if type(part) is not kind:
-                raise Unsupported(f"a state of the class {type(part).__name__}")
         self.layout = layout = make_layout(emulator)
-        n = emulator.block_info.n_compartments
+        self._n = n = emulator.block_info.n_compartments
         dtype = state.dtype
         integers = dtype == np.int32
         self.advance = compiled.advance_integers if integers else compiled.advance_floats
         skip = (compiled.skip_noise, n) if integers else (compiled.skip_words, 2 * n)
         self.random = Random(vars(emulator)["rng"], *skip)
-        self.cells = np.zeros((len(ROWS), n), dtype)
-        self.counters = np.zeros((len(COUNTERS), n), np.int32)
-        for row, name in enumerate(ROWS):
-            self.cells[row] = getattr(state, name).reshape(n)
-        for row, name in enumerate(COUNTERS):
-            self.counters[row] = getattr(state, name)
-        # Eight spikes are looked at together.
-        self.spiked, self.before = (np.zeros(-(-n // 8) * 8, np.uint8) for _ in range(2))
-        self.spiked[:n] = state.spiked
-        self._n = n
+        self._copy_state(state)
         self._copy_learning(synapses, dtype)
         n_rules = len(self.first_trace)
         self.wide = layout.network[8]
@@ -128,9 +115,8 @@ class EmulatorArrays:
         self.has_probes = bool(layout.columns)
         self._spikes_in = synapses.spikes_in  # of the step before the first
         self.last_spikes = None
-        self.at_once = max(
-            1, min(AT_ONCE // max(n, 1000), MAX_PROBED_BYTES // max(1, 4 * sum(layout.widths)))
-        )
+        probed_bytes = max(1, 4 * sum(layout.widths))
+        self.at_once = max(1, min(AT_ONCE // max(n, 1000), MAX_PROBED_BYTES // probed_bytes))
         self.log = np.zeros((LOG_LINES + 3 * n_rules, 2), np.int64)
         self._types = [dtype, dtype, np.uint8]
         self._empty = [np.zeros((1, 0), kind) for kind in self._types]
@@ -149,6 +135,19 @@ class EmulatorArrays:
             self.cells, self.counters, self.spiked, self.spiked.view(np.uint64), self.before,
             *self.fixed_arguments,
         )  # fmt: skip
+
+    def _copy_state(self, state):
+        """Take the state of the compartments, whose spikes are padded to a multiple of eight."""
+        n = self._n
+        self.cells = np.zeros((len(ROWS), n), state.dtype)
+        self.counters = np.zeros((len(COUNTERS), n), np.int32)
+        for row, name in enumerate(ROWS):
+            self.cells[row] = getattr(state, name).reshape(n)
+        for row, name in enumerate(COUNTERS):
+            self.counters[row] = getattr(state, name)
+        # Eight spikes are looked at together.
+        self.spiked, self.before = (np.zeros(-(-n // 8) * 8, np.uint8) for _ in range(2))
+        self.spiked[:n] = state.spiked
 
     def _copy_learning(self, synapses, dtype):
         """Take the traces, the pending spikes and the errors of the synapses that learn."""
@@ -263,6 +262,20 @@ class EmulatorArrays:
         spiked = self.before[: self._n].view(bool)
         SynapseState.inject_current(receiver, 2, sources, self._axons, spiked)
         return receiver.spikes_in
+
+
+def _refuse_other_classes(emulator):
+    """Refuse an emulator whose parts are not NengoLoihi's own classes."""
+    state = emulator.compartment
+    kinds = {
+        state: CompartmentState,
+        state.noise: NoiseState,
+        emulator.synapses: SynapseState,
+        emulator.probes: ProbeState,
+    }
+    for part, kind in kinds.items():
+        if type(part) is not kind:
+            raise Unsupported(f"a state of the class {type(part).__name__}")
 
 
 class ArrivingSpikes:
