@@ -25,12 +25,14 @@ from experiments.tables import format_interval
 from pipeline.commands import options
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import hide_progress
-from pipeline.recordings.dataset import Dataset, make_dataset_origin, split_of
+from pipeline.recordings.dataset import Dataset, make_dataset_origin, make_split
 from pipeline.results.study import Case, run_study
 from pipeline.settings import SIMULATED
 from pipeline.simulation import parameters
 from pipeline.sources import load_simulated
-from pipeline.training.adaptation import Person, Responder, add_rehearsal, refit, require_fit
+from pipeline.training.adaptation.adapt import add_rehearsal, require_fit
+from pipeline.training.adaptation.refit import Person, refit
+from pipeline.training.adaptation.responder import Responder
 from pipeline.workflow import open_experiment
 
 FOLDS = 3
@@ -92,7 +94,7 @@ def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:
     counts = [samples_per_digit] * 10 if samples_per_digit else list(SAMPLES_PER_DIGIT)
     training = load_simulated(seed, counts, 1, parameters=people.parameters)
     shares = settings.split.test_fraction, settings.split.validation_fraction
-    split = split_of(training, case.seed, *shares)
+    split = make_split(training, case.seed, *shares)
     dataset = Dataset(
         training, split, make_dataset_origin(settings, training.source.sha256), settings
     )

@@ -44,7 +44,7 @@ from experiments.handwriting import estimate
 from experiments.paths import find_paths
 from pipeline.commands import options
 from pipeline.progress import progress
-from pipeline.recordings.events import GRID, are_digits
+from pipeline.recordings.sensor import GRID, are_digits
 from pipeline.simulation import shape_model
 from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.parameters import FITTED, from_fit

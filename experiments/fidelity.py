@@ -18,7 +18,8 @@ from deploy.tables import align_rows
 from deploy.terminal import show
 from pipeline.commands import options
 from pipeline.recordings.chunks import CHUNK_NS, CHUNKS, chunk_events
-from pipeline.recordings.events import GRID, N_TAXELS, Recordings, are_digits
+from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.sensor import GRID, N_TAXELS, are_digits
 from pipeline.sources import SimulatedSource, load_recordings
 
 # Slices of a recording for the classifier of digits, and the penalty of its weights.

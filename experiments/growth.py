@@ -25,7 +25,8 @@ from experiments.results import RESULTS, Store, name_processor
 from pipeline import sources
 from pipeline.commands import options
 from pipeline.recordings import library
-from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings
+from pipeline.recordings.events import EVENT_DTYPES, Events
+from pipeline.recordings.recordings import Recordings
 from pipeline.settings import Settings
 
 SIZES = (7_000, 30_000, 100_000)

@@ -66,7 +66,7 @@ def _measure_with_faults(dataset, case, networks):
 def _draw_check_samples(row, dataset, case):
     """A row of all test samples, reduced to those of a check, as many as the paper has."""
     number = min(paper.CHECK_SAMPLES, len(dataset.split.test))
-    drawn = dataset.split.check_samples(number, case.seed).tolist()
+    drawn = dataset.split.draw_check_samples(number, case.seed).tolist()
     index_of_sample = {sample: index for index, sample in enumerate(row["samples"])}
     indices = [index_of_sample[sample] for sample in drawn]
     right = [row["right"][index] for index in indices]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.recordings.chunks import CHUNKS
-from pipeline.recordings.events import GRID, N_TAXELS
+from pipeline.recordings.sensor import GRID, N_TAXELS
 
 # Distance of the positions that a pen may have, in taxels, and their number along each side.
 STEP = 0.5

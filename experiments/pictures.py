@@ -23,7 +23,7 @@ from deploy.terminal import show
 from pipeline.live.network import SHIPPED
 from pipeline.look import find_colour
 from pipeline.paper import SAMPLES_PER_DIGIT
-from pipeline.recordings.events import GRID
+from pipeline.recordings.sensor import GRID
 from pipeline.results.report import figures
 from pipeline.results.report.figures import SHADES, animation, recordings
 from pipeline.simulation import handwriting, parameters, simulate
@@ -206,7 +206,7 @@ def main():
     sample = load_simulated(0, SAMPLES_PER_DIGIT, 2)
     index = sample.ids.index("8/0007")
     figures.save(recordings.draw_recording(sample, index), docs / "recording.png")
-    figures.save(recordings.sheet(sample), docs / "sheet.png")
+    figures.save(recordings.draw_sheet(sample), docs / "sheet.png")
     maps = read_json(ROOT / "results" / "fidelity.json", "run the experiment fidelity")["maps"]
     figures.save(draw_maps(maps), docs / "fidelity.png")
     table = read_json(ROOT / "results" / "table2-stmnist-published.json", "run table2")

@@ -129,7 +129,8 @@ def predict_test_samples(dataset: Dataset, index, name: str, settings: Settings)
     -------
     ndarray of int, shape (n,)
     """
-    from pipeline.training.networks import TrainingSamples, train_cnn  # imports TensorFlow
+    from pipeline.training.images.epochs import TrainingSamples  # imports TensorFlow
+    from pipeline.training.images.train import train_cnn  # imports TensorFlow
 
     reading = READINGS[name]
     train = dataset.split.train

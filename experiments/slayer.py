@@ -41,7 +41,7 @@ from models.keras.keras2 import quiet_compiler, tf
 from models.spiking.network import compute_weighted_sums
 from models.spiking.neurons import scan
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 from pipeline.recordings.steps import make_spike_frames
 from pipeline.training.events import Checkpoint, train_epochs
 

@@ -16,7 +16,7 @@ from deploy.terminal import show
 from experiments.fidelity import hold_out
 from pipeline.api.run import Run
 from pipeline.commands import options
-from pipeline.recordings.events import are_digits
+from pipeline.recordings.sensor import are_digits
 from pipeline.sources import load_recordings
 
 # The inputs of the chip that are compared, with their names in the table.

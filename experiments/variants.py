@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings
+from pipeline.recordings.events import EVENT_DTYPES, Events
+from pipeline.recordings.recordings import Recordings
 
 # Description of the information that remains in the events, by name.
 VARIANTS = {

@@ -195,7 +195,7 @@ def from_rates(
     architecture : Architecture
     weights : dict
         Weights of the rate-based network.
-    snn : pipeline.settings.schema.SNN
+    snn : pipeline.settings.groups.SNN
         Rates and time constants of the neurons, and whether weights are rounded as on the chip.
     synapse : float or None
         Time constant in seconds of the low-pass on spikes between layers; None for none.

@@ -40,12 +40,12 @@ class Failure:
     details: str
     mistake: UserError | None = None
 
-    def raise_again(self, what: str):
+    def raise_again(self, task: str):
         """Raise the original error, or one with the same information.
 
         Parameters
         ----------
-        what : str
+        task : str
             What failed, at the start of the message for the user.
 
         Raises
@@ -57,7 +57,7 @@ class Failure:
             Any other error, with its traceback.
         """
         if self.mistake is not None:
-            raise UserError(f"{what}: {self.mistake}")
+            raise UserError(f"{task}: {self.mistake}")
         if self.error.startswith(MemoryError.__name__):
             raise MemoryError
         raise RuntimeError(self.details)

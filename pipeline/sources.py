@@ -9,7 +9,8 @@ from pathlib import Path
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.events import GRID, Recordings
+from pipeline.recordings.files.listing import list_source
+from pipeline.recordings.interpretation.options import AS_FOUND, ReadingOptions
 from pipeline.recordings.library import (
     find_cache_file,
     hash_source,
@@ -18,8 +19,8 @@ from pipeline.recordings.library import (
     make_reading_options,
     store_and_load,
 )
-from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
-from pipeline.recordings.source import list_source
+from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.sensor import GRID
 from pipeline.recordings.splits import PUBLISHED, RANDOM
 from pipeline.settings import SIMULATED, Settings
 from pipeline.simulation import parameters
@@ -96,8 +97,8 @@ def load_recordings(
     if source != SIMULATED:
         return import_recordings(Path(source), skip_bad, jobs, warn, reading)
     simulated = simulated or SimulatedSource()
-    how = simulated.describe_reading(reading.rows, reading.columns)
-    return load_simulated(simulated.seed, simulated.counts, jobs, **how)
+    parameters = simulated.describe_reading(reading.rows, reading.columns)
+    return load_simulated(simulated.seed, simulated.counts, jobs, **parameters)
 
 
 def load_named_recordings(settings: Settings, jobs: int = 1, warn=None) -> Recordings:
@@ -147,8 +148,8 @@ def find_identity(settings: Settings) -> tuple:
     split = settings.split.kind
     if settings.data.source == SIMULATED:
         simulated = SimulatedSource.of(settings)
-        how = simulated.describe_reading(settings.skin.rows, settings.skin.columns)
-        sha256 = make_source(simulated.seed, simulated.counts, **how).sha256
+        parameters = simulated.describe_reading(settings.skin.rows, settings.skin.columns)
+        sha256 = make_source(simulated.seed, simulated.counts, **parameters).sha256
         return sha256, RANDOM if split == "auto" else split
     listing = list_source(settings.data.source)
     if split == "auto":
@@ -178,8 +179,8 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
     recordings = load(path)
     if recordings is None:
         with progress("simulate", sum(counts), "recordings") as advance:
-            made = simulate(seed, counts, jobs, advance, **how)
-            recordings = store_and_load(path, made)
+            new_recordings = simulate(seed, counts, jobs, advance, **how)
+            recordings = store_and_load(path, new_recordings)
     return recordings
 
 

@@ -27,8 +27,8 @@ PACKAGES = ("deploy", "models", "pipeline")
 # Public names in three groups, in the order of use, each with the module that has it.
 GROUPS = {
     "Recordings and runs": {
-        "Recordings": "pipeline.recordings.events",
-        "write_recordings": "pipeline.recordings.writing",
+        "Recordings": "pipeline.recordings.recordings",
+        "write_recordings": "pipeline.recordings.files.writing",
         "draw_recording": "pipeline.results.report.figures.recordings",
         "Run": "pipeline.api.run",
         "Settings": "pipeline.settings",

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from deploy.errors import UserError
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats import READERS, read_file
 from pipeline.recordings.formats.recording import UNITS, BadRecording, EventRecording
-from pipeline.recordings.source import read_source
 
 # Positions at which the file is cut, as shares of its length.
 CUTS = (0.01, 0.25, 0.5, 0.9, 0.999)

@@ -11,8 +11,8 @@ from deploy.check.bundle import read_bundle, write_bundle
 from deploy.errors import UserError
 from deploy.files import read_json
 from pipeline.live.network import SHIPPED
-from pipeline.recordings.events import Recordings
-from pipeline.recordings.writing import write_zip
+from pipeline.recordings.files.writing import write_mat_zip
+from pipeline.recordings.recordings import Recordings
 from pipeline.results.other_recordings import read_recordings_for
 from pipeline.settings import Settings, write_settings
 from pipeline.simulation import handwriting, parameters
@@ -49,7 +49,7 @@ def run(tmp_path_factory):
 def person(tmp_path_factory):
     recordings = strange_hand(5)
     path = tmp_path_factory.mktemp("person") / "mine.zip"
-    write_zip(path, recordings)
+    write_mat_zip(path, recordings)
     return path
 
 
@@ -89,7 +89,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     assert read_json(out, "")["accuracy"] == pytest.approx(result["others_after"], abs=0.05)
     # Unseen digits of the same person are told better too.
     unseen = strange_hand(8, seed=6)
-    from pipeline.training.adaptation import Responder
+    from pipeline.training.adaptation.responder import Responder
 
     responses = (r := Responder(old.spec)).compute_responses(r.make_inputs(unseen))
     right = [
@@ -102,7 +102,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
     assert read_bundle(tmp_path / "again").id == new.id
     assert call("adapt", folder, "--data", person, "--json") == 0
     # Another person's recordings do not take the place of these.
-    write_zip(tmp_path / "7.zip", named(strange_hand(5, seed=9)))
+    write_mat_zip(tmp_path / "7.zip", named(strange_hand(5, seed=9)))
     assert call("adapt", run, "--data", tmp_path / "7.zip") == 2
     assert read_bundle(folder).id == new.id
 
@@ -111,7 +111,7 @@ def test_a_person_whom_the_network_does_not_know(run, person, tmp_path, capsys):
 def test_responses_are_what_the_readout_reads(of, request):
     """Old weights on the responses give the scores of the target itself, and of other targets."""
     from deploy.targets.registry import run_target
-    from pipeline.training.adaptation import Responder
+    from pipeline.training.adaptation.responder import Responder
 
     bundle = read_bundle(request.getfixturevalue(of) / "bundle")
     alone = bundle.spec.with_presentation(stream_length=1)
@@ -132,7 +132,7 @@ def test_of_images(tiny_run, person, tmp_path, capsys):
 def test_labels_that_are_all_wrong_cost_others_as_little_as_is_promised(run, tmp_path, capsys):
     recordings = strange_hand(3)
     labels = np.random.default_rng(0).permutation(recordings.labels)
-    write_zip(tmp_path / "wrong.zip", named(replace(recordings, labels=labels)))
+    write_mat_zip(tmp_path / "wrong.zip", named(replace(recordings, labels=labels)))
     before = contents(run)
     arguments = ("--data", tmp_path / "wrong.zip", "--out", tmp_path / "new", "--json")
     assert call("adapt", run, *arguments) == 0
@@ -144,7 +144,8 @@ def test_labels_that_are_all_wrong_cost_others_as_little_as_is_promised(run, tmp
 
 
 def test_the_reason_for_which_nothing_changes():
-    from pipeline.training.adaptation import Adaptation, Refit, format_adaptation
+    from pipeline.training.adaptation.adapt import Adaptation, format_adaptation
+    from pipeline.training.adaptation.refit import Refit
 
     right, wrong = np.ones(10, bool), np.zeros(10, bool)
     for after, kept, reason in ((wrong, right, "no improvement"), (right, wrong, "100.0 points")):
@@ -161,11 +162,11 @@ def named(recordings: Recordings) -> Recordings:
 
 def test_bad_input_is_one_line_and_nothing_is_written(run, person, tmp_path, capsys):
     whole = strange_hand(1)
-    write_zip(tmp_path / "nine.zip", whole.subset(range(9)))
-    write_zip(tmp_path / "one.zip", whole.subset([3]))
+    write_mat_zip(tmp_path / "nine.zip", whole.subset(range(9)))
+    write_mat_zip(tmp_path / "one.zip", whole.subset([3]))
     (tmp_path / "empty").mkdir()
     small = simulate(0, [1] * 10, 1, size=(8, 8))
-    write_zip(tmp_path / "small.zip", small)
+    write_mat_zip(tmp_path / "small.zip", small)
     bundle = read_bundle(run / "bundle")
     write_bundle(tmp_path / "forgetful", replace(bundle.spec, rehearsal=None), bundle.checks)
     before = contents(tmp_path)

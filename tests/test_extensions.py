@@ -25,8 +25,8 @@ from pipeline.kinds.architectures import make_untrained_network
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.steps import Step
 from pipeline.recordings import formats
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats.recording import BadRecording, make_recording
-from pipeline.recordings.source import read_source
 from pipeline.settings import INPUTS, Settings
 from tests.deploy.networks import bundle_at, small_spec
 from tests.format_conformance import assert_format_conforms

@@ -14,7 +14,7 @@ from deploy.check.results import read_result
 from deploy.files import read_json, write_json
 from pipeline import progress, workflow
 from pipeline.jobs import call_in_processes
-from pipeline.recordings.writing import write_recordings
+from pipeline.recordings.files.writing import write_recordings
 from pipeline.settings import Settings, read_settings
 from pipeline.storage.run_folder import RunFolder
 from tests.command import call, missing, plain, started, wait_until_said

@@ -13,7 +13,7 @@ from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.files import read_json
 from pipeline.api.results import Predictions
-from pipeline.recordings.writing import write_recordings
+from pipeline.recordings.files.writing import write_recordings
 from pipeline.results import other_recordings
 from pipeline.results.check_on_others import OtherRecordings
 from tests.command import call, hurry_emulator, missing, users_environment

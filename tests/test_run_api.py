@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 from pipeline.results.status import list_states
 from pipeline.storage.run_folder import RunFolder
 from stmnist import Run, compare_runs

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from deploy.check.bundle import write_bundle
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 from tests.command import ROOT, environment
 from tests.test_stream import STEP_US, events_of, make_bundle, replay
 

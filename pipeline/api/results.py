@@ -53,9 +53,9 @@ class Result:
         heads, *rows = self.make_table()
         lines = [_make_row(heads, "th"), *(_make_row(row, "td") for row in rows[:MAX_TABLE_ROWS])]
         left_out = len(rows) - MAX_TABLE_ROWS
-        more = f"<p>and {left_out} more rows</p>" if left_out > 0 else ""
+        note_on_more = f"<p>and {left_out} more rows</p>" if left_out > 0 else ""
         title = html.escape(self.format_line())
-        return f"<p>{title}</p><table>{''.join(lines)}</table>{more}"
+        return f"<p>{title}</p><table>{''.join(lines)}</table>{note_on_more}"
 
 
 def _make_row(cells, tag):
@@ -291,8 +291,8 @@ def _list_accuracies(record):
     accuracies = record.get("accuracy")
     if not isinstance(accuracies, dict):
         return "trained"
-    known = {name: value for name, value in accuracies.items() if value is not None}
-    return ", ".join(f"{value:.3f} ({name})" for name, value in known.items())
+    measured = {name: value for name, value in accuracies.items() if value is not None}
+    return ", ".join(f"{value:.3f} ({name})" for name, value in measured.items())
 
 
 class ChipPlan(Result):

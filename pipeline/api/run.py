@@ -33,7 +33,7 @@ from pipeline.kinds.registry import has_networks
 from pipeline.progress import hide_progress
 from pipeline.recordings.arrays import name_in_errors
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 from pipeline.results import compare, other_recordings
 from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.results.ladder import measure_ladder
@@ -184,8 +184,8 @@ class Run:
         source = Path(self._given.data.source)
         if not source.name.endswith(RECORDINGS_ENDING) or not self._folder.dataset.exists():
             return False
-        known = read_json(self._folder.dataset, "").get("sha256")
-        return source.is_file() and known != hash_file(source)
+        recorded = read_json(self._folder.dataset, "").get("sha256")
+        return source.is_file() and recorded != hash_file(source)
 
     def train(self) -> Training:
         """Train the networks; on images the CNN, on events the spiking network."""
@@ -248,8 +248,8 @@ class Run:
             return self._check_on_others(target, data, samples)
         with self._open() as opened:
             if target not in opened.kind.references and target not in TARGETS:
-                known = ", ".join((*opened.kind.references, *TARGETS))
-                raise UserError(f"{ORIGIN}: no stage or target {target!r}; they are {known}")
+                names = ", ".join((*opened.kind.references, *TARGETS))
+                raise UserError(f"{ORIGIN}: no stage or target {target!r}; they are {names}")
             result = workflow.check_stage(opened, workflow.convert(opened), target)
             return CheckResult(result, opened.dataset.recordings.sensor.classes)
 

@@ -36,7 +36,7 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     """
     from deploy.check.bundle import read_bundle, require_replaceable, write_bundle
     from pipeline.results import other_recordings
-    from pipeline.training import adaptation  # Nengo takes a second to import
+    from pipeline.training.adaptation import adapt as adaptation  # imports Nengo, for a second
 
     bundle = read_bundle(options.find_bundle(run))
     options.warn_if_outdated(bundle.path)
@@ -46,23 +46,23 @@ def adapt(  # noqa: PLR0913 - each is an option of the command
     for line in other_recordings.list_warnings(bundle, recordings):
         options.say(line)
     adaptation.require_fit(bundle.spec, recordings)
-    place = out or _find_default_place(run, bundle, who)
-    if place.resolve() == bundle.path.resolve():
-        raise UserError(f"{place}: is the bundle to adapt; choose another --out")
-    require_replaceable(place)
-    if out is None and place.exists():
-        _require_same_person(place, read_bundle(place), bundle, recordings)
+    folder = out or _find_default_folder(run, bundle, who)
+    if folder.resolve() == bundle.path.resolve():
+        raise UserError(f"{folder}: is the bundle to adapt; choose another --out")
+    require_replaceable(folder)
+    if out is None and folder.exists():
+        _require_same_person(folder, read_bundle(folder), bundle, recordings)
     adapted = adaptation.adapt(bundle, recordings, who, seed)
-    if adapted.spec is None:
-        place = None
-    else:
-        write_bundle(place, adapted.spec, bundle.checks)
+    written = None
+    if adapted.spec is not None:
+        write_bundle(folder, adapted.spec, bundle.checks)
+        written = folder
     trained_on = int(other_recordings.find_trained_on(bundle, recordings).sum())
-    summary = _summarise(adapted, place, len(recordings), trained_on)
-    options.print_result(summary, lambda _: adaptation.format_adaptation(adapted, place), as_json)
+    summary = _summarise(adapted, written, len(recordings), trained_on)
+    options.print_result(summary, lambda _: adaptation.format_adaptation(adapted, written), as_json)
 
 
-def _find_default_place(run, bundle, who):
+def _find_default_folder(run, bundle, who):
     """The folder of the new bundle: in the run, or beside a bundle without a run."""
     beside = run / "adapted"
     if bundle.path == run:
@@ -72,7 +72,7 @@ def _find_default_place(run, bundle, who):
     return beside / who
 
 
-def _summarise(adapted, place, samples, trained_on):
+def _summarise(adapted, folder, samples, trained_on):
     """What the fit has changed, for ``--json``."""
     fit = adapted.fit
     return {
@@ -82,21 +82,21 @@ def _summarise(adapted, place, samples, trained_on):
         "others_after": _compute_mean(adapted.others_after),
         "kept_before": float(fit.kept_before.mean()),
         "kept_after": float(fit.kept_after.mean()),
-        "bundle": None if place is None else str(place),
+        "bundle": None if folder is None else str(folder),
         "samples": samples,
         "trained_on": trained_on,
         "in_check": adapted.fitted,
     }
 
 
-def _require_same_person(place, old, bundle, recordings):
+def _require_same_person(folder, old, bundle, recordings):
     """Refuse to replace a network that was fitted to none of these recordings."""
     from deploy.network.provenance import read_training_hashes
 
     fitted_to = read_training_hashes(old.spec) - read_training_hashes(bundle.spec)
     if fitted_to and fitted_to.isdisjoint(recordings.hashes):
         raise UserError(
-            f"{place}: is fitted to other recordings, perhaps another person's; "
+            f"{folder}: is fitted to other recordings, perhaps another person's; "
             "choose another --out, or delete it"
         )
 
@@ -109,11 +109,13 @@ def _compute_mean(right):
 def _select_person(recordings, writer) -> tuple:
     """One person's recordings, and what to call the person."""
     source = recordings.source.name
-    known = sorted(set(recordings.writers.tolist()))
+    writers = sorted(set(recordings.writers.tolist()))
     if writer is None:
-        if len(known) > 1:
-            raise UserError(f"{source}: has writers {list_names(known)}; choose one with --writer")
-        return recordings, str(known[0]) if known and known[0] >= 0 else Path(source).stem
-    if writer not in known:
+        if len(writers) > 1:
+            raise UserError(
+                f"{source}: has writers {list_names(writers)}; choose one with --writer"
+            )
+        return recordings, str(writers[0]) if writers and writers[0] >= 0 else Path(source).stem
+    if writer not in writers:
         raise UserError(f"{source}: no recording of writer {writer}; give another --writer")
     return recordings.subset((recordings.writers == writer).nonzero()[0]), str(writer)

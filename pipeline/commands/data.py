@@ -92,13 +92,13 @@ def simulate_(
     if os.path.lexists(out):
         raise UserError(f"{out}: exists; choose another name, or move it away")
     from pipeline.progress import progress
+    from pipeline.recordings.files.writing import write_mat_zip
     from pipeline.recordings.statistics import list_facts_with_events
-    from pipeline.recordings.writing import write_zip
 
     recordings = _load_recordings(
         SIMULATED, reading, jobs, simulation_seed=seed, samples_per_digit=samples_per_digit
     )
-    write_zip(out, recordings, progress)
+    write_mat_zip(out, recordings, progress)
     facts = {"file": str(out), **list_facts_with_events(recordings)}
     text = f"{out}: {facts['samples']} simulated recordings, {facts['events']} events"
     options.print_result(facts, lambda _: text, as_json)
@@ -153,14 +153,15 @@ def plot(
     figures.format_of(out)  # reports a wrong format before the recordings are read
     recordings = _load_recordings(data, reading, jobs, simulation_seed=seed)
     if what == "sheet":
-        figure = drawn.sheet(recordings, seed)
+        figure = drawn.draw_sheet(recordings, seed)
     else:
-        figure = drawn.draw_recording(recordings, _index_of(recordings, sample))
+        figure = drawn.draw_recording(recordings, _find_index(recordings, sample))
     figures.save(figure, out)
     show(out)
 
 
-def _index_of(recordings, name):
+def _find_index(recordings, name):
+    """The index of a recording by its id; of one of typical length without an id."""
     if not name:
         numbers = recordings.offsets[1:] - recordings.offsets[:-1]  # of events
         return int(numbers.argsort()[len(recordings) // 2])

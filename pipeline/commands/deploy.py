@@ -52,9 +52,9 @@ def export(
     opened = _read_bundle(bundle)
     write_nir(out, opened.spec)
     show(f"written to {out}")
-    if not (shown := opened.spec.stimulus).static:
-        step = 1000 * shown.step_seconds
-        silent = 1000 * shown.step_seconds * shown.refractory
+    if not (stimulus := opened.spec.stimulus).static:
+        step = 1000 * stimulus.step_seconds
+        silent = 1000 * stimulus.step_seconds * stimulus.refractory
         show(f"convert with --step {step:g} --set input.refractory={silent:g} for the same input")
     elif opened.spec.input_shape[-1] > 1:
         show("convert with --input image and the settings image.* of the run for the same input")

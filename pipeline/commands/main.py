@@ -106,10 +106,10 @@ PANELS = {
 def _import_verbs(name):
     """The functions of one of the :data:`VERBS`, or of the verbs below it, each with its name."""
     _, verb = VERBS[name]
-    places = {name: verb} if isinstance(verb, str) else verb
+    paths = {name: verb} if isinstance(verb, str) else verb
     functions = {}
-    for word, place in places.items():
-        module, _, function = place.partition(".")
+    for word, path in paths.items():
+        module, _, function = path.partition(".")
         functions[word] = getattr(import_module(f"pipeline.commands.{module}"), function)
     return functions
 
@@ -119,10 +119,10 @@ class _Deferred(TyperCommand):
 
     @cached_property
     def command(self):
-        made = _make_typer(self.help, add_completion=False)
+        typer_app = _make_typer(self.help, add_completion=False)
         for name, verb in _import_verbs(self.name).items():
-            made.command(name)(convert_for_typer(verb))
-        return typer.main.get_command(made)  # a single command, or a group of them
+            typer_app.command(name)(convert_for_typer(verb))
+        return typer.main.get_command(typer_app)  # a single command, or a group of them
 
     def make_context(self, *arguments, **options):
         return self.command.make_context(*arguments, **options)
@@ -169,9 +169,9 @@ def with_every_verb() -> TyperGroup:
 
 def run_alone(verb, name: str, arguments):
     """Run a function as a command of its own, as :func:`main` runs those of ``stmnist``."""
-    made = _make_typer(None, add_completion=False)
-    made.command()(convert_for_typer(verb))
-    main(arguments, typer.main.get_command(made), name)
+    typer_app = _make_typer(None, add_completion=False)
+    typer_app.command()(convert_for_typer(verb))
+    main(arguments, typer.main.get_command(typer_app), name)
 
 
 def main(arguments=None, command=None, name: str = "stmnist"):

@@ -12,7 +12,7 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from models.architecture import parse
 from models.chain import build_network_spec, make_links
-from pipeline.recordings.events import MIN_GRID_SIDE, Sensor, describe_size
+from pipeline.recordings.sensor import MIN_GRID_SIDE, Sensor, describe_size
 from pipeline.settings import Deployment
 from pipeline.training.event_rules import NetworkSize, choose_hidden_units
 
@@ -134,7 +134,7 @@ def list_chip_problems(architecture: str, on_events: bool, deployment: Deploymen
     architecture : str
     on_events : bool
         Whether its input is events, not images.
-    deployment : pipeline.settings.schema.Deployment
+    deployment : pipeline.settings.groups.Deployment
 
     Returns
     -------
@@ -154,7 +154,7 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
         Its architecture.
     on_events : bool
         Whether its input is events, not images.
-    deployment : pipeline.settings.schema.Deployment
+    deployment : pipeline.settings.groups.Deployment
     """
     rng = np.random.default_rng(0)
     links = make_links(parse(text))
@@ -172,7 +172,7 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
     return build_network_spec(tuple(chain), stimulus, Presentation())
 
 
-def suggest_sensor_size(needed: tuple, found: tuple) -> str:
+def suggest_sensor_size(network_size: tuple, sensor_size: tuple) -> str:
     """The settings that fit recordings to an imported network for a larger sensor, or nothing.
 
     The size of a sensor that is read from files is that of its largest coordinates, and the outer
@@ -180,12 +180,14 @@ def suggest_sensor_size(needed: tuple, found: tuple) -> str:
 
     Parameters
     ----------
-    needed, found : (int, int)
+    network_size, sensor_size : (int, int)
         Rows and columns of the network's input, and of the recordings.
     """
-    if needed == found or any(n < f for n, f in zip(needed, found, strict=True)):
+    if network_size == sensor_size or any(
+        n < f for n, f in zip(network_size, sensor_size, strict=True)
+    ):
         return ""
-    rows, columns = needed
+    rows, columns = network_size
     return (
         "if the sensor's outer taxels have no events, give its size, "
         f"--set skin.rows={rows} --set skin.columns={columns}; else "

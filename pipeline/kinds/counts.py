@@ -87,42 +87,62 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     Baseline
     """
     order = np.random.default_rng(seed).permutation(training)
-    some = order[:MAX_COMPARED_SAMPLES]
-    some = some[np.argsort(labels[some], kind="stable")]
-    folds = np.arange(len(some)) % FOLDS  # each class is in every fold, if it can be
-    best = -1.0
-    chosen = None
-    for slices in (n for n in SLICES if counts.shape[1] % n == 0):
-        rows = _compute_features(counts, slices, some)
-        for strength in STRENGTHS:
-            right = []
-            for fold in range(FOLDS):
-                inside = folds != fold
-                out = folds == fold
-                model = _Model.fit(rows[inside], labels[some[inside]], classes, strength)
-                scores = model.complete(model.compute_logits(rows[out]))
-                right.append(labels[some[out]] == scores.argmax(1))
-            if (accuracy := float(np.concatenate(right).mean())) > best:
-                best = accuracy
-                chosen = (slices, strength)
-    slices, strength = chosen
+    slices, strength, accuracy = _choose_features(
+        counts, labels, order[:MAX_COMPARED_SAMPLES], classes
+    )
     if len(training) > MAX_FITTED_SAMPLES:
         training = order[:MAX_FITTED_SAMPLES]
-    model = _Model.fit(
-        _compute_features(counts, slices, training), labels[training], classes, strength
-    )
+    features = _compute_features(counts, slices, training)
+    model = _Model.fit(features, labels[training], classes, strength)
     by_batch = []
     for start in range(0, len(labels), SAMPLES_AT_ONCE):
-        out = np.arange(start, min(start + SAMPLES_AT_ONCE, len(labels)))
-        by_batch.append(model.compute_logits(_compute_features(counts, slices, out)))
-    return Baseline(model.complete(np.concatenate(by_batch)), slices, strength, best)
+        batch = np.arange(start, min(start + SAMPLES_AT_ONCE, len(labels)))
+        by_batch.append(model.compute_logits(_compute_features(counts, slices, batch)))
+    return Baseline(model.complete(np.concatenate(by_batch)), slices, strength, accuracy)
+
+
+def _choose_features(counts, labels, compared, classes):
+    """The slices and the strength of the regularisation with the best cross-validated accuracy.
+
+    Returns
+    -------
+    slices : int
+    strength : float
+    accuracy : float
+    """
+    compared = compared[np.argsort(labels[compared], kind="stable")]
+    best_accuracy = -1.0
+    best_slices = 0
+    best_strength = 0.0
+    for slices in (n for n in SLICES if counts.shape[1] % n == 0):
+        features = _compute_features(counts, slices, compared)
+        for strength in STRENGTHS:
+            accuracy = _cross_validate(features, labels[compared], classes, strength)
+            if accuracy > best_accuracy:
+                best_accuracy = accuracy
+                best_slices = slices
+                best_strength = strength
+    return best_slices, best_strength, best_accuracy
+
+
+def _cross_validate(features, labels, classes, strength):
+    """The accuracy on samples that a model was not fitted to; the samples are sorted by class."""
+    folds = np.arange(len(labels)) % FOLDS  # each class is in every fold, if it can be
+    right = []
+    for fold in range(FOLDS):
+        is_inside = folds != fold
+        is_out = folds == fold
+        model = _Model.fit(features[is_inside], labels[is_inside], classes, strength)
+        scores = model.complete(model.compute_logits(features[is_out]))
+        right.append(labels[is_out] == scores.argmax(1))
+    return float(np.concatenate(right).mean())
 
 
 def _compute_features(counts, slices, samples):
     """Square roots of the counts of some samples in a number of slices, a row for each sample."""
-    some = counts[samples]
-    by_slice = some.reshape(len(some), slices, -1, *some.shape[2:]).sum(axis=2)
-    return (np.sign(by_slice) * np.sqrt(np.abs(by_slice))).reshape(len(some), -1)
+    selected = counts[samples]
+    by_slice = selected.reshape(len(selected), slices, -1, *selected.shape[2:]).sum(axis=2)
+    return (np.sign(by_slice) * np.sqrt(np.abs(by_slice))).reshape(len(selected), -1)
 
 
 @dataclass(frozen=True)
@@ -133,7 +153,7 @@ class _Model:
     ----------
     classes : int
         Number of all classes.
-    known : ndarray of int
+    fitted_classes : ndarray of int
         Classes of the samples of the fit, each once.
     active : ndarray of bool
         Features that differ between these samples.
@@ -144,7 +164,7 @@ class _Model:
     """
 
     classes: int
-    known: np.ndarray
+    fitted_classes: np.ndarray
     active: np.ndarray
     mean: np.ndarray
     spread: np.ndarray
@@ -154,19 +174,19 @@ class _Model:
     def fit(cls, rows, labels, classes, strength):
         from sklearn.linear_model import LogisticRegression  # the import takes a second
 
-        known = np.unique(labels)
+        fitted_classes = np.unique(labels)
         mean = rows.mean(0)
         spread = rows.std(0)
-        active = np.ptp(rows, axis=0) > 0 if len(known) > 1 else np.zeros(1, bool)
+        active = np.ptp(rows, axis=0) > 0 if len(fitted_classes) > 1 else np.zeros(1, bool)
         if not active.any():
             most_frequent = int(np.bincount(labels, minlength=classes).argmax())
-            return cls(classes, known, active, mean, spread, most_frequent)
+            return cls(classes, fitted_classes, active, mean, spread, most_frequent)
         x = (rows[:, active] - mean[active]) / spread[active]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it need not converge to the last digit
             # A gradient this small is enough: a more exact fit is not more accurate.
             regression = LogisticRegression(C=strength, tol=2e-3, max_iter=100).fit(x, labels)
-        return cls(classes, known, active, mean, spread, regression)
+        return cls(classes, fitted_classes, active, mean, spread, regression)
 
     def compute_logits(self, rows):
         """Logits of the known classes."""
@@ -174,7 +194,7 @@ class _Model:
             return np.zeros((len(rows), 0))
         x = (rows[:, self.active] - self.mean[self.active]) / self.spread[self.active]
         logits = self.regression.decision_function(x)
-        if len(self.known) == 2:
+        if len(self.fitted_classes) == 2:
             return np.stack([-logits, logits], axis=1) / 2
         return logits
 
@@ -183,7 +203,7 @@ class _Model:
         if isinstance(self.regression, int):
             return np.eye(self.classes)[np.full(len(logits), self.regression)]
         scores = np.full((len(logits), self.classes), logits.min(initial=0) - 1.0)
-        scores[:, self.known] = logits
+        scores[:, self.fitted_classes] = logits
         return scores
 
 

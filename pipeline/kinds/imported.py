@@ -51,14 +51,14 @@ class Imported(NamedTuple):
         seed : int
             Of the split.
         """
-        changed = [change.what for change in state.because]
+        changed = [change.name for change in state.because]
         if state.state == MISSING:
             yield (
                 f"{self.step}: must have been trained on the training samples of this split only "
                 f"(seed {seed}), otherwise the accuracies are too high"
             )
-        again = [what for what in changed if what.startswith(SPLIT_SETTINGS)]
-        if again and not set(changed) & set(IMPORTED.values()):
+        of_split = [name for name in changed if name.startswith(SPLIT_SETTINGS)]
+        if of_split and not set(changed) & set(IMPORTED.values()):
             yield (
                 f"{WARNING}{self.file}: was not trained on this split, so that test samples may be "
                 "among those of its training; train it on this split, and give it again"

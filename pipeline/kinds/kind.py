@@ -22,7 +22,7 @@ from pipeline.kinds.architectures import (
 from pipeline.kinds.imported import Imported
 from pipeline.kinds.steps import Step, StepInputs
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 from pipeline.settings import Choice, Settings
 from pipeline.storage.artifacts import Artifact, Origin
 
@@ -149,11 +149,11 @@ class NetworkKind:
         """True if the bundle is made from a step, directly or through others."""
         return any(step.name == name for step in self.list_steps_to(self.deployed_step))
 
-    def find_artifact(self, name: str, place, dataset: Origin) -> Artifact:
+    def find_artifact(self, name: str, store, dataset: Origin) -> Artifact:
         """The artifact of a step, in a run's folder or in a library."""
         step = self.find_step(name)
         origin = self.make_origin(name, dataset)
-        folder = place.find_folder(step.folder, origin)
+        folder = store.find_folder(step.folder, origin)
         record, *files = (folder / file for file in step.files)
         return Artifact(name, record, origin, tuple(files))
 
@@ -237,10 +237,10 @@ class NetworkKind:
 
         A user's network is examined when it is read.
         """
-        usual = type(self)(Settings())
+        default_kind = type(self)(Settings())
         if not self.settings_group or (self.architecture, self.settings.deployment) == (
-            usual.architecture,
-            usual.settings.deployment,
+            default_kind.architecture,
+            default_kind.settings.deployment,
         ):
             return ()
         return list_chip_problems(

@@ -38,17 +38,17 @@ def require_images_of_network(path, settings, dataset, predict, max_samples: int
         The network is far better on images with another normalisation.
     """
     rng = np.random.default_rng([settings.seed, 0x1A6])
-    some = np.sort(rng.permutation(dataset.split.train)[:max_samples])
+    indices = np.sort(rng.permutation(dataset.split.train)[:max_samples])
     used = settings.image.normalisation
     right = {}
     for name in {used, *COMPARED_NORMALISATIONS}:
         image = replace(settings.image, normalisation=name)
-        images = make_images_of(dataset.recordings, image, some)
-        right[name] = predict(images) == dataset.labels[some]
+        images = make_images_of(dataset.recordings, image, indices)
+        right[name] = predict(images) == dataset.labels[indices]
     best = max(right, key=lambda name: right[name].sum())
-    gain = int(right[best].sum() - right[used].sum())
+    n_gained = int(right[best].sum() - right[used].sum())
     differing = int((right[best] != right[used]).sum())
-    if gain > max(MIN_ACCURACY_GAIN * len(some), 2 * np.sqrt(differing)):
+    if n_gained > max(MIN_ACCURACY_GAIN * len(indices), 2 * np.sqrt(differing)):
         raise UserError(
             f"{path}: an accuracy of {right[used].mean():.3f} on this run's training images, and "
             f"of {right[best].mean():.3f} on images with another normalisation; give --set "

@@ -11,7 +11,7 @@ import numpy as np
 from deploy.errors import SeveralErrors, UserError
 from pipeline.kinds.registry import find_kind
 from pipeline.recordings.dataset import TOO_SMALL, Dataset, split_recordings
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 from pipeline.recordings.splits import find_split_problem
 from pipeline.settings import Choice, Settings, apply_choices, list_reasons
 from pipeline.sources import load_named_recordings

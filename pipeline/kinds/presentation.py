@@ -15,7 +15,8 @@ from deploy.network.chip import LOIHI
 from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
-from pipeline.recordings.events import Recordings, Sensor
+from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.sensor import Sensor
 from pipeline.settings import Choice, Settings
 
 # Minimum and maximum number of steps of a presentation of events.
@@ -64,8 +65,8 @@ def choose_presentation(
     if settings.is_open("input.step") and settings.is_open("input.refractory"):
         step_ms = choose_step_ms(longest_ms, step_ms, may_shorten)
     steps = min(max(math.floor(longest_ms / step_ms) + 1, MIN_STEPS), MAX_STEPS)
-    why = _describe_reason(steps, step_ms, longest_ms)
-    choices = [Choice("presentation.steps", steps, f"{steps} steps of {step_ms:g} ms: {why}")]
+    reason = _describe_reason(steps, step_ms, longest_ms)
+    choices = [Choice("presentation.steps", steps, f"{steps} steps of {step_ms:g} ms: {reason}")]
     if step_ms != settings.input.step:
         choices.append(Choice("input.step", step_ms))
         choices.append(Choice("input.refractory", step_ms))
@@ -234,17 +235,17 @@ def fit_gap(presentation: Presentation, taus: dict, is_users: bool) -> tuple[Pre
     if presentation.stream_length == 1 or not taus:
         return presentation, ""
     name = max(taus, key=taus.__getitem__)
-    needed = count_silent_steps(taus[name])
-    if needed <= presentation.gap:
+    needed_gap = count_silent_steps(taus[name])
+    if needed_gap <= presentation.gap:
         return presentation, ""
     layer = f"layer {name.removesuffix('.tau_u')} (time constant {taus[name]:.3g} steps)"
     if is_users:
         return presentation, (
             f"{WARNING}the currents of {layer} outlast the gap of {presentation.gap} steps between "
-            f"samples, which therefore disturb each other: --set presentation.gap={needed}, or "
+            f"samples, which therefore disturb each other: --set presentation.gap={needed_gap}, or "
             "--set presentation.stream_length=1, so that each sample begins at rest"
         )
-    return replace(presentation, gap=needed), (
-        f"gap of {needed} silent steps before each sample, for the currents of {layer} after the "
-        "training (another: --set presentation.gap=...)"
+    return replace(presentation, gap=needed_gap), (
+        f"gap of {needed_gap} silent steps before each sample, for the currents of {layer} after "
+        "the training (another: --set presentation.gap=...)"
     )

@@ -26,11 +26,11 @@ MAX_CURVE_SAMPLES = 500
 SAMPLES_AT_ONCE = 2000
 
 
-def time_training(name: str, epochs: int, function, *arguments, **more) -> tuple:
+def time_training(name: str, epochs: int, function, *arguments, **keywords) -> tuple:
     """Run a training with a progress bar; return the network and the seconds that it took."""
     with progress(f"train {name}", epochs, "epochs") as advance:
         begun = time.perf_counter()
-        trained = function(*arguments, advance=advance, **more)
+        trained = function(*arguments, advance=advance, **keywords)
         return trained, time.perf_counter() - begun
 
 
@@ -51,7 +51,8 @@ def write_network(folder: Path, trained, on_test: bool):
     Parameters
     ----------
     folder : Path
-    trained : pipeline.training.networks.TrainedNetwork or pipeline.training.events.TrainedOnEvents
+    trained : TrainedNetwork or TrainedOnEvents
+        A network on images or on events.
     on_test : bool
         True if the learning curve is that of test samples, not of held-out training samples.
     """

@@ -55,7 +55,7 @@ def compute_responses(logits: np.ndarray, presentation) -> Responses:
     ----------
     logits : ndarray, shape (n_samples, steps, classes)
         Logits at each step; one step for a network without time.
-    presentation : pipeline.settings.schema.PresentationSettings
+    presentation : pipeline.settings.groups.PresentationSettings
         In networks with time, the score at a step is the mean from ``readout_start`` to it.
     """
     start = presentation.readout_start if logits.shape[1] > 1 else 0

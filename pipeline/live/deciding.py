@@ -29,7 +29,9 @@ from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.targets.fast import Emulation
 from pipeline.recordings.dataset import make_inputs_for
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import Sensor, TaxelMap
 
 # Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
 # screen.

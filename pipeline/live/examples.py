@@ -10,7 +10,8 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.network.stimulus import EventFrames
-from pipeline.recordings.events import Events, Recordings
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Recordings
 from pipeline.settings import read_settings
 from pipeline.simulation.pen import START_S
 from pipeline.sources import load_named_recordings

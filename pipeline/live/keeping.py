@@ -19,7 +19,6 @@ import numpy as np
 
 from deploy.errors import UserError
 from deploy.files import lock_file, open_regular, remove_leftovers, replacing, reporting_os_errors
-from pipeline.recordings.events import Sensor, TaxelMap
 from pipeline.recordings.formats.mat import (
     MatRecording,
     encode_lookup_table,
@@ -27,6 +26,7 @@ from pipeline.recordings.formats.mat import (
     read_lookup_table,
 )
 from pipeline.recordings.formats.recording import BadRecording, read_limited
+from pipeline.recordings.sensor import Sensor, TaxelMap
 
 # Writers are numbered from 1 to one less than this.
 WRITER_LIMIT = 1000

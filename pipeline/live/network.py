@@ -8,7 +8,7 @@ from deploy.errors import UserError
 from deploy.network.provenance import read_classes, read_positions
 from deploy.network.stimulus import EventFrames
 from pipeline.live import RECORD
-from pipeline.recordings.events import Sensor, are_digits, is_written
+from pipeline.recordings.sensor import Sensor, are_digits, is_st_mnist_sensor
 
 # The bundle on events that comes with this package; ``make shipped-bundle`` makes it, from the
 # settings of ``shipped.toml``.
@@ -43,7 +43,7 @@ def find_record_folder(bundle: Bundle, sensor: Sensor) -> str:
     bundle : Bundle
     sensor : Sensor
     """
-    if is_written(sensor.rows, sensor.columns, sensor.classes):
+    if is_st_mnist_sensor(sensor.rows, sensor.columns, sensor.classes):
         return RECORD
     name = re.sub(r"[^\w-]+", "-", Path(find_name(bundle)).stem).strip("-")
     return f"{RECORD}-{name[:40]}" if name else f"{RECORD}-{sensor.rows}x{sensor.columns}"

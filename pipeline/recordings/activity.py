@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 
 # Equal slices of a recording, from its first event to its last, in which a taxel fires or not.
 SLICES = 20

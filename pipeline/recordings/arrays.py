@@ -12,10 +12,10 @@ from pathlib import Path
 from deploy.errors import SeveralErrors, UserError
 from deploy.tables import format_count
 from deploy.terminal import remark
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.files.writing import write_recordings
+from pipeline.recordings.interpretation.options import ReadingOptions
 from pipeline.recordings.library import import_recordings
-from pipeline.recordings.sensor import ReadingOptions
-from pipeline.recordings.writing import write_recordings
+from pipeline.recordings.recordings import Recordings
 
 # Name of recordings that were made of arrays.
 NAME = "arrays"
@@ -42,7 +42,7 @@ def name_in_errors(name: str, path: Path):
 
 
 @contextlib.contextmanager
-def errors_with_arguments():
+def name_arguments_in_errors():
     """Errors in the block name arguments of Python instead of options of the command line."""
     try:
         yield
@@ -57,8 +57,8 @@ def _name_arguments(line):
 
 
 def read_recordings(path, **reading) -> Recordings:
-    """See :meth:`pipeline.recordings.events.Recordings.read`."""
-    with errors_with_arguments():
+    """See :meth:`pipeline.recordings.recordings.Recordings.read`."""
+    with name_arguments_in_errors():
         return import_recordings(
             Path(path),
             warn=lambda line: remark(_name_arguments(line)),
@@ -67,7 +67,7 @@ def read_recordings(path, **reading) -> Recordings:
 
 
 def make_recordings(events, labels=None, rows=0, columns=0, **more) -> Recordings:
-    """See :meth:`pipeline.recordings.events.Recordings.from_arrays`."""
+    """See :meth:`pipeline.recordings.recordings.Recordings.from_arrays`."""
     events = list(events)
     labels = [UNLABELLED] * len(events) if labels is None else list(labels)
     if len(events) != len(labels):
@@ -81,7 +81,7 @@ def make_recordings(events, labels=None, rows=0, columns=0, **more) -> Recording
         def warn(line):
             remark(_name_arguments(line.replace(str(path), NAME)))
 
-        with name_in_errors(NAME, path), errors_with_arguments():
+        with name_in_errors(NAME, path), name_arguments_in_errors():
             write_recordings(path, zip(events, labels, strict=True), **more)
             size = ReadingOptions(rows, columns)
             recordings = import_recordings(path, warn=warn, reading=size)
@@ -90,7 +90,14 @@ def make_recordings(events, labels=None, rows=0, columns=0, **more) -> Recording
 
 @dataclass(frozen=True)
 class _OfOneSensor:
-    """Pairs of events and label, and the size of the sensor as data sets of Tonic have it."""
+    """Recordings of one sensor, in the form of a data set of Tonic's.
+
+    Attributes
+    ----------
+    pairs : iterable of (events, label)
+    sensor_size : (int, int)
+        Columns and rows.
+    """
 
     pairs: Iterable
     sensor_size: tuple
@@ -99,12 +106,12 @@ class _OfOneSensor:
         return iter(self.pairs)
 
 
-def write_zip(recordings: Recordings, path) -> Path:
-    """See :meth:`pipeline.recordings.events.Recordings.write`."""
+def write_npz_zip(recordings: Recordings, path) -> Path:
+    """See :meth:`pipeline.recordings.recordings.Recordings.write`."""
     taxels = recordings.taxels
     names = recordings.sensor.classes
 
-    def events_of(index):
+    def make_events(index):
         events = recordings[index]
         return {
             "x": taxels.column[events.taxel],
@@ -115,7 +122,7 @@ def write_zip(recordings: Recordings, path) -> Path:
 
     labels = [names[label] for label in recordings.labels]
     known_writers = bool((recordings.writers >= 0).all())
-    pairs = zip(map(events_of, range(len(recordings))), labels, strict=True)
+    pairs = zip(map(make_events, range(len(recordings))), labels, strict=True)
     sensor = recordings.sensor
     return write_recordings(
         path,

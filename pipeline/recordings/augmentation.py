@@ -11,22 +11,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import Events, Recordings, is_handwriting
+from pipeline.recordings.events import Events
 from pipeline.recordings.faulty_taxels import draw_faults
+from pipeline.recordings.recordings import Recordings, is_handwriting
 
 
 @dataclass(frozen=True)
 class Alteration:
-    """The parameters of the alterations.
+    """The parameters of the alterations; each z below is standard normal, drawn for each sample.
 
-    The times of a sample are multiplied by exp(``stretch`` z), the sample begins at a random time
-    within its first step, and each event is dropped with a probability drawn from 0 to ``drop``.
-    Positions relative to the middle of the skin are sheared by ``shear`` z, rotated by ``turn`` z
-    radians, scaled by exp(``scale`` z) along rows and along columns, and shifted by ``shift`` z
-    taxels in both directions.  Each z is standard normal and drawn for each sample.  An event is
-    assigned to the nearest taxel; events beyond the edge are lost.  A sample has hot taxels with
-    the probability ``hot`` and dead ones with the probability ``dead``, see
-    :mod:`pipeline.recordings.faulty_taxels`.
+    The sample begins at a random time within its first step.  An event is assigned to the nearest
+    taxel; events beyond the edge are lost.
+
+    Attributes
+    ----------
+    stretch : float
+        The times of a sample are multiplied by exp(``stretch`` z).
+    drop : float
+        Each event is dropped with a probability that is drawn from 0 to ``drop``.
+    turn : float
+        Places are rotated around the middle of the skin by ``turn`` z radians.
+    shift : float
+        Places are shifted by ``shift`` z taxels in both directions.
+    scale : float
+        Distances from the middle are multiplied by exp(``scale`` z), along rows and along columns.
+    shear : float
+        Places are sheared by ``shear`` z, before they are rotated.
+    hot, dead : float
+        Probabilities that a sample has hot and dead taxels, see
+        :mod:`pipeline.recordings.faulty_taxels`.
     """
 
     stretch: float = 0.1
@@ -73,13 +86,13 @@ def choose_augmentation(recordings: Recordings) -> str:
 
 
 def alter(
-    how: Alteration, rng, events: EventColumns, samples: int, step_ms: float, size=(10, 10)
+    alteration: Alteration, rng, events: EventColumns, samples: int, step_ms: float, size=(10, 10)
 ) -> EventColumns:
     """Alter samples.
 
     Parameters
     ----------
-    how : Alteration
+    alteration : Alteration
     rng : numpy.random.Generator
     events : EventColumns
     samples : int
@@ -94,16 +107,18 @@ def alter(
     EventColumns
         The remaining events, and those of hot taxels.
     """
-    altered, kept = _alter_each(how, rng, events, samples, step_ms, size)
+    altered, kept = _alter_each(alteration, rng, events, samples, step_ms, size)
     altered = altered.select(kept)
-    if not how.hot and not how.dead:
+    if not alteration.hot and not alteration.dead:
         return altered
-    faults = draw_faults(how.hot, how.dead, rng, altered.measure_durations_ms(samples), size)
+    faults = draw_faults(
+        alteration.hot, alteration.dead, rng, altered.measure_durations_ms(samples), size
+    )
     return faults.apply(altered)
 
 
 def alter_recordings(
-    recordings: Recordings, indices, how: Alteration, step_ms: float, seed
+    recordings: Recordings, indices, alteration: Alteration, step_ms: float, seed
 ) -> Recordings:
     """Altered copies of some recordings, without faulty taxels.
 
@@ -112,7 +127,7 @@ def alter_recordings(
     recordings : Recordings
     indices : sequence of int
         Indices of recordings; one that occurs several times is altered differently each time.
-    how : Alteration
+    alteration : Alteration
     step_ms : float
         The step within which a sample begins at a random time.
     seed : int or sequence of int
@@ -136,7 +151,7 @@ def alter_recordings(
     events = EventColumns(
         sample, time_ms, taxels.row[old.taxel], taxels.column[old.taxel], old.polarity
     )
-    altered, kept = _alter_each(how, rng, events, len(chosen), step_ms, size)
+    altered, kept = _alter_each(alteration, rng, events, len(chosen), step_ms, size)
     taxel_at = np.full(size, -1)  # there may be places without a taxel
     taxel_at[taxels.row, taxels.column] = np.arange(len(taxels))
     taxel = np.full(len(kept), -1)
@@ -154,30 +169,30 @@ def alter_recordings(
     )
 
 
-def _alter_each(how, rng, events, samples, step_ms, size):
-    """Every event at its new time and place, and which of them remain."""
-    pace = np.exp(rng.normal(0, how.stretch, samples))
+def _alter_each(alteration, rng, events, samples, step_ms, size):
+    """Every event at its new time and place, and the mask of those that remain."""
+    pace = np.exp(rng.normal(0, alteration.stretch, samples))
     begin_ms = step_ms * rng.uniform(0, 1, samples)
     time_ms = events.time_ms * pace[events.sample] + begin_ms[events.sample]
-    kept = rng.random(len(time_ms)) >= rng.uniform(0, how.drop, samples)[events.sample]
-    place = np.stack([events.row, events.column], -1)
-    place = move_places(how, rng, samples, events.sample, place, size)
-    kept &= ((place >= 0) & (place < size)).all(1)
-    altered = events._replace(time_ms=time_ms, row=place[:, 0], column=place[:, 1])
+    kept = rng.random(len(time_ms)) >= rng.uniform(0, alteration.drop, samples)[events.sample]
+    places = np.stack([events.row, events.column], -1)
+    places = move_places(alteration, rng, samples, events.sample, places, size)
+    kept &= ((places >= 0) & (places < size)).all(1)
+    altered = events._replace(time_ms=time_ms, row=places[:, 0], column=places[:, 1])
     return altered, kept
 
 
-def move_places(how: Alteration, rng, samples: int, sample, place, size) -> np.ndarray:
+def move_places(alteration: Alteration, rng, samples: int, sample, places, size) -> np.ndarray:
     """The places of events after the change of their sample in space.
 
     Parameters
     ----------
-    how : Alteration
+    alteration : Alteration
     rng : numpy.random.Generator
     samples : int
     sample : ndarray of int, shape (n_events,)
         Sample of each event.
-    place : ndarray, shape (n_events, 2)
+    places : ndarray, shape (n_events, 2)
         Row and column of each event.
     size : (int, int)
 
@@ -186,18 +201,18 @@ def move_places(how: Alteration, rng, samples: int, sample, place, size) -> np.n
     ndarray of int, shape (n_events, 2)
         In whole taxels; places outside of ``size`` are beyond the edge.
     """
-    angle = rng.normal(0, how.turn, samples)
+    angle = rng.normal(0, alteration.turn, samples)
     cosine = np.cos(angle)
     sine = np.sin(angle)
     turned = np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
     slanted = np.tile(np.eye(2), (samples, 1, 1))
-    slanted[:, 1, 0] = rng.normal(0, how.shear, samples)  # columns move with the row
-    stretched = np.exp(rng.normal(0, how.scale, (samples, 2)))[:, :, None]
+    slanted[:, 1, 0] = rng.normal(0, alteration.shear, samples)  # columns move with the row
+    stretched = np.exp(rng.normal(0, alteration.scale, (samples, 2)))[:, :, None]
     matrix = stretched * (turned @ slanted)
     centre = (np.array(size) - 1) / 2
-    row, column = (place - centre).T
+    row, column = (places - centre).T
     to_rows, to_columns = matrix.transpose(1, 2, 0)
-    shift = centre[:, None] + rng.normal(0, how.shift, (samples, 2)).T
+    shift = centre[:, None] + rng.normal(0, alteration.shift, (samples, 2)).T
     moved_rows = to_rows[0][sample] * row + to_rows[1][sample] * column
     moved_columns = to_columns[0][sample] * row + to_columns[1][sample] * column
     moved = np.stack([moved_rows + shift[0][sample], moved_columns + shift[1][sample]], -1)

@@ -26,10 +26,10 @@ def chunk_events(events: Events) -> Events:
         :data:`CHUNK_NS`.
     """
     _, taxel, polarity = expand_bursts(events)
-    size, rest = divmod(len(taxel), CHUNKS)
-    chunk = np.repeat(np.arange(CHUNKS), size + (np.arange(CHUNKS) < rest))
+    size, remainder = divmod(len(taxel), CHUNKS)
+    chunk = np.repeat(np.arange(CHUNKS), size + (np.arange(CHUNKS) < remainder))
     n_taxels = 1 + int(taxel.max(initial=0))
     code = (chunk * n_taxels + taxel) * 2 + (polarity < 0)
-    place, falls = np.divmod(np.unique(code), 2)
-    chunk, taxel = np.divmod(place, n_taxels)
+    chunk_and_taxel, falls = np.divmod(np.unique(code), 2)
+    chunk, taxel = np.divmod(chunk_and_taxel, n_taxels)
     return Events(chunk * CHUNK_NS, taxel, 1 - 2 * falls, np.ones(len(taxel)))

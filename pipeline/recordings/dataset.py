@@ -13,9 +13,9 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.terminal import WARNING
 from pipeline.recordings.cache import make_empty_array
-from pipeline.recordings.events import Recordings
 from pipeline.recordings.images import AlteredImages, make_tactile_images
-from pipeline.recordings.splits import PUBLISHED, Split, find_split_problem, split_of
+from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.splits import PUBLISHED, Split, find_split_problem, make_split
 from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
 from pipeline.settings import SIMULATED, Image, Settings
 from pipeline.storage.artifacts import Origin
@@ -108,7 +108,7 @@ class Dataset:
         split = self.split
         data = self.settings.data
         source = recordings.source
-        places = recordings.taxels.positions
+        positions = recordings.taxels.positions
         hashes = recordings.hashes
         return {
             "source": source.name,
@@ -116,7 +116,7 @@ class Dataset:
             "simulated": source.simulated,
             "polarities": recordings.sensor.polarities,
             "classes": list(recordings.sensor.classes),
-            "positions": None if places is None else places.tolist(),
+            "positions": None if positions is None else positions.tolist(),
             "time_unit": source.time_unit or None,
             **({"bin_ms": source.bin_ms, "rise": source.rise} if source.bin_ms else {}),
             "downsample": 1 if data.source == SIMULATED else data.downsample,
@@ -150,21 +150,21 @@ class Dataset:
             return None
         inputs = make_empty_array((len(index), *self.inputs.shape[1:]), self.inputs.dtype)
         for start in range(0, len(index), RECORDINGS_AT_ONCE):
-            some = slice(start, start + RECORDINGS_AT_ONCE)
-            inputs[some] = self.inputs[index[some]]
+            batch = slice(start, start + RECORDINGS_AT_ONCE)
+            inputs[batch] = self.inputs[index[batch]]
         return inputs, self.labels[index]
 
-    def make_altered_images(self, how: str) -> AlteredImages | None:
+    def make_altered_images(self, augmentation: str) -> AlteredImages | None:
         """The images of ``subset("train")``, altered anew for each epoch; None for ``"none"``.
 
         Parameters
         ----------
-        how : str
+        augmentation : str
             ``"time"``, ``"space"`` or ``"none"``; see ``cnn.augment`` in the settings.
         """
-        if how == "none":
+        if augmentation == "none":
             return None
-        return AlteredImages(self.recordings, self.settings.image, how, self.split.train)
+        return AlteredImages(self.recordings, self.settings.image, augmentation, self.split.train)
 
 
 def make_dataset_origin(
@@ -232,7 +232,7 @@ def split_recordings(recordings: Recordings, settings: Settings) -> Split:
     """
     shares = settings.split
     try:
-        return split_of(
+        return make_split(
             recordings,
             settings.seed,
             shares.test_fraction,
@@ -271,12 +271,14 @@ class FramesOnDemand:
     def __getitem__(self, index) -> np.ndarray:
         """The frames of some samples, uint8, as of an array; one index gives one sample."""
         samples = np.arange(len(self))[index]
-        some = np.atleast_1d(samples)
-        frames = np.empty((len(some), *self.shape[1:]), np.uint8)
-        for batch in np.array_split(np.arange(len(some)), 1 + len(some) // MAX_RECORDINGS_AT_ONCE):
+        indices = np.atleast_1d(samples)
+        frames = np.empty((len(indices), *self.shape[1:]), np.uint8)
+        for batch in np.array_split(
+            np.arange(len(indices)), 1 + len(indices) // MAX_RECORDINGS_AT_ONCE
+        ):
             steps = self.shape[1]
             frames_by_step = self._table.make_frames(
-                some[batch], self._step_ms, steps, self._limits
+                indices[batch], self._step_ms, steps, self._limits
             )
             frames[batch] = np.moveaxis(frames_by_step, 0, 1)
         return frames if np.ndim(samples) else frames[0]

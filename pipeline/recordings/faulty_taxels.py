@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import Events, Recordings
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Recordings
 
 # Shortest and longest time between two spikes of a hot taxel in training.
 HOT_PERIOD_MS = (20.0, 200.0)
@@ -132,7 +133,7 @@ def _draw_hot(share, rng, durations_ms, size):
     number = rng.integers(1, MAX_HOT_TAXELS + 1, samples) * (rng.random(samples) < share)
     sample = np.repeat(np.arange(samples), number)
     n = len(sample)
-    place = rng.integers(0, size[0] * size[1], n)
+    cell = rng.integers(0, size[0] * size[1], n)
     period_ms = np.exp(rng.uniform(*np.log(HOT_PERIOD_MS), n))
     begin, end = np.sort(rng.random((2, n)), 0)
     whole = rng.random(n) < WHOLE_SHARE
@@ -146,8 +147,8 @@ def _draw_hot(share, rng, durations_ms, size):
     polarity = polarity[sends]
     return HotSources(
         sample[taxel],
-        place[taxel] // size[1],
-        place[taxel] % size[1],
+        cell[taxel] // size[1],
+        cell[taxel] % size[1],
         polarity,
         period_ms[taxel],
         begin[taxel] + rng.random(len(taxel)) * period_ms[taxel],

@@ -33,8 +33,8 @@ import numpy as np
 
 from pipeline.recordings.augmentation import AUGMENTATIONS, move_places
 from pipeline.recordings.cache import make_empty_array
-from pipeline.recordings.events import Recordings
 from pipeline.recordings.faulty_taxels import draw_faults
+from pipeline.recordings.recordings import Recordings
 from pipeline.settings import Image
 
 # Share of the taxels that are ignored by ``sqrt-clip``, and may be hot; two of 100 taxels.
@@ -88,7 +88,7 @@ def make_tactile_images(recordings: Recordings, image: Image | None = None) -> n
     Parameters
     ----------
     recordings : Recordings
-    image : pipeline.settings.schema.Image, optional
+    image : pipeline.settings.groups.Image, optional
         Default: the default settings.
     """
     return make_images_of(recordings, image or Image(), np.arange(len(recordings)))
@@ -100,18 +100,18 @@ def make_images_of(recordings: Recordings, image: Image, indices) -> np.ndarray:
     Parameters
     ----------
     recordings : Recordings
-    image : pipeline.settings.schema.Image
+    image : pipeline.settings.groups.Image
     indices : array_like of int
     """
     sensor = recordings.sensor
     shape = (len(indices), sensor.rows, sensor.columns, image.channels)
     images = make_empty_array(shape, np.float32)
     for span, counts in _count_batches(recordings, image, indices):
-        images[span] = _as_images(counts, image)
+        images[span] = _make_images(counts, image)
     return images
 
 
-def _as_images(counts, image):
+def _make_images(counts, image):
     """Images of the counts of :meth:`EventTable.count_in_slices`."""
     on = counts[..., 0]
     off = counts[..., 1]
@@ -133,11 +133,11 @@ def _count_batches(recordings, image, indices=None):
     table = recordings.table
     indices = np.arange(len(table)) if indices is None else np.asarray(indices)
     for span, events in table.select_in_batches(indices):
-        some = indices[span]
+        batch = indices[span]
         weights = None
         if image.aggregation == "columns":
-            weights = recordings.events.columns[table.find_events(some)[1]]
-        yield span, table.count(events, len(some), image.slices, image.duration_ms, weights)
+            weights = recordings.events.columns[table.find_events(batch)[1]]
+        yield span, table.count(events, len(batch), image.slices, image.duration_ms, weights)
 
 
 class TaxelCounts(NamedTuple):
@@ -216,14 +216,14 @@ class AlteredImages:
     Parameters
     ----------
     recordings : Recordings
-    image : pipeline.settings.schema.Image
-    how : str
+    image : pipeline.settings.groups.Image
+    augmentation : str
         A key of :data:`pipeline.recordings.augmentation.AUGMENTATIONS`.
     samples : ndarray of int, optional
         Indices of the training samples; default: all.
     """
 
-    def __init__(self, recordings: Recordings, image: Image, how: str, samples=None):
+    def __init__(self, recordings: Recordings, image: Image, augmentation: str, samples=None):
         table = recordings.table
         samples = np.arange(len(table)) if samples is None else samples
         shape = (image.slices, *table.size, 2)
@@ -232,34 +232,34 @@ class AlteredImages:
         self._size = table.size
         self._image = image
         self._durations_ms = table.duration_ms[samples]
-        self._how = AUGMENTATIONS[how]
+        self._how = AUGMENTATIONS[augmentation]
 
     def __call__(self, rng, indices) -> np.ndarray:
         """Altered images of some samples, shape (n, rows, columns, channels), float32."""
         indices = np.asarray(indices)
         batches = np.split(indices, range(ALTERED_AT_ONCE, len(indices), ALTERED_AT_ONCE))
-        return np.concatenate([self._alter_some(rng, batch) for batch in batches])
+        return np.concatenate([self._alter_batch(rng, batch) for batch in batches])
 
-    def _alter_some(self, rng, indices):
-        how = self._how
+    def _alter_batch(self, rng, indices):
+        augmentation = self._how
         n = len(indices)
         counts = self._counts.select(indices)
-        kept_share = 1 - rng.uniform(0, how.drop, n)
+        kept_share = 1 - rng.uniform(0, augmentation.drop, n)
         counts = counts._replace(value=rng.binomial(counts.value, kept_share[counts.sample]))
-        if how.is_spatial:
+        if augmentation.is_spatial:
             counts = self._move(rng, counts, n)
-        if how.hot or how.dead:
+        if augmentation.hot or augmentation.dead:
             counts = self._add_faults(rng, counts, self._durations_ms[indices])
         shape = n, self._image.slices, *self._size, 2
         cell = np.ravel_multi_index(counts[:-1], shape)
         dense = np.bincount(cell, counts.value, minlength=math.prod(shape))
-        return _as_images(dense.reshape(shape).astype(np.float32), self._image)
+        return _make_images(dense.reshape(shape).astype(np.float32), self._image)
 
     def _move(self, rng, counts, n):
-        place = np.stack([counts.row, counts.column], -1)
-        place = move_places(self._how, rng, n, counts.sample, place, self._size)
-        inside = ((place >= 0) & (place < self._size)).all(1)
-        return counts._replace(row=place[:, 0], column=place[:, 1]).select(inside)
+        places = np.stack([counts.row, counts.column], -1)
+        places = move_places(self._how, rng, n, counts.sample, places, self._size)
+        is_inside = ((places >= 0) & (places < self._size)).all(1)
+        return counts._replace(row=places[:, 0], column=places[:, 1]).select(is_inside)
 
     def _add_faults(self, rng, counts, durations_ms):
         faults = draw_faults(self._how.hot, self._how.dead, rng, durations_ms, self._size)

@@ -16,23 +16,13 @@ from deploy.errors import UserError
 from deploy.files import read_arrays, read_json, write_arrays, write_json
 from pipeline.progress import progress
 from pipeline.recordings.cache import find_cache_folder, map_column, write_column
-from pipeline.recordings.events import (
-    EVENT_DTYPES,
-    Events,
-    Recordings,
-    Sensor,
-    Source,
-    TaxelMap,
-)
-from pipeline.recordings.sensor import AS_FOUND, ReadingOptions
-from pipeline.recordings.source import (
-    Listing,
-    describe_reading,
-    hash_content,
-    hash_listing,
-    list_source,
-    read_source,
-)
+from pipeline.recordings.events import EVENT_DTYPES, Events
+from pipeline.recordings.files.listing import Listing, hash_content, hash_listing, list_source
+from pipeline.recordings.files.messages import describe_reading
+from pipeline.recordings.files.reading import read_source
+from pipeline.recordings.interpretation.options import AS_FOUND, ReadingOptions
+from pipeline.recordings.recordings import Recordings, Source
+from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.settings import Settings
 
 # Version of the cache; increase it with any change of the stored data or of the reading.
@@ -91,8 +81,8 @@ def import_recordings(
     path = find_cache_file("imported", source.name, hash_source(listing), *options)
     recordings = load(path)
     if recordings is None:
-        read = read_source(source, jobs, skip_bad, progress, reading)
-        recordings = store_and_load(path, read)
+        new_recordings = read_source(source, jobs, skip_bad, progress, reading)
+        recordings = store_and_load(path, new_recordings)
     if warn is not None:
         for line in describe_reading(source, recordings):
             warn(line)
@@ -154,9 +144,9 @@ def store(path, recordings: Recordings):
     )
 
 
-def store_and_load(path, made: Recordings) -> Recordings:
+def store_and_load(path, new_recordings: Recordings) -> Recordings:
     """Save recordings, and load them from the files, so that they do not take memory."""
-    store(path, made)
+    store(path, new_recordings)
     recordings = load(path)
     assert recordings is not None
     return recordings

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deploy.tables import list_names
-from pipeline.recordings.events import Recordings
+from pipeline.recordings.recordings import Recordings
 
 # How recordings are split: at random, as in the paper; as the source says; by writers, of whom none
 # has samples in both sets.
@@ -59,7 +59,7 @@ class Split:
             return self.train, self.validation
         return hold_out(self.train, seed)
 
-    def check_samples(self, n_samples: int, seed: int) -> np.ndarray:
+    def draw_check_samples(self, n_samples: int, seed: int) -> np.ndarray:
         """Draw the samples of the check; see :func:`draw_check_samples`.
 
         Those of a published split are the same for every seed, which changes the training only.
@@ -74,7 +74,7 @@ def resolve_split(requested: str, recordings: Recordings) -> str:
     return PUBLISHED if recordings.is_split else RANDOM
 
 
-def split_of(
+def make_split(
     recordings: Recordings,
     seed: int,
     test_fraction: float,
@@ -119,25 +119,25 @@ def _add_missing_classes(split, labels):
     """
     train, validation, test = (split.get_indices(part).tolist() for part in PARTS)
 
-    def take(pool, label):
+    def find_first(pool, label):
         return next((i for i in pool if labels[i] == label), None)
 
     for label in np.setdiff1d(labels, labels[train]):
-        source = validation if take(validation, label) is not None else test
-        moved = take(source, label)
+        source = validation if find_first(validation, label) is not None else test
+        moved = find_first(source, label)
         source.remove(moved)
         train.append(moved)
     missing = np.setdiff1d(labels, labels[test])
     for label in missing:
         is_spare = np.count_nonzero(labels[train] == label) > 1
         source = train if is_spare else validation
-        moved = take(source, label)
+        moved = find_first(source, label)
         if moved is None:
             continue  # the only recording is in the training set
         source.remove(moved)
         counts = np.bincount(labels[test])
         if counts.max(initial=0) > 1:
-            exchanged = take(test, int(counts.argmax()))
+            exchanged = find_first(test, int(counts.argmax()))
             test.remove(exchanged)
             source.append(exchanged)
         test.append(moved)
@@ -163,7 +163,7 @@ def find_split_problem(recordings: Recordings, requested: str = "auto") -> str |
     ----------
     recordings : Recordings
     requested : str
-        As in :func:`split_of`.
+        As in :func:`make_split`.
     """
     classes = recordings.sensor.classes
     labels = recordings.labels
@@ -287,7 +287,7 @@ def split_by_writers(writers: np.ndarray, seed: int, test_fraction: float = 0.2)
     Parameters
     ----------
     writers : ndarray of int, shape (n_samples,)
-        See :class:`pipeline.recordings.events.Recordings`.
+        See :class:`pipeline.recordings.recordings.Recordings`.
     seed : int
     test_fraction : float
         Share of all samples that is used for testing, as closely as possible with whole writers.
@@ -317,9 +317,9 @@ def split_by_writers(writers: np.ndarray, seed: int, test_fraction: float = 0.2)
         if (nearer or not chosen) and len(chosen) < len(names) - 1:
             chosen.append(names[index])
             size += sizes[index]
-    in_test = np.isin(writers, chosen)
-    test = rng.permutation(np.flatnonzero(in_test))
-    return Split(np.flatnonzero(~in_test), np.empty(0, np.int64), test, WRITERS)
+    is_in_test = np.isin(writers, chosen)
+    test = rng.permutation(np.flatnonzero(is_in_test))
+    return Split(np.flatnonzero(~is_in_test), np.empty(0, np.int64), test, WRITERS)
 
 
 def hold_out(train: np.ndarray, seed: int):

@@ -16,25 +16,20 @@ from pipeline.recordings.activity import (
     make_activity_json,
     measure_polarity_order,
 )
-from pipeline.recordings.events import (
-    N_TAXELS,
-    TICK_NS,
-    UNIT_NAMES,
-    Recordings,
-    Sensor,
-    describe_recordings,
-    is_written,
-    list_facts,
-)
+from pipeline.recordings.events import TICK_NS
 from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.recording import (
     MAX_DURATION_S,
+    UNIT_NAMES,
     UNITS,
     BadRecording,
     read_limited,
 )
-from pipeline.recordings.sensor import AS_FOUND, ReadingOptions, choose_rise, make_events
-from pipeline.recordings.times import infer_unit, to_ns
+from pipeline.recordings.interpretation.binned_counts import choose_rise, make_events
+from pipeline.recordings.interpretation.options import AS_FOUND, ReadingOptions
+from pipeline.recordings.interpretation.times import infer_unit, to_ns
+from pipeline.recordings.recordings import Recordings, describe_recordings, list_facts
+from pipeline.recordings.sensor import N_TAXELS, Sensor, is_st_mnist_sensor
 
 
 def list_facts_with_events(recordings: Recordings) -> dict:
@@ -49,14 +44,14 @@ def list_facts_with_events(recordings: Recordings) -> dict:
 def format_facts(facts: dict, recordings: Recordings) -> str:
     """:func:`list_facts_with_events` of recordings in a few lines."""
     sensor = recordings.sensor
-    what = "simulated recordings" if facts["simulated"] else "recordings"
+    recordings_name = "simulated recordings" if facts["simulated"] else "recordings"
     if facts["written"]:
-        what = "recordings, written by hand on the simulated sensor,"
+        recordings_name = "recordings, written by hand on the simulated sensor,"
     of_each = list_names(
         f"{escape_control(name)} {count}" for name, count in facts["samples_per_class"].items()
     )
     source = escape_control(facts["source"])
-    text = f"{facts['samples']} {what} in {source}; of each class: {of_each}\n"
+    text = f"{facts['samples']} {recordings_name} in {source}; of each class: {of_each}\n"
     text += _format_count(facts)
     if sensor != Sensor():
         text += f"\n{describe_recordings(recordings)}"
@@ -91,9 +86,8 @@ def list_facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
             f"{path}: {error}; expected a recording as ST-MNIST has them, or a file of events "
             "x, y, t, p"
         ) from error
-    about = {"simulated": recording.simulated}
     if recording.layout == "events":
-        events, facts = _read_places(path, recording, options)
+        events, facts = _read_coordinates(path, recording, options)
     elif recording.layout == "bins":
         events, facts = _read_bins(path, recording, options)
     else:
@@ -104,7 +98,7 @@ def list_facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
     columns = int(events.columns.sum(dtype=np.int64))
     last_ns = events.time_ns[-1] + TICK_NS * (int(events.columns[-1]) - 1)
     return {
-        **about,
+        "simulated": recording.simulated,
         "columns": columns,
         "events": len(recording),
         **facts,
@@ -116,15 +110,15 @@ def list_facts_of_file(path: Path, options: ReadingOptions = AS_FOUND) -> dict:
     }
 
 
-def _read_places(path, recording, options):
-    """The events of a file with places, and facts about its sensor and times."""
+def _read_coordinates(path, recording, options):
+    """The events of a file with coordinates, and facts about its sensor and times."""
     unit = options.time_unit or recording.unit or infer_unit([recording.time])
     if not unit:
         raise UserError(f"{path}: no unit fits its times; give --set data.time_unit=...")
     is_clock = recording.time[-1] * UNITS[unit] > MAX_DURATION_S
     rows, columns = recording.size or (recording.y.max() + 1, recording.x.max() + 1)
     facts = {"sensor": {"rows": int(rows), "columns": int(columns)}, "time_unit": unit}
-    # Only their number matters here: the places of a camera may exceed what events can have.
+    # Only their number matters here: the coordinates of a camera may exceed what events can have.
     numbered = replace(recording, x=np.zeros_like(recording.x), y=np.zeros_like(recording.y))
     return numbered.to_events(1, to_ns(recording.time, unit, is_clock)), facts
 
@@ -192,13 +186,13 @@ def measure_samples(recordings) -> dict:
         "off_physical": np.bincount(sample, ~is_on, n),
     }
     total = np.where(total, total, np.nan)
-    for axis, where in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
-        place = where[events.taxel] + 1.0
+    for axis, row_or_column in (("x", recordings.taxels.row), ("y", recordings.taxels.column)):
+        number = row_or_column[events.taxel] + 1.0
         low = np.full(n, np.inf)
         high = np.full(n, -np.inf)
-        np.minimum.at(low, sample, place)
-        np.maximum.at(high, sample, place)
-        measures[axis + "_mean"] = np.bincount(sample, columns * place, n) / total
+        np.minimum.at(low, sample, number)
+        np.maximum.at(high, sample, number)
+        measures[axis + "_mean"] = np.bincount(sample, columns * number, n) / total
         measures[axis + "_range"] = np.where(np.isnan(total), np.nan, high - low)
     return measures
 
@@ -302,7 +296,7 @@ def format_table1(recordings) -> str:
     if recordings.source.simulated and "simulated" not in name:
         name += " (simulated)"
     sensor = recordings.sensor
-    written = is_written(sensor.rows, sensor.columns, sensor.classes)
+    written = is_st_mnist_sensor(sensor.rows, sensor.columns, sensor.classes)
     rows = [["", *shorten_apart([sensor.classes[digit] for digit in ours], MAX_HEAD_CHARACTERS)]]
     is_paper = written and bool((recordings.events.columns > 1).any())
     for measure, label in (LABELS if is_paper else OWN_LABELS).items():
@@ -327,12 +321,12 @@ def _count_from_0(measure, value):
 
 def _make_plain(row):
     return {
-        JSON_NAMES.get(name, name): _without_nan(_count_from_0(name, value))
+        JSON_NAMES.get(name, name): _replace_nan(_count_from_0(name, value))
         for name, value in row.items()
     }
 
 
-def _without_nan(value):
+def _replace_nan(value):
     """A mean and its deviation for JSON, which has no NaN; other values as they are."""
     if not isinstance(value, tuple):
         return value

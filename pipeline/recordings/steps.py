@@ -6,14 +6,19 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deploy.network.stimulus import EventFrames, apply_refractory_period, limit_spikes
 from pipeline.recordings.cache import make_empty_array, release_pages
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import EVENT_DTYPES, Events, Recordings, TaxelMap
+from pipeline.recordings.events import EVENT_DTYPES, Events
+from pipeline.recordings.sensor import TaxelMap
 from pipeline.settings import Input
+
+if TYPE_CHECKING:
+    from pipeline.recordings.recordings import Recordings
 
 # Recordings whose events are in memory at a time.
 RECORDINGS_AT_ONCE = 2000
@@ -36,11 +41,11 @@ class SpikeLimits:
     max_spikes: int = 0
 
     @classmethod
-    def of(cls, shown: Input | EventFrames) -> SpikeLimits:
+    def of(cls, stimulus: Input | EventFrames) -> SpikeLimits:
         """The limits of settings or of a bundle's stimulus."""
-        if isinstance(shown, EventFrames):
-            return cls(shown.refractory, shown.max_spikes)
-        return cls(shown.refractory_steps, shown.max_spikes)
+        if isinstance(stimulus, EventFrames):
+            return cls(stimulus.refractory, stimulus.max_spikes)
+        return cls(stimulus.refractory_steps, stimulus.max_spikes)
 
 
 NO_LIMITS = SpikeLimits()
@@ -163,8 +168,8 @@ class EventTable:
         slice_of_time = (events.time_ms * np.float32(slices / duration_ms)).astype(int)
         slice_of_time = np.minimum(slice_of_time, slices - 1)
         shape = (samples, slices, *self.size, 2)
-        place = (events.sample, slice_of_time, events.row, events.column, events.polarity)
-        cell = np.ravel_multi_index(place, shape)
+        indices = (events.sample, slice_of_time, events.row, events.column, events.polarity)
+        cell = np.ravel_multi_index(indices, shape)
         counts = np.bincount(cell, weights, minlength=math.prod(shape))
         return counts.astype(np.float32).reshape(shape)
 
@@ -217,10 +222,10 @@ class EventTable:
     def _count_spikes(self, events, step_ms, refractory):
         if not len(events.time_ms):
             return 0
-        place = (events.sample * self.size[0] + events.row) * self.size[1] + events.column
+        cell = (events.sample * self.size[0] + events.row) * self.size[1] + events.column
         step = (events.time_ms / step_ms).astype(np.int64)
         # One time axis for all: each taxel and polarity follows the previous one after a gap.
-        time = np.sort((2 * place + events.polarity) * (step.max() + refractory + 1) + step)
+        time = np.sort((2 * cell + events.polarity) * (step.max() + refractory + 1) + step)
         following = np.searchsorted(time, time + refractory + 1).tolist()
         spikes = event = 0
         while event < len(following):

@@ -10,8 +10,8 @@ from deploy.check.bundle import Bundle
 from deploy.errors import UserError
 from deploy.files import write_json
 from pipeline.recordings.dataset import make_inputs_for
-from pipeline.recordings.events import Recordings
 from pipeline.recordings.faulty_taxels import CHECK_PERIOD_MS, FaultCounts, add_faults
+from pipeline.recordings.recordings import Recordings
 from pipeline.settings import Image, read_settings
 from pipeline.sources import load_named_recordings
 from pipeline.storage.run_folder import run_around
@@ -47,7 +47,7 @@ def read_check_recordings(bundle: Bundle, jobs: int = 1, warn=None) -> tuple:
     -------
     recordings : Recordings
         In the order of the samples.
-    image : pipeline.settings.schema.Image
+    image : pipeline.settings.groups.Image
         Conversion of events to images in the run's settings.
 
     Raises
@@ -85,7 +85,7 @@ def add_faults_to_check(
         The recordings of the samples, in their order.
     counts : FaultCounts
         The places are drawn with the seed of the check's samples.
-    image : pipeline.settings.schema.Image, optional
+    image : pipeline.settings.groups.Image, optional
         Conversion of events to images, for a bundle that does not have it.
 
     Raises

@@ -26,7 +26,7 @@ from deploy.targets.registry import TARGETS, rank_targets_by_spikes
 from deploy.terminal import escape_control, format_command
 from pipeline.kinds.registry import find_kind, list_references
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.events import is_written
+from pipeline.recordings.sensor import is_st_mnist_sensor
 from pipeline.results.status import describe_remedy, find_outdated, list_states
 from pipeline.settings import IMPORTED, SIMULATED, Settings, read_settings
 from pipeline.storage.artifacts import DELETE_IT
@@ -160,14 +160,14 @@ def compare_runs(runs) -> dict:
             for run in runs
         ],
         "settings": _find_different_settings(runs),
-        "stages": [_stage(stage, runs) for stage in shared],
+        "stages": [_compare_stage(stage, runs) for stage in shared],
     }
 
 
 def _find_different_settings(runs):
     """Settings that at least two runs read and that differ; None for runs that do not read them."""
-    read = [list_network_settings(run.spec) for run in runs]
-    names = dict.fromkeys(name for settings in read for name in settings)
+    by_run = [list_network_settings(run.spec) for run in runs]
+    names = dict.fromkeys(name for settings in by_run for name in settings)
     different = []
     contents = {run.spec.provenance.get("source_sha256") for run in runs}
     sources = [run.settings.data.source for run in runs]
@@ -179,7 +179,7 @@ def _find_different_settings(runs):
         files = ["training" if network is None else network.file for network in imported]
         different.append({"name": "network from", "values": files})
     for name in (name for name in names if name not in IMPORTED.values()):
-        values = [settings.get(name) for settings in read]
+        values = [settings.get(name) for settings in by_run]
         if len({repr(value) for value in values if value is not None}) > 1:
             different.append({"name": name, "values": values})
     return different
@@ -204,7 +204,7 @@ def compute_inference(run: Run) -> dict:
     counted = result.get("synaptic_operations", {})
     operations = sum(counted.values()) / result["n_samples"] if stage else None
     rows, columns, _ = spec.input_shape
-    of_digits = is_written(rows, columns, read_classes(spec))
+    of_digits = is_st_mnist_sensor(rows, columns, read_classes(spec))
     per_mac = operations / CNN_MACS if operations is not None and of_digits else None
     return {
         "input": run.settings.input.kind,
@@ -236,7 +236,7 @@ def _describe_early_decisions(result):
     }
 
 
-def _stage(stage, runs):
+def _compare_stage(stage, runs):
     first, *others = runs
     return {
         "stage": stage,
@@ -351,7 +351,7 @@ def _format_accuracies(compared, letters):
     rows = [["stage", "", "accuracy", "95 % interval", f"vs {letters[0]}", "won", "lost", "p"]]
     differences = []
     for stage in compared["stages"]:
-        rows += _stage_rows(stage, letters)
+        rows += _make_stage_rows(stage, letters)
         differences += [value for value in stage["differences"] if value is not None]
     lines = [
         f"accuracy on {_describe_samples(compared, letters)}",
@@ -365,7 +365,7 @@ def _format_accuracies(compared, letters):
     return lines
 
 
-def _stage_rows(stage, letters):
+def _make_stage_rows(stage, letters):
     """A row for each run with a result of the stage, the first with the stage's name."""
     name = stage["stage"]
     rows = []

@@ -82,7 +82,7 @@ def read_board_results(run: RunFolder, bundle_id: str) -> list:
 
 def compare_layers(opened: OpenedRun, bundle: Bundle) -> list | None:
     """Compare firing rates with activations; see :meth:`NetworkKind.compare_layers`."""
-    inputs = opened.step_inputs(bundle.spec.provenance["made_from"]["settings"])
+    inputs = opened.make_step_inputs(bundle.spec.provenance["made_from"]["settings"])
     with progress("compare layers", len(bundle.checks)) as advance:
         return opened.kind.compare_layers(inputs, bundle, advance)
 
@@ -297,10 +297,10 @@ def format_ladder(ladder: dict) -> str:
 
 
 def _format_table(ladder):
-    what = "simulated samples" if ladder["simulated"] else "samples"
+    samples = "simulated samples" if ladder["simulated"] else "samples"
     headings = ["stage", "accuracy", "95 % interval", "change", "disagree", "McNemar p", ""]
     return [
-        f"Loss ladder, {ladder['n_samples']} {what}, the same for each stage",
+        f"Loss ladder, {ladder['n_samples']} {samples}, the same for each stage",
         *align_rows([headings, *map(_make_cells, ladder["rows"])]),
     ]
 

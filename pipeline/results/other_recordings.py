@@ -20,11 +20,11 @@ from pipeline.recordings.dataset import (
     make_inputs_for,
     require_sensor_fits,
 )
-from pipeline.recordings.events import UNIT_NAMES, Recordings
-from pipeline.recordings.formats.recording import UNITS
-from pipeline.recordings.sensor import ReadingOptions
+from pipeline.recordings.formats.recording import UNIT_NAMES, UNITS
+from pipeline.recordings.interpretation.options import ReadingOptions
+from pipeline.recordings.interpretation.times import MIN_DURATION_S
+from pipeline.recordings.recordings import Recordings
 from pipeline.recordings.splits import draw_check_samples
-from pipeline.recordings.times import MIN_DURATION_S
 from pipeline.results.check_on_others import OtherRecordings
 from pipeline.results.ladder import count_confusions
 from pipeline.settings import Image, Settings, read_settings
@@ -96,14 +96,14 @@ def read_recordings_for(
     data = settings.data
     recorded = bundle.spec.provenance
     # Files without a unit have that of the training, also if a person writes much faster.
-    usual = recorded.get("time_unit")
+    usual_unit = recorded.get("time_unit")
     downsample = recorded.get("downsample", data.downsample)  # of a bundle without its run too
     reading = ReadingOptions(
         rows,
         columns,
         time_unit=data.time_unit,
         downsample=downsample,
-        usual_unit=usual if usual in UNITS else "",
+        usual_unit=usual_unit if usual_unit in UNITS else "",
         bin_ms=recorded.get("bin_ms", data.bin),
         rise=recorded.get("rise", data.rise),
         labelled=labelled,
@@ -112,7 +112,7 @@ def read_recordings_for(
         source, skip_bad=data.skip_bad, jobs=jobs, warn=warn, reading=reading
     )
     sensor = recordings.sensor
-    known = read_classes(bundle.spec)
+    classes = read_classes(bundle.spec)
     taxels = recordings.taxels
     # The size that was requested may be larger than a look-up table's, of a smaller sensor.
     actual = replace(
@@ -122,15 +122,15 @@ def read_recordings_for(
     )
     require_sensor_fits(bundle.spec, replace(recordings, sensor=actual))
     present = [sensor.classes[label] for label in np.unique(recordings.labels)]
-    unknown = [name for name in present if name not in known]
+    unknown = [name for name in present if name not in classes]
     if unknown and labelled:
         raise UserError(
             f"{source}: has classes that the network of {bundle.path} does not have: "
-            f"{list_names(unknown)}; its classes are {list_names(known)}"
+            f"{list_names(unknown)}; its classes are {list_names(classes)}"
         )
-    number = {name: index for index, name in enumerate(known)}
+    number = {name: index for index, name in enumerate(classes)}
     labels = np.array([number.get(name, -1) for name in sensor.classes])[recordings.labels]
-    return replace(recordings, labels=labels, sensor=replace(sensor, classes=known))
+    return replace(recordings, labels=labels, sensor=replace(sensor, classes=classes))
 
 
 @dataclass(frozen=True)
@@ -226,10 +226,10 @@ def _describe_limits(spec, recordings):
     taxels = recordings.taxels
     units = [recordings.source.time_unit, spec.provenance.get("time_unit")]
     if all(units) and units[0] != units[1]:
-        read, usual = (UNIT_NAMES[unit] for unit in units)
+        read_unit, usual_unit = (UNIT_NAMES[unit] for unit in units)
         yield (
-            f"times are read as {read}, those of the training as {usual}; give the unit with "
-            "--time-unit"
+            f"times are read as {read_unit}, those of the training as {usual_unit}; give the unit "
+            "with --time-unit"
         )
     elif units[0] and (typical_s := _measure_typical_duration_s(recordings)) < MIN_DURATION_S:
         yield (

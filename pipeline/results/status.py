@@ -20,7 +20,7 @@ from pipeline.settings import INPUTS, Settings, read_settings
 from pipeline.sources import find_identity
 from pipeline.storage.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
 from pipeline.storage.run_folder import RunFolder, require_run, run_around
-from pipeline.workflow import check_artifact, find_bundle_artifact, find_dataset_artifact
+from pipeline.workflow import find_bundle_artifact, find_dataset_artifact, make_check_artifact
 
 # Width of the text in columns.
 WIDTH = 80
@@ -189,9 +189,9 @@ def format_status(run: RunFolder, statuses) -> str:
 
 def _describe_training(run, status):
     """The text of the status about a training that has not ended."""
-    done = format_count(status.epochs, "epoch")
+    n_epochs = format_count(status.epochs, "epoch")
     text = (
-        f"{status.state.name}: a training has finished {done}; unless it is still running, "
+        f"{status.state.name}: a training has finished {n_epochs}; unless it is still running, "
         f"{format_command('train', run.path)} continues it"
     )
     return textwrap.wrap(text, WIDTH, break_on_hyphens=False, break_long_words=False)
@@ -249,7 +249,7 @@ def _list_states_of_steps(run, kind, dataset):
 def _is_of_other_samples(state):
     """True if a network on frames of events is where one on images would be, or conversely."""
     for change in state.because:
-        if change.what == "input.kind":
+        if change.name == "input.kind":
             before, now = (INPUTS.get(json.loads(text)) for text in (change.before, change.now))
             return before != now
     return False
@@ -283,7 +283,7 @@ def _list_states_of_results(run, kind, dataset, bundle):
     statuses = []
     results = {}
     for stage in dict.fromkeys([*expected, *TARGETS]):
-        artifact = check_artifact(run, stage, kind, dataset, bundle_id)
+        artifact = make_check_artifact(run, stage, kind, dataset, bundle_id)
         if not artifact.record.exists():
             # Not every run needs every target: a result that was never
             # requested is not reported as missing.

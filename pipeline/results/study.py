@@ -93,8 +93,8 @@ class Case:
 
     def compute_key(self, recordings: str) -> str:
         """SHA-256 of all that the row depends on, given the hash of the recordings."""
-        what = [SCHEMA, __version__, recordings, self.stage, self.part, self.alter]
-        text = json.dumps([*what, self.resolved.flatten()], sort_keys=True)
+        parts = [SCHEMA, __version__, recordings, self.stage, self.part, self.alter]
+        text = json.dumps([*parts, self.resolved.flatten()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -272,7 +272,7 @@ def evaluate(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> d
 def _predict_before_chip(case, opened, index) -> np.ndarray:
     """Predictions of a reference stage, shape (n_samples,)."""
     reference = opened.kind.references[case.stage]
-    inputs = opened.step_inputs(case.resolved.flatten())
+    inputs = opened.make_step_inputs(case.resolved.flatten())
     dataset = opened.dataset
     ids = tuple(dataset.recordings.ids[i] for i in index)
     samples = CheckSet(dataset.inputs[index], dataset.labels[index], ids, case.seed)

@@ -102,7 +102,7 @@ class Point:
         The changed settings by their dotted names.
     cases : dict of str to Case
         The case of each stage.
-    read : frozenset of str
+    network_settings : frozenset of str
         Settings that the network of this point depends on.
     notes : tuple of str
         What was chosen for the recordings, and what the user should know of them.
@@ -110,7 +110,7 @@ class Point:
 
     changes: dict
     cases: dict
-    read: frozenset
+    network_settings: frozenset
     notes: tuple
 
 
@@ -147,10 +147,10 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     base = choose_settings(divided, recordings)
     combinations = make_points(divided, grid or find_kind(base).grid)
     points = [
-        _prepare_point(number, changes, asked, recordings)
-        for number, (changes, asked) in enumerate(combinations)
+        _prepare_point(number, changes, point_settings, recordings)
+        for number, (changes, point_settings) in enumerate(combinations)
     ]
-    unused = set(points[0].changes).difference(*(point.read for point in points))
+    unused = set(points[0].changes).difference(*(point.network_settings for point in points))
     if unused:
         raise UserError(f"--grid: {min(unused)} has no effect on these networks; leave it out")
     for line in _join_notes(points):
@@ -165,26 +165,26 @@ def measure_sweep(folder: RunFolder, settings: Settings, grid, workers: Workers,
     return summary, f"{n_failed} of {len(points)} points failed" if n_failed else ""
 
 
-def _prepare_point(number, changes, asked, recordings) -> Point:
+def _prepare_point(number, changes, settings, recordings) -> Point:
     """Choose the settings of a point, and list its cases."""
     notes: list = []
-    dataset = prepare_dataset(asked, recordings, say=notes.append)
-    settings = dataset.settings
-    network = find_kind(settings)
+    dataset = prepare_dataset(settings, recordings, say=notes.append)
+    resolved = dataset.settings
+    network = find_kind(resolved)
     stages = (network.deployed_stage, TARGET)
     cases = {
         stage: Case(
             name=f"point-{number}-{stage}",
-            settings=settings,
+            settings=resolved,
             stage=stage,
-            seed=settings.seed,
+            seed=resolved.seed,
             split=dataset.split.kind,
             part="validation",
         )
         for stage in stages
     }
-    read = frozenset(network.make_bundle_origin(dataset.origin).settings)
-    return Point(changes, cases, read, (*notes, *network.list_notes(recordings)))
+    network_settings = frozenset(network.make_bundle_origin(dataset.origin).settings)
+    return Point(changes, cases, network_settings, (*notes, *network.list_notes(recordings)))
 
 
 def _join_notes(points):
@@ -283,7 +283,7 @@ def format_sweep(sweep: dict) -> str:
         lines.append(f"failed: {changed}: {point['error']}")
     if not points:
         return "\n".join(lines)
-    what = "simulated validation samples" if points[0]["simulated"] else "validation samples"
+    samples = "simulated validation samples" if points[0]["simulated"] else "validation samples"
     heads = ["accuracy", "95 % interval", "operations", "cores", "presented", "trained"]
     rows = [["", "#", *heads, *sweep["names"]]]
     for number, point in enumerate(points, 1):
@@ -304,7 +304,7 @@ def format_sweep(sweep: dict) -> str:
         )
     return "\n".join(
         [
-            f"{len(points)} points, each on the same {points[0]['n_samples']} {what}",
+            f"{len(points)} points, each on the same {points[0]['n_samples']} {samples}",
             *align_in_blocks(rows, left=2),
             "* on the Pareto front: no other point is at least as good in accuracy,",
             "operations, cores and steps and better in one of them",

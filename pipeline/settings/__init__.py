@@ -1,17 +1,14 @@
 """The settings of an experiment: their schema, their file, and their text on the command line."""
 
+from pipeline.settings.base import SettingsGroup, UndeclaredSetting
 from pipeline.settings.choices import Choice, Provenance, apply_choices, list_reasons
-from pipeline.settings.schema import (
+from pipeline.settings.groups import (
     AGGREGATIONS,
     AUGMENTATIONS,
-    AUTOMATIC_AT_0,
     CNN,
-    IMPORTED,
     INPUTS,
-    KEPT_IF_USERS,
     NIR,
     NORMALISATIONS,
-    PATHS,
     SIMULATED,
     SNN,
     SNN_RECIPES,
@@ -22,16 +19,12 @@ from pipeline.settings.schema import (
     Image,
     Input,
     PresentationSettings,
-    Settings,
-    SettingsGroup,
     SkinSize,
     SplitShares,
-    UndeclaredSetting,
-    find_value,
-    list_names_in,
-    merge_values,
-    set_nested,
 )
+from pipeline.settings.nested import find_value, merge_values, set_nested
+from pipeline.settings.relations import IMPORTED
+from pipeline.settings.schema import AUTOMATIC_AT_0, KEPT_IF_USERS, PATHS, Settings, list_names_in
 from pipeline.settings.text import describe, format_settings, parse_assignments
 from pipeline.settings.toml import read_own_settings, read_settings, write_settings
 

@@ -1,52 +1,44 @@
-"""Every setting of an experiment: its default, its limits, and above it its meaning.
+"""All settings of an experiment, with the provenance of each value.
 
-A run stores its settings in ``experiment.toml``; ``stmnist settings`` prints their meanings.
+A run stores its settings in ``experiment.toml``.
 """
 
 from __future__ import annotations
 
 import copy
 import difflib
-import enum
 import functools
-import math
 import os
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Annotated, Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.loading import Limit, WrongValue, between, key_of, load, one_of
+from deploy.loading import WrongValue, load
 from deploy.network.presentation import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
-from models.architecture import NotationError, parse
 from pipeline import paper
+from pipeline.settings.base import SettingsGroup, UndeclaredSetting, list_entries, restrict
 from pipeline.settings.choices import Provenance
-
-AGGREGATIONS = ("count", "columns", "signed", "on", "off", "polarities")
-AUGMENTATIONS = ("auto", "time", "slight", "space", "none")
-SNN_RECIPES = ("loihi", "paper", "as-is")
-# The name of the built-in recordings.
-SIMULATED = "simulated"
-# Values of ``input.kind``, each with the sort of samples that networks get: images, or frames of
-# events.  :func:`pipeline.kinds.registry.register_kind` adds those of another kind of network.
-INPUTS = {"image": "images", "slices": "images", "events": "frames"}
-NORMALISATIONS = ("max", "sum", "sqrt-max", "sqrt-clip", "none")
-
-
-class UndeclaredSetting(Exception):
-    """Code read a setting that the artifact it is making does not declare.
-
-    This is a programming error: the setting belongs in the ``reads`` of that artifact's origin, see
-    :mod:`pipeline.storage.artifacts`.
-    """
-
-
-class _Access(enum.Enum):
-    """Stands for a setting that may not be read; the same object after pickling."""
-
-    DENIED = 0
-
+from pipeline.settings.groups import (
+    CNN,
+    INPUTS,
+    NIR,
+    SEED,
+    SIMULATED,
+    SNN,
+    Check,
+    Data,
+    Deployment,
+    EventTraining,
+    Image,
+    Input,
+    PresentationSettings,
+    SkinSize,
+    SplitShares,
+)
+from pipeline.settings.nested import find_value, merge_values, set_nested
+from pipeline.settings.relations import IMPORTED, check_relations
 
 # Settings with the path of a file. The origin of an artifact has a hash of the file's content
 # instead of the path, so that every artifact may read these settings.
@@ -62,8 +54,6 @@ CHOSEN_AT_DEFAULT = {"presentation.steps", "events.parts", "events.part", "event
 # Settings that a trained network may change unless they are the user's: what is made from them
 # depends on whose they are.
 KEPT_IF_USERS = ("presentation.gap",)
-# Files of imported networks, and the settings with their hashes.
-IMPORTED = {"cnn.model": "cnn.model_sha256", "nir.file": "nir.sha256"}
 
 
 class _DeclaredProvenance(dict):
@@ -73,350 +63,6 @@ class _DeclaredProvenance(dict):
         if name not in self:
             raise UndeclaredSetting(f"the provenance of {name} is read, which is not declared")
         return self[name]
-
-
-class SettingsGroup:
-    """Base of the settings and their groups; see :meth:`Settings.select`."""
-
-    def __getattribute__(self, name):
-        value = object.__getattribute__(self, name)
-        if value is _Access.DENIED:
-            raise UndeclaredSetting(
-                f"{type(self).__name__}.{name} is read, but the artifact that is being made does "
-                "not declare it; add it to the reads of the artifact's origin"
-            )
-        return value
-
-
-SEED = between(0, 2**31 - 1)
-EPOCHS_OR_AUTOMATIC = between(0, limits.EPOCHS)
-BATCH = between(1, limits.BATCH)
-BATCH_OR_AUTOMATIC = between(0, limits.BATCH)
-STEPS_OR_NONE = between(0, limits.STEPS)
-MAX_DOWNSAMPLING = 64
-MAX_SECTIONS = 64
-SAMPLES = between(1, limits.SAMPLES)
-SAMPLES_OR_ALL = between(0, limits.SAMPLES)
-TAU = between(1e-6, limits.SECONDS, " seconds")
-TAU_OR_NONE = between(0, limits.SECONDS, " seconds")
-REFRACTORY = between(1e-9, limits.REFRACTORY_S, " seconds")
-AT_LEAST_0 = between(0, 1000)
-ABOVE_0 = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
-INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
-FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
-RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
-STEP = between(1e-3, 1000, " milliseconds")
-STEP_OR_NONE = Limit(
-    lambda value: value == 0 or 1e-3 <= value <= 1e6, "0, or from 0.001 to 1000000 milliseconds"
-)
-MAX_TAU_MS = 1e6
-SIDE = between(0, 256)
-
-
-@dataclass(frozen=True)
-class Data(SettingsGroup):
-    """The recordings."""
-
-    #: ``simulated``, or the path of a zip or folder of recordings, such as ST-MNIST's.
-    source: str = "simulated"
-    #: Seed of simulated recordings; the experiment's own seed does not change them.
-    simulation_seed: Annotated[int, SEED] = 0
-    #: Simulated recordings of each digit; 0 for the published numbers, 6,953 in all.
-    samples_per_digit: Annotated[int, SAMPLES_OR_ALL] = 0
-    #: Simulated people.  ST-MNIST has 23; with more of them a network learns less of single ones.
-    writers: Annotated[int, between(1, limits.SAMPLES)] = 1000
-    #: Share of the simulated recordings that keep the order of events and not their time, as the
-    #: published arrays of ST-MNIST do: events in one hundred chunks.
-    chunked: Annotated[float, between(0, 1)] = 0.0
-    #: Leave out files that cannot be read instead of stopping.
-    skip_bad: bool = False
-    #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the
-    #: duration of the recordings.
-    time_unit: Annotated[str, one_of("", "s", "ms", "us", "ns")] = ""
-    #: Arrays of counts (.npy of three dimensions): width of a bin in milliseconds.
-    bin: Annotated[float, between(0.001, 60_000, " milliseconds")] = 20.0
-    #: Arrays of counts: channel of rising pressure, 0 or 1; -1: 1 on ST-MNIST's grid of a hundred
-    #: taxels, otherwise 0.
-    rise: Annotated[int, between(-1, 1)] = -1
-    #: Files of events: side of the square of pixels that becomes one taxel; 1 for all pixels.
-    downsample: Annotated[int, between(1, MAX_DOWNSAMPLING)] = 1
-
-
-@dataclass(frozen=True)
-class Input(SettingsGroup):
-    """The input of the network on the chip."""
-
-    #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``slices``:
-    #: the same with an image for each of several slices of time and each polarity, all at once,
-    #: which tells the order of events; ``events``: the sensor's events.
-    kind: Annotated[str, key_of(INPUTS)] = "image"
-    #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
-    step: Annotated[float, STEP] = 10.0
-    #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
-    #: whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only.
-    refractory: Annotated[float, AT_LEAST_0] = 10.0
-    #: Maximum number of spikes of a taxel and polarity in a sample; later events of it are ignored,
-    #: so that a taxel that fires all the time has little weight.  0: no limit.  For ``events``
-    #: only.
-    max_spikes: Annotated[int, STEPS_OR_NONE] = 0
-
-    @property
-    def refractory_steps(self) -> int:
-        """The refractory period in steps."""
-        return int(self.refractory / self.step + 1e-9)
-
-
-@dataclass(frozen=True)
-class SkinSize(SettingsGroup):
-    """The array of taxels."""
-
-    #: Rows of taxels; 0: ten for the simulated sensor, and for recordings the number in their
-    #: look-up table or their largest coordinate.
-    rows: Annotated[int, SIDE] = 0
-    #: Columns of taxels; 0 has the same meaning as for the rows.
-    columns: Annotated[int, SIDE] = 0
-
-
-@dataclass(frozen=True)
-class Image(SettingsGroup):
-    """Conversion of events to a tactile image; see :mod:`pipeline.recordings.images`."""
-
-    #: Quantity for each taxel: ``count``, physical events; ``columns``, columns of the file, as in
-    #: the paper's Table 1; ``signed``, ON minus OFF events; ``on`` or ``off``, one polarity only;
-    #: ``polarities``, ON and OFF events as two channels.
-    aggregation: Annotated[str, one_of(*AGGREGATIONS)] = "count"
-    #: Number of equal slices of time whose events are counted separately, each as channels of the
-    #: image.
-    slices: Annotated[int, between(1, 64)] = 1
-    #: Time from the first event that is divided into slices, in milliseconds; later events are
-    #: counted in the last slice.  0 for two seconds.
-    duration: Annotated[float, between(0, 1e7, " milliseconds")] = 0.0
-    #: Divisor of an image: ``max``, its largest magnitude; ``sum``, the sum of magnitudes;
-    #: ``sqrt-max``, as ``max`` after the square root of each magnitude; ``sqrt-clip``, as
-    #: ``sqrt-max`` without regard to the 2 % of the taxels with the largest magnitudes, which are
-    #: clipped at 1; ``none``, undivided counts, which need a low ``deployment.input_rate``.
-    #: ``sqrt-clip`` is chosen for networks that are trained here.
-    normalisation: Annotated[str, one_of(*NORMALISATIONS)] = "max"
-
-    @property
-    def channels(self) -> int:
-        """Channels of an image."""
-        return self.slices * (2 if self.aggregation == "polarities" else 1)
-
-    @property
-    def duration_ms(self) -> float:
-        """Time that is divided into slices, also if ``duration`` is 0."""
-        return self.duration or 1000 * paper.DURATION_S
-
-
-@dataclass(frozen=True)
-class SplitShares(SettingsGroup):
-    """The test and validation samples."""
-
-    #: ``published``, the split of a source with the folders ``train`` and ``test``; ``random``,
-    #: over all samples, as in the paper; ``writers``, people with test samples have no training
-    #: samples; ``auto``, the published one if there is one, otherwise random.
-    kind: Annotated[str, one_of("auto", "random", "published", "writers")] = "auto"
-
-    #: Share of all samples that is used for testing (paper: 80-20 splits); not of a published
-    #: split, which has its own.
-    test_fraction: Annotated[float, INSIDE_0_1] = paper.TEST_FRACTION
-    #: Share of the training samples that is held out for choosing settings.
-    validation_fraction: Annotated[float, FROM_0_BELOW_1] = 0.0
-
-
-@dataclass(frozen=True)
-class CNN(SettingsGroup):
-    """The convolutional network and its training (paper, Section 3.2.1)."""
-
-    #: Input, convolutions (``6c4``: six filters of 4x4) and outputs.
-    architecture: str = "10x10-6c4-24c3-10o"
-    #: Passes over the training samples; 0 for the paper's 20, or more on few samples.
-    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
-    #: Samples per training step.  Not given in the paper; 20 epochs with Keras's default, 32, are
-    #: too few updates for an accuracy as high as the paper's.
-    batch_size: Annotated[int, BATCH] = 8
-    #: Learning rate of RMSProp.  Not given in the paper; Keras's default.
-    learning_rate: Annotated[float, ABOVE_0] = 0.001
-    #: Alterations of the events of training samples, before the image is made: ``time``, dropped
-    #: events, and hot and dead taxels; ``space``, also rotated, shifted, scaled and sheared on the
-    #: grid of taxels; ``slight``, the same half as much; ``none``; ``auto``, ``none`` for the
-    #: paper's CNN, and in the training of the spiking network ``slight`` for digits on a grid of
-    #: taxels and ``time`` for other recordings.
-    augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
-    #: A Keras model file whose weights replace trained ones; ``convert --model`` sets it.
-    model: str = ""
-    #: SHA-256 of that file's content.
-    model_sha256: str = ""
-
-
-@dataclass(frozen=True)
-class SNN(SettingsGroup):
-    """Training with rate-LIF neurons (paper, Section 3.2.2)."""
-
-    #: ``loihi``: the chip's rates and 8-bit weights in the forward pass, noise that models the
-    #: fluctuation caused by spikes, starting from the CNN's weights.  ``paper``: plain rate-LIF,
-    #: from new initial weights, trained like the CNN.  ``as-is``: the CNN's weights, scaled
-    #: to the neurons' range and response curve without further training.
-    recipe: Annotated[str, one_of(*SNN_RECIPES)] = "loihi"
-    #: Passes over the training samples; 0 for the default of the recipe, or more on few samples.
-    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
-    #: Samples per training step; 0 for the default of the recipe.
-    batch_size: Annotated[int, BATCH_OR_AUTOMATIC] = 0
-    #: Initial learning rate; 0 for the default of the recipe.
-    learning_rate: Annotated[float, AT_LEAST_0] = 0.0
-    #: Standard deviation of the noise on each neuron's input while training, relative to the
-    #: activation at ``max_rates``; recipe ``loihi`` only.
-    noise: Annotated[float, AT_LEAST_0] = 0.05
-    #: Share of the neurons that are left out at random while training; recipe ``loihi`` only.
-    dropout: Annotated[float, FROM_0_BELOW_1] = 0.0
-    #: Weight of the penalty on synaptic operations in the loss; they are counted over 100 steps,
-    #: in multiples of the CNN's multiply-accumulates.  Recipe ``loihi`` only.
-    spike_penalty: Annotated[float, AT_LEAST_0] = 0.01
-    #: Spikes per second of the neurons of each convolution and hidden dense layer at activation 1;
-    #: the last entry also applies to all layers after it.
-    max_rates: tuple[float, ...] = (150.0,)
-    #: Membrane time constant in seconds.
-    tau_rc: Annotated[float, TAU] = 0.02
-    #: Refractory period in seconds.
-    tau_ref: Annotated[float, REFRACTORY] = 0.001
-
-    @property
-    def is_on_chip(self) -> bool:
-        """True if the rate-based network has the chip's rates and 8-bit weights."""
-        return self.recipe != "paper"
-
-    def get_max_rate(self, index: int) -> float:
-        """The maximum rate of layer of neurons ``index``, counted from 0."""
-        return self.max_rates[min(index, len(self.max_rates) - 1)]
-
-
-@dataclass(frozen=True)
-class NIR(SettingsGroup):
-    """A NIR graph that replaces the trained network; see :mod:`pipeline.kinds.nir.kind`."""
-
-    #: A NIR graph, such as one exported from PyTorch; ``convert --nir`` sets it; empty for
-    #: networks that are trained here.
-    file: str = ""
-    #: SHA-256 of that file's content.
-    sha256: str = ""
-    #: Milliseconds of the graph's time in a step of the chip; 0: that of the framework that wrote
-    #: the graph, if it is recognised, otherwise the value of ``input.step``, or 1 with images.
-    step: Annotated[float, STEP_OR_NONE] = 0.0
-    #: Step of the graph's equations: ``exact``, their exact solution; ``euler``, forward Euler
-    #: steps; ``norse``, ``rockpool``, ``spyx``, those of these frameworks; ``auto``, that of the
-    #: framework that wrote the graph, ``exact`` if none is recognised.
-    method: Annotated[str, one_of("auto", "exact", "euler", "norse", "rockpool", "spyx")] = "auto"
-    #: The reset with which the graph was trained, which NIR does not record: ``value``, to
-    #: ``v_reset``, as on the chip; ``subtract``, by the threshold; ``subtract-late``, in the next
-    #: step, as snnTorch does unless ``reset_delay=False``; ``subtract-all``, as often as it fits,
-    #: with a spike each, as sinabs and Rockpool do by default; ``auto``, ``subtract`` or
-    #: ``subtract-late`` if Rockpool or Spyx wrote the graph, otherwise ``value``.
-    reset: Annotated[str, one_of("auto", "value", "subtract", "subtract-late", "subtract-all")] = (
-        "auto"
-    )
-
-
-@dataclass(frozen=True)
-class EventTraining(SettingsGroup):
-    """The spiking network that is trained on events; see :mod:`pipeline.training.events`."""
-
-    #: Capacity of a network whose architecture and budget follow from the recordings: ``small``,
-    #: ``standard`` with about three times as many operations, or ``large`` with five times as many,
-    #: which is trained three times as long; ``auto``, ``small`` for simulated handwriting and
-    #: ``standard`` for other recordings.
-    size: Annotated[str, one_of("auto", "small", "standard", "large")] = "auto"
-    #: Notation as for the CNN, with a channel for each polarity, a hidden layer and no pooling.
-    architecture: str = "10x10x2-24c4s3-64-10o"
-    #: Consecutive sections of a recording, which have readout weights of their own; 0: as the
-    #: recordings need, one for handwriting.
-    parts: Annotated[int, between(0, MAX_SECTIONS)] = 0
-    #: Length of each section in milliseconds, the last one is open; 0: the presentation, divided
-    #: among the sections; for handwriting two seconds.
-    part: Annotated[float, between(0, 1e6, " milliseconds")] = 0.0
-    #: Passes over the training samples; 0: as many as a suitable number of updates needs.
-    epochs: Annotated[int, EPOCHS_OR_AUTOMATIC] = 0
-    #: Samples per training step.
-    batch_size: Annotated[int, BATCH] = 32
-    #: Share of a layer's neurons whose spikes are left out of a training sample.
-    dropout: Annotated[float, FROM_0_BELOW_1] = 0.1
-    #: Initial learning rate of Adam; it falls to 0 along a half cosine.
-    learning_rate: Annotated[float, ABOVE_0] = 0.003
-    #: Initial time constants of the neurons' current in milliseconds of recording time, one per
-    #: layer; the last one also applies to all later layers.  Shorter, if it is not set, for
-    #: presentations below half a second.
-    tau_u_ms: tuple[float, ...] = (30.0,)
-    #: Initial time constants of the neurons' voltage; otherwise as for the current.
-    tau_v_ms: tuple[float, ...] = (80.0,)
-    #: Weight of the loss term for early decisions, before the recording ends.
-    early: Annotated[float, AT_LEAST_0] = 1.0
-    #: Alterations of training samples: ``time``, stretched times, dropped events, and hot and dead
-    #: taxels; ``space``, also rotated, shifted, scaled and sheared on the grid of taxels;
-    #: ``slight``, the same half as much; ``none``; ``auto``, ``space`` for handwriting on the
-    #: simulated sensor or in ST-MNIST's files, ``slight`` for other grids of taxels, and ``time``
-    #: for other recordings.
-    augment: Annotated[str, one_of(*AUGMENTATIONS)] = "auto"
-    #: Synaptic operations per inference above which the loss has a penalty, in multiples of the
-    #: multiply-accumulates of the paper's CNN.
-    budget: Annotated[float, ABOVE_0] = 0.8
-
-
-@dataclass(frozen=True)
-class Deployment(SettingsGroup):
-    """Placement of the spiking network on chip and host; see :mod:`deploy.network.spec`."""
-
-    #: ``host``: output decoded from the spikes of the last layer of neurons; ``chip``: a neuron
-    #: for each class, of networks on images only.
-    readout: Annotated[str, one_of("chip", "host")] = "host"
-    #: Spikes per second of a pixel of value 1.
-    input_rate: Annotated[float, RATE] = 500.0
-    #: Initial voltage of an input neuron in a sample, as a share of its threshold.  Its number of
-    #: spikes is the expected number, rounded to the nearest with 0.5 and down with 0.
-    input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
-    #: Time constant in seconds of the low-pass on every spiking connection; 0 for none.
-    synapse: Annotated[float, TAU_OR_NONE] = 0.008
-
-
-@dataclass(frozen=True)
-class PresentationSettings(SettingsGroup):
-    """Presentation of the samples; see :class:`deploy.network.presentation.Presentation`."""
-
-    #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
-    #: ``input.step``.  0 for 100 steps, or with events for as many as the
-    #: longest recording needs, from 50 to 400.
-    steps: Annotated[int, STEPS_OR_NONE] = 0
-    #: Silent steps before each sample.  More, if it is not set, where the neurons' currents last
-    #: longer.
-    gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
-    #: First step of the readout window, over which the output is averaged for the decision; with
-    #: events always the first step of the presentation.
-    readout_start: Annotated[int, STEPS_OR_NONE] = Presentation.readout_start
-    #: Number of samples that are presented before the network is reset.
-    stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
-    #: Largest loss of accuracy by early decisions, on held-out samples; a smaller one makes fewer
-    #: mistakes and later decisions.  Events only.
-    early_loss: Annotated[float, FROM_0_BELOW_1] = 0.005
-
-
-@dataclass(frozen=True)
-class Check(SettingsGroup):
-    """The check that is run on every target."""
-
-    #: Number of samples, drawn at random from the test set, as in the paper; 0 for all. If it
-    #: is not set, all too if there are fewer.
-    samples: Annotated[int, SAMPLES_OR_ALL] = paper.CHECK_SAMPLES
-
-    def count_samples(self, available: int) -> int:
-        """Number of samples to draw.
-
-        Parameters
-        ----------
-        available : int
-            Size of the test set.
-        """
-        if self.samples in (0, paper.CHECK_SAMPLES):
-            return min(self.samples or available, max(available, 1))
-        return self.samples
 
 
 @dataclass(frozen=True)
@@ -464,7 +110,7 @@ class Settings(SettingsGroup):
             if settings.data.source != SIMULATED:  # a run can be repeated from any folder
                 source = os.path.abspath(settings.data.source)
                 settings = replace(settings, data=replace(settings.data, source=source))
-            _check_relations(settings)
+            check_relations(settings)
             for file, content in IMPORTED.items():
                 if (
                     self.get_value(file)
@@ -578,7 +224,7 @@ class Settings(SettingsGroup):
         """
         names = {*names, *PATHS}
         declared = {name: self.find_provenance(name) for name in KEPT_IF_USERS if name in names}
-        view = _restrict(self, names, "")
+        view = restrict(self, names)
         return view.with_provenance(_DeclaredProvenance(declared))
 
     def to_json(self) -> dict:
@@ -596,71 +242,11 @@ def find_default(name: str):
     return Settings().get_value(name)
 
 
-def set_nested(values: dict, name: str, value, origin: str):
-    """Put a value into nested ones; it replaces an existing one.
-
-    Parameters
-    ----------
-    values : dict
-        As :meth:`Settings.with_values` takes them.
-    name : str
-        Dotted.
-    value
-    origin : str
-        For the error's line.
-
-    Raises
-    ------
-    UserError
-        A name is used both as a section and as a value.
-    """
-    *sections, last = name.split(".")
-    for section in sections:
-        values = values.setdefault(section, {})
-        if not isinstance(values, dict):
-            raise UserError(
-                f"{origin}: {section!r} has a value of its own too; give it or {name!r}, not both"
-            )
-    if isinstance(values.get(last), dict) and not isinstance(value, dict):
-        raise UserError(f"{origin}: {name!r} has a value in it too; give one of them")
-    values[last] = value
-
-
-def find_value(values: dict, name: str):
-    """A value of nested ones by its dotted name, or None."""
-    value: Any = values
-    for key in name.split("."):
-        value = value.get(key) if isinstance(value, dict) else None
-    return value
-
-
-def merge_values(old: dict, changes: dict) -> dict:
-    """Nested values with some changed."""
-    return old | {
-        name: merge_values(old[name], value)
-        if isinstance(value, dict) and isinstance(old.get(name), dict)
-        else value
-        for name, value in changes.items()
-    }
-
-
 def _suggest_name(error):
     """The known name that is most similar to an unknown one."""
     unknown = error.problem == "is unknown"
     near = difflib.get_close_matches(error.name, Settings().flatten(), n=1) if unknown else []
     return f" (did you mean {near[0]!r}?)" if near else ""
-
-
-def _restrict(section, kept, prefix):
-    """A copy of a section in which only the values in ``kept`` may be read."""
-    view = object.__new__(type(section))
-    for name, value in object.__getattribute__(section, "__dict__").items():
-        if isinstance(value, SettingsGroup):
-            value = _restrict(value, kept, f"{prefix}{name}.")
-        elif prefix + name not in kept:
-            value = _Access.DENIED
-        object.__setattr__(view, name, value)
-    return view
 
 
 def list_names_in(section: str) -> tuple:
@@ -669,81 +255,3 @@ def list_names_in(section: str) -> tuple:
     if not isinstance(value, SettingsGroup):
         return (section,)
     return tuple(name for name, _, _ in list_entries(value, f"{section}."))
-
-
-def list_entries(settings, prefix=""):
-    """(dotted name, section that has it, name there) of every setting."""
-    for entry in (entry for entry in fields(settings) if entry.init):
-        value = getattr(settings, entry.name)
-        if hasattr(value, "__dataclass_fields__"):
-            yield from list_entries(value, f"{prefix}{entry.name}.")
-        else:
-            yield prefix + entry.name, settings, entry.name
-
-
-def _check_relations(s: Settings):
-    """Check the limits of a setting that depend on other settings, and the notations."""
-
-    def require(condition, name, expected):
-        if not condition:
-            raise WrongValue(name, f"must be {expected}")
-
-    inside = 0 <= s.presentation.readout_start < s.steps
-    require(
-        s.on_events or inside,
-        "presentation.readout_start",
-        f"from 0 to below presentation.steps ({s.steps}), not {s.presentation.readout_start}; "
-        "with so few steps give it too, such as "
-        f"--set presentation.readout_start={s.steps // 5}",
-    )
-    layers = _parse_architecture(s.events.architecture, "events.architecture").layers
-    require(
-        len(layers) > 1 and all(layer.has_neurons for layer in layers),
-        "events.architecture",
-        "a network with a hidden layer and without pooling",
-    )
-    n_spiking = len(_parse_architecture(s.cnn.architecture, "cnn.architecture").spiking)
-    require(
-        n_spiking >= 1, "cnn.architecture", "a network with a layer of neurons before its output"
-    )
-    require(
-        s.input.kind != "slices" or not s.nir.file,
-        "input.kind",
-        "'image' for a NIR graph, with image.slices and image.aggregation as it was trained",
-    )
-    for file, content in IMPORTED.items():
-        given = "given with 'stmnist convert RUN --model FILE', or --nir FILE for a graph"
-        require(s.get_value(content) or not s.get_value(file), file, given)
-    require(
-        1 <= len(s.snn.max_rates) <= n_spiking and min(s.snn.max_rates) >= 1e-3,
-        "snn.max_rates",
-        f"1 to {n_spiking} rates above 0, one per layer of neurons",
-    )
-    for name in ("events.tau_u_ms", "events.tau_v_ms"):
-        taus = s.get_value(name)
-        require(
-            1 <= len(taus) <= len(layers) - 1 and min(taus) > 0 and max(taus) <= MAX_TAU_MS,
-            name,
-            f"1 to {len(layers) - 1} times above 0 and at most {MAX_TAU_MS:g}, one per layer of "
-            "neurons",
-        )
-    require(
-        max(s.snn.max_rates) * s.snn.tau_ref < 1,
-        "snn.max_rates",
-        f"below 1 / snn.tau_ref = {1 / s.snn.tau_ref:g} spikes per second",
-    )
-
-
-def _parse_architecture(architecture, name):
-    try:
-        parsed = parse(architecture)
-    except NotationError as error:
-        raise WrongValue(name, f"is not a network: {error}") from error
-    weights = sum(map(math.prod, parsed.weight_shapes.values()))
-    if weights > limits.WEIGHTS or max(map(math.prod, parsed.shapes)) > limits.NEURONS:
-        raise WrongValue(
-            name,
-            f"must be a network of at most {limits.WEIGHTS} weights, "
-            f"and {limits.NEURONS} neurons in a layer",
-        )
-    return parsed

@@ -9,7 +9,9 @@ import textwrap
 import tomllib
 
 from deploy.errors import UserError
-from pipeline.settings.schema import Settings, list_entries, set_nested
+from pipeline.settings.base import list_entries
+from pipeline.settings.nested import set_nested
+from pipeline.settings.schema import Settings
 from pipeline.settings.toml import format_toml
 
 

@@ -24,13 +24,13 @@ def read_settings(path) -> Settings:
     UserError
         It cannot be read, is not TOML, or has an unknown or wrong setting.
     """
-    values, chosen, given = _read(path)
+    values, chosen, set_by_user = _read(path)
     settings = Settings().with_values(values, str(path))
-    if given is None:
-        given = [] if chosen else settings.list_names(Provenance.USER)
-    provenance = dict.fromkeys(given, Provenance.USER)
+    if set_by_user is None:
+        set_by_user = [] if chosen else settings.list_names(Provenance.USER)
+    provenance = dict.fromkeys(set_by_user, Provenance.USER)
     for name, value in chosen.items():
-        is_edited = _without_lists(value) != _without_lists(settings.get_value(name))
+        is_edited = _replace_list(value) != _replace_list(settings.get_value(name))
         provenance[name] = Provenance.USER if is_edited else Provenance.CHOSEN
     return settings.with_provenance(provenance)
 
@@ -46,8 +46,8 @@ def read_own_settings(path) -> Settings:
     return read_settings(path).without_choices()
 
 
-def _without_lists(value):
-    """A value with tuples instead of TOML's lists."""
+def _replace_list(value):
+    """A value with a tuple in the place of a list, as TOML has it."""
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -62,13 +62,13 @@ def _read(path):
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: not valid TOML ({error}); correct or delete it") from error
     chosen = values.pop("chosen", {})
-    given = values.pop("given", None)
-    for name, kind, named in (("chosen", dict, chosen), ("given", list, given or [])):
+    set_by_user = values.pop("given", None)
+    for name, kind, named in (("chosen", dict, chosen), ("given", list, set_by_user or [])):
         if not isinstance(named, kind) or not {*map(str, named)} <= Settings().flatten().keys():
             raise UserError(
                 f"{path}: {name!r} lists something that is not a setting; delete that line"
             )
-    return values, chosen, given
+    return values, chosen, set_by_user
 
 
 def write_settings(path, settings: Settings):
@@ -82,12 +82,12 @@ def write_settings(path, settings: Settings):
     sections = settings.to_json()
     names = settings.list_names(Provenance.CHOSEN)
     chosen = [f'"{name}" = {format_toml(settings.get_value(name))}' for name in names]
-    given = format_toml(settings.list_names(Provenance.USER))
+    set_by_user = format_toml(settings.list_names(Provenance.USER))
     lines = ["# Every setting of this experiment; 'stmnist settings' lists their meanings."]
     if chosen:
         lines += ["# Chosen for the recordings, and again if these change; edit the values below:"]
         lines += [f"chosen = {{{', '.join(chosen)}}}", ""]
-    lines += ["# Set by the user, and therefore never chosen:", f"given = {given}", ""]
+    lines += ["# Set by the user, and therefore never chosen:", f"given = {set_by_user}", ""]
     lines += [f"{k} = {format_toml(v)}" for k, v in sections.items() if not isinstance(v, dict)]
     for name, section in sections.items():
         if isinstance(section, dict):

@@ -11,7 +11,7 @@ differ by more than a threshold: ON for a rise and OFF for a fall.
 
 import numpy as np
 
-from pipeline.recordings.events import GRID, TaxelMap
+from pipeline.recordings.sensor import GRID, TaxelMap
 
 
 def press(motion, gain, least, p, size=(GRID, GRID)):
@@ -40,11 +40,11 @@ def press(motion, gain, least, p, size=(GRID, GRID)):
         Speed of the tip, in taxels per second.
     """
     step = motion.time_s[1] - motion.time_s[0]
-    places = TaxelMap.grid(*size)
+    taxel_map = TaxelMap.grid(*size)
     rows, columns = _compute_profiles(motion.down, motion.right, motion.force, p, size)
-    reach = rows.max(axis=0)[places.row] * columns.max(axis=0)[places.column] * gain
+    reach = rows.max(axis=0)[taxel_map.row] * columns.max(axis=0)[taxel_map.column] * gain
     taxels = np.flatnonzero(reach > least)
-    felt = rows[:, places.row[taxels]] * columns[:, places.column[taxels]]
+    felt = rows[:, taxel_map.row[taxels]] * columns[:, taxel_map.column[taxels]]
     felt *= gain[taxels].astype(np.float32)
     speed = np.hypot(np.gradient(motion.down, step), np.gradient(motion.right, step))
     return taxels, felt, speed
@@ -125,8 +125,8 @@ def spread_force(down, right, force, p, size=(GRID, GRID)) -> np.ndarray:
     ndarray of float32, shape (n_times, n_taxels)
     """
     rows, columns = _compute_profiles(down, right, force, p, size)
-    places = TaxelMap.grid(*size)
-    return rows[:, places.row] * columns[:, places.column]
+    taxel_map = TaxelMap.grid(*size)
+    return rows[:, taxel_map.row] * columns[:, taxel_map.column]
 
 
 def _compute_profiles(down, right, force, p, size):
@@ -189,10 +189,10 @@ class Receptors:
             1 for ON, -1 for OFF.  In no particular order.
         """
         step_s = self._step_s
-        own = slice(signal.shape[1])
-        upper = self._upper[own]
-        lower = self._lower[own]
-        ready = self._ready[own]
+        present = slice(signal.shape[1])
+        upper = self._upper[present]
+        lower = self._lower[present]
+        ready = self._ready[present]
         times = []
         channels = []
         polarities = []

@@ -107,15 +107,15 @@ def draw_writer(rng, p) -> Writer:
     shapes = p.shapes
     size = DIGITS, shapes.most_ways, shapes.highest_rank
     faster, harder, rougher = rng.standard_normal(3)
-    own = np.sqrt(p.writers.habit)
+    habit_share = np.sqrt(p.writers.habit)
     return Writer(
         allographs=tuple(draw_way(rng, digit, shapes) for digit in range(DIGITS)),
         offsets=rng.standard_normal(size),
         backwards=rng.random(DIGITS),
         placing=rng.standard_normal(3),
         tempo=p.shapes.tempo * faster,
-        force=own * p.trials.force * harder,
-        scrape=own * p.trials.scrape * rougher,
+        force=habit_share * p.trials.force * harder,
+        scrape=habit_share * p.trials.scrape * rougher,
         even=rng.random(),
         session=rng.random(),
     )
@@ -193,8 +193,8 @@ def draw_placing(who: Writer, rng, form, habit: float):
         Function from points of shape (n, 2), in a box of height 1 around 0, to points in taxels.
     """
     drawn = np.sqrt(habit) * who.placing + np.sqrt(1 - habit) * rng.standard_normal(3)
-    usual = np.array([form.down, form.right, np.log(form.height)])
-    *centre, log_height = usual + np.array(form.variation) @ np.clip(drawn, -2.5, 2.5)
+    typical = np.array([form.down, form.right, np.log(form.height)])
+    *centre, log_height = typical + np.array(form.variation) @ np.clip(drawn, -2.5, 2.5)
     return lambda points: points * np.exp(log_height) + centre
 
 

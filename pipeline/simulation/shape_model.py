@@ -172,8 +172,8 @@ class ShapeModel:
             From 0 to 1.
         """
         allographs = tuple(
-            (*scale_shares(mine, 1 - share), *scale_shares(more, share))
-            for mine, more in zip(self.allographs, other.allographs, strict=True)
+            (*scale_shares(ways, 1 - share), *scale_shares(other_ways, share))
+            for ways, other_ways in zip(self.allographs, other.allographs, strict=True)
         )
         return replace(self, allographs=allographs)
 

@@ -12,7 +12,8 @@ from deploy.errors import UserError
 from pipeline.jobs import call_in_processes
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.chunks import chunk_events
-from pipeline.recordings.events import GRID, Recordings, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.recordings import Recordings, Source, collect
+from pipeline.recordings.sensor import GRID, Sensor, TaxelMap
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
 from pipeline.simulation.parameters import PEOPLE, load
@@ -34,7 +35,17 @@ BATCH = 128
 
 @dataclass(frozen=True)
 class Sample:
-    """A sample to be recorded: number ``index`` of a digit, by a writer or from a given trace."""
+    """A sample to be recorded.
+
+    Attributes
+    ----------
+    digit : int
+    index : int
+        Its number among the samples of the digit.
+    writer : int
+    trace : pipeline.simulation.handwriting.Trace or None
+        Recorded handwriting; None for what a simulated writer writes.
+    """
 
     digit: int
     index: int
@@ -119,10 +130,10 @@ def simulate(
     parts = []
     work = (delayed(_simulate_batch)(seed, batch, parameters, size) for batch in batches)
     with call_in_processes(work, jobs) as results:
-        for done in results:
-            parts += done
+        for batch_events in results:
+            parts += batch_events
             if advance:
-                advance(len(done))
+                advance(len(batch_events))
     return collect(
         parts,
         labels=[sample.digit for sample in samples],
@@ -283,8 +294,8 @@ def draw_motion(sample, who, rng, p):
     faster, harder = np.clip(rng.standard_normal(2), -2.5, 2.5)
     tempo = np.exp(who.tempo + p.shapes.trial_tempo * faster)
     force = form.force + who.force + np.sqrt(1 - p.writers.habit) * p.trials.force * harder
-    place = handwriting.draw_placing(who, rng, form, p.writers.habit)
-    strokes = [place(stroke) for stroke in strokes]
+    placing = handwriting.draw_placing(who, rng, form, p.writers.habit)
+    strokes = [placing(stroke) for stroke in strokes]
     length = handwriting.measure_duration_s(strokes, kinematics)
     # The writing must end within the recording.
     tempo = max(tempo, length / (kinematics.end_s - start - kinematics.settle_s))
@@ -342,18 +353,18 @@ def _receive(touches, p, size):
     ends = [1 + len(touch.felt) for touch in touches]
     signal = np.empty((ends[0], first[-1]), np.float32)
     signal[0] = 0
-    for touch, end, own in zip(touches, ends, columns, strict=True):
-        signal[1:end, own] = touch.felt
+    for touch, end, span in zip(touches, ends, columns, strict=True):
+        signal[1:end, span] = touch.felt
     stretches = [signal[part] for part in _find_stretches(ends, first)]
     film = Creep(first[-1], STEP_S, p.skin)
     for stretch in stretches:
         film.advance(stretch)
     off, clock = np.empty((2, first[-1]))
-    for touch, end, own in zip(touches, ends, columns, strict=True):
+    for touch, end, span in zip(touches, ends, columns, strict=True):
         rng = touch.rng
-        add_vibration(signal[1:end, own], touch.speed, rng, touch.skin)
-        off[own] = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
-        clock[own] = np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
+        add_vibration(signal[1:end, span], touch.speed, rng, touch.skin)
+        off[span] = np.exp(p.receptor.off + p.receptor.off_spread * rng.standard_normal())
+        clock[span] = np.exp(p.receptor.clock * np.abs(rng.standard_normal(len(touch.taxels))))
     receptors = Receptors(
         signal[0],
         on=np.full(first[-1], p.receptor.threshold, np.float32),

@@ -16,7 +16,7 @@ and the points of a sweep.  (Only an interrupted check has another mechanism for
 
 A dependency cannot be forgotten.  An origin declares its settings, and the code that makes the
 artifact receives ``origin.view(settings)``, which has only these.  Reading another one raises
-:class:`pipeline.settings.schema.UndeclaredSetting`, in this process, in a worker or on a
+:class:`pipeline.settings.base.UndeclaredSetting`, in this process, in a worker or on a
 cluster.
 Dependencies are declared rather than recorded while the artifact is made, because a declared origin
 is known beforehand: it can be compared before any work is done, and its key is the name of an
@@ -149,20 +149,20 @@ class Change:
 
     Attributes
     ----------
-    what : str
+    name : str
         A setting or a content.
     before, now : str or None
-        Its values; None if ``what`` is sufficient.
+        Its values; None if the name is sufficient.
     """
 
-    what: str
+    name: str
     before: str | None = None
     now: str | None = None
 
     def __str__(self):
         if self.now is None:
-            return self.what
-        return f"{self.what} changed from {self.before} to {self.now}"
+            return self.name
+        return f"{self.name} changed from {self.before} to {self.now}"
 
 
 @dataclass(frozen=True)
@@ -282,15 +282,15 @@ class Library:
         return self.path / name / origin.key[:16]
 
 
-def _merge_entries(used, own):
+def _merge_entries(used, values):
     """Merge entries of two origins; common entries must be equal."""
-    for name in used.keys() & own.keys():
-        if used[name] != own[name]:
+    for name in used.keys() & values.keys():
+        if used[name] != values[name]:
             raise ValueError(
-                f"{name} is {own[name]!r} here and {used[name]!r} in an artifact that is used; "
+                f"{name} is {values[name]!r} here and {used[name]!r} in an artifact that is used; "
                 "an artifact and those that it uses need the same settings"
             )
-    return {**used, **own}
+    return {**used, **values}
 
 
 def _is_origin(recorded):

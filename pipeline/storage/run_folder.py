@@ -132,11 +132,11 @@ class RunFolder:
         """
         if self.path.suffix.lower() in FILES and not self.path.is_dir():
             raise UserError(f"{self.path}: has a file's name; give a folder, such as runs/default")
-        taken = (
+        in_use = (
             f"{self.path}: another process is working in this run; "
             "wait for it or choose another RUN"
         )
-        with lock_file(self.path / LOCK, taken, "choose another RUN"):
+        with lock_file(self.path / LOCK, in_use, "choose another RUN"):
             remove_leftovers(self.path)
             yield
 
@@ -232,7 +232,7 @@ def lock_run(path, of_results: bool = False):
     """
     folder = RunFolder(path)
     refuse_other_folders(folder.path, of_results)
-    made = [above for above in (folder.path, *folder.path.parents) if not above.exists()]
+    new_folders = [above for above in (folder.path, *folder.path.parents) if not above.exists()]
     had_lock = (folder.path / LOCK).exists()
     try:
         with folder.lock():
@@ -241,6 +241,6 @@ def lock_run(path, of_results: bool = False):
         with contextlib.suppress(OSError):
             if not had_lock:
                 (folder.path / LOCK).unlink(missing_ok=True)
-            for above in made:
+            for above in new_folders:
                 above.rmdir()  # an OSError if something is in it
         raise

@@ -22,7 +22,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deploy.arithmetic import divide_up, thin
-from pipeline.recordings.events import Recordings, Sensor, is_handwriting
+from pipeline.recordings.recordings import Recordings, is_handwriting
+from pipeline.recordings.sensor import Sensor
 from pipeline.recordings.steps import EventTable, SpikeLimits
 from pipeline.settings import EventTraining, Input
 
@@ -153,12 +154,12 @@ class InputChoice(NamedTuple):
 
     def describe(self, step_ms: float, sections: int) -> str:
         """The choice and its reason in a line, with the number of sections that the network has."""
-        how = f"each of {sections} sections" if sections > 1 else "the whole"
+        span = f"each of {sections} sections" if sections > 1 else "the whole"
         return (
             f"refractory period of {self.refractory * step_ms:g} ms: {self.lost:.0%} of the "
             "events are merged or ignored; a linear classifier of the others, cross-validated in "
             f"training, has {self.accuracy:.3f} (of all events {self.complete:.3f}); readout "
-            f"weights for {how} of a recording"
+            f"weights for {span} of a recording"
         )
 
 
@@ -243,11 +244,11 @@ def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -
     steps : int
         Steps of a presentation.
     """
-    some = np.asarray(train)[np.diff(table.offsets)[train] > 0]
-    some = np.random.default_rng(0x9EAD).permutation(some)[:MAX_COMPARED_SAMPLES]
-    if len(some) < 2:
+    with_events = np.asarray(train)[np.diff(table.offsets)[train] > 0]
+    compared = np.random.default_rng(0x9EAD).permutation(with_events)[:MAX_COMPARED_SAMPLES]
+    if len(compared) < 2:
         return InputChoice(0, 1, 0.0, 0.0, 0.0)
-    target = np.asarray(labels)[some]
+    target = np.asarray(labels)[compared]
     lost = {}
     accuracy = {}
     for refractory in REFRACTORY_STEPS:
@@ -255,7 +256,7 @@ def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -
         is_long = refractory * step_ms > MAX_REFRACTORY_MS
         if refractory and (is_long or lost[refractory] > MAX_LOST_EVENT_SHARE):
             continue
-        spikes = _count_spikes(table, some, step_ms, steps, refractory)
+        spikes = _count_spikes(table, compared, step_ms, steps, refractory)
         accuracy[refractory] = {
             sections: measure_left_out_accuracy(_merge_sections(spikes, sections), target)
             for sections in SECTION_COUNTS
@@ -264,7 +265,7 @@ def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -
     refractory = max(
         each for each in mean if mean[each] >= max(mean.values()) - MAX_EQUAL_ACCURACY_GAP
     )
-    sections = _choose_sections(accuracy[refractory], len(some))
+    sections = _choose_sections(accuracy[refractory], len(compared))
     return InputChoice(
         refractory=refractory,
         sections=sections,
@@ -292,7 +293,7 @@ def _choose_sections(accuracy: dict, samples: int) -> int:
     return chosen
 
 
-def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int:
+def choose_max_spikes(table: EventTable, train, stimulus: Input, steps: int) -> int:
     """Choose the maximum number of spikes of a taxel and polarity in a sample.
 
     It is the smallest that leaves out at most :data:`MAX_LIMITED_SPIKE_SHARE` of the spikes of the
@@ -303,7 +304,7 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
     table : EventTable
     train : ndarray of int
         Indices of the training samples.
-    shown : Input
+    stimulus : Input
         With the length of a step and the refractory period.
     steps : int
         Number of steps of a presentation.
@@ -313,14 +314,16 @@ def choose_max_spikes(table: EventTable, train, shown: Input, steps: int) -> int
     int
         0, for no limit, if a taxel that fires all the time has less than twice as many spikes.
     """
-    some = thin(train, MAX_COUNTED_SAMPLES)
+    counted = thin(train, MAX_COUNTED_SAMPLES)
     by_batch = [np.zeros(0, int)]
-    for start in range(0, len(some), 64):
-        indices = some[start : start + 64]
-        frames = table.make_frames(indices, shown.step, steps, SpikeLimits(shown.refractory_steps))
+    for start in range(0, len(counted), 64):
+        indices = counted[start : start + 64]
+        frames = table.make_frames(
+            indices, stimulus.step, steps, SpikeLimits(stimulus.refractory_steps)
+        )
         by_batch.append(frames.sum(0, dtype=int).ravel())
     counts = np.concatenate(by_batch)
-    most = steps // (1 + shown.refractory_steps)
+    most = steps // (1 + stimulus.refractory_steps)
     for max_spikes in range(1, most // 2 + 1):
         left_out = np.maximum(counts - max_spikes, 0).sum()
         if left_out <= MAX_LIMITED_SPIKE_SHARE * counts.sum():
@@ -339,7 +342,7 @@ def _count_spikes(table, indices, step_ms, steps, refractory):
         counts.append(
             [frames[section == k].sum(0, dtype=np.float32) for k in range(SECTION_COUNTS[-1])]
         )
-    return np.concatenate([np.stack(some, 1) for some in counts])
+    return np.concatenate([np.stack(sections, 1) for sections in counts])
 
 
 def measure_left_out_accuracy(inputs, labels) -> float:
@@ -365,13 +368,13 @@ def measure_left_out_accuracy(inputs, labels) -> float:
     products += 1  # an offset for each class
     values, vectors = np.linalg.eigh(products)
     classes = (np.asarray(labels)[:, None] == np.unique(labels)).astype(float)
-    inside = vectors.T @ classes
+    projected = vectors.T @ classes
     best = 0.0
     for ridge in RIDGES:
-        kept = np.maximum(values, 0) / (np.maximum(values, 0) + ridge)
-        fit = vectors @ (kept[:, None] * inside)
-        own = (vectors**2) @ kept
-        left_out = classes - (classes - fit) / np.maximum(1 - own, 1e-12)[:, None]
+        shrinkage = np.maximum(values, 0) / (np.maximum(values, 0) + ridge)
+        fit = vectors @ (shrinkage[:, None] * projected)
+        leverage = (vectors**2) @ shrinkage
+        left_out = classes - (classes - fit) / np.maximum(1 - leverage, 1e-12)[:, None]
         right = classes[np.arange(len(classes)), left_out.argmax(1)]
         best = max(best, float(right.mean()))
     return best

@@ -60,7 +60,7 @@ def _check_reference(opened, bundle, stage) -> dict:
     if not is_deployed:
         extra["network"] = origin.key
     made_from = bundle.spec.provenance["made_from"]
-    inputs = opened.step_inputs(made_from["settings"].keys() | origin.settings.keys())
+    inputs = opened.make_step_inputs(made_from["settings"].keys() | origin.settings.keys())
     begun = time.perf_counter()
     with progress(f"check {stage}", len(bundle.checks)) as advance:
         responses = reference.respond_to(stage, inputs, bundle, advance)
@@ -168,13 +168,13 @@ def _check_artifact_of(opened, bundle, stage):
     if stage not in stages:
         raise UserError(f"no stage or target {stage!r}; they are {', '.join(stages)}")
     origin = opened.dataset.origin
-    artifact = check_artifact(opened.store, stage, opened.kind, origin, bundle.id)
+    artifact = make_check_artifact(opened.store, stage, opened.kind, origin, bundle.id)
     if artifact.record.exists():
         read_result(artifact.record, DELETE_IT)
     return artifact
 
 
-def check_artifact(
+def make_check_artifact(
     run: RunFolder, stage: str, kind: NetworkKind, dataset: Origin, bundle_id: str
 ) -> Artifact:
     """The check result of a stage as an artifact.

@@ -8,10 +8,10 @@ from deploy.network.blocks import find_rescaled_layers
 from deploy.network.spec import NetworkSpec
 from deploy.terminal import WARNING
 from pipeline.kinds.kind import NetworkKind
-from pipeline.recordings.source import describe_reading
+from pipeline.recordings.files.messages import describe_reading
 from pipeline.storage.artifacts import Artifact, Origin
 from pipeline.storage.run_folder import RunFolder
-from pipeline.training.adaptation import add_rehearsal
+from pipeline.training.adaptation.adapt import add_rehearsal
 from pipeline.workflow.notes import list_notes_on_recordings
 from pipeline.workflow.opening import OpenedRun
 
@@ -28,7 +28,7 @@ def convert(opened: OpenedRun) -> Bundle:
         say(f"bundle: up to date ({run.bundle})")
         return read_bundle(run.bundle)
     state.announce("writing", say)
-    inputs = opened.step_inputs(origin.settings)
+    inputs = opened.make_step_inputs(origin.settings)
     seed = inputs.settings.seed
     dataset = inputs.dataset
     spec = opened.make_spec(_describe_source(opened, inputs, origin))
@@ -65,7 +65,7 @@ def _choose_check_samples(inputs) -> CheckSet:
     dataset = inputs.dataset
     seed = inputs.settings.seed
     number = inputs.settings.check.count_samples(len(dataset.split.test))
-    chosen = dataset.split.check_samples(number, seed)
+    chosen = dataset.split.draw_check_samples(number, seed)
     recordings = dataset.recordings.subset(chosen)
     return CheckSet(dataset.inputs[chosen], recordings.labels, recordings.ids, seed)
 

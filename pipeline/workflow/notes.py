@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from deploy.tables import format_count, list_names
 from deploy.terminal import WARNING
 from pipeline.kinds.registry import find_kind, has_networks
-from pipeline.recordings.events import describe_recordings
+from pipeline.recordings.recordings import describe_recordings
 from pipeline.recordings.splits import PUBLISHED, WRITERS, find_classes_without_test, find_copies
 from pipeline.settings import SIMULATED, read_settings
 
@@ -70,16 +70,16 @@ def _list_replacements(run, before, settings):
     was = find_kind(before).name
     now = find_kind(settings).name
     if (was, before.input.kind) != (now, settings.input.kind):
-        what = f"is a run of the kind {was!r} with the input {before.input.kind!r}"
+        description = f"is a run of the kind {was!r} with the input {before.input.kind!r}"
     elif before.data.source != settings.data.source:
-        what = f"is a run on the recordings {before.data.source}"
+        description = f"is a run on the recordings {before.data.source}"
     else:
         return
     if has_networks(before, run.path):
         yield (
-            f"{WARNING}{run.path}: {what}; its networks and bundle are replaced as soon as others "
-            "are trained.  To keep them, stop now (Ctrl-C) and give another RUN; with its former "
-            "options this one is as it was"
+            f"{WARNING}{run.path}: {description}; its networks and bundle are replaced as soon as "
+            "others are trained.  To keep them, stop now (Ctrl-C) and give another RUN; with its "
+            "former options this one is as it was"
         )
 
 
@@ -89,10 +89,10 @@ def list_notes_on_recordings(opened) -> Iterator[str]:
     split = opened.dataset.split
     yield from opened.kind.list_notes(recordings)
     if split.kind == PUBLISHED or not recordings.source.simulated:
-        for pairs, what in zip(find_copies(recordings, split), COPY_TEXTS, strict=True):
+        for pairs, text in zip(find_copies(recordings, split), COPY_TEXTS, strict=True):
             if pairs:
-                what = f"{what}: {len(pairs)}, such as {pairs[0][1]} ({pairs[0][0]})"
-                yield f"{WARNING}{recordings.source.name}: {what}"
+                text = f"{text}: {len(pairs)}, such as {pairs[0][1]} ({pairs[0][0]})"
+                yield f"{WARNING}{recordings.source.name}: {text}"
     n_test = len(split.test)
     samples = opened.settings.check.samples
     if split.kind == PUBLISHED and n_test < samples:

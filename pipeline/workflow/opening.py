@@ -14,7 +14,7 @@ from pipeline.kinds.records import read_weights
 from pipeline.kinds.registry import find_kind
 from pipeline.kinds.steps import StepInputs
 from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.events import list_facts
+from pipeline.recordings.recordings import list_facts
 from pipeline.recordings.splits import PARTS
 from pipeline.settings import Settings
 from pipeline.sources import load_named_recordings
@@ -56,7 +56,7 @@ class OpenedRun:
         """The artifact of one of the :attr:`pipeline.kinds.kind.NetworkKind.steps`."""
         return self.kind.find_artifact(name, self.store, self.dataset.origin)
 
-    def step_inputs(self, names) -> StepInputs:
+    def make_step_inputs(self, names) -> StepInputs:
         """The inputs of a step, with the named settings only; a step that reads another fails."""
         view = self.settings.select(names)
         dataset = self.dataset.restrict_to(view)
@@ -79,7 +79,7 @@ class OpenedRun:
         if imported is not None and imported.step == name:
             for line in imported.list_split_notes(state, self.settings.seed):
                 self.say(line)
-        inputs = self.step_inputs(artifact.origin.settings)
+        inputs = self.make_step_inputs(artifact.origin.settings)
         record = artifact.write(step.make(inputs, artifact))
         for file in step.temporary:
             (artifact.folder / file).unlink(missing_ok=True)
@@ -104,7 +104,7 @@ class OpenedRun:
     def make_spec(self, provenance: dict | None = None) -> NetworkSpec:
         """The deployed network, made from the trained one."""
         origin = self.kind.make_bundle_origin(self.dataset.origin)
-        return self.kind.make_spec(self.step_inputs(origin.settings), provenance or {})
+        return self.kind.make_spec(self.make_step_inputs(origin.settings), provenance or {})
 
 
 def open_experiment(store, settings: Settings, dataset: Dataset, say=print) -> OpenedRun:
@@ -155,7 +155,7 @@ def open_run(
     opened = open_experiment(run, chosen, dataset, say)
     if check:
         _require_check_fits(opened)
-    opened.kind.require_usable(opened.step_inputs(chosen.flatten()))
+    opened.kind.require_usable(opened.make_step_inputs(chosen.flatten()))
     for line in list_notes(opened, lines):
         say(line)
     run.save_settings(chosen)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.tutorials import FOLDER, execute
-from pipeline.recordings.writing import write_recordings
+from pipeline.recordings.files.writing import write_recordings
 from tests.command import ROOT, printed_by, users_environment
 from tests.documents.brief import hurry_runs
 from tests.test_tutorials import LESSONS, notebooks, read_stored_ladders

@@ -14,8 +14,10 @@ from experiments.fidelity import (
     tell_apart,
 )
 from pipeline.recordings.chunks import CHUNK_NS
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.events import Events
 from pipeline.recordings.formats.mat import read_recording
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.simulation import parameters
 from pipeline.simulation.simulate import simulate
 from pipeline.sources import load_recordings

@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from experiments.slayer import bin_events
-from pipeline.recordings.events import Events, Source, TaxelMap, collect, expand_bursts
+from pipeline.recordings.events import Events, expand_bursts
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import TaxelMap
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 

@@ -5,7 +5,7 @@ import pytest
 
 from experiments.fidelity import chunk_recordings
 from experiments.paths import cut_leaps, find_paths
-from pipeline.recordings.events import N_TAXELS
+from pipeline.recordings.sensor import N_TAXELS
 from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.simulate import simulate
 

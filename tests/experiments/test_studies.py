@@ -15,7 +15,7 @@ from pipeline.results.study import Case
 from pipeline.settings import Settings
 from pipeline.sources import load_named_recordings
 from pipeline.storage.artifacts import Library
-from pipeline.training.adaptation import add_rehearsal
+from pipeline.training.adaptation.adapt import add_rehearsal
 from tests.command import call, missing
 from tests.experiments.test_tables import row
 

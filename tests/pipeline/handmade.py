@@ -6,7 +6,9 @@ import zipfile
 import numpy as np
 import scipy.io
 
-from pipeline.recordings.events import Events, Source, TaxelMap, collect
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import TaxelMap
 from pipeline.recordings.steps import EventTable
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)

@@ -21,7 +21,7 @@ from pipeline.kinds.architectures import (
 from pipeline.kinds.presentation import choose_presentation, choose_step_ms, choose_time_constants
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.augmentation import choose_augmentation
-from pipeline.recordings.events import Recordings, is_handwriting
+from pipeline.recordings.recordings import Recordings, is_handwriting
 from pipeline.settings import Choice, Settings, apply_choices
 from pipeline.training.event_rules import (
     FEW_SAMPLES,
@@ -117,8 +117,8 @@ class EventChoices:
         is_binned = any(choice.setting == "input.step" for choice in self.choices)
         if is_binned and not choices and not settings.presentation.steps:
             # The spikes of the last bin need some steps to reach the readout.
-            needed = math.floor(self.longest_ms / settings.input.step) + 1 + TAIL_STEPS
-            choices = [Choice("presentation.steps", max(needed, settings.steps))]
+            n_steps = math.floor(self.longest_ms / settings.input.step) + 1 + TAIL_STEPS
+            choices = [Choice("presentation.steps", max(n_steps, settings.steps))]
         self.choices += choices
         self.choices += choose_time_constants(self.presented)
 
@@ -156,12 +156,12 @@ class EventChoices:
         size = self.size
         if size.passes == 1 or not settings.is_open("events.epochs"):
             return
-        usual = choose_epochs(len(self.train), settings.events.batch_size)
+        default_epochs = choose_epochs(len(self.train), settings.events.batch_size)
         reason = (
-            f"{size.passes} times the usual {usual} passes over the training samples; "
+            f"{size.passes} times the usual {default_epochs} passes over the training samples; "
             f"size {size.name} (another: --set events.epochs=...)"
         )
-        self._choose("events.epochs", size.passes * usual, reason)
+        self._choose("events.epochs", size.passes * default_epochs, reason)
 
     def _choose_augmentation(self):
         if self.settings.events.augment != "auto":
@@ -178,8 +178,8 @@ class EventChoices:
         is_default = dropout == Settings().events.dropout
         if is_default or not self.settings.is_open("events.dropout"):
             return
-        why = "few recordings" if samples < FEW_SAMPLES else f"size {size.name}"
-        reason = f"dropout of {dropout:g}, for {why} (another: --set events.dropout=...)"
+        cause = "few recordings" if samples < FEW_SAMPLES else f"size {size.name}"
+        reason = f"dropout of {dropout:g}, for {cause} (another: --set events.dropout=...)"
         self._choose("events.dropout", dropout, reason)
 
     def _choose_input(self):

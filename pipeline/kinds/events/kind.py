@@ -300,10 +300,10 @@ def _describe_decision(chosen, samples):
             f"early decision at a confidence of {chosen.confidence:.4f}, after "
             f"{chosen.share:.0%} of a recording on {samples} held-out samples"
         )
-    why = ""
+    reason = ""
     if samples < MIN_HELD_OUT:
-        why = (
+        reason = (
             f", since fewer than {MIN_HELD_OUT} samples could be held out to choose a confidence "
             "on (more: split.validation_fraction)"
         )
-    return f"no early decisions, the network decides at the end of each recording{why}"
+    return f"no early decisions, the network decides at the end of each recording{reason}"

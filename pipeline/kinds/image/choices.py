@@ -12,9 +12,10 @@ from deploy.tables import format_count
 from models.architecture import parse
 from pipeline.kinds.architectures import describe_choice, is_for, suggest_architecture
 from pipeline.kinds.presentation import choose_image_gap
-from pipeline.recordings.events import MIN_GRID_SIDE, Recordings, Sensor, are_digits
+from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.sensor import MIN_GRID_SIDE, Sensor, are_digits
 from pipeline.settings import Choice, Settings, list_names_in
-from pipeline.training.schedules import SCHEDULES
+from pipeline.training.images.schedules import SCHEDULES
 
 # Passes over the training samples of a network on one image of recordings that are not simulated.
 # On ST-MNIST the default of 60 has two points less, with faulty taxels three.  Fewer recordings
@@ -177,18 +178,20 @@ def _choose_slices(settings, defaults, own_channels):
 def _choose_image(settings, slices, table):
     """The choices of a sliced image, and its number of channels."""
     duration_ms = float(math.ceil(table.typical_duration_ms))
-    wanted = {"aggregation": "polarities", "slices": slices, "duration": duration_ms}
-    chosen = {name: value for name, value in wanted.items() if settings.is_open(f"image.{name}")}
-    image = settings.with_values({"image": chosen}).image
-    if not chosen:
+    values = {"aggregation": "polarities", "slices": slices, "duration": duration_ms}
+    open_values = {
+        name: value for name, value in values.items() if settings.is_open(f"image.{name}")
+    }
+    image = settings.with_values({"image": open_values}).image
+    if not open_values:
         return [], image.channels
-    what = "ON and OFF events" if image.aggregation == "polarities" else image.aggregation
+    content = "ON and OFF events" if image.aggregation == "polarities" else image.aggregation
     reason = (
-        f"{image.channels} channels: {what} in {image.slices} slices of "
+        f"{image.channels} channels: {content} in {image.slices} slices of "
         f"{image.duration_ms / image.slices:.0f} ms (another image: --set image.slices=... and "
         "others)"
     )
-    first, *others = (Choice(f"image.{name}", value) for name, value in chosen.items())
+    first, *others = (Choice(f"image.{name}", value) for name, value in open_values.items())
     return [replace(first, reason=reason), *others], image.channels
 
 

@@ -124,8 +124,8 @@ def make_nir_spec(
     provenance : dict
         Stored in the bundle.
     """
-    read = range(presentation.readout_start, presentation.steps)
-    links = from_nir(network, stepping.seconds, stepping.method, samples.shape[-3:], read)
+    readout_steps = range(presentation.readout_start, presentation.steps)
+    links = from_nir(network, stepping.seconds, stepping.method, samples.shape[-3:], readout_steps)
     spikes = count_input_spikes(stimulus, samples, presentation.steps)
     links = round_chain(links, spikes, stimulus.area / LOIHI.dt)
     return chain.build_network_spec(links, stimulus, presentation, provenance)

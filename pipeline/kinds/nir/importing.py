@@ -217,10 +217,10 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events:
     shape = network.input_shape
     fits = [(n, rows, columns) for n in ({channels, 1} if on_events else {channels})]
     if shape not in (*fits, *((math.prod(fit),) for fit in fits)):
-        what = "events" if on_events else "an image"
+        input_name = "events" if on_events else "an image"
         remedy = suggest_sensor_size(shape[1:], (rows, columns)) if len(shape) == 3 else ""
         raise UserError(
-            f"{source}: has an input of {' x '.join(map(str, shape))}; {what} of {rows} x "
+            f"{source}: has an input of {' x '.join(map(str, shape))}; {input_name} of {rows} x "
             f"{columns} taxels would be {channels} x {rows} x {columns} (channels, rows, columns): "
             f"{remedy}train it for that, or give another --data or --input, or other settings "
             "image.*"

@@ -112,8 +112,15 @@ class NirKind(NetworkKind):
 
     @property
     def steps(self):
-        shown = DECISION_SETTINGS if self.settings.on_events else IMAGE_READS
-        reads = ("input", "nir.sha256", "nir.step", "nir.method", "nir.reset", *shown)
+        presentation_settings = DECISION_SETTINGS if self.settings.on_events else IMAGE_READS
+        reads = (
+            "input",
+            "nir.sha256",
+            "nir.step",
+            "nir.method",
+            "nir.reset",
+            *presentation_settings,
+        )
         files = ("metrics.json", GRAPH)
         return counts.STEP, Step("nir", "snn", files, reads, self._read, action="reading")
 

@@ -43,10 +43,10 @@ def simulate_samples(network, stepping, inputs, settings, advance=None):
     for start in range(0, len(inputs), SAMPLES_AT_ONCE):
         batch = inputs[start : start + SAMPLES_AT_ONCE]
         presented = make_graph_inputs(network, batch, settings.steps)
-        found = simulate(network, presented, stepping.seconds, stepping.method, stepping.reset)
-        outputs.append(found.outputs.reshape(*found.outputs.shape[:2], -1))
+        result = simulate(network, presented, stepping.seconds, stepping.method, stepping.reset)
+        outputs.append(result.outputs.reshape(*result.outputs.shape[:2], -1))
         counts.append(
-            {n: _put_in_chip_order(s.sum(1, dtype=np.int64)) for n, s in found.spikes.items()}
+            {n: _put_in_chip_order(s.sum(1, dtype=np.int64)) for n, s in result.spikes.items()}
         )
         if advance is not None:
             advance(len(batch))

@@ -36,8 +36,9 @@ def read_bin(content: bytes, name: str = "") -> EventRecording:
             f"is not a file of N-MNIST: its length of {len(content)} bytes is not a multiple of "
             f"{BIN_EVENT_BYTES}; convert it to .npz with arrays x, y, t and p"
         )
-    x, y, *rest = np.frombuffer(content, np.uint8).reshape(-1, BIN_EVENT_BYTES).T.astype(np.int64)
-    time = (rest[0] & 0x7F) << 16 | rest[1] << 8 | rest[2]
+    packed = np.frombuffer(content, np.uint8).reshape(-1, BIN_EVENT_BYTES)
+    x, y, polarity_and_high, middle, low = packed.T.astype(np.int64)
+    time = (polarity_and_high & 0x7F) << 16 | middle << 8 | low
     is_overflow = y == OVERFLOW_ROW
     time = (time + OVERFLOW_US * np.cumsum(is_overflow))[~is_overflow]
     if (np.diff(time) < 0).any():
@@ -45,13 +46,13 @@ def read_bin(content: bytes, name: str = "") -> EventRecording:
             "is not a file of N-MNIST: its times are not in order; convert it to .npz with arrays "
             "x, y, t and p"
         )
-    x, y, polarity = (values[~is_overflow] for values in (x, y, rest[0] >> 7))
+    x, y, polarity = (values[~is_overflow] for values in (x, y, polarity_and_high >> 7))
     return make_recording({"x": x, "y": y, "t_us": time, "p": polarity})
 
 
 def is_old_dat(content: bytes) -> bool:
     """True for a ``.dat`` file with events of type 0, which other readers do not support."""
-    start = _end_of_header(content)
+    start = _find_end_of_header(content)
     return content[start : start + 2] == bytes([0, DAT_EVENT_BYTES])
 
 
@@ -62,7 +63,7 @@ def read_old_dat(content: bytes) -> EventRecording:
     ------
     BadRecording
     """
-    start = _end_of_header(content)
+    start = _find_end_of_header(content)
     events = content[start + 2 :]
     if len(events) % DAT_EVENT_BYTES:
         raise BadRecording("is cut short within an event")
@@ -77,11 +78,11 @@ def read_old_dat(content: bytes) -> EventRecording:
     )
     header = content[:start].decode("latin-1").lower()
     sides = [re.search(rf"^% {side} (\d{{1,5}})\s*$", header, re.M) for side in ("height", "width")]
-    found = [int(side[1]) for side in sides if side is not None]
-    return replace(recording, size=tuple(found) if len(found) == len(sides) else None)
+    size = [int(side[1]) for side in sides if side is not None]
+    return replace(recording, size=tuple(size) if len(size) == len(sides) else None)
 
 
-def _end_of_header(content):
+def _find_end_of_header(content):
     """Position after the lines that begin with a per cent sign."""
     start = 0
     while content[start : start + 1] == b"%":

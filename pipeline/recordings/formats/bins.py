@@ -33,7 +33,8 @@ def make_binned_recording(counts: np.ndarray) -> EventRecording:
     -------
     EventRecording
         ``time`` is in bins.  ``polarity`` is 1 for channel 0 and -1 for channel 1;
-        :func:`pipeline.recordings.sensor.interpret` decides which of them is the rise of pressure.
+        :func:`pipeline.recordings.interpretation.binned_counts.choose_rise` decides which of them
+        is the rise of pressure.
 
     Raises
     ------

@@ -51,7 +51,14 @@ def read_csv(content: bytes, name: str = "") -> EventRecording:
 
 
 class _Line(NamedTuple):
-    """A line of a file, and its number there, from 1."""
+    """A line of a file.
+
+    Attributes
+    ----------
+    number : int
+        Its number in the file, from 1.
+    text : str
+    """
 
     number: int
     text: str
@@ -81,10 +88,10 @@ def _read_columns(content):
     body = _write_numbers(body, separator)
     if not names:
         return _load_table(body, separator), body
-    wanted = list(find_columns(names).values())
+    event_columns = list(find_columns(names).values())
     _require_columns(body, separator, len(names))
-    table = _load_table(body, separator, [names.index(name) for name in wanted])
-    return dict(zip(wanted, table.T, strict=True)), body
+    table = _load_table(body, separator, [names.index(name) for name in event_columns])
+    return dict(zip(event_columns, table.T, strict=True)), body
 
 
 def _read_lines(content):
@@ -112,7 +119,7 @@ def _write_numbers(body, separator):
     if separator == ";":
         text = text.replace(",", ".")
     text = text.replace("\u2212", "-")
-    text = _POLARITY.sub(lambda found: POLARITIES[found[0].lower()], text)
+    text = _POLARITY.sub(lambda match: POLARITIES[match[0].lower()], text)
     lines = zip(body, text.split("\n"), strict=True)
     return [_Line(line.number, changed) for line, changed in lines]
 
@@ -161,10 +168,10 @@ def _describe_bad_line(body, separator, columns):
     size = len(_split_values(body[0], separator))
     for line in body:
         values = _split_values(line, separator)
-        wanted = values if columns is None else [values[column] for column in columns]
+        event_values = values if columns is None else [values[column] for column in columns]
         if len(values) != size:
             return f"line {line.number} has {len(values)} values, those above {size}"
-        for value in wanted:
+        for value in event_values:
             if not _is_number(value):
                 return f"line {line.number}: {value.strip()[:40]!r} is not a number"
     return "has a line that is not numbers, or has more or fewer than the others"

@@ -65,14 +65,14 @@ def read_hdf5(content: bytes, name: str) -> EventRecording:
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             named, rows = _find_events(file)
-            found = named or rows
-            if len(found) != 1:
-                listed = f": {', '.join(sorted(found)[:4])}" if found else ""
+            candidates = named or rows
+            if len(candidates) != 1:
+                listed = f": {', '.join(sorted(candidates)[:4])}" if candidates else ""
                 raise BadRecording(
-                    f"has {len(found)} tables of events{listed}; expected one data set with the "
-                    "fields x, y, t and p, or one group of data sets with these names"
+                    f"has {len(candidates)} tables of events{listed}; expected one data set with "
+                    "the fields x, y, t and p, or one group of data sets with these names"
                 )
-            (entry,) = found.values()
+            (entry,) = candidates.values()
             events: np.ndarray | dict
             if isinstance(entry, h5py.Group):
                 events = {column: _read_dataset(entry[column]) for column in _list_columns(entry)}
@@ -130,8 +130,8 @@ def _find_named(names) -> list:
     """The names of the columns x, y, t and p, or taxel_id, t and p; empty if one is missing."""
     try:
         if TAXEL in names:
-            found = find_columns([*names, "x", "y"])
-            return [found["t"], found["p"], TAXEL]
+            columns = find_columns([*names, "x", "y"])
+            return [columns["t"], columns["p"], TAXEL]
         return list(find_columns(names).values())
     except BadRecording:
         return []
@@ -142,8 +142,8 @@ def _list_columns(group) -> list:
     import h5py
 
     links = {name: group.get(name, getlink=True, default=None) for name in group}
-    own = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
-    columns = _find_named(own)
+    hard_links = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
+    columns = _find_named(hard_links)
     is_column = [
         isinstance(group[name], h5py.Dataset) and group[name].ndim == 1 for name in columns
     ]

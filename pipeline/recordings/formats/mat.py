@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from pipeline.paper import DURATION_S
-from pipeline.recordings.events import N_TAXELS, Events, TaxelMap, expand_bursts, merge_bursts
+from pipeline.recordings.events import Events, expand_bursts, merge_bursts
 from pipeline.recordings.formats.recording import (
     MAX_DURATION_S,
     MAX_FILE_BYTES,
@@ -30,6 +30,7 @@ from pipeline.recordings.formats.recording import (
     make_numbered_recording,
     parse_writer,
 )
+from pipeline.recordings.sensor import N_TAXELS, TaxelMap
 
 VARIABLE = "spiketrain"
 
@@ -90,11 +91,11 @@ def read_recording(content: bytes, n_taxels: int | None = N_TAXELS) -> MatRecord
     BadRecording
         Not a MAT file, or not a recording; see :func:`read_spiketrain`.
     """
-    wanted = (VARIABLE, "simulated", "written", "writer")
-    variables = read_variables(content, lambda name, shape: name in wanted)
+    names = (VARIABLE, "simulated", "written", "writer")
+    variables = read_variables(content, lambda name, shape: name in names)
     if VARIABLE not in variables:
         raise BadRecording(f"has no variable {VARIABLE!r}")
-    simulated, written, writer = (_read_number(variables.get(name)) for name in wanted[1:])
+    simulated, written, writer = (_read_number(variables.get(name)) for name in names[1:])
     spiketrain = np.asarray(variables[VARIABLE])
     events = read_spiketrain(spiketrain, n_taxels)
     return MatRecording(
@@ -278,8 +279,8 @@ def read_lookup_table(content: bytes) -> TaxelMap:
             raise BadRecording(f"its first column is not the addresses 1 to {n}")
         table = table[np.argsort(table[:, 0]), 1:]
     places = {tuple(row) for row in table.tolist()}
-    whole = np.isfinite(table).all() and (table == np.rint(table)).all()
-    if len(places) != n or not whole or table.min() < 1 or table.max() > MAX_SIDE:
+    is_whole = np.isfinite(table).all() and (table == np.rint(table)).all()
+    if len(places) != n or not is_whole or table.min() < 1 or table.max() > MAX_SIDE:
         raise BadRecording(f"X and Y are not {n} different positions from 1 to {MAX_SIDE}")
     x, y = (table[:, i].astype(int) - 1 for i in (0, 1))
     return TaxelMap(x, y)

@@ -46,13 +46,17 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
                 for info in archive.infolist()
                 if info.filename.endswith(".npy")
             }
-            about = [name for name in ABOUT if name in sizes]
-            events = [name for name in sizes if name not in about]
-            wanted = events if len(events) == 1 else list(find_columns(events).values())
-            if sum(sizes[name] for name in wanted + about) > MAX_EVENT_BYTES * MAX_EVENTS + 4096:
+            fact_names = [name for name in ABOUT if name in sizes]
+            events = [name for name in sizes if name not in fact_names]
+            event_names = events if len(events) == 1 else list(find_columns(events).values())
+            if (
+                sum(sizes[name] for name in event_names + fact_names)
+                > MAX_EVENT_BYTES * MAX_EVENTS + 4096
+            ):
                 raise BadRecording(f"has arrays of more than {MAX_EVENTS} events")
             arrays = {
-                name: read_array(archive.read(f"{name}.npy"), name) for name in wanted + about
+                name: read_array(archive.read(f"{name}.npy"), name)
+                for name in event_names + fact_names
             }
     except BadRecording:
         raise
@@ -60,24 +64,24 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
         raise
     except Exception as error:  # damaged lists and unsupported compressions fail in many ways
         raise BadRecording("is not a .npz file, or damaged") from error
-    facts = {name: arrays.pop(name) for name in about}
+    facts = {name: arrays.pop(name) for name in fact_names}
     size = [_find_side(facts.get(name)) for name in ("rows", "columns")]
     return replace(
         make_recording(arrays) if len(arrays) > 1 else make_array_recording(*arrays.values()),
         simulated=bool(np.any(facts.get("simulated", False))),
-        writer=parse_writer(_single_number(facts.get("writer"))),
+        writer=parse_writer(_read_single_number(facts.get("writer"))),
         size=None if None in size else tuple(size),
     )
 
 
-def _single_number(array):
+def _read_single_number(array):
     """The number in an array of one; None for other arrays, and for None."""
     return array.item() if array is not None and array.size == 1 else None
 
 
 def _find_side(array):
     """Rows or columns in an array of one; None if it is not a size."""
-    number = _single_number(array)
+    number = _read_single_number(array)
     is_size = number is not None and 0 < number <= MAX_PLACE + 1 and number == int(number)
     return int(number) if is_size else None
 

@@ -15,6 +15,9 @@ from pipeline.recordings.events import Events
 # Duration of each unit of time in seconds.
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
+UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+
+# Names of the arrays of events, in their order.
 ARRAYS = ("x", "y", "t", "p")
 
 # Names of fields and columns, in upper or lower case, the preferred one first; that of a time may
@@ -145,7 +148,7 @@ class EventRecording:
         return "numbered" if self.n_taxels else "events"
 
     def to_events(self, rows: int, time_ns: np.ndarray) -> Events:
-        """The events with taxels numbered as by :meth:`pipeline.recordings.events.TaxelMap.grid`.
+        """The events with taxels numbered as by :meth:`pipeline.recordings.sensor.TaxelMap.grid`.
 
         Parameters
         ----------
@@ -242,12 +245,15 @@ def make_recording(events) -> EventRecording:
         raise BadRecording(f"has {max(lengths)} events, more than {MAX_EVENTS}")
     x, y, t, p = (arrays[name] for name in ARRAYS)
     t = _check_times(t)
-    for name, places in (("x", x), ("y", y)):
-        outside = ~((places >= 0) & (places <= MAX_PLACE) & (places == np.floor(places)))
+    for name, coordinates in (("x", x), ("y", y)):
+        outside = ~(
+            (coordinates >= 0) & (coordinates <= MAX_PLACE) & (coordinates == np.floor(coordinates))
+        )
         if outside.any():
             event = int(np.argmax(outside))
             raise BadRecording(
-                f"has {name} {places[event]:g}, not a whole number from 0 to {MAX_PLACE}", event
+                f"has {name} {coordinates[event]:g}, not a whole number from 0 to {MAX_PLACE}",
+                event,
             )
     order = np.argsort(t, kind="stable")
     return EventRecording(
@@ -322,16 +328,16 @@ def find_columns(names) -> dict:
         One is missing.
     """
     chosen = {}
-    for axis, known in COLUMN_NAMES.items():
+    for axis, known_names in COLUMN_NAMES.items():
         candidates = [name for name in names if find_column(name) == axis]
         if not candidates:
             listed = ", ".join(str(name) for name in list(names)[:6])
             remedy = NO_POLARITY if axis == "p" else "expected x, y, t and p"
             raise BadRecording(f"has no {axis!r} among {listed or 'no names'}; {remedy}")
 
-        def rank(name, known=known):
+        def rank(name, known_names=known_names):
             plain, unit = _split_unit(name)
-            return not unit, known.index(plain)
+            return not unit, known_names.index(plain)
 
         chosen[axis] = min(candidates, key=rank)
     return chosen
@@ -340,13 +346,13 @@ def find_columns(names) -> dict:
 def find_column(name) -> str:
     """Which of x, y, t and p a column is, by its name; empty for none of them."""
     plain = _split_unit(name)[0]
-    return next((axis for axis, known in COLUMN_NAMES.items() if plain in known), "")
+    return next((axis for axis, known_names in COLUMN_NAMES.items() if plain in known_names), "")
 
 
 def _split_unit(name):
     """A name in lower case without the unit of time at its end, and this unit."""
     lower = str(name).strip().lower()
-    found = _NAME_WITH_UNIT.fullmatch(lower)
-    if found is None:
+    match = _NAME_WITH_UNIT.fullmatch(lower)
+    if match is None:
         return lower, ""
-    return found[1], found[2].replace("\u00b5", "u").replace("\u03bc", "u")
+    return match[1], match[2].replace("\u00b5", "u").replace("\u03bc", "u")

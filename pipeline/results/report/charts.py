@@ -69,7 +69,17 @@ class Raster:
 
 @dataclass(frozen=True)
 class Lines:
-    """Curves from 0 to 1 over time, with levels and points, a panel of :func:`draw_timeline`."""
+    """Curves from 0 to 1 over time, a panel of :func:`draw_timeline`.
+
+    Attributes
+    ----------
+    title : str
+    series : tuple of Series
+    levels : tuple of float
+        Heights of dashed lines.
+    points : tuple of (float, float)
+        Time and height of single values.
+    """
 
     title: str
     series: tuple
@@ -115,7 +125,7 @@ def draw_line_chart(
         marks.append(_draw_line(x_axis, y_axis, one, number))
     for level, name in levels:
         height = y_axis(level)
-        marks.append(_segment("reference", LEFT, height, CHART - RIGHT, height))
+        marks.append(_draw_segment("reference", LEFT, height, CHART - RIGHT, height))
         # On the side of the line where no curve ends.
         aside = 16 if any(one.y[-1] > level for one in series) else -6
         marks.append(_draw_text(CHART - RIGHT, height + aside, f"{name} {level:.1f}", "end"))
@@ -138,11 +148,13 @@ def draw_interval(value: float, low: float, high: float, least: float) -> Markup
     """
     axis = _Axis(least, 1, 8, WIDTH / 2, exact=True)
     y = 10
-    said = f"{format_percent(value)}, {format_percent(low)} to {format_percent(high)}"
-    dot = _draw_dot(axis(value), y, said)
-    line = _segment("line s1", axis(low), y, axis(high), y)
-    edges = (_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
-    return _make_svg(WIDTH / 2 + 8, 2 * y, [*edges, _make_title(said), line, dot], said, "interval")
+    description = f"{format_percent(value)}, {format_percent(low)} to {format_percent(high)}"
+    dot = _draw_dot(axis(value), y, description)
+    line = _draw_segment("line s1", axis(low), y, axis(high), y)
+    edges = (_draw_segment("grid", axis(x), 0, axis(x), 2 * y) for x in (least, (1 + least) / 2, 1))
+    return _make_svg(
+        WIDTH / 2 + 8, 2 * y, [*edges, _make_title(description), line, dot], description, "interval"
+    )
 
 
 def draw_timeline(panels, extent: float, x_label: str, description: str = "", mark=None) -> Markup:
@@ -163,15 +175,15 @@ def draw_timeline(panels, extent: float, x_label: str, description: str = "", ma
     for panel in panels:
         bottom = top + PANEL
         marks.append(_draw_text(LEFT, top - 6, panel.title, "start"))
-        marks.append(_segment("axis", LEFT, bottom, TIMELINE - RIGHT, bottom))
+        marks.append(_draw_segment("axis", LEFT, bottom, TIMELINE - RIGHT, bottom))
         draw = _draw_raster if isinstance(panel, Raster) else _draw_curves
         marks += draw(panel, x_axis, top)
         top = bottom + PANEL_GAP
     end = top - PANEL_GAP
     if mark is not None:
-        marks.append(_segment("reference", x_axis(mark), FIRST_PANEL, x_axis(mark), end))
+        marks.append(_draw_segment("reference", x_axis(mark), FIRST_PANEL, x_axis(mark), end))
     for tick in x_axis.list_ticks():
-        marks.append(_segment("axis", x_axis(tick), end, x_axis(tick), end + 4))
+        marks.append(_draw_segment("axis", x_axis(tick), end, x_axis(tick), end + 4))
         anchor = "end" if x_axis(tick) > TIMELINE - 2 * RIGHT else "middle"
         marks.append(_draw_text(x_axis(tick), end + 18, x_axis.format_label(tick), anchor))
     marks.append(_draw_text((LEFT + TIMELINE) / 2, end + 36, x_label, "middle"))
@@ -202,10 +214,10 @@ def _draw_curves(panel: Lines, x_axis, top) -> list:
     right = TIMELINE - RIGHT
     marks = []
     for tick in (0, 0.5, 1):
-        marks.append(_segment("grid", LEFT, y_axis(tick), right, y_axis(tick)))
+        marks.append(_draw_segment("grid", LEFT, y_axis(tick), right, y_axis(tick)))
         marks.append(_draw_text(LEFT - 7, y_axis(tick) + 4, f"{100 * tick:.0f}", "end"))
     for level in panel.levels:
-        marks.append(_segment("axis level", LEFT, y_axis(level), right, y_axis(level)))
+        marks.append(_draw_segment("axis level", LEFT, y_axis(level), right, y_axis(level)))
     for number, series in enumerate(panel.series, 1):
         marks.append(_draw_line(x_axis, y_axis, series, number, 100))
     for x, y in panel.points:
@@ -298,16 +310,18 @@ class _Axis:
 def _draw_axes(x_axis, y_axis, x_label, y_label):
     marks = []
     for tick in y_axis.list_ticks():
-        marks.append(_segment("grid", x_axis.start, y_axis(tick), x_axis.end, y_axis(tick)))
+        marks.append(_draw_segment("grid", x_axis.start, y_axis(tick), x_axis.end, y_axis(tick)))
         marks.append(
             _draw_text(x_axis.start - 7, y_axis(tick) + 4, y_axis.format_label(tick), "end")
         )
     for tick in x_axis.list_ticks():
-        marks.append(_segment("axis", x_axis(tick), y_axis.start, x_axis(tick), y_axis.start + 4))
+        marks.append(
+            _draw_segment("axis", x_axis(tick), y_axis.start, x_axis(tick), y_axis.start + 4)
+        )
         marks.append(
             _draw_text(x_axis(tick), y_axis.start + 18, x_axis.format_label(tick), "middle")
         )
-    marks.append(_segment("axis", x_axis.start, y_axis.start, x_axis.end, y_axis.start))
+    marks.append(_draw_segment("axis", x_axis.start, y_axis.start, x_axis.end, y_axis.start))
     middle = (x_axis.start + x_axis.end) / 2
     marks.append(_draw_text(middle, y_axis.start + 35, x_label, "middle"))
     marks.append(_draw_text(0, 12, y_label, "start"))
@@ -336,12 +350,12 @@ def _make_title(text):
     return f"<title>{escape(text)}</title>"
 
 
-def _segment(name, x1, y1, x2, y2):
+def _draw_segment(name, x1, y1, x2, y2):
     return f'<line class="{name}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
 
 
-def _draw_dot(x, y, said, name="dot"):
-    return f'<circle class="{name}" cx="{x:.1f}" cy="{y:.1f}" r="4.5">{_make_title(said)}</circle>'
+def _draw_dot(x, y, title, name="dot"):
+    return f'<circle class="{name}" cx="{x:.1f}" cy="{y:.1f}" r="4.5">{_make_title(title)}</circle>'
 
 
 def _draw_text(x, y, text, anchor):

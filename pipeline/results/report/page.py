@@ -179,10 +179,10 @@ def make_verdict(results: list, bundle: Bundle) -> dict:
     """
     deployed = select_deployed_result(results)
     by_stage = {result["target"]: result for result in results[:-1]}
-    wanted = [name for name in list_compared_stages() if name in by_stage][:1]
-    wanted += [name for name in ("counts",) if name in by_stage]
+    references = [name for name in list_compared_stages() if name in by_stage][:1]
+    references += [name for name in ("counts",) if name in by_stage]
     against = []
-    for name in wanted:
+    for name in references:
         compared = compare_results(by_stage[name], deployed)
         against.append(
             {
@@ -210,14 +210,14 @@ def make_class_table(inputs: Inputs) -> list:
     the predictions of a class that are right; None where there is nothing to divide by.
     """
     matrix = _count_confusions(inputs)
-    shown = matrix.sum(1)
+    presented = matrix.sum(1)
     predicted = matrix.sum(0)
     right = np.diag(matrix)
     return [
         {
             "name": name,
-            "n": int(shown[i]),
-            "recall": float(right[i] / shown[i]) if shown[i] else None,
+            "n": int(presented[i]),
+            "recall": float(right[i] / presented[i]) if presented[i] else None,
             "precision": float(right[i] / predicted[i]) if predicted[i] else None,
         }
         for i, name in enumerate(inputs.classes)
@@ -453,13 +453,13 @@ def _make_story(spec, classes, sample, replay):
     prediction = sample["prediction"]
     drawn = choose_drawn_steps(len(at_ms))
     limit = spec.presentation.threshold
-    what = "probability of the classes" if spec.estimator else "softmax of the outputs"
+    quantity = "probability of the classes" if spec.estimator else "softmax of the outputs"
     curves = tuple(
         charts.Series(classes[number], tuple(at_ms[drawn]), tuple(replay.chances[drawn, number]))
         for number in replay.choose_classes(label)
     )
     lines = charts.Lines(
-        f"{what}, %",
+        f"{quantity}, %",
         curves,
         levels=(limit,) if limit < 1 else (),
         points=((decided_ms, probability),) if is_early else (),

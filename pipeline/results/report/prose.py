@@ -36,10 +36,10 @@ def find_stage_note(stage: str) -> str:
 
 def describe_verdict(verdict: dict, result: dict, plan: dict, simulated: bool) -> Markup:
     """The accuracy of the deployed network, compared with its references."""
-    what = "simulated test samples" if simulated else "test samples"
+    samples = "simulated test samples" if simulated else "test samples"
     accuracy = format_percent(result["accuracy"])
     sentences = [
-        escape(f"{verdict['title']}: {accuracy} of {result['n_samples']:,} {what} are right.")
+        escape(f"{verdict['title']}: {accuracy} of {result['n_samples']:,} {samples} are right.")
     ]
     for other in verdict["against"]:
         difference = "no significant difference"

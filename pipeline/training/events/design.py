@@ -91,17 +91,19 @@ class EventDesign:
         """Make the design from the settings."""
         inputs = settings.input
         values = asdict(settings.events)
-        how = values.pop("augment")
-        how = AUGMENTATIONS["space" if how == "auto" else how]  # auto: not fitted, so simulated
-        if how.hot:  # "none" has no faults either
-            how = replace(how, hot=HOT_SHARE, dead=DEAD_SHARE)
+        alteration = values.pop("augment")
+        alteration = AUGMENTATIONS[
+            "space" if alteration == "auto" else alteration
+        ]  # auto: not fitted, so simulated
+        if alteration.hot:  # "none" has no faults either
+            alteration = replace(alteration, hot=HOT_SHARE, dead=DEAD_SHARE)
         values |= {
             "step_ms": inputs.step,
             "limits": SpikeLimits.of(inputs),
             "starts": settings.section_starts,
         }
         del values["parts"], values["part"], values["size"]
-        return cls(**values, alteration=how)
+        return cls(**values, alteration=alteration)
 
     def with_epochs_for(self, samples: int) -> EventDesign:
         """The design with its number of epochs, for some number of training samples."""

@@ -49,8 +49,10 @@ def train_estimator(outputs, right, seed: int) -> Estimator:
     for _ in range(EPOCHS):
         order = rng.permutation(len(inputs))
         for start in range(0, len(order), BATCHES_AT_ONCE * BATCH_SIZE):
-            some = order[start : start + BATCHES_AT_ONCE * BATCH_SIZE]
-            model.fit(inputs[some], right[some], batch_size=BATCH_SIZE, shuffle=False, verbose=0)
+            indices = order[start : start + BATCHES_AT_ONCE * BATCH_SIZE]
+            model.fit(
+                inputs[indices], right[indices], batch_size=BATCH_SIZE, shuffle=False, verbose=0
+            )
     kernels, biases = zip(*(layer.get_weights() for layer in model.layers), strict=True)
     # Fold the scaling of the inputs into the first layer.
     first = kernels[0] / spread[:, None]

@@ -76,19 +76,20 @@ class TrainedOnEvents:
         loss : float
             Largest loss of accuracy by early decisions.
         """
-        often = np.tile(held_out, COPIES)
+        with_copies = np.tile(held_out, COPIES)
         rng = np.random.default_rng([seed, 0x7E57])
-        events = self.design.alter_samples(rng, table, often)
-        altered = self.design.make_frames(events, len(often), steps, table.size)
+        events = self.design.alter_samples(rng, table, with_copies)
+        altered = self.design.make_frames(events, len(with_copies), steps, table.size)
         as_they_are = self.design.make_frames_of_samples(table, held_out, steps)
-        shown = self.run_on_frames(np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1))
+        frames = np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1)
+        result = self.run_on_frames(frames)
         return choose_threshold(
-            delay_as_on_chip(shown.outputs, self.design),
-            np.asarray(labels)[np.concatenate([held_out, often])],
-            shown.last_step,
+            delay_as_on_chip(result.outputs, self.design),
+            np.asarray(labels)[np.concatenate([held_out, with_copies])],
+            result.last_step,
             loss,
             estimator=self.estimator,
-            weights=np.repeat([1, 1 / COPIES], [len(held_out), len(often)]),
+            weights=np.repeat([1, 1 / COPIES], [len(held_out), len(with_copies)]),
         )
 
     def compute_logits(self, frames) -> np.ndarray:

@@ -63,9 +63,11 @@ class Adam:
         """Change the values by the gradients of update ``number``, counted from 0."""
         squares = sum(float(np.sum(np.square(each, dtype=float))) for each in gradients.values())
         clip = min(1.0, MAX_GRADIENT_NORM / max(math.sqrt(squares), 1e-12))
-        done = number + 1
-        rate = self._compute_rate(number) * math.sqrt(1 - BETA_2**done) / (1 - BETA_1**done)
-        share = min(self.average, done / (9 + done))
+        n_updates = number + 1
+        rate = (
+            self._compute_rate(number) * math.sqrt(1 - BETA_2**n_updates) / (1 - BETA_1**n_updates)
+        )
+        share = min(self.average, n_updates / (9 + n_updates))
         for name, value in self.values.items():
             gradient = clip * np.asarray(gradients[name], np.float32)
             first = self._first[name]

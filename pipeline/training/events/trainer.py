@@ -20,7 +20,7 @@ from pipeline.training.events.design import EventDesign
 from pipeline.training.events.estimator import train_estimator
 from pipeline.training.events.network import TrainedOnEvents, delay_as_on_chip
 from pipeline.training.events.optimizer import Adam
-from pipeline.training.networks import make_deterministic
+from pipeline.training.images.epochs import make_deterministic
 
 # Training samples that the estimator of the confidence is trained on: its inputs are some 40
 # numbers for each step of each sample, which would be gigabytes for all of 30,000 samples.
@@ -92,12 +92,12 @@ def train_events(  # noqa: PLR0913 - the last three have defaults; callers name 
         history = train_epochs(
             trainer.train_epoch, design.epochs, trainer.state, checkpoint, watch, advance
         )
-        outputs, right = trainer.compute_outputs_in_time(_choose_some(train, seed))
+        outputs, right = trainer.compute_outputs_in_time(_draw_estimator_samples(train, seed))
     estimator = train_estimator(outputs, right, seed)
     return TrainedOnEvents(design, {**trainer.weights, **estimator.to_arrays()}, history)
 
 
-def _choose_some(train, seed):
+def _draw_estimator_samples(train, seed):
     """At most `MAX_ESTIMATOR_SAMPLES` training samples for the estimator of the confidence."""
     if len(train) <= MAX_ESTIMATOR_SAMPLES:
         return train
@@ -154,8 +154,8 @@ class Trainer:
         """Accuracy and operations on samples without augmentation, for the history."""
         right = []
         costs = []
-        for some, _, outputs, cost in self._compute_outputs(indices, self._make_frames):
-            right.append(outputs[:, -1].argmax(-1) == self.labels[some])
+        for batch, _, outputs, cost in self._compute_outputs(indices, self._make_frames):
+            right.append(outputs[:, -1].argmax(-1) == self.labels[batch])
             costs.append(cost)
         cost = float(np.concatenate(costs).mean()) / CNN_MACS
         return {"val_accuracy": float(np.concatenate(right).mean()), "val_operations": cost}
@@ -172,23 +172,23 @@ class Trainer:
             As :func:`pipeline.training.events.estimator.train_estimator` takes them.
         """
         rng = np.random.default_rng([self.seed, 0x10D6E])
-        every = []
+        by_sample = []
         right = []
-        for frames_of in (self._make_frames, lambda some: self._alter(some, rng)[0]):
-            for some, frames, outputs, _ in self._compute_outputs(indices, frames_of):
+        for frames_of in (self._make_frames, lambda batch: self._alter(batch, rng)[0]):
+            for batch, frames, outputs, _ in self._compute_outputs(indices, frames_of):
                 lengths = find_last_steps(frames) + 1 + TAIL_STEPS
                 delayed = delay_as_on_chip(outputs, self.design)
-                for sample, index, length in zip(delayed, some, lengths, strict=True):
-                    every.append(sample[:length])
-                    right.append(every[-1].argmax(-1) == self.labels[index])
-        return every, right
+                for sample, index, length in zip(delayed, batch, lengths, strict=True):
+                    by_sample.append(sample[:length])
+                    right.append(by_sample[-1].argmax(-1) == self.labels[index])
+        return by_sample, right
 
     def _calibrate(self, values):
         """Scale the initial weights of each layer for a mean firing rate."""
         count = min(len(self.train), MAX_CALIBRATION_SAMPLES)
-        some = self.train[np.linspace(0, len(self.train) - 1, count).astype(int)]
-        duration_ms = max(float(self.table.duration_ms[some].mean()), self.design.step_ms)
-        frames = self._make_frames(some)
+        indices = self.train[np.linspace(0, len(self.train) - 1, count).astype(int)]
+        duration_ms = max(float(self.table.duration_ms[indices].mean()), self.design.step_ms)
+        frames = self._make_frames(indices)
         self._scale_to_rate(values, frames, FIRST_RATE_HZ * duration_ms / 1000)
 
     def _scale_to_rate(self, values, frames, spikes):
@@ -240,9 +240,9 @@ class Trainer:
         order = np.concatenate([order, np.resize(order, -len(order) % size)])
         batches = []
         for start in range(0, len(order), BATCHES_SORTED * size):
-            some = order[start : start + BATCHES_SORTED * size]
-            some = some[np.argsort(self.table.duration_ms[some], kind="stable")]
-            batches += np.split(some, len(some) // size)
+            group = order[start : start + BATCHES_SORTED * size]
+            group = group[np.argsort(self.table.duration_ms[group], kind="stable")]
+            batches += np.split(group, len(group) // size)
         rng.shuffle(batches)
         return batches
 
@@ -266,7 +266,7 @@ class Trainer:
         indices = np.asarray(indices)
         order = indices[np.argsort(self.table.duration_ms[indices], kind="stable")]
         for start in range(0, len(order), EVALUATED_TOGETHER):
-            some = order[start : start + EVALUATED_TOGETHER]
-            frames = frames_of(some)
+            batch = order[start : start + EVALUATED_TOGETHER]
+            frames = frames_of(batch)
             outputs, costs, _ = self._gradient.compute_outputs(self._optimizer.means, frames)
-            yield some, frames, outputs, costs
+            yield batch, frames, outputs, costs

@@ -9,7 +9,7 @@ from deploy.errors import UserError
 from deploy.network.nir import make_nir_graph
 from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import run_target
-from pipeline.training.adaptation import Responder
+from pipeline.training.adaptation.responder import Responder
 from tests.deploy.networks import small_spec
 
 IMAGES = np.random.default_rng(1).random((4, 6, 6, 1))

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.recordings.source import read_source
+from pipeline.recordings.files.reading import read_source
 from tests.command import call
 from tests.pipeline.handmade import archive as archive_of
 from tests.pipeline.handmade import good_members

@@ -5,7 +5,7 @@ import pytest
 
 from deploy.errors import UserError
 from models.architecture import parse
-from pipeline.kinds.image.kind import make_network_spec
+from pipeline.kinds.image.spec import make_network_spec
 from pipeline.settings import Settings
 from tests.command import call, missing
 

@@ -19,8 +19,8 @@ from pipeline.kinds.diagnosis import (
     measure_activity,
 )
 from pipeline.kinds.image import kind
-from pipeline.training import networks
-from pipeline.training.networks import select_measured
+from pipeline.training.images import rescaling
+from pipeline.training.images.rescaling import select_measured
 from tests.command import call
 from tests.deploy.networks import bundle_at, random_checks, small_spec
 
@@ -119,5 +119,5 @@ def test_a_large_networks_activations_are_measured_on_fewer_samples(monkeypatch)
     images = np.zeros((2000, 10, 10, 1))
     assert len(select_measured(images, parse("10x10-6c4-24c3-10o"))) == 2000
     wide = parse("10x10-64c3p-128c3p-10o")
-    monkeypatch.setattr(networks, "MAX_MEASURED_ACTIVATIONS", 100 * sum(wide.neurons.values()))
+    monkeypatch.setattr(rescaling, "MAX_MEASURED_ACTIVATIONS", 100 * sum(wide.neurons.values()))
     assert len(select_measured(images, wide)) == 100

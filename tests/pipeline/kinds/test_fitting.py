@@ -11,8 +11,8 @@ from pipeline.kinds.architectures import suggest_architecture, suggest_event_arc
 from pipeline.kinds.image import choices
 from pipeline.kinds.preparation import choose_settings
 from pipeline.kinds.registry import find_kind
-from pipeline.recordings.events import Sensor
-from pipeline.recordings.writing import write_recordings
+from pipeline.recordings.files.writing import write_recordings
+from pipeline.recordings.sensor import Sensor
 from pipeline.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.storage.run_folder import RunFolder

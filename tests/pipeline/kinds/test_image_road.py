@@ -12,11 +12,13 @@ from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.image.kind import keep_images
 from pipeline.kinds.imported import Imported
 from pipeline.kinds.registry import find_compared_stage, find_kind
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.settings import Image, Settings, apply_choices, list_reasons, set_nested
 from pipeline.storage.artifacts import CURRENT, MISSING, State
 from pipeline.storage.run_folder import RunFolder
-from pipeline.training.schedules import SCHEDULES
+from pipeline.training.images.schedules import SCHEDULES
 
 
 def settings(**sections):

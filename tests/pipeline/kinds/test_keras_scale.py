@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.keras.keras2 import tf
-from pipeline.kinds.image.kind import make_model_settings, read_usable_model
+from pipeline.kinds.image.keras_model import make_model_settings, read_usable_model
 from pipeline.settings import Settings
 
 

@@ -100,7 +100,7 @@ def weights_in(run, folder, settings):
 
 
 def test_the_cnn_of_the_run_answers_as_the_model_does(run, files, dataset):
-    from pipeline.training.networks import TrainedCNN
+    from pipeline.training.images.networks import TrainedCNN
 
     settings = read_settings(run / "experiment.toml")
     assert settings.cnn.architecture == ARCHITECTURE
@@ -116,7 +116,8 @@ def test_the_cnn_of_the_run_answers_as_the_model_does(run, files, dataset):
 
 def test_without_retraining_the_weights_are_only_fitted(run, dataset):
     """The same network but for a factor and a shift a layer, which bring the curves together."""
-    from pipeline.training.networks import TrainedCNN, TrainedRates, scale_to_unit
+    from pipeline.training.images.networks import TrainedCNN, TrainedRates
+    from pipeline.training.images.rescaling import scale_to_unit
 
     settings = read_settings(run / "experiment.toml")
     cnn, snn = (weights_in(run, name, settings) for name in ("cnn", "snn"))

@@ -14,7 +14,7 @@ from pipeline.kinds.presentation import (
     count_silent_steps,
     fit_gap,
 )
-from pipeline.recordings.writing import write_recordings
+from pipeline.recordings.files.writing import write_recordings
 from pipeline.settings import Settings
 from tests.own_sensor import CLASSES, gestures
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.live.deciding import Curve, NetworkOutput
-from pipeline.recordings.events import DIGITS, Sensor
+from pipeline.recordings.sensor import DIGITS, Sensor
 from pipeline.simulation import parameters
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from deploy.check.bundle import read_bundle
 from pipeline.live.network import SHIPPED
-from pipeline.recordings.source import read_source
+from pipeline.recordings.files.reading import read_source
 from tests.command import call, environment
 from tests.pipeline.live.conftest import stroke
 

@@ -12,7 +12,8 @@ from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import run_target as answers_of
 from pipeline.live.deciding import Curve, EventDecider, make_decider
 from pipeline.recordings.dataset import make_inputs, make_inputs_for
-from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.events import Events
+from pipeline.recordings.sensor import Sensor
 from pipeline.recordings.steps import EventTable, SpikeLimits
 from pipeline.settings import Settings
 from pipeline.simulation.simulate import simulate

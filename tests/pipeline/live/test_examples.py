@@ -14,7 +14,8 @@ from deploy.targets.registry import run_target
 from pipeline.live.deciding import make_decider
 from pipeline.live.examples import Example, Examples, ReplayedTouch, list_check_examples
 from pipeline.live.network import SHIPPED
-from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.events import Events
+from pipeline.recordings.sensor import Sensor
 from pipeline.settings import read_settings
 from pipeline.simulation.pen import START_S
 from pipeline.sources import load_named_recordings

@@ -10,9 +10,10 @@ import pytest
 
 from deploy.errors import UserError
 from pipeline.live.keeping import Keeper
-from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.events import Events
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats.mat import MatRecording, read_recording
-from pipeline.recordings.source import read_source
+from pipeline.recordings.sensor import Sensor
 
 
 def recording(writer=1, taxel=5):

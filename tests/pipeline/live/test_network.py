@@ -7,7 +7,7 @@ import pytest
 from deploy.check.bundle import Bundle, read_bundle
 from deploy.errors import UserError
 from pipeline.live.network import SHIPPED, describe_for_page, find_record_folder, find_sensor
-from pipeline.recordings.events import Sensor
+from pipeline.recordings.sensor import Sensor
 from tests.own_sensor import CLASSES
 
 BUNDLE = read_bundle(SHIPPED)

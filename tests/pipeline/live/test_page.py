@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
-from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.events import Events
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats.mat import read_recording
-from pipeline.recordings.source import read_source
+from pipeline.recordings.sensor import Sensor
 from pipeline.simulation import handwriting, parameters, simulate
 from tests.own_sensor import CLASSES
 from tests.pipeline.live.conftest import served

@@ -13,8 +13,9 @@ from pipeline.live.keeping import Keeper
 from pipeline.live.messages import BadMessage
 from pipeline.live.recording import LONGEST_S, PAUSE_S
 from pipeline.live.session import Session
-from pipeline.recordings.events import Events, Sensor
+from pipeline.recordings.events import Events
 from pipeline.recordings.formats.mat import read_recording
+from pipeline.recordings.sensor import Sensor
 from pipeline.simulation import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
 from tests.pipeline.live.test_keeping import recording

@@ -9,7 +9,7 @@ from deploy.check.bundle import read_bundle
 from deploy.files import read_json
 from deploy.targets.registry import run_target
 from pipeline.live.network import SHIPPED, find_sensor
-from pipeline.recordings.events import Sensor
+from pipeline.recordings.sensor import Sensor
 from pipeline.settings import read_settings
 from pipeline.sources import find_identity
 from tests.command import ROOT, call

@@ -12,7 +12,9 @@ from pipeline.recordings.augmentation import (
     choose_augmentation,
 )
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import Events, Sensor, Source, collect
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import Sensor
 
 STILL = Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats.bins import make_binned_recording
-from pipeline.recordings.sensor import ReadingOptions
-from pipeline.recordings.source import read_source
+from pipeline.recordings.interpretation.options import ReadingOptions
 from pipeline.sources import load_recordings
 from tests.pipeline.handmade import archive
 

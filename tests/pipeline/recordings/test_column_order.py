@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.recording import BadRecording
-from pipeline.recordings.source import read_source
 
 X, Y, T, P = [7, 3, 9, 3], [0, 4, 2, 1], [10, 20, 35, 80], [1, 0, 0, 1]
 BY_NAME = {"x": X, "y": Y, "t": T, "p": P}

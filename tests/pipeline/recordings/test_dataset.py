@@ -8,7 +8,7 @@ from deploy.check.bundle import HEADERS
 from deploy.errors import UserError
 from pipeline.recordings.dataset import make_dataset_origin, make_inputs
 from pipeline.recordings.images import make_tactile_images
-from pipeline.recordings.splits import split_of
+from pipeline.recordings.splits import make_split
 from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
 from pipeline.sources import find_identity, load_dataset, load_named_recordings
 from pipeline.storage.run_folder import RunFolder
@@ -52,7 +52,7 @@ def test_inputs_and_labels_are_those_of_the_recordings(dataset):
 
 
 def test_the_split_is_of_the_settings_seed_and_fractions(dataset):
-    expected = split_of(dataset.recordings, 3, 0.2, 0.25)
+    expected = make_split(dataset.recordings, 3, 0.2, 0.25)
     for name in ("train", "validation", "test"):
         inputs, labels = dataset.subset(name)
         index = getattr(expected, name)

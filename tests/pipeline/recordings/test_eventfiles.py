@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.errors import SeveralErrors, UserError
-from pipeline.recordings.events import TaxelMap
+from pipeline.recordings.files.writing import write_recordings
 from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.csv import read_csv
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.recordings.images import make_tactile_images
-from pipeline.recordings.times import to_ns
-from pipeline.recordings.writing import write_recordings
+from pipeline.recordings.interpretation.times import to_ns
+from pipeline.recordings.sensor import TaxelMap
 from pipeline.sources import load_recordings
 from tests.own_sensor import CLASSES, COLUMNS, ROWS, gestures
 from tests.pipeline.handmade import npz

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.events import Events, Source, collect
+from pipeline.recordings.events import Events
 from pipeline.recordings.faulty_taxels import (
     CHECK_PERIOD_MS,
     HOT_PERIOD_MS,
@@ -15,6 +15,7 @@ from pipeline.recordings.faulty_taxels import (
     draw_faults,
     place_faults,
 )
+from pipeline.recordings.recordings import Source, collect
 
 SIZE = (4, 5)
 PLACES = np.stack(np.divmod(np.arange(20), 5), 1)

@@ -6,9 +6,9 @@ import h5py
 import numpy as np
 import pytest
 
+from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats import read_file
 from pipeline.recordings.formats.recording import BadRecording
-from pipeline.recordings.source import read_source
 
 TIMES, COLUMNS = np.array([0.1, 0.2, 0.4]), {"x": [3, 4, 5], "y": [1, 1, 2], "p": [1, -1, 1]}
 SPIKES = np.dtype([("timestamp", "f8"), ("polarity", "i1"), ("taxel_id", "u2")])

@@ -8,8 +8,8 @@ from hypothesis.extra import numpy as hnp
 
 from pipeline.recordings import faulty_taxels
 from pipeline.recordings.augmentation import AUGMENTATIONS
-from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.images import AlteredImages, make_tactile_images, normalise
+from pipeline.recordings.sensor import TaxelMap
 from pipeline.settings import Image
 from tests.pipeline.handmade import recordings
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from pipeline.recordings.events import Events, TaxelMap, expand_bursts
+from pipeline.recordings.events import Events, expand_bursts
 from pipeline.recordings.formats.mat import (
     HEADER,
     MatRecording,
@@ -16,6 +16,7 @@ from pipeline.recordings.formats.mat import (
     read_spiketrain,
 )
 from pipeline.recordings.formats.recording import BadRecording
+from pipeline.recordings.sensor import TaxelMap
 from tests.pipeline.handmade import events, mat5, spiketrain
 
 

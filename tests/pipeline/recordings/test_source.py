@@ -9,11 +9,13 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import hash_file
-from pipeline.recordings import source
-from pipeline.recordings.events import Sensor, TaxelMap
+from pipeline.recordings import library
+from pipeline.recordings.files import listing, reading
+from pipeline.recordings.files.listing import list_source
+from pipeline.recordings.files.reading import read_source
+from pipeline.recordings.files.writing import write_mat_zip
 from pipeline.recordings.formats.mat import encode_lookup_table
-from pipeline.recordings.source import list_source, read_source
-from pipeline.recordings.writing import write_zip
+from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.sources import load_recordings
 from tests.pipeline.handmade import (
     archive,
@@ -156,14 +158,14 @@ def test_damaged_members_are_refused_by_name(tmp_path):
 
 def test_a_source_with_too_many_events_or_files(tmp_path, monkeypatch):
     path = put(tmp_path / "s.zip", members())
-    monkeypatch.setattr(source, "MAX_SOURCE_EVENTS", 30)
+    monkeypatch.setattr(reading, "MAX_SOURCE_EVENTS", 30)
     assert "more than 30 events" in error(path)
-    monkeypatch.setattr(source, "MAX_FILES", 5)
+    monkeypatch.setattr(listing, "MAX_FILES", 5)
     assert "6 recordings, more than 5" in error(path)
 
 
 def test_the_same_for_any_number_of_processes(tmp_path, monkeypatch):
-    monkeypatch.setattr(source, "FILES_PER_JOB", 2)
+    monkeypatch.setattr(reading, "FILES_PER_JOB", 2)
     put(tmp_path / "s.zip", members())
     assert_same(*(read_source(tmp_path / "s.zip", jobs=jobs) for jobs in (1, 2)))
 
@@ -302,15 +304,15 @@ def test_names_of_a_zip_without_the_mark_of_utf8(tmp_path, encoding, name):
 
 def test_recordings_come_back_from_a_zip(tmp_path):
     made = recordings([(0, 5, 1, 4), (160, 17, -1, 2)], [(0, 99, 1, 1)])
-    write_zip(tmp_path / "out.zip", made)
+    write_mat_zip(tmp_path / "out.zip", made)
     read = read_source(tmp_path / "out.zip", jobs=1)
     assert_same(read, made, source=False)
     assert read.source.simulated
     first = hash_file(tmp_path / "out.zip")
-    write_zip(tmp_path / "out.zip", made)
+    write_mat_zip(tmp_path / "out.zip", made)
     assert hash_file(tmp_path / "out.zip") == first
     parts = recordings([(0, 5, 1, 4)], [(0, 9, 1, 1)], parts=("train", "test"))
-    write_zip(tmp_path / "p.zip", source_with_ids(parts))
+    write_mat_zip(tmp_path / "p.zip", source_with_ids(parts))
     assert read_source(tmp_path / "p.zip", jobs=1).parts == ("train", "test")
 
 
@@ -324,19 +326,19 @@ def source_with_ids(made):
 
 def test_the_content_is_that_of_the_files_that_are_read(tmp_path):
     one, other = (put(tmp_path / name, members()) for name in ("one", "other"))
-    first = source.hash_content(list_source(one))
-    assert source.hash_content(list_source(other)) == first
+    first = listing.hash_content(list_source(one))
+    assert listing.hash_content(list_source(other)) == first
     put(other, {"README.md": b"new"})
-    assert source.hash_content(list_source(other)) == first
+    assert listing.hash_content(list_source(other)) == first
     put(other, {"a/9.npz": strip(9)})
-    assert source.hash_content(list_source(other)) != first
+    assert listing.hash_content(list_source(other)) != first
 
 
 def test_recordings_are_read_once(tmp_path, monkeypatch):
     path = put(tmp_path / "s", members())
     first = load_recordings(str(path), jobs=1)
     with monkeypatch.context() as patch:
-        patch.setattr(source, "read_source", None)
+        patch.setattr(library, "read_source", None)
         assert_same(load_recordings(str(path), jobs=1), first)
     put(path, {"a/1.npz": strip(30)})
     os.utime(path / "a" / "1.npz", (1, 1))

@@ -14,10 +14,10 @@ from pipeline.recordings.splits import (
     find_copies,
     find_split_problem,
     hold_out,
+    make_split,
     split_as_published,
     split_at_random,
     split_by_writers,
-    split_of,
 )
 from tests.pipeline.handmade import recordings
 
@@ -42,7 +42,7 @@ def test_a_random_split_is_a_partition(n, seed, fraction):
 def test_every_class_is_in_training_and_test(seed, classes, fraction):
     labels = np.concatenate([np.arange(classes), np.arange(classes), [0] * seed])
     made = recordings(*[[(0, i, 1, 1)] for i in range(len(labels))], labels=labels.tolist())
-    split = split_of(made, seed, 0.2, fraction)
+    split = make_split(made, seed, 0.2, fraction)
     assert find_classes_without_test(made, split) == []
     assert set(labels[split.train]) == set(range(classes))
     together = np.concatenate([split.train, split.validation, split.test])
@@ -61,7 +61,9 @@ def test_classes_without_test_recordings_are_named():
 
 @given(st.integers(0, 200), st.sampled_from([0.1, 0.2, 0.6, 0.9]))
 def test_every_class_is_in_the_training_part(seed, fraction):
-    split = split_of(published(" " * 12, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]), seed, fraction, 0.2)
+    split = make_split(
+        published(" " * 12, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]), seed, fraction, 0.2
+    )
     together = np.concatenate([split.train, split.validation, split.test])
     np.testing.assert_array_equal(np.sort(together), np.arange(12))
     assert set(np.asarray(split.train) // 2) == set(range(6))
@@ -80,7 +82,7 @@ def test_no_writer_is_in_both_parts(sizes, seed):
 
 def test_validation_samples_are_of_own_writers():
     many = replace(published(" " * 40, [0, 1] * 20), writers=np.repeat(np.arange(8), 5))
-    split = split_of(many, 0, 0.2, 0.2, "writers")
+    split = make_split(many, 0, 0.2, 0.2, "writers")
     parts = (split.train, split.validation, split.test)
     np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(40))
     groups = [set(many.writers[part]) for part in parts]
@@ -97,18 +99,18 @@ def test_a_split_by_writers_needs_their_names():
 def test_a_published_split_is_used():
     """Every seed has the same test set and check; validation samples are of the training."""
     read = published("rrrrrrtt", (0, 0, 0, 1, 1, 1, 0, 1))
-    splits = [split_of(read, seed, 0.5, 0.5, "auto") for seed in range(5)]
+    splits = [make_split(read, seed, 0.5, 0.5, "auto") for seed in range(5)]
     for split in splits:
         assert split.kind == "published"
         assert sorted(split.test) == [6, 7]
         assert sorted([*split.train, *split.validation]) == [0, 1, 2, 3, 4, 5]
         assert len(split.validation) == 3
-        np.testing.assert_array_equal(split.check_samples(2, 9), splits[0].check_samples(2, 1))
+        np.testing.assert_array_equal(split.draw_check_samples(2, 9), splits[0].check_samples(2, 1))
     assert len({tuple(split.train) for split in splits}) > 1
-    assert split_of(read, 0, 0.5, requested="random").kind == "random"
-    assert split_of(published("      "), 0, 0.5, requested="auto").kind == "random"
+    assert make_split(read, 0, 0.5, requested="random").kind == "random"
+    assert make_split(published("      "), 0, 0.5, requested="auto").kind == "random"
     with pytest.raises(ValueError, match="train and test"):
-        split_of(published("      "), 0, 0.5, requested="published")
+        make_split(published("      "), 0, 0.5, requested="published")
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,10 @@ import pytest
 from scipy.io import loadmat
 
 from pipeline.recordings import statistics
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.events import Events
 from pipeline.recordings.formats.mat import read_recording
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import Sensor, TaxelMap
 from tests.command import missing
 
 SOURCE = Source("by hand", "", False)

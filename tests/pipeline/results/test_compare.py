@@ -131,7 +131,7 @@ def test_what_an_inference_takes_by_hand(monkeypatch):
     assert first["synaptic_operations"] == 100
     # 6x6-4c3-8c2-10o: 16 * 9 * 4, 9 * 16 * 8, 72 * 10
     assert first["operations_per_mac"] is None  # the paper's CNN is for the digits of its sensor
-    monkeypatch.setattr(compare, "is_written", lambda rows, columns, classes: True)
+    monkeypatch.setattr(compare, "is_st_mnist_sensor", lambda rows, columns, classes: True)
     assert compute_inference(images)["operations_per_mac"] == pytest.approx(100 / 43104)
     assert first["neurons"] == 64 + 72
     assert (second["counted_on"], second["synaptic_operations"]) == (None, None)

@@ -4,7 +4,8 @@ import functools
 
 import numpy as np
 
-from pipeline.recordings.events import N_TAXELS, TICK_NS, Events
+from pipeline.recordings.events import TICK_NS, Events
+from pipeline.recordings.sensor import N_TAXELS
 from pipeline.simulation.aces import find_ticks, queue_bursts
 
 # Seed of the random search for signatures: a property of the hardware, not of a data set.

@@ -13,14 +13,16 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from models.architecture import NotationError, parse
 from models.cnn import set_weights
-from pipeline.kinds.image.kind import make_image_spec, make_network_spec
+from pipeline.kinds.image.spec import make_image_spec, make_network_spec
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.results.other_recordings import find_trained_on
 from pipeline.results.report.figures import animation
 from pipeline.settings import Settings
 from pipeline.sources import load_dataset
 from pipeline.training import nengodl
-from pipeline.training import networks as training
+from pipeline.training.images.epochs import TrainingSamples
+from pipeline.training.images.networks import TrainedRates, build_rate_network
+from pipeline.training.images.train import train_cnn, train_rate_network
 from pipeline.training.nengodl import nengo_dl
 from tests.untraced import untraced
 
@@ -86,7 +88,7 @@ def images(n=4, size=(10, 10, 1)):
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_the_network_in_nengodl_is_the_keras_one(architecture):
     chosen, weights = settings_of(architecture), random_weights(architecture)
-    trained = training.TrainedRates(chosen, weights).compute_logits(images())
+    trained = TrainedRates(chosen, weights).compute_logits(images())
     with untraced():
         ours = nengodl.run(chosen, weights, images(), 1, spiking=False, batch=4)
     assert trained.std() > 0.1
@@ -108,7 +110,7 @@ def test_any_network_in_nengodl_is_the_keras_one(networks):
         for architecture, seed in networks:
             given_settings, weights = settings_of(architecture), random_weights(architecture, seed)
             inputs = images(2, parse(architecture).input_shape)
-            model = training.build_rate_network(given_settings)
+            model = build_rate_network(given_settings)
             set_weights(model, weights)
             expected.append(model(inputs).numpy())  # called: predict() takes a tenth of a second
             _, source, output = nengodl._convert(  # a part of the network around it
@@ -128,7 +130,7 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(architectur
     shown = dict(steps=700, gap=0, readout_start=150, stream_length=1)
     chosen = settings_of(architecture, "loihi", **shown)
     weights = random_weights(architecture)
-    rates = training.TrainedRates(chosen, weights).compute_logits(images())
+    rates = TrainedRates(chosen, weights).compute_logits(images())
     spec = make_image_spec(chosen, weights, {})
     assert NetworkSpec.from_json(spec.to_json(), spec.to_arrays()) == spec
     scores = run_target(spec, images(), "fast").scores
@@ -153,10 +155,10 @@ def test_training_with_strides_pooling_and_dense_layers():
     }
     settings = Settings().with_values(changes, "test")
     labels = np.arange(80) % 10
-    samples = training.TrainingSamples(images(80), labels)
+    samples = TrainingSamples(images(80), labels)
     with untraced():
-        cnn = training.train_cnn(settings, samples, 0)
-        single = training.train_rate_network(settings, samples, 0, cnn.weights)
+        cnn = train_cnn(settings, samples, 0)
+        single = train_rate_network(settings, samples, 0, cnn.weights)
     shapes = parse(settings.cnn.architecture).weight_shapes
     assert {name: array.shape for name, array in single.weights.items()} == shapes
     assert np.isfinite(single.compute_logits(images())).all()

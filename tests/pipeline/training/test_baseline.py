@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from pipeline.kinds.counts import fit_baseline
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.recordings.steps import EventTable
 
 

@@ -10,10 +10,10 @@ from deploy.targets.registry import run_target
 from models.architecture import parse
 from models.cnn import find_gain
 from models.keras.keras2 import tf
-from pipeline.kinds.image.kind import make_image_spec
+from pipeline.kinds.image.spec import make_image_spec
 from pipeline.settings import Settings
 from pipeline.training import nengodl
-from pipeline.training import networks as training
+from pipeline.training.images.networks import TrainedRates
 from tests.untraced import untraced
 
 N = 6
@@ -52,7 +52,7 @@ def weights():
 
 def test_the_rate_network_in_nengodl_is_the_trained_one(images, weights):
     settings = settings_of("paper")
-    trained = training.TrainedRates(settings, weights).compute_logits(images)
+    trained = TrainedRates(settings, weights).compute_logits(images)
     ours = nengodl.run(settings, weights, images, 1, spiking=False, batch=4)
     assert ours.shape == (N, 1, 10)
     assert trained.std() > 0.3
@@ -74,7 +74,7 @@ def test_what_ran_before_in_the_process_makes_no_difference(images, weights):
 
 def test_the_spiking_network_in_nengodl_is_near_its_rate_version(images, weights):
     settings = settings_of("paper")
-    rates = training.TrainedRates(settings, weights).compute_logits(images)
+    rates = TrainedRates(settings, weights).compute_logits(images)
     spiking = nengodl.run(settings, weights, images, 600, batch=N)[:, 100:].mean(1)
     assert np.abs(spiking - rates).mean() < 0.12 * rates.std()
     assert np.corrcoef(spiking.ravel(), rates.ravel())[0, 1] > 0.98
@@ -84,7 +84,7 @@ def test_the_spiking_network_in_nengodl_is_near_its_rate_version(images, weights
 def test_shown_long_the_deployed_network_answers_as_the_rate_network(images, weights, recipe):
     settings = settings_of(recipe, steps=900, gap=0, readout_start=100, stream_length=1)
     images = images[:4]
-    rates = training.TrainedRates(settings, weights).compute_logits(images)
+    rates = TrainedRates(settings, weights).compute_logits(images)
     responses = run_target(make_image_spec(settings, weights, {}), images, "nengo")
     tolerance = 0.15 if recipe == "loihi" else 0.35  # the paper's rates know no whole steps
     assert np.abs(responses.scores - rates).mean() < tolerance * rates.std()
@@ -93,7 +93,7 @@ def test_shown_long_the_deployed_network_answers_as_the_rate_network(images, wei
 
 def test_on_the_emulator_it_is_near_too(images, weights):
     settings = settings_of("loihi", steps=300, readout_start=50, stream_length=1)
-    rates = training.TrainedRates(settings, weights).compute_logits(images)
+    rates = TrainedRates(settings, weights).compute_logits(images)
     parts = [
         run_target(make_image_spec(settings, weights, {}), images[i : i + 2], "emulator")
         for i in (0, 2)

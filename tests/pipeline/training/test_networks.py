@@ -5,9 +5,14 @@ import os
 import numpy as np
 import pytest
 
-from models.cnn import compute_activations
+from models.cnn import compute_activations, set_weights
 from pipeline.settings import Settings, write_settings
-from pipeline.training import networks as training
+from pipeline.training.images import epochs
+from pipeline.training.images.epochs import TrainingSamples, _draw_samples
+from pipeline.training.images.networks import TrainedCNN, build_rate_network
+from pipeline.training.images.rescaling import scale_to_unit
+from pipeline.training.images.schedules import make_cnn_schedule, make_snn_schedule
+from pipeline.training.images.train import train_cnn, train_matched, train_rate_network
 from tests.command import LEAVE_GARBAGE, printed_by, users_environment
 
 
@@ -31,7 +36,7 @@ def accuracy(logits, labels):
 
 @pytest.fixture(scope="module")
 def cnn(stripes):
-    return training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=0)
+    return train_cnn(settings(), TrainingSamples(*stripes), seed=0)
 
 
 def test_the_weights_are_the_trained_ones(cnn, stripes):
@@ -42,17 +47,17 @@ def test_the_weights_are_the_trained_ones(cnn, stripes):
 
 
 def test_same_seed_same_weights(cnn, stripes):
-    again = training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=0)
-    other = training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=1)
+    again = train_cnn(settings(), TrainingSamples(*stripes), seed=0)
+    other = train_cnn(settings(), TrainingSamples(*stripes), seed=1)
     for name, array in cnn.weights.items():
         np.testing.assert_array_equal(array, again.weights[name])
     assert not np.array_equal(cnn.weights["output.kernel"], other.weights["output.kernel"])
 
 
 def test_images_that_are_computed_in_parts_give_the_same_weights(cnn, stripes, monkeypatch):
-    monkeypatch.setattr(training, "IMAGES_AHEAD", 1)
-    monkeypatch.setattr(training, "ALTERED_AT_ONCE", 16)
-    again = training.train_cnn(settings(), training.TrainingSamples(*stripes), seed=0)
+    monkeypatch.setattr(epochs, "IMAGES_AHEAD", 1)
+    monkeypatch.setattr(epochs, "ALTERED_AT_ONCE", 16)
+    again = train_cnn(settings(), TrainingSamples(*stripes), seed=0)
     for name, array in cnn.weights.items():
         np.testing.assert_array_equal(array, again.weights[name])
 
@@ -61,9 +66,7 @@ def test_images_that_are_computed_in_parts_give_the_same_weights(cnn, stripes, m
 def test_rate_networks_learn(cnn, stripes, recipe):
     images, labels = stripes
     chosen = settings(recipe=recipe, epochs=8, batch_size=16)
-    trained = training.train_rate_network(
-        chosen, training.TrainingSamples(*stripes), 0, cnn.weights
-    )
+    trained = train_rate_network(chosen, TrainingSamples(*stripes), 0, cnn.weights)
     assert accuracy(trained.compute_logits(images), labels) > 0.9
 
 
@@ -89,7 +92,8 @@ ON_ONE_AND_ALL = """
 import os
 import numpy as np
 from pipeline.settings import read_settings
-from pipeline.training.networks import TrainingSamples, train_cnn, train_rate_network
+from pipeline.training.images.epochs import TrainingSamples
+from pipeline.training.images.train import train_cnn, train_rate_network
 
 chosen = read_settings("chosen.toml")
 stripes = TrainingSamples(*np.load("data.npz").values())
@@ -112,10 +116,10 @@ assert os.waitpid(child, 0)[1] == 0
 
 def test_noise_is_normal_with_the_settings_deviation():
     chosen = settings(recipe="loihi", epochs=2, batch_size=64, noise=0.3)
-    model = training.build_rate_network(chosen)
-    schedule = training.make_snn_schedule(chosen.snn, 200)
-    samples = training.TrainingSamples(np.arange(200.0).reshape(-1, 1, 1, 1), np.arange(200))
-    drawn = list(training._draw_samples(model, samples, schedule, 4))
+    model = build_rate_network(chosen)
+    schedule = make_snn_schedule(chosen.snn, 200)
+    samples = TrainingSamples(np.arange(200.0).reshape(-1, 1, 1, 1), np.arange(200))
+    drawn = list(_draw_samples(model, samples, schedule, 4))
     assert [len(labels) for _, labels, _, _ in drawn] == [200, 200]
     assert sorted(drawn[0][1].numpy()) == list(range(200))
     assert not np.array_equal(drawn[0][1], drawn[1][1])
@@ -129,8 +133,7 @@ def test_noise_is_normal_with_the_settings_deviation():
     first, second = drawn[0][2][0].numpy(), drawn[1][2][0].numpy()
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02
     again, other = (
-        next(training._draw_samples(model, samples, schedule, seed))[2][0].numpy()
-        for seed in (4, 5)
+        next(_draw_samples(model, samples, schedule, seed))[2][0].numpy() for seed in (4, 5)
     )
     np.testing.assert_array_equal(again, first)
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.02
@@ -140,20 +143,18 @@ def test_a_price_on_spikes_saves_spikes(cnn, stripes):
     totals = []
     for penalty in (0.0, 5.0):
         chosen = settings(spike_penalty=penalty, epochs=6, batch_size=16)
-        trained = training.train_rate_network(
-            chosen, training.TrainingSamples(*stripes), 0, cnn.weights
-        )
-        model = training.build_rate_network(chosen)
-        training.set_weights(model, trained.weights)
+        trained = train_rate_network(chosen, TrainingSamples(*stripes), 0, cnn.weights)
+        model = build_rate_network(chosen)
+        set_weights(model, trained.weights)
         totals.append(compute_activations(model, stripes[0])["conv1"].sum())
     assert totals[1] < 0.8 * totals[0]
 
 
 def test_scaling_to_unit_keeps_the_function(cnn, stripes):
     images, _ = stripes
-    scaled = training.scale_to_unit(settings(), cnn.weights, images)
+    scaled = scale_to_unit(settings(), cnn.weights, images)
     np.testing.assert_allclose(
-        training.TrainedCNN(settings(), scaled).compute_logits(images),
+        TrainedCNN(settings(), scaled).compute_logits(images),
         cnn.compute_logits(images),
         rtol=1e-3,
         atol=1e-3,
@@ -166,10 +167,8 @@ def test_validation_samples_are_watched_and_not_trained_on():
     images = rng.uniform(size=(40, 10, 10, 1)).astype(np.float32)
     labels = rng.integers(0, 10, 40)
     chosen = Settings().with_values({"cnn": {"epochs": 1}}, "test")
-    watched = training.train_cnn(
-        chosen, training.TrainingSamples(images, labels, None, (images[:8], labels[:8])), 0
-    )
-    unwatched = training.train_cnn(chosen, training.TrainingSamples(images, labels), 0)
+    watched = train_cnn(chosen, TrainingSamples(images, labels, None, (images[:8], labels[:8])), 0)
+    unwatched = train_cnn(chosen, TrainingSamples(images, labels), 0)
     logits = watched.compute_logits(images[:8])
     right = float(np.mean(logits.argmax(1) == labels[:8]))
     shares = np.exp(logits - logits.max(1, keepdims=True))
@@ -184,7 +183,7 @@ def test_validation_samples_are_watched_and_not_trained_on():
 def test_the_best_shift_brings_a_lif_neuron_near_a_rectified_unit():
     """By hand: at z = 1 the rate is max_rate whatever the shift, and it beats no shift."""
     from models.cnn import RateLIF
-    from pipeline.training.networks import _find_best_shift
+    from pipeline.training.images.rescaling import _find_best_shift
 
     neurons = RateLIF(150.0, on_chip=True)
     wanted = np.linspace(0.001, 1, 500)
@@ -202,11 +201,9 @@ def test_the_best_shift_brings_a_lif_neuron_near_a_rectified_unit():
 
 def test_dropout_keeps_the_mean():
     chosen = settings(recipe="loihi", epochs=1, batch_size=64, dropout=0.25)
-    model = training.build_rate_network(chosen)
-    samples = training.TrainingSamples(np.zeros((200, 1, 1, 1)), np.zeros(200, int))
-    *_, masks = next(
-        training._draw_samples(model, samples, training.make_snn_schedule(chosen.snn, 200), 4)
-    )
+    model = build_rate_network(chosen)
+    samples = TrainingSamples(np.zeros((200, 1, 1, 1)), np.zeros(200, int))
+    *_, masks = next(_draw_samples(model, samples, make_snn_schedule(chosen.snn, 200), 4))
     assert [layer.shape for layer in masks] == [(200, 7, 7, 6), (200, 5, 5, 24)]
     for mask in masks:
         assert set(np.unique(mask)) == {np.float32(0), np.float32(4 / 3)}
@@ -216,20 +213,20 @@ def test_dropout_keeps_the_mean():
 def test_small_data_sets_get_more_epochs():
     """A schedule shows a number of samples at least; a number of epochs that is set is kept."""
     default = Settings()
-    assert training.make_cnn_schedule(default.cnn, 5562).epochs == 20  # the paper's
-    assert training.make_cnn_schedule(default.cnn, 518).epochs == 155  # 80,000 samples
-    assert training.make_snn_schedule(default.snn, 5562).epochs == 60
-    assert training.make_snn_schedule(default.snn, 518).epochs == 309
-    assert training.make_cnn_schedule(settings().cnn, 518).epochs == 6
+    assert make_cnn_schedule(default.cnn, 5562).epochs == 20  # the paper's
+    assert make_cnn_schedule(default.cnn, 518).epochs == 155  # 80,000 samples
+    assert make_snn_schedule(default.snn, 5562).epochs == 60
+    assert make_snn_schedule(default.snn, 518).epochs == 309
+    assert make_cnn_schedule(settings().cnn, 518).epochs == 6
 
 
 def test_the_matched_cnn_is_trained_like_the_rate_network(cnn, stripes):
     images, labels = stripes
     chosen = settings(epochs=8, batch_size=16)
-    matched = training.train_matched(chosen, training.TrainingSamples(*stripes), 0, cnn.weights)
+    matched = train_matched(chosen, TrainingSamples(*stripes), 0, cnn.weights)
     assert [row["epoch"] for row in matched.history] == list(range(1, 9))
     assert accuracy(matched.compute_logits(images), labels) > 0.9
-    untrained = training.scale_to_unit(chosen, cnn.weights, images)
+    untrained = scale_to_unit(chosen, cnn.weights, images)
     assert not np.allclose(matched.weights["conv1.kernel"], untrained["conv1.kernel"])
     # It starts from the CNN's function, not from new weights.
     assert matched.history[0]["accuracy"] > 0.9
@@ -244,6 +241,6 @@ def test_altered_images_take_the_place_of_the_samples(stripes):
         return images[(indices + 1) % len(images)]  # of the next class
 
     few = Settings().with_values({"cnn": {"epochs": 8, "batch_size": 16}})
-    trained = training.train_cnn(few, training.TrainingSamples(*stripes, altered), 0)
+    trained = train_cnn(few, TrainingSamples(*stripes, altered), 0)
     assert len(seen) == 8
     assert np.mean(trained.compute_logits(images).argmax(1) == (labels - 1) % 10) > 0.8

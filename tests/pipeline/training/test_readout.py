@@ -5,8 +5,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from deploy.network.rehearsal import Rehearsal
-from pipeline.training import adaptation
-from pipeline.training.adaptation import Person, refit, round_to_8_bits
+from pipeline.training.adaptation import refit as refit_module
+from pipeline.training.adaptation.refit import Person, refit, round_to_8_bits
 
 CLASSES, INPUTS = 4, 12
 
@@ -89,9 +89,9 @@ def test_the_gradient_is_of_the_loss(world, monkeypatch):
             seen[index] = ((loss(point + step)[0] - loss(point - step)[0]) / 2e-5, slope[index])
         return type("Found", (), {"x": start})
 
-    monkeypatch.setattr(adaptation, "minimize", check)
+    monkeypatch.setattr(refit_module, "minimize", check)
     nobody = Person(kept.responses[:3], kept.labels[:3], np.empty((3, 0, INPUTS)))
-    problem = adaptation._Regression(weights, bias, nobody, kept, 2.0)
+    problem = refit_module._Regression(weights, bias, nobody, kept, 2.0)
     everything = np.ones(len(kept), bool)
     problem.solve(kept.responses[:9], kept.labels[:9], everything, 0.01, 0.5)
     assert len(seen) == 3
@@ -129,7 +129,7 @@ def test_eight_bits():
 @pytest.mark.parametrize("each", [1, 2, 7])
 def test_folds_share_out_every_class(each):
     labels = np.repeat(np.arange(10), each)
-    folds = adaptation._draw_folds(labels, 0)
+    folds = refit_module._draw_folds(labels, 0)
     assert folds.max() + 1 == 5
     assert set(np.bincount(folds)) <= {2 * each, 2 * each + 1, 2 * each - 1}
     for label in range(10):
@@ -140,7 +140,7 @@ def test_it_computes_in_one_thread(world, monkeypatch):
     """Several took twelve times as long: the page's fit has to be there within two seconds."""
     rng, centres, weights, bias, kept = world
     threads = []
-    minimize = adaptation.minimize
+    minimize = refit_module.minimize
 
     def watched(*given, **options):
         threads.append(
@@ -148,7 +148,7 @@ def test_it_computes_in_one_thread(world, monkeypatch):
         )
         return minimize(*given, **options)
 
-    monkeypatch.setattr(adaptation, "minimize", watched)
+    monkeypatch.setattr(refit_module, "minimize", watched)
     with threadpool_limits(2, user_api="blas"):
         refit(weights, bias, person_of(rng, centres, 2), kept)
     assert threads

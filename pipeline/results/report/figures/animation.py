@@ -86,10 +86,10 @@ class _Animation:
         first = spec.presentation.readout_start + 1
         self._times_ms = self._step_ms * (first + np.arange(len(self._played.chances)))
         self._decided_ms = self._times_ms[self._played.decided]
-        self._growing = _growing(bundle.checks.inputs[index])
-        left, panels = self._make_figure(bundle.checks.ids[index])
-        self._draw_touch = self._add_sensor(left[0])
-        self._add_prediction(left[1])
+        self._growing = _accumulate_events(bundle.checks.inputs[index])
+        sensor_axes, panels = self._make_figure(bundle.checks.ids[index])
+        self._draw_touch = self._add_sensor(sensor_axes[0])
+        self._add_prediction(sensor_axes[1])
         self._add_clocks(panels)
         self._marks = self._add_spikes(panels)
         self._curves = self._add_probabilities(panels[-1])
@@ -122,17 +122,17 @@ class _Animation:
         self._figure = figure = Figure(figsize=size, layout="constrained", dpi=90)
         figure.set_facecolor(find_colour("panel"))
         figure.get_layout_engine().set(w_pad=0.12, h_pad=0.06)
-        left, right = figure.subfigures(1, 2, width_ratios=[1, 2.2])
-        axes = left.subplots(2, 1, height_ratios=[1.6, 1])
-        panels = right.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+        sensor_figure, time_figure = figure.subfigures(1, 2, width_ratios=[1, 2.2])
+        axes = sensor_figure.subplots(2, 1, height_ratios=[1.6, 1])
+        panels = time_figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         remark = "simulated " if self._spec.provenance.get("simulated") else ""
         title = f"{remark}sample {name}, class {self._classes[self._label]}"
-        right.suptitle(title, ha="center")
+        time_figure.suptitle(title, ha="center")
         return axes, panels
 
     def _add_sensor(self, axes):
         """Add the sensor; return the function that draws values on it."""
-        draw = _picture(axes, self._growing, read_positions(self._spec))
+        draw = _draw_sensor(axes, self._growing, read_positions(self._spec))
         axes.set(xticks=[], yticks=[])
         is_image = len(self._growing) == 1
         axes.set_title("events of each taxel" if is_image else "input spikes so far")
@@ -206,7 +206,7 @@ class _Animation:
         chances = self._played.chances[step]
         likely = chances.max()
         self._prediction.set_text(self._names[chances.argmax()] if likely >= MIN_SHOWN else "…")
-        self._verdict.set_text(f"{self._measure} {_percent(likely)}")
+        self._verdict.set_text(f"{self._measure} {_format_percent(likely)}")
 
     def _say_decision(self):
         """The decision, when it was made, and whether it is right."""
@@ -215,7 +215,8 @@ class _Animation:
         is_right = played.prediction == label
         is_last = self._decided_ms == self._times_ms[-1]
         when = "at the end" if is_last else f"decided after {self._decided_ms / 1000:.2f} s"
-        when += f"\n{self._measure} {_percent(played.chances[played.decided, played.prediction])}"
+        chance = played.chances[played.decided, played.prediction]
+        when += f"\n{self._measure} {_format_percent(chance)}"
         ended = f"{when}: right" if is_right else f"{when}\nwrong, was {self._names[label]}"
         shade = find_colour("right" if is_right else "wrong")
         self._prediction.set(text=self._names[played.prediction], color=shade)
@@ -224,11 +225,11 @@ class _Animation:
             line.set_visible(True)
 
 
-def _percent(share):
+def _format_percent(share):
     return f"{min(100 * share, 99.9):.3g} %"
 
 
-def _picture(axes, growing, positions):
+def _draw_sensor(axes, growing, positions):
     """Draw an empty picture of the sensor; return the function that draws values on it."""
     shades = {"cmap": SHADES, "vmin": 0, "vmax": growing[-1].max()}
     if positions is None:
@@ -246,7 +247,7 @@ def _picture(axes, growing, positions):
     return lambda values: dots.set_array(values[0])
 
 
-def _growing(sample):
+def _accumulate_events(sample):
     """The events of each taxel up to each step, or the image, shape (steps, rows, columns)."""
     if sample.ndim == 3:
         return np.abs(sample).sum(-1)[None]

@@ -7,8 +7,9 @@ from matplotlib.figure import Figure
 
 from deploy.tables import shorten_apart, shorten_name
 from pipeline.look import find_colour
-from pipeline.recordings.events import DIGITS, Recordings
 from pipeline.recordings.images import make_tactile_images
+from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.sensor import DIGITS
 from pipeline.results.report.figures import SHADES, escape_formula
 
 # Tactile images above the raster.
@@ -48,7 +49,7 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
     duration_s = int(events.time_ns.max(initial=0)) * 1e-9 or sensor.duration_s
     taxels = recordings.taxels
     figure = Figure(figsize=(10, 7), layout="constrained")
-    figure.suptitle(_title(recordings, index), x=0.01, ha="left")
+    figure.suptitle(_make_title(recordings, index), x=0.01, ha="left")
     if _is_strip(taxels):
         axes = figure.subplots()
     else:  # each picture is above its time
@@ -100,7 +101,7 @@ def _draw_growing(frames, recordings, events, duration_s):
     return largest
 
 
-def sheet(recordings: Recordings, seed: int = 0) -> Figure:
+def draw_sheet(recordings: Recordings, seed: int = 0) -> Figure:
     """Tactile images of samples drawn at random, a row for each class with its number of samples.
 
     Without known positions, recordings of taxels in one row are drawn as taxels (down) over time
@@ -123,7 +124,7 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
     short = shorten_apart([classes[d] for d in digits], NAME)
     names = {d: f"{name} ({numbers[d]})" for d, name in zip(digits, short, strict=True)}
     margin = max(0.3, 0.2 + CHARACTER * max(map(len, names.values())))
-    source = _source(recordings)
+    source = _name_source(recordings)
     tiles = 0.6 * per_digit + margin
     # The source and the scale are above.
     width = max(blocks * tiles + 0.1, 2.5 + CHARACTER * len(source))
@@ -148,8 +149,12 @@ def sheet(recordings: Recordings, seed: int = 0) -> Figure:
             else:
                 _show(axes, recordings.taxels, images[index], TILE)
     is_strip = _is_strip(recordings.taxels)
-    what = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down" * is_strip
-    figure.text(0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){what}", size=8)
+    axes_note = ""
+    if is_strip:
+        axes_note = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down"
+    figure.text(
+        0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){axes_note}", size=8
+    )
     _scale(figure, "most, in each picture" + " (root)" * is_strip)
     return figure
 
@@ -196,18 +201,18 @@ def _show_over_time(axes, recordings, index):
     axes.set(xticks=[], yticks=[])
 
 
-def _source(recordings):
+def _name_source(recordings):
     name = escape_formula(recordings.source.name)
     if recordings.source.simulated and "simulated" not in name:
         return f"{name}, simulated"
     return name
 
 
-def _title(recordings, index):
+def _make_title(recordings, index):
     name = recordings.ids[index]
     classes = recordings.sensor.classes
     of = classes[recordings.labels[index]]
-    sample = f"sample {escape_formula(shorten_name(name, 60))} ({_source(recordings)})"
+    sample = f"sample {escape_formula(shorten_name(name, 60))} ({_name_source(recordings)})"
     if classes == DIGITS:
         return f"digit {of}, {sample}"
     if name.startswith(f"{of}/"):  # which names the class

@@ -9,7 +9,9 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from pipeline.look import find_colour
-from pipeline.recordings.events import Events, Sensor, Source, TaxelMap, collect
+from pipeline.recordings.events import Events
+from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.results.report import figures
 from pipeline.results.report.figures import recordings as data_figures
 
@@ -54,7 +56,7 @@ def test_recording(recordings):
 
 
 def test_sheet_has_a_row_for_each_digit(recordings):
-    figure = data_figures.sheet(recordings)
+    figure = data_figures.draw_sheet(recordings)
     *shown, _ = [axes for axes in figure.get_axes() if axes.get_visible()]  # the last is the scale
     assert [axes.get_ylabel() for axes in shown] == ["4 (1)", "8 (1)"]
     image = np.asarray(shown[1].images[0].get_array())
@@ -69,7 +71,7 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
     strip = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
                     Sensor(1, 3, duration_s=1.0, classes=("a", "b")))  # fmt: skip
-    shown = [axes for axes in data_figures.sheet(strip).get_axes() if axes.get_visible()]
+    shown = [axes for axes in data_figures.draw_sheet(strip).get_axes() if axes.get_visible()]
     first, second, _ = shown
     panels = data_figures.draw_recording(strip, 0).get_axes()
     raster = panels[-2] if positions else panels[0]  # the scale is the last

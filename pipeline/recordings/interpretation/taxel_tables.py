@@ -1,6 +1,7 @@
-"""Places and positions of taxels that are numbered: ``LUT.mat`` and ``taxels.csv``.
+"""Tables of numbered taxels: ``LUT.mat`` and ``taxels.csv``.
 
-A place is a row and column of the tactile image, a position is x and y on the sensor, for drawing.
+``LUT.mat`` has the row and column of each taxel in the tactile image, ``taxels.csv`` its position
+on the sensor, for drawing.
 """
 
 import csv
@@ -11,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.errors import UserError
-from pipeline.recordings.events import TaxelMap
 from pipeline.recordings.formats.recording import BadRecording
+from pipeline.recordings.sensor import TaxelMap
 
 
 def read_positions(content: bytes) -> dict:
@@ -31,15 +32,15 @@ def read_positions(content: bytes) -> dict:
     try:
         rows = list(csv.DictReader(io.StringIO(content.decode("utf-8-sig")), skipinitialspace=True))
         taxels = [int(row["taxel"]) for row in rows]
-        places = [(float(row["x"]), float(row["y"])) for row in rows]
+        positions = [(float(row["x"]), float(row["y"])) for row in rows]
     except (ValueError, KeyError, TypeError, csv.Error) as error:
         raise BadRecording("is not a table with the columns taxel, x and y in numbers") from error
     doubled = [taxel for taxel, count in Counter(taxels).items() if count > 1]
     if doubled:
         raise BadRecording(f"has taxel {doubled[0]} twice; keep one line of it")
-    if not rows or not np.isfinite(places).all():
+    if not rows or not np.isfinite(positions).all():
         raise BadRecording("has no taxels, or a position that is not finite")
-    return dict(zip(taxels, places, strict=True))
+    return dict(zip(taxels, positions, strict=True))
 
 
 def add_positions(path, taxels: TaxelMap, rows: int, columns: int, positions: dict) -> TaxelMap:
@@ -65,7 +66,7 @@ def add_positions(path, taxels: TaxelMap, rows: int, columns: int, positions: di
     )
 
 
-def find_size(path, lookup: TaxelMap, rows: int, columns: int) -> tuple:
+def find_table_size(path, lookup: TaxelMap, rows: int, columns: int) -> tuple:
     """Rows and columns of a sensor with a look-up table.
 
     Parameters
@@ -79,14 +80,14 @@ def find_size(path, lookup: TaxelMap, rows: int, columns: int) -> tuple:
     Raises
     ------
     UserError
-        The table has places outside of the stated rows and columns.
+        The table has taxels outside of the stated rows and columns.
     """
-    needed = int(lookup.row.max()) + 1, int(lookup.column.max()) + 1
-    rows = rows or needed[0]
-    columns = columns or needed[1]
-    if rows < needed[0] or columns < needed[1]:
+    extent = int(lookup.row.max()) + 1, int(lookup.column.max()) + 1
+    rows = rows or extent[0]
+    columns = columns or extent[1]
+    if rows < extent[0] or columns < extent[1]:
         raise UserError(
-            f"{path}: recordings of a sensor of {needed[0]} x {needed[1]} taxels (LUT.mat), "
+            f"{path}: recordings of a sensor of {extent[0]} x {extent[1]} taxels (LUT.mat), "
             f"larger than {rows} x {columns}; give recordings of a sensor of that size"
         )
     return rows, columns

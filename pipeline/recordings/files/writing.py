@@ -1,9 +1,9 @@
-"""Recordings as files: arrays of one's own, and a set of recordings in the published layout."""
+"""Write recordings as a zip: events with labels, or a set of recordings in the published layout."""
 
 import io
 import zipfile
 from collections.abc import Iterable, Sequence, Set
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -11,9 +11,9 @@ import numpy as np
 from deploy.errors import SeveralErrors, UserError
 from deploy.files import replacing, require_ending, zip_member
 from pipeline.progress import ignore_progress
-from pipeline.recordings.events import Recordings
 from pipeline.recordings.formats.mat import MatRecording, encode_lookup_table, encode_recording
 from pipeline.recordings.formats.recording import UNITS, BadRecording, make_recording
+from pipeline.recordings.recordings import Recordings
 
 # Number of reasons that are listed individually.
 MAX_LISTED = 10
@@ -69,42 +69,99 @@ def write_recordings(
     require_ending(path, ".zip")
     _check_options(path, time_unit, writers, parts)
     names = _list_classes(path, recordings, classes)
-    is_fixed = names is not None
-    names = names or []
-    written = 0
-    problems: dict = {}
-    index = -1
-    size = _find_sensor_size(recordings)
-    sizes = {len(values) for values in (writers, parts) if values is not None}
+    properties = _Properties(
+        time_unit=time_unit,
+        writers=writers,
+        simulated=simulated,
+        parts=parts,
+        size=_find_sensor_size(recordings),
+    )
     with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
-        for index, (events, label) in enumerate(recordings):
-            if index in sizes:  # more recordings than writers or parts
-                break
-            try:
-                name = _find_class(label, names, is_fixed)
-                writer = -1 if writers is None else int(writers[index])
-                recording = replace(make_recording(events), size=size, writer=writer)
-                content = _encode_npz(recording, time_unit, simulated)
-            except BadRecording as error:
-                problems.setdefault(str(error), []).append(index)
-                continue
-            member = PurePosixPath("" if parts is None else parts[index], name, f"{index:06d}.npz")
-            archive.writestr(zip_member(member, zipfile.ZIP_STORED), content)
-            written += 1
-        if sizes - {index + 1}:
-            raise UserError(f"{path}: give a writer or a part for each of the recordings")
-        lines = [
-            f"{path}: {len(where)} of {index + 1}: recording {where[0]} {reason}"
-            for reason, where in list(problems.items())[:MAX_LISTED]
-        ]
-        if not lines and not written:
-            lines.append(f"{path}: no recordings")
-        if lines:
-            raise SeveralErrors(lines)
+        n_read, problems = _add_recordings(archive, recordings, names, properties)
+        _require_complete(path, n_read, problems, properties)
     return path
 
 
+@dataclass(frozen=True)
+class _Properties:
+    """What is written with the events; see :func:`write_recordings`.
+
+    Attributes
+    ----------
+    time_unit : str
+    writers : sequence of int or None
+    simulated : bool
+    parts : sequence of str or None
+    size : (int, int) or None
+        Rows and columns of the sensor.
+    """
+
+    time_unit: str
+    writers: Sequence[int] | None
+    simulated: bool
+    parts: Sequence[str] | None
+    size: tuple | None
+
+    @property
+    def lengths(self) -> set:
+        """The numbers of recordings for which there are writers or parts."""
+        return {len(values) for values in (self.writers, self.parts) if values is not None}
+
+    def make_path(self, index: int, class_name: str) -> PurePosixPath:
+        """The path of a recording in the zip."""
+        part = "" if self.parts is None else self.parts[index]
+        return PurePosixPath(part, class_name, f"{index:06d}.npz")
+
+    def encode(self, index: int, events) -> bytes:
+        """The content of the file of a recording."""
+        writer = -1 if self.writers is None else int(self.writers[index])
+        recording = replace(make_recording(events), size=self.size, writer=writer)
+        return _encode_npz(recording, self.time_unit, self.simulated)
+
+
+def _add_recordings(archive, recordings, names, properties):
+    """Write recordings to a zip.
+
+    Returns
+    -------
+    n_read : int
+        Number of the recordings, valid or not; reading ends after the last writer or part.
+    problems : dict of str to list of int
+        Indices of the recordings that are not valid, by the reason.
+    """
+    known_names = names or []
+    problems: dict = {}
+    n_read = 0
+    for index, (events, label) in enumerate(recordings):
+        n_read += 1
+        if index in properties.lengths:
+            break
+        try:
+            class_name = _find_class(label, known_names, is_fixed=names is not None)
+            content = properties.encode(index, events)
+        except BadRecording as error:
+            problems.setdefault(str(error), []).append(index)
+            continue
+        member = zip_member(properties.make_path(index, class_name), zipfile.ZIP_STORED)
+        archive.writestr(member, content)
+    return n_read, problems
+
+
+def _require_complete(path, n_read, problems, properties):
+    """Refuse recordings that are not valid, and another number of them than of writers or parts."""
+    if properties.lengths - {n_read}:
+        raise UserError(f"{path}: give a writer or a part for each of the recordings")
+    if problems:
+        raise SeveralErrors(
+            f"{path}: {len(indices)} of {n_read}: recording {indices[0]} {reason}"
+            for reason, indices in list(problems.items())[:MAX_LISTED]
+        )
+    if not n_read:
+        raise SeveralErrors([f"{path}: no recordings"])
+
+
 def _check_options(path, time_unit, writers, parts):
+    """Refuse a unit of time, parts or writers that are not valid."""
     if time_unit and time_unit not in UNITS:
         raise UserError(f"time_unit {time_unit!r}: choose one of {', '.join(UNITS)}")
     if parts is not None and not set(parts) <= {"train", "test"}:
@@ -162,6 +219,7 @@ def _find_sensor_size(recordings):
 
 
 def _encode_npz(recording, time_unit, simulated) -> bytes:
+    """The content of a ``.npz`` file with a recording."""
     arrays = {"x": recording.x.astype(np.uint16), "y": recording.y.astype(np.uint16)}
     unit = recording.unit or time_unit
     arrays[f"t_{unit}" if unit else "t"] = recording.time
@@ -177,7 +235,7 @@ def _encode_npz(recording, time_unit, simulated) -> bytes:
     return buffer.getvalue()
 
 
-def write_zip(path, recordings: Recordings, progress=ignore_progress):
+def write_mat_zip(path, recordings: Recordings, progress=ignore_progress):
     """Write recordings as a zip in the published layout; equal recordings give equal bytes.
 
     Parameters
@@ -186,7 +244,7 @@ def write_zip(path, recordings: Recordings, progress=ignore_progress):
     recordings : Recordings
         Their ids become the names: ``"3/0042"`` is ``data_submission/3/0042.mat``.
     progress : callable, optional
-        As in :func:`pipeline.recordings.source.read_source`.
+        As in :func:`pipeline.recordings.files.reading.read_source`.
     """
     with (
         replacing(path) as file,

@@ -42,12 +42,12 @@ class Strays:
     highest: int
 
 
-def find_strays(places, stated_size: int = 0) -> Strays | None:
+def find_strays(coordinates, stated_size: int = 0) -> Strays | None:
     """Few events, or those of few recordings, that make a sensor larger than the others do.
 
     Parameters
     ----------
-    places : list of ndarray of int
+    coordinates : list of ndarray of int
         Rows or columns of the events of each recording.
     stated_size : int
         Rows or columns that files state; 0 if none does.
@@ -57,33 +57,35 @@ def find_strays(places, stated_size: int = 0) -> Strays | None:
     Strays or None
         None if the others make the sensor about as large.
     """
-    if len(places) < MIN_RECORDINGS:
+    if len(coordinates) < MIN_RECORDINGS:
         return None
-    counts = np.bincount(np.concatenate(places))
-    reach = np.array([each.max() + 1 for each in places])
+    counts = np.bincount(np.concatenate(coordinates))
+    reach = np.array([each.max() + 1 for each in coordinates])
     size = max(len(counts), stated_size)
-    usual = max(min(_size_of_most_events(counts), _size_of_most_recordings(reach)), stated_size)
-    if usual >= size:
+    typical_size = max(
+        min(_find_size_of_most_events(counts), _find_size_of_most_recordings(reach)), stated_size
+    )
+    if typical_size >= size:
         return None
-    is_filled = (counts[counts.nonzero()[0][0] : usual] > 0).all()
-    is_apart = is_filled and counts[usual] == 0
-    if size < MIN_STRAY_FACTOR * usual and not is_apart:
+    is_filled = (counts[counts.nonzero()[0][0] : typical_size] > 0).all()
+    is_apart = is_filled and counts[typical_size] == 0
+    if size < MIN_STRAY_FACTOR * typical_size and not is_apart:
         return None
     return Strays(
-        recordings=tuple(np.flatnonzero(reach > usual).tolist()),
-        n_events=int(counts[usual:].sum()),
-        size=usual,
+        recordings=tuple(np.flatnonzero(reach > typical_size).tolist()),
+        n_events=int(counts[typical_size:].sum()),
+        size=typical_size,
         highest=size - 1,
     )
 
 
-def _size_of_most_events(counts):
+def _find_size_of_most_events(counts):
     """The smallest size that leaves out only few events, by the number of events at each place."""
     beyond = counts.sum() - np.cumsum(counts)
     return int(np.argmax(beyond <= max(MAX_STRAY_EVENT_SHARE * counts.sum(), 1))) + 1
 
 
-def _size_of_most_recordings(reach):
+def _find_size_of_most_recordings(reach):
     """The smallest size that leaves out only few recordings, by the size that each needs."""
     few = max(int(MAX_STRAY_RECORDING_SHARE * len(reach)), 1)
     return int(np.sort(reach)[-1 - few])

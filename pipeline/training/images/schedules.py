@@ -40,7 +40,7 @@ class TrainingSchedule:
 
         Parameters
         ----------
-        section : pipeline.settings.schema.CNN or pipeline.settings.schema.SNN
+        section : pipeline.settings.groups.CNN or pipeline.settings.groups.SNN
         n_samples : int
             Number of training samples.
         """
@@ -76,5 +76,5 @@ def make_cnn_schedule(cnn, n_samples: int) -> TrainingSchedule:
 
 def make_snn_schedule(snn, n_samples: int) -> TrainingSchedule:
     """The schedule of ``snn.recipe`` for the rate-based network, with changes from the settings."""
-    own = SCHEDULES[snn.recipe]
-    return own if snn.recipe == "as-is" else own.apply_settings(snn, n_samples)
+    schedule = SCHEDULES[snn.recipe]
+    return schedule if snn.recipe == "as-is" else schedule.apply_settings(snn, n_samples)

@@ -7,8 +7,7 @@ recordings, unless the files or the user state it.
 import numpy as np
 
 from deploy.errors import UserError
-from pipeline.recordings.events import UNIT_NAMES
-from pipeline.recordings.formats.recording import MAX_DURATION_S, UNITS
+from pipeline.recordings.formats.recording import MAX_DURATION_S, UNIT_NAMES, UNITS
 
 # Minimum duration of a recording of a gesture or a saccade, in seconds; a unit with which most
 # recordings would be shorter is excluded.
@@ -67,7 +66,7 @@ def choose_unit(path, recordings, parts, options) -> str:
     recordings : list of EventRecording
     parts : list of str
         Part of the published split of each, or empty.
-    options : pipeline.recordings.sensor.ReadingOptions
+    options : pipeline.recordings.interpretation.options.ReadingOptions
 
     Raises
     ------

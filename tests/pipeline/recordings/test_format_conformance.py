@@ -1,8 +1,10 @@
 """The formats conform, and what checks it finds the usual mistakes of a reader."""
 
+import io
 import json
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -16,24 +18,75 @@ from tests.format_conformance import assert_format_conforms
 from tests.pipeline.handmade import mat5, npz
 
 EVENTS = {"x": [3, 0, 1], "y": [1, 2, 0], "t": [0.1, 0.25, 0.5], "p": [1, -1, 1]}
-T_MS = [100, 250, 500]
-LINES = "x,y,t_ms,p\n3,1,100,1\n0,2,250,0\n1,0,500,1\n"
+ARRAYS = {
+    "x": np.array([3, 0, 1]),
+    "y": np.array([1, 2, 0]),
+    "t_ms": np.array([100, 250, 500]),
+    "p": np.array([1, 0, 1]),
+}
+ROWS, COLUMNS = 3, 4
+LINES = b"x,y,t_ms,p\n3,1,100,1\n0,2,250,0\n1,0,500,1\n"
 
 # Columns of taxel 2 (rise), 0 (fall) and 1 (rise); the last row has the times.
 SPIKETRAIN = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0], [0.1, 0.25, 0.5]])
 NUMBERED = {"x": [2, 0, 1], "y": [0, 0, 0], "t": [0.1, 0.25, 0.5], "p": [1, -1, 1]}
 
 
-@pytest.mark.parametrize(
-    ("ending", "content", "events"),
-    [
-        (".npz", npz(x=[3, 0, 1], y=[1, 2, 0], t_ms=T_MS, p=[1, 0, 1]), EVENTS),
-        (".csv", LINES.encode(), EVENTS),
-        (".mat", mat5(spiketrain=SPIKETRAIN), NUMBERED),
-    ],
-)
-def test_the_formats_conform(tmp_path, ending, content, events):
-    assert_format_conforms(ending, content, events, tmp_path)
+def make_npy() -> bytes:
+    events = np.array(list(zip(*ARRAYS.values(), strict=True)), [(name, "i8") for name in ARRAYS])
+    buffer = io.BytesIO()
+    np.save(buffer, events)
+    return buffer.getvalue()
+
+
+def make_hdf5() -> bytes:
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        for name, values in ARRAYS.items():
+            file[f"events/{name}"] = values
+    return buffer.getvalue()
+
+
+def make_bin() -> bytes:
+    columns = zip(*ARRAYS.values(), strict=True)
+    packed = [x << 32 | y << 24 | p << 23 | 1000 * t_ms for x, y, t_ms, p in columns]
+    return b"".join(int(event).to_bytes(5, "big") for event in packed)
+
+
+def make_camera_file(ending, folder, version=None) -> bytes:
+    faery = pytest.importorskip("faery", reason="reads files of cameras")
+    events = np.empty(len(ARRAYS["x"]), faery.EVENTS_DTYPE)
+    events["t"] = 1000 * ARRAYS["t_ms"]
+    events["x"] = ARRAYS["x"]
+    events["y"] = ARRAYS["y"]
+    events["on"] = ARRAYS["p"]
+    path = folder / f"recording{ending}"
+    faery.events_stream_from_array(events, (COLUMNS, ROWS)).to_file(path, version=version)
+    return path.read_bytes()
+
+
+# For each ending in READERS, a function of a folder that makes a file with the events.
+FILES = {
+    ".aedat4": lambda folder: make_camera_file(".aedat4", folder),
+    ".bin": lambda folder: make_bin(),
+    ".csv": lambda folder: LINES,
+    ".dat": lambda folder: make_camera_file(".dat", folder, "dat2"),
+    ".h5": lambda folder: make_hdf5(),
+    ".hdf5": lambda folder: make_hdf5(),
+    ".mat": lambda folder: mat5(spiketrain=SPIKETRAIN),
+    ".npy": lambda folder: make_npy(),
+    ".npz": lambda folder: npz(**ARRAYS),
+    ".raw": lambda folder: make_camera_file(".raw", folder, "evt3"),
+    ".txt": lambda folder: LINES,
+}
+
+
+@pytest.mark.parametrize("ending", sorted(READERS))
+def test_every_format_conforms(tmp_path, ending):
+    assert ending in FILES, f"add a file with the ending {ending} to FILES"
+    content = FILES[ending](tmp_path)
+    events = NUMBERED if ending == ".mat" else EVENTS
+    assert_format_conforms(ending, content, events, tmp_path / "source")
 
 
 CONTENT = json.dumps([EVENTS[name] for name in "xytp"]).encode()

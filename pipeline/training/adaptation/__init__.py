@@ -1,0 +1,1 @@
+"""The readout of a bundle, fitted to one person."""
