@@ -22,7 +22,7 @@ PAGES = [
     *(README, *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY")), *DOCS),
     *(ROOT / "results" / "README.md", ROOT / "deploy" / "inrc" / "README.md"),
 ]
-LONGEST_README = 180
+LONGEST_README = 190
 TARGETS = [
     *("setup", "data", "train", "convert", "loihi-emulate", "loihi-hardware"),
     *("check", "benchmark", "report", "live", "test", "lint", "clean", "help"),
