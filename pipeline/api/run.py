@@ -110,8 +110,8 @@ class Run:
         for name, value in settings.items():
             set_nested(changes, name, value, ORIGIN)
         before = self._folder.resolve_settings(None, {})
-        self._given = before.with_values(changes, ORIGIN)
-        self._asked = tuple(_list_names(changes))
+        self._user_settings = before.with_values(changes, ORIGIN)
+        self._changed_names = tuple(_list_names(changes))
         if isinstance(data, Recordings):
             data.write(self._name_source(data))
         if line := self._describe_changes():
@@ -121,7 +121,7 @@ class Run:
             )
 
     def __repr__(self):
-        settings = self._given
+        settings = self._user_settings
         source = settings.data.source
         source = source if source == SIMULATED else PurePath(source).name
         return f"Run({str(self.path)!r}: {settings.input.kind}, {source})"
@@ -131,14 +131,14 @@ class Run:
         """All settings, with those that were chosen for the recordings once it is open."""
         if self._folder.experiment.exists():
             return read_settings(self._folder.experiment)
-        return self._given
+        return self._user_settings
 
     @property
     def dataset(self) -> Dataset:
         """The recordings, their split, and the inputs of the network."""
         with self._collect_notes():
-            recordings = load_named_recordings(self._given, self._jobs, self._say)
-            return prepare_dataset(self._given, recordings, check=False)
+            recordings = load_named_recordings(self._user_settings, self._jobs, self._say)
+            return prepare_dataset(self._user_settings, recordings, check=False)
 
     @property
     def recordings(self) -> Recordings:
@@ -169,10 +169,10 @@ class Run:
         if not folder.bundle.exists() and not has_networks(stored, self.path):
             return ""
         before = stored.flatten()
-        now = self._given.flatten()
+        now = self._user_settings.flatten()
         changes = [
             f"{name} from {before[name]!r} to {now[name]!r}"
-            for name in self._asked
+            for name in self._changed_names
             if before[name] != now[name]
         ]
         if not changes and self._has_other_recordings():
@@ -181,7 +181,7 @@ class Run:
 
     def _has_other_recordings(self):
         """True if recordings in memory differ from those that the run was made on."""
-        source = Path(self._given.data.source)
+        source = Path(self._user_settings.data.source)
         if not source.name.endswith(RECORDINGS_ENDING) or not self._folder.dataset.exists():
             return False
         recorded = read_json(self._folder.dataset, "").get("sha256")
@@ -208,12 +208,12 @@ class Run:
             raise UserError(f"{ORIGIN}: a run has one network; give model or nir")
         examine = None
         if model is not None:
-            self._given = self._given.with_values(
-                workflow.make_model_settings(model, False, self._given), ORIGIN
+            self._user_settings = self._user_settings.with_values(
+                workflow.make_model_settings(model, False, self._user_settings), ORIGIN
             )
         elif nir is not None:
-            imported = workflow.make_nir_settings(nir, step, self._input, self._given)
-            self._given = self._given.with_values(imported, ORIGIN)
+            imported = workflow.make_nir_settings(nir, step, self._input, self._user_settings)
+            self._user_settings = self._user_settings.with_values(imported, ORIGIN)
             examine = partial(workflow.refuse_early, strict=False)
         with self._open(examine=examine) as opened:
             bundle = workflow.convert(opened)
@@ -313,8 +313,8 @@ class Run:
     def _open(self, check=True, examine=None):
         with self._collect_notes(), lock_run(self.path) as folder:
             if examine is not None:
-                examine(self._given)
-            yield workflow.open_run(folder, self._given, self._jobs, self._say, check)
+                examine(self._user_settings)
+            yield workflow.open_run(folder, self._user_settings, self._jobs, self._say, check)
 
     @contextlib.contextmanager
     def _collect_notes(self):

@@ -102,7 +102,7 @@ def _require_same_person(folder, old, bundle, recordings):
 
 
 def _compute_mean(right):
-    """The share of right answers; None without samples."""
+    """The share of right predictions; None without samples."""
     return float(right.mean()) if len(right) else None
 
 

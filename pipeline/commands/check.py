@@ -167,7 +167,7 @@ def _count_samples_of_fit(spec):
 
 
 def _describe_loss(bundle, result):
-    """The loss relative to the network that the bundle was made from, if its answers exist."""
+    """The loss relative to the network that the bundle was made from, if its predictions exist."""
     from deploy.check.results import describe_loss, read_result
     from pipeline.kinds.registry import list_compared_stages
 

@@ -119,7 +119,7 @@ class EventsKind(NetworkKind):
             counts.STEP,
             Step("events", "snn", training, reads, self._train, temporary=(CHECKPOINT,)),
             # The confidence depends on the length of the presentation, unlike the training.
-            Step("threshold", "snn", ("metrics.json",), DECISION_SETTINGS, self._choose,
+            Step("threshold", "snn", ("metrics.json",), DECISION_SETTINGS, self._choose_confidence,
                  uses=("events",), action="choosing", measures="events"),
         )  # fmt: skip
 
@@ -163,7 +163,7 @@ class EventsKind(NetworkKind):
         return {"epochs": epochs, "seconds": seconds, "versions": list_training_versions()}
 
     @staticmethod
-    def _choose(inputs, artifact):
+    def _choose_confidence(inputs, artifact):
         """Choose the confidence for early decisions of the network; measure its accuracy."""
         from pipeline.training.events import TrainedOnEvents
 
@@ -214,7 +214,7 @@ def make_event_spec(
     """Describe the spiking network trained on events.
 
     The confidence estimator is trained on training samples.  It is left out if no early decisions
-    were found on others: after few samples it takes every answer for right.
+    were found on others: after few samples it takes every prediction for right.
 
     NengoLoihi discretises it to the integers used in training; a step of the chip is a step of the
     design, independently of the recording time that it represents.

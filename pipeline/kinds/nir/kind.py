@@ -122,7 +122,7 @@ class NirKind(NetworkKind):
             *presentation_settings,
         )
         files = ("metrics.json", GRAPH)
-        return counts.STEP, Step("nir", "snn", files, reads, self._read, action="reading")
+        return counts.STEP, Step("nir", "snn", files, reads, self._read_graph, action="reading")
 
     @property
     def trained_steps(self):
@@ -137,7 +137,7 @@ class NirKind(NetworkKind):
         return Imported(nir.file, nir.sha256, "nir", GIVE_AGAIN)
 
     @staticmethod
-    def _read(inputs, artifact):
+    def _read_graph(inputs, artifact):
         """Make the user's graph the run's network."""
         return import_graph(artifact.folder, inputs.settings, inputs.dataset, inputs.say)
 

@@ -84,11 +84,11 @@ def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) 
     if stepping.reset != "value":
         cost = measure_reset_cost(network, stepping, settings, dataset)
         say(RESET_TEXT.format(**cost))
-    usual = network.convention.usual_reset
-    if usual and settings.nir.reset == "auto":
-        usually = replace(stepping, reset=usual)
-        usual_cost = measure_reset_cost(network, usually, settings, dataset)
-        say(USUAL_RESET_TEXT.format(reset=usual, **usual_cost))
+    usual_reset = network.convention.usual_reset
+    if usual_reset and settings.nir.reset == "auto":
+        with_usual_reset = replace(stepping, reset=usual_reset)
+        cost = measure_reset_cost(network, with_usual_reset, settings, dataset)
+        say(USUAL_RESET_TEXT.format(reset=usual_reset, **cost))
     part = "test" if len(dataset.split.test) else "validation"
     index = dataset.split.get_indices(part)
     with progress("simulate nir", len(index)) as advance:

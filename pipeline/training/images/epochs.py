@@ -107,7 +107,7 @@ def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, se
 
 
 def _compile_training(model, rule, batch_size):
-    """``train_on(images, labels, noise, masks) -> [sum of losses, number of right answers]``."""
+    """``train_on(images, labels, noise, masks)``: sum of the losses, number of right predictions."""
     variables = model.trainable_variables
 
     @as_written

@@ -105,7 +105,9 @@ def test_a_published_split_is_used():
         assert sorted(split.test) == [6, 7]
         assert sorted([*split.train, *split.validation]) == [0, 1, 2, 3, 4, 5]
         assert len(split.validation) == 3
-        np.testing.assert_array_equal(split.draw_check_samples(2, 9), splits[0].check_samples(2, 1))
+        np.testing.assert_array_equal(
+            split.draw_check_samples(2, 9), splits[0].draw_check_samples(2, 1)
+        )
     assert len({tuple(split.train) for split in splits}) > 1
     assert make_split(read, 0, 0.5, requested="random").kind == "random"
     assert make_split(published("      "), 0, 0.5, requested="auto").kind == "random"
