@@ -107,7 +107,10 @@ def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, se
 
 
 def _compile_training(model, rule, batch_size):
-    """``train_on(images, labels, noise, masks)``: sum of the losses, number of right predictions."""
+    """A function that trains on samples, and returns the sum of losses and of right predictions.
+
+    It takes the arguments ``images, labels, noise, masks``.
+    """
     variables = model.trainable_variables
 
     @as_written
