@@ -31,6 +31,9 @@ MAX_WEIGHTS_BYTES = 2_000_000_000
 # Layers around functions: Python code, which is not run, or operations of TensorFlow.
 FUNCTIONS = ("Lambda", "TFOpLambda", "SlicingOpLambda", "TensorFlowOpLayer")
 
+# Module of operations that Keras 3 writes as layers.
+OPERATIONS = "keras.src.ops"
+
 
 class ModelFileError(UserError):
     """A file is not a Keras model, or the model is not supported; the message is one line."""
@@ -161,9 +164,11 @@ def _require_known_layers(config, keras):
                 f"{which}: its activation is a function of Python, which is not run; use one of "
                 "Keras's by its name: activation='relu'"
             )
-        if kind in FUNCTIONS:
+        is_operation = str(layer.get("module")).startswith(OPERATIONS)
+        if kind in FUNCTIONS or is_operation:
             raise ModelFileError(
-                f"{which}: is a function and no layer of Keras; use one of Keras's layers for it"
+                f"{which}: is a function and no layer of Keras; use one of Keras's layers for it, "
+                "such as Rescaling for x / 255"
             )
         # Keras 2 has old layers such as BatchNormalizationV1 in its files.
         known = hasattr(keras.layers, str(kind).removesuffix("V1"))

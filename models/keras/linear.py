@@ -86,16 +86,19 @@ def convert_normalisation(converter: LayerConverter, layer: KerasLayer):
     """Scale and shift values to a mean of 0 and a deviation of 1."""
     if layer.config.get("invert", False):
         layer.refuse("undoes a normalisation; use Rescaling")
+    axis = layer.config["axis"]
+    axes = axis if isinstance(axis, (list, tuple)) else [axis]
+    shape = [1] * len(converter.signal.shape)
+    for number in axes if axis is not None else ():
+        index = number if number < 0 else number - 1
+        shape[index] = converter.signal.shape[index]
+    arrays = layer.arrays[:2]
     if layer.config.get("mean") is not None:
-        mean, variance = (np.asarray(layer.config[key], float) for key in ("mean", "variance"))
-    else:
-        axis = layer.config["axis"]
-        axes = axis if isinstance(axis, (list, tuple)) else [axis]
-        shape = [1] * len(converter.signal.shape)
-        for number in axes if axis is not None else ():
-            index = number if number < 0 else number - 1
-            shape[index] = converter.signal.shape[index]
-        mean, variance = (np.reshape(a, shape).astype(float) for a in layer.arrays[:2])
+        arrays = layer.config["mean"], layer.config["variance"]
+    mean, variance = (
+        np.ones(shape) * (values if np.size(values) == 1 else np.reshape(values, shape))
+        for values in arrays
+    )
     deviation = np.maximum(np.sqrt(variance), SMALLEST_DEVIATION)
     _take_pixels(converter, layer, (np.abs(mean) + deviation).max() > MAX_STANDARDISED)
     converter.apply_affine(layer, 1 / deviation, -mean / deviation)

@@ -96,6 +96,24 @@ class Signal:
         """True if no value is negative where the built ones are not."""
         return min(self.map.data.min(initial=0), self.offset.min()) >= 0
 
+    def describe_obstacle(self) -> str:
+        """Why a convolution cannot read the signal as the built image, and the remedy."""
+        if (np.diff(self.map.indptr) > 1).any():
+            return (
+                "its input is averaged over windows that overlap or are cut off; use "
+                "AveragePooling2D(2), or a Dense after it"
+            )
+        if self.shape == self.built and self.map.nnz == self.map.diagonal().astype(bool).sum():
+            return (
+                "its input is normalised in another way at each place; normalise each channel as a "
+                "whole (axis=-1), or use a Dense after it"
+            )
+        return (
+            "its input is not the whole image before it in the order of rows, columns and "
+            "channels, because of a Permute, Reshape or Cropping2D; leave this out and train it "
+            "on images as they are, or use a Dense after it"
+        )
+
     @property
     def is_image(self) -> bool:
         """True if the signal has rows, columns and channels."""

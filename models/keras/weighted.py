@@ -81,11 +81,7 @@ def _find_window(converter, layer, kernel):
         return Window(kernel, strides, before), counts, affine
     means = converter.means
     if means is None or means.map is not converter.signal.map:
-        layer.refuse(
-            "its input is averaged over windows that overlap or are cut off, or is in another "
-            "order than rows, columns and channels; use AveragePooling2D(2), or a Dense after "
-            "it"
-        )
+        layer.refuse(converter.signal.describe_obstacle())
     if any(zeros or after for _, zeros, after in along):
         layer.refuse(
             "pads zeros around averages over windows that overlap or are not square; use "

@@ -75,6 +75,10 @@ REPLACED = {
 BAD = {
     "overlapping_means": ("'d'", "pads zeros", "padding='valid'", "AveragePooling2D(2)"),
     "other_padding": ("'c'", "padding='same'"),
+    "other_order": ("'c'", "Permute"),
+    "cropped": ("'c'", "Cropping2D"),
+    "normalised_rows": ("'c'", "at each place", "axis=-1"),
+    "operation": ("no layer of Keras", "Rescaling"),
     "not_square": ("'c'", "3x2"),
     "function": ("activation", "activation='relu'"),
     "lambda": ("'double' (Lambda)", "Keras's layers"),

@@ -19,6 +19,9 @@ from pipeline.recordings.formats.recording import (
 # The documented order is the first.
 ORDERS = ("xytp", "txyp", "xypt")
 
+# Orders that are not read, and that cannot be told from these if x has two values.
+WITH_POLARITY_FIRST = {"txyp": "tpxy", "xypt": "pxyt"}
+
 NAME_THEM = "write the names of the columns in the first line, such as t,x,y,p"
 
 
@@ -74,7 +77,7 @@ def settle_orders(recordings) -> tuple:
     Raises
     ------
     BadRecording
-        No order fits all recordings.
+        No order fits all recordings, or it cannot be told from another one.
     """
     tables = [recording for recording in recordings if recording.orders]
     if not tables:
@@ -86,7 +89,23 @@ def settle_orders(recordings) -> tuple:
             f"recordings have four columns without names, and not all in one order; {NAME_THEM}"
         )
     order = max(common, key=lambda order: _count_times(tables, order))  # the first of equal ones
+    _refuse_two_polarities(tables, order)
     return [_put_in_order(recording, order) for recording in recordings], order
+
+
+def _refuse_two_polarities(tables, order):
+    """Refuse recordings whose x may as well be the polarity, as in the order t, p, x, y.
+
+    One recording may be of an edge of a larger sensor.
+    """
+    alternative = WITH_POLARITY_FIRST.get(order)
+    if alternative is None or len(tables) == 1:
+        return
+    if all(_put_in_order(recording, order).x.max() <= 1 for recording in tables):
+        raise BadRecording(
+            "recordings have four columns without names, of which two have only 0 and 1: their "
+            f"order may be {', '.join(order)} or {', '.join(alternative)}; {NAME_THEM}"
+        )
 
 
 def _count_times(recordings, order):

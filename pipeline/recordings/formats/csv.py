@@ -114,11 +114,11 @@ def _find_separator(line):
 
 
 def _write_numbers(body, separator):
-    """The lines with words and signs of polarities as numbers, and with points in decimals."""
+    """The lines with polarities as numbers, points in decimals, and without quotes."""
     text = "\n".join(line.text for line in body)
     if separator == ";":
         text = text.replace(",", ".")
-    text = text.replace("\u2212", "-")
+    text = text.replace("\u2212", "-").replace('"', "")
     text = _POLARITY.sub(lambda match: POLARITIES[match[0].lower()], text)
     lines = zip(body, text.split("\n"), strict=True)
     return [_Line(line.number, changed) for line, changed in lines]

@@ -113,6 +113,10 @@ def read_array(content: bytes, name: str, max_dimensions: float = 2) -> np.ndarr
         shape, columns_first, dtype = read_header(data)
         type_codes = {dtype[field].kind for field in dtype.names} if dtype.names else {dtype.kind}
         is_too_large = dtype.itemsize > MAX_EVENT_BYTES or len(shape) > max_dimensions
+        if "O" in type_codes:
+            raise BadRecording(
+                f"{name!r} has Python objects, which are not read; write arrays of numbers"
+            )
         if not type_codes <= set("fiub") or is_too_large:
             raise BadRecording(f"{name!r} is not a row of numbers")
         return np.frombuffer(data.read(), dtype).reshape(shape, order="F" if columns_first else "C")

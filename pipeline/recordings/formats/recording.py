@@ -111,6 +111,8 @@ class EventRecording:
         if there is one entry for each event.
     bins : (int, int) or None
         Channels and bins of an array of counts (:mod:`pipeline.recordings.formats.bins`).
+    off : int or None
+        Value of OFF in a file of events, 0 or -1; None if the file has no OFF, or another format.
     orders : tuple of str
         Orders of columns without names that fit the values, the one that was read first; empty if
         columns have names (:mod:`pipeline.recordings.formats.column_order`).
@@ -130,6 +132,7 @@ class EventRecording:
     n_taxels: int = 0
     columns: np.ndarray | None = None
     bins: tuple | None = None
+    off: int | None = None
     orders: tuple = ()
     table: np.ndarray | None = None
 
@@ -256,12 +259,15 @@ def make_recording(events) -> EventRecording:
                 event,
             )
     order = np.argsort(t, kind="stable")
+    polarity = _check_polarities(p)
+    lowest = int(p.min())
     return EventRecording(
         np.asarray(x, np.int64)[order],
         np.asarray(y, np.int64)[order],
         time=t[order],
-        polarity=_check_polarities(p)[order],
+        polarity=polarity[order],
         unit=unit,
+        off=lowest if lowest < 1 else None,
     )
 
 

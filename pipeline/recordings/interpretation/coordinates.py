@@ -51,6 +51,8 @@ def interpret_coordinates(path, recordings, parts, lookup, options) -> Interpret
         rows_in_files = 1
     kept = _list_kept(recordings, refused)
     recordings = [recordings[index] for index in kept]
+    if lookup is None:
+        remarks = (*remarks, *_doubt_first_places(recordings, options))
     from_first = times.is_clock([recording.time for recording in recordings], unit)
     return Interpretation(
         kept,
@@ -66,6 +68,18 @@ def interpret_coordinates(path, recordings, parts, lookup, options) -> Interpret
         remarks=remarks,
         doubts=renumber_doubts(size.doubts, kept),
     )
+
+
+def _doubt_first_places(recordings, options):
+    """A line if coordinates may count from 1; those of a sensor of a known size do not."""
+    is_known = options.rows or options.columns or options.downsample > 1
+    if is_known or not recordings or any(recording.size for recording in recordings):
+        return ()
+    for places in ([each.x for each in recordings], [each.y for each in recordings]):
+        is_line = not any(each.any() for each in places)  # a sensor in one row
+        if not is_line and min(each.min() for each in places) != 1:
+            return ()
+    return ("no event has x = 0 or y = 0; if the files count from 1, subtract 1 from x and y",)
 
 
 def _combine_pixels(recordings, side):

@@ -52,7 +52,24 @@ def find_other_sensors(path, recordings, parts, options) -> tuple:
                 refused.setdefault(
                     index, "is of a sensor of {}, most others are of {}".format(*texts)
                 )
+    for index in _find_zero_polarities(recordings):
+        refused.setdefault(
+            index,
+            "has the polarity 0 in all events, and other files have -1 (OFF) and 1 (ON); write one "
+            "of these",
+        )
     return refused, remarks
+
+
+def _find_zero_polarities(recordings):
+    """Indices of recordings whose polarity is always 0, if others have -1 for OFF."""
+    if not any(recording.off == -1 for recording in recordings):
+        return []
+    return [
+        index
+        for index, recording in enumerate(recordings)
+        if recording.off == 0 and (recording.polarity < 0).all()
+    ]
 
 
 def find_other_numbers(path, recordings, lookup) -> dict:

@@ -70,6 +70,37 @@ def test_coordinates_that_rise_in_all_recordings_are_not_times(tmp_path, order):
     assert read_file(strip, "a/1.csv").time.tolist() == T
 
 
+@pytest.mark.parametrize("order", ["txyp", "xypt"])
+def test_a_strip_whose_columns_may_be_exchanged_is_refused(tmp_path, order):
+    """Two columns of 0 and 1: one is x or y, and the other one the polarity."""
+    strip = lines(order, x=[0, 1, 1, 0])
+    files = {f"{of_class}/{n}.csv": strip for of_class in "ab" for n in (1, 2)}
+    with pytest.raises(UserError, match=r"may be .* or .*; write the names"):
+        read_source(write_source(tmp_path / "all", files), jobs=1)
+    files["a/3.csv"] = lines(order)  # a touch beside the edge
+    assert read_source(write_source(tmp_path / "one", files), jobs=1).sensor.columns == 10
+
+
+def test_a_polarity_of_zero_beside_others_of_minus_one_is_refused(tmp_path):
+    files = {
+        f"{of_class}/{n}.csv": lines("xytp", p=[1, -1, -1, 1]) for of_class in "ab" for n in (1, 2)
+    }
+    files["a/3.csv"] = lines("xytp")  # 0 and 1
+    assert len(read_source(write_source(tmp_path / "told", files), jobs=1)) == 5
+    files["a/4.csv"] = lines("xytp", p=[0] * 4)
+    with pytest.raises(UserError, match=r"a/4\.csv has the polarity 0"):
+        read_source(write_source(tmp_path / "open", files), jobs=1)
+
+
+def test_coordinates_that_may_count_from_one_are_said(tmp_path):
+    one = lines("xytp", x=[8, 1, 10, 4], y=[1, 5, 3, 2])
+    files = {f"{of_class}/{n}.csv": one for of_class in "ab" for n in (1, 2)}
+    (remark,) = read_source(write_source(tmp_path / "one", files), jobs=1).source.remarks
+    assert "from 1" in remark
+    files["a/3.csv"] = lines("xytp")
+    assert read_source(write_source(tmp_path / "zero", files), jobs=1).source.remarks == ()
+
+
 def test_recordings_with_off_events_alone_are_said(tmp_path):
     """The polarity may be in another column, or the sensor tells none."""
     files = {f"{of_class}/{n}.csv": lines("xytp", p=[0] * 4) for of_class in "ab" for n in (1, 2)}
