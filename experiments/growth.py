@@ -24,7 +24,7 @@ from deploy.tables import align_rows
 from experiments.results import RESULTS, Store, name_processor
 from pipeline import sources
 from pipeline.commands import options
-from pipeline.recordings import library
+from pipeline.recordings import cached_recordings
 from pipeline.recordings.events import EVENT_DTYPES, Events
 from pipeline.recordings.recordings import Recordings
 from pipeline.settings import Settings
@@ -70,7 +70,7 @@ def store_repeated(cache: Path, recordings: Recordings, samples_per_digit: int):
     sha256, _ = sources.find_identity(settings)
     repeated = repeat_recordings(recordings, samples_per_digit)
     repeated = replace(repeated, source=replace(recordings.source, sha256=sha256))
-    library.store(cache / sources.find_path_of_simulated(sha256).name, repeated)
+    cached_recordings.store(cache / sources.find_path_of_simulated(sha256).name, repeated)
 
 
 def train_once(folder: Path, kind: str, samples_per_digit: int) -> dict:

@@ -42,7 +42,7 @@ from models.spiking.network import compute_weighted_sums
 from models.spiking.neurons import scan
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.recordings import Recordings
-from pipeline.recordings.steps import make_spike_frames
+from pipeline.recordings.spike_frames import make_spike_frames
 from pipeline.training.events import Checkpoint, train_epochs
 
 _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)

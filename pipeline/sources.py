@@ -8,10 +8,7 @@ from pathlib import Path
 
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.progress import progress
-from pipeline.recordings.dataset import Dataset
-from pipeline.recordings.files.listing import list_source
-from pipeline.recordings.interpretation.options import AS_FOUND, ReadingOptions
-from pipeline.recordings.library import (
+from pipeline.recordings.cached_recordings import (
     find_cache_file,
     hash_source,
     import_recordings,
@@ -19,6 +16,9 @@ from pipeline.recordings.library import (
     make_reading_options,
     store_and_load,
 )
+from pipeline.recordings.dataset import Dataset
+from pipeline.recordings.files.listing import list_source
+from pipeline.recordings.interpretation.options import AS_FOUND, ReadingOptions
 from pipeline.recordings.recordings import Recordings
 from pipeline.recordings.sensor import GRID
 from pipeline.recordings.splits import PUBLISHED, RANDOM
@@ -85,8 +85,8 @@ def load_recordings(
     source : str
         ``"simulated"``, or the path of a zip or folder of recordings.
     skip_bad, jobs, warn, reading
-        As in :func:`pipeline.recordings.library.import_recordings`.  Simulated recordings have only
-        the number of processes, and the rows and columns of the skin (0: ten).
+        As in :func:`pipeline.recordings.cached_recordings.import_recordings`.  Simulated recordings
+        have only the number of processes, and the rows and columns of the skin (0: ten).
     simulated : SimulatedSource, optional
 
     Raises

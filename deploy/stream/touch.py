@@ -111,7 +111,7 @@ class TouchSteps:
         self._settling_steps = len(spec.layers) + 2
 
     def find_step(self, touch: Touch, time_ns):
-        """Step of the touch, with the rounding of `pipeline.recordings.steps.EventTable`."""
+        """Step of the touch, with the rounding of `pipeline.recordings.spike_frames.EventTable`."""
         since_ms = ((time_ns - touch.start_ns) / NANOSECONDS_PER_MS).astype(np.float32)
         return np.floor(since_ms / np.float32(self.step_ms)).astype(np.int64)
 

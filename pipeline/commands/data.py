@@ -63,7 +63,7 @@ def inspect(
     as_json: options.Json = False,
 ):
     """Print facts about one recording."""
-    from pipeline.recordings.library import make_reading_options
+    from pipeline.recordings.cached_recordings import make_reading_options
     from pipeline.recordings.statistics import format_facts_of_file, list_facts_of_file
 
     is_zip = file.suffix.lower() == ".zip" and file.is_file()

@@ -12,9 +12,9 @@ from pathlib import Path
 from deploy.errors import SeveralErrors, UserError
 from deploy.tables import format_count
 from deploy.terminal import remark
+from pipeline.recordings.cached_recordings import import_recordings
 from pipeline.recordings.files.writing import write_recordings
 from pipeline.recordings.interpretation.options import ReadingOptions
-from pipeline.recordings.library import import_recordings
 from pipeline.recordings.recordings import Recordings
 
 # Name of recordings that were made of arrays.

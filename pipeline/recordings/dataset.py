@@ -15,8 +15,8 @@ from deploy.terminal import WARNING
 from pipeline.recordings.cache import make_empty_array
 from pipeline.recordings.images import AlteredImages, make_tactile_images
 from pipeline.recordings.recordings import Recordings
+from pipeline.recordings.spike_frames import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
 from pipeline.recordings.splits import PUBLISHED, Split, find_split_problem, make_split
-from pipeline.recordings.steps import RECORDINGS_AT_ONCE, EventTable, SpikeLimits
 from pipeline.settings import SIMULATED, Image, Settings
 from pipeline.storage.artifacts import Origin
 

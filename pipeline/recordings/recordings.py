@@ -20,7 +20,7 @@ from pipeline.recordings.sensor import (
     describe_size,
     is_st_mnist_sensor,
 )
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.spike_frames import EventTable
 
 
 @dataclass(frozen=True)

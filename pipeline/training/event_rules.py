@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from deploy.arithmetic import divide_up, thin
 from pipeline.recordings.recordings import Recordings, is_handwriting
 from pipeline.recordings.sensor import Sensor
-from pipeline.recordings.steps import EventTable, SpikeLimits
+from pipeline.recordings.spike_frames import EventTable, SpikeLimits
 from pipeline.settings import EventTraining, Input
 
 # Number of steps after a sample's last event in which its spikes still reach the outputs.

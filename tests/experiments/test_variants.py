@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.variants import VARIANTS, measure_durations_ns, vary
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.spike_frames import EventTable
 from tests.pipeline.handmade import assert_same, recordings
 
 FIRST = [(100, 5, 1, 4), (200, 17, -1, 2), (300, 5, 1, 1), (1000, 5, -1, 5), (1100, 5, 1, 1)]

@@ -9,7 +9,7 @@ import scipy.io
 from pipeline.recordings.events import Events
 from pipeline.recordings.recordings import Source, collect
 from pipeline.recordings.sensor import TaxelMap
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.spike_frames import EventTable
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
 

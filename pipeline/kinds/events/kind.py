@@ -28,7 +28,7 @@ from pipeline.kinds.records import (
 from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.recordings.dataset import Dataset, list_event_warnings
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.spike_frames import EventTable
 from pipeline.settings import Settings
 from pipeline.storage.artifacts import DELETE_IT
 from pipeline.storage.run_folder import DELETE_ITS_FOLDER

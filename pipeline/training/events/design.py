@@ -11,7 +11,7 @@ from models.architecture import parse
 from models.spiking.network import Neuron, SpikingNetwork
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.steps import EventTable, SpikeLimits, make_spike_frames
+from pipeline.recordings.spike_frames import EventTable, SpikeLimits, make_spike_frames
 from pipeline.settings import EventTraining, Input, Settings
 from pipeline.training.event_rules import choose_epochs
 
@@ -79,7 +79,7 @@ class EventDesign:
     def make_frames(
         self, events: EventColumns, samples: int, steps: int, size: tuple
     ) -> np.ndarray:
-        """Frames of events; see :func:`pipeline.recordings.steps.make_spike_frames`."""
+        """Frames of events; see :func:`pipeline.recordings.spike_frames.make_spike_frames`."""
         return make_spike_frames(events, self.step_ms, samples, steps, size, self.limits)
 
     def make_frames_of_samples(self, table: EventTable, indices, steps: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from deploy.network.stimulus import find_last_steps
 from models.architecture import parse
 from models.spiking.gradient import Batch, SpikingGradient
 from pipeline.paper import CNN_MACS
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.spike_frames import EventTable
 from pipeline.training.event_rules import TAIL_STEPS
 from pipeline.training.events.checkpoint import Checkpoint, train_epochs
 from pipeline.training.events.design import EventDesign

@@ -14,7 +14,7 @@ from pipeline.live.deciding import Curve, EventDecider, make_decider
 from pipeline.recordings.dataset import make_inputs, make_inputs_for
 from pipeline.recordings.events import Events
 from pipeline.recordings.sensor import Sensor
-from pipeline.recordings.steps import EventTable, SpikeLimits
+from pipeline.recordings.spike_frames import EventTable, SpikeLimits
 from pipeline.settings import Settings
 from pipeline.simulation.simulate import simulate
 from tests.deploy import networks

@@ -7,10 +7,10 @@ import pytest
 
 from experiments.growth import repeat_recordings
 from pipeline.kinds import counts as kinds_counts
-from pipeline.recordings import cache, library, steps
+from pipeline.recordings import cache, cached_recordings, spike_frames
 from pipeline.recordings.events import EVENT_DTYPES
 from pipeline.recordings.images import AlteredImages, make_tactile_images
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.spike_frames import EventTable
 from pipeline.settings import Image
 from tests.pipeline.handmade import recordings
 
@@ -39,8 +39,8 @@ def is_mapped(column):
 
 
 def test_stored_recordings_are_mapped_and_the_same(some, tmp_path):
-    library.store(tmp_path / "some.npz", some)
-    loaded = library.load(tmp_path / "some.npz")
+    cached_recordings.store(tmp_path / "some.npz", some)
+    loaded = cached_recordings.load(tmp_path / "some.npz")
     for name in EVENT_DTYPES:
         assert is_mapped(getattr(loaded.events, name)), name
     assert loaded.hashes == some.hashes
@@ -65,7 +65,7 @@ def all_of(some):
 def test_parts_of_recordings_give_what_all_at_once_gives(some, monkeypatch, tmp_path):
     expected = all_of(some)
     monkeypatch.setenv("STMNIST_CACHE", str(tmp_path))
-    monkeypatch.setattr(steps, "RECORDINGS_AT_ONCE", 2)
+    monkeypatch.setattr(spike_frames, "RECORDINGS_AT_ONCE", 2)
     monkeypatch.setattr(cache, "MAX_BYTES_IN_MEMORY", 100)
     found = all_of(some)
     assert is_mapped(found[0])

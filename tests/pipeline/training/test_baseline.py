@@ -7,7 +7,7 @@ from pipeline.kinds.counts import fit_baseline
 from pipeline.recordings.events import Events
 from pipeline.recordings.recordings import Source, collect
 from pipeline.recordings.sensor import Sensor, TaxelMap
-from pipeline.recordings.steps import EventTable
+from pipeline.recordings.spike_frames import EventTable
 
 
 def recordings():

@@ -9,7 +9,7 @@ import pytest
 
 from deploy.errors import UserError
 from deploy.files import hash_file
-from pipeline.recordings import library
+from pipeline.recordings import cached_recordings
 from pipeline.recordings.files import listing, reading
 from pipeline.recordings.files.listing import list_source
 from pipeline.recordings.files.reading import read_source
@@ -338,7 +338,7 @@ def test_recordings_are_read_once(tmp_path, monkeypatch):
     path = put(tmp_path / "s", members())
     first = load_recordings(str(path), jobs=1)
     with monkeypatch.context() as patch:
-        patch.setattr(library, "read_source", None)
+        patch.setattr(cached_recordings, "read_source", None)
         assert_same(load_recordings(str(path), jobs=1), first)
     put(path, {"a/1.npz": strip(30)})
     os.utime(path / "a" / "1.npz", (1, 1))

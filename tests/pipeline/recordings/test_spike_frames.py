@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.recordings.columns import EventColumns
-from pipeline.recordings.steps import EventTable, SpikeLimits, make_spike_frames
+from pipeline.recordings.spike_frames import EventTable, SpikeLimits, make_spike_frames
 from tests.pipeline.handmade import recordings
 
 MS = 1_000_000
