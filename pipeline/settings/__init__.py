@@ -24,14 +24,13 @@ from pipeline.settings.groups import (
 )
 from pipeline.settings.nested import find_value, merge_values, set_nested
 from pipeline.settings.relations import IMPORTED
-from pipeline.settings.schema import AUTOMATIC_AT_0, KEPT_IF_USERS, PATHS, Settings, list_names_in
-from pipeline.settings.text import describe, format_settings, parse_assignments
+from pipeline.settings.schema import KEPT_IF_USERS, PATHS, Settings, list_names_in
+from pipeline.settings.text import describe, format_automatic, format_settings, parse_assignments
 from pipeline.settings.toml import read_own_settings, read_settings, write_settings
 
 __all__ = [
     "AGGREGATIONS",
     "AUGMENTATIONS",
-    "AUTOMATIC_AT_0",
     "CNN",
     "IMPORTED",
     "INPUTS",
@@ -59,6 +58,7 @@ __all__ = [
     "apply_choices",
     "describe",
     "find_value",
+    "format_automatic",
     "format_settings",
     "list_names_in",
     "list_reasons",

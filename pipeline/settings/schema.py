@@ -43,11 +43,23 @@ from pipeline.settings.relations import IMPORTED, check_relations
 # Settings with the path of a file. The origin of an artifact has a hash of the file's content
 # instead of the path, so that every artifact may read these settings.
 PATHS = ("data.source", "cnn.model", "nir.file")
-# Settings whose 0 stands for a number that is chosen.
-AUTOMATIC_AT_0 = {
-    *("data.samples_per_digit", "skin.rows", "skin.columns", "image.duration"),
-    *("cnn.epochs", "snn.epochs", "snn.batch_size", "snn.learning_rate", "nir.step"),
-    *("events.epochs", "events.parts", "events.part", "presentation.steps"),
+# Settings with a value that stands for one that the program chooses.
+AUTOMATIC_VALUES: dict[str, float | str] = {
+    "data.samples_per_digit": 0,
+    "data.time_unit": "",
+    "data.rise": -1,
+    "skin.rows": 0,
+    "skin.columns": 0,
+    "image.duration": 0,
+    "cnn.epochs": 0,
+    "snn.epochs": 0,
+    "snn.batch_size": 0,
+    "snn.learning_rate": 0,
+    "nir.step": 0,
+    "events.epochs": 0,
+    "events.parts": 0,
+    "events.part": 0,
+    "presentation.steps": 0,
 }
 # Settings whose default asks for a choice, also if the user states it.
 CHOSEN_AT_DEFAULT = {"presentation.steps", "events.parts", "events.part", "events.augment"}

@@ -11,7 +11,7 @@ import tomllib
 from deploy.errors import UserError
 from pipeline.settings.base import list_entries
 from pipeline.settings.nested import set_nested
-from pipeline.settings.schema import Settings
+from pipeline.settings.schema import AUTOMATIC_VALUES, Settings
 from pipeline.settings.toml import format_toml
 
 
@@ -47,6 +47,20 @@ def format_settings(described: list, width: int = 80) -> str:
         text = textwrap.fill(row["meaning"], width - 6, break_on_hyphens=False)
         lines.append(textwrap.indent(text, 6 * " "))
     return "\n".join(lines[1:])
+
+
+def format_automatic(name: str, value) -> str:
+    """``automatic`` if a setting's value stands for one that the program chooses, otherwise empty.
+
+    Parameters
+    ----------
+    name : str
+        The setting's dotted name.
+    value : object
+    """
+    if name not in AUTOMATIC_VALUES or value != AUTOMATIC_VALUES[name]:
+        return ""
+    return f"automatic ({value:g})" if value != "" else "automatic"
 
 
 # The blanks before the name of a setting.

@@ -33,7 +33,7 @@ from pathlib import Path
 
 from deploy import __version__
 from deploy.files import read_json, write_json
-from pipeline.settings import AUTOMATIC_AT_0, KEPT_IF_USERS, Settings, list_names_in
+from pipeline.settings import KEPT_IF_USERS, Settings, format_automatic, list_names_in
 
 # States of an artifact.
 CURRENT = "current"
@@ -138,9 +138,7 @@ def _describe(name, recorded, show):
     """A value of an origin for a message."""
     if name not in recorded:
         return "unused"
-    if recorded[name] == 0 and name in AUTOMATIC_AT_0:
-        return "automatic (0)"
-    return show(recorded[name])
+    return format_automatic(name, recorded[name]) or show(recorded[name])
 
 
 @dataclass(frozen=True)

@@ -249,7 +249,8 @@ def draw_thumbnail(values, description: str = "", positions=None) -> Markup:
     Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
     content = base64.b64encode(buffer.getvalue()).decode()
     return Markup(
-        f'<img class="thumb" alt="{escape(description)}" src="data:image/png;base64,{content}">'
+        f'<span class="thumb"><img alt="{escape(description)}" '
+        f'src="data:image/png;base64,{content}"></span>'
     )
 
 

@@ -21,7 +21,7 @@ from pipeline import look
 from pipeline.kinds.registry import list_compared_stages, list_references
 from pipeline.results.ladder import count_confusions, make_rows, select_deployed_result
 from pipeline.results.report import charts, prose
-from pipeline.settings import PATHS, Settings
+from pipeline.settings import PATHS, Settings, format_automatic
 from pipeline.workflow import list_network_settings
 
 # Intervals of time of a small picture of a strip.
@@ -150,8 +150,7 @@ def _list_settings(inputs):
     """The settings that the bundle was made with, and the files that it was made from."""
     files = {name: path for name in PATHS if (path := inputs.settings.get_value(name))}
     values = files | list_network_settings(inputs.bundle.spec)
-    unset = [name for name, value in values.items() if name.endswith(".epochs") and value == 0]
-    return values | dict.fromkeys(unset, "0, the default number")
+    return {name: format_automatic(name, value) or value for name, value in values.items()}
 
 
 def find_title(stage: str) -> str:

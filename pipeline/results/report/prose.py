@@ -131,7 +131,9 @@ def describe_time(time: dict, accuracy: float) -> str:
             f"be right; at the end of the presentation it is {format_percent(accuracy)}."
         )
     if time["on_events"]:
-        sentences.append("At 100 %, the last event, some spikes have not reached the output.")
+        sentences.append(
+            "At the last event, which is at 100 %, some spikes have not reached the output."
+        )
     else:
         sentences.append("An image is presented when its recording has ended.")
     return " ".join(sentences)

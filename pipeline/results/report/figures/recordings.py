@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from deploy.tables import shorten_apart, shorten_name
 from pipeline.look import find_colour
@@ -57,7 +58,7 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
         frames = [figure.add_subplot(grid[0, column]) for column in range(FRAMES)]
         axes = figure.add_subplot(grid[1, :])
         largest = _draw_growing(frames, recordings, events, duration_s)
-        _scale(figure, f"{largest} event{'s' * (largest > 1)}")
+        _draw_scale(figure, f"{largest} event{'s' * (largest > 1)}")
     seconds = events.time_ns * 1e-9
     is_grid = taxels.positions is None and not _is_strip(taxels)
     place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
@@ -76,7 +77,8 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
             linewidths=2,
             label=label,
         )
-    axes.set(xlim=(0, duration_s), ylim=(place.max() + 0.5, -1))
+    axes.set(xlim=(0, duration_s), ylim=(place.max() + 0.5, -0.5))
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("time from the first event (s)", loc="left")
     axes.set_ylabel("taxel (ON above OFF)" + ", row by row" * is_grid)
     legend = axes.legend(loc="upper right", bbox_to_anchor=(1, -0.05), ncols=2, frameon=False)
@@ -151,15 +153,18 @@ def draw_sheet(recordings: Recordings, seed: int = 0) -> Figure:
     is_strip = _is_strip(recordings.taxels)
     axes_note = ""
     if is_strip:
-        axes_note = f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down"
+        axes_note = (
+            f"; each: {recordings.sensor.duration_s:.3g} s to the right, taxels down, "
+            "shade: square root of the number of events"
+        )
     figure.text(
         0.1 / width, 1 - 0.4 / height, f"class (number of its recordings){axes_note}", size=8
     )
-    _scale(figure, "most, in each picture" + " (root)" * is_strip)
+    _draw_scale(figure, "most, in each picture")
     return figure
 
 
-def _scale(figure, most):
+def _draw_scale(figure, most):
     """The scale of the shades, in the upper right corner."""
     width, height = figure.get_size_inches()
     axes = figure.add_axes((1 - 2.05 / width, 1 - 0.22 / height, 0.7 / width, 0.12 / height))

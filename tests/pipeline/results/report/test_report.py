@@ -119,6 +119,14 @@ def test_what_is_wrong_with_the_recordings_is_said(inputs):
     assert "3 of 9 are cut" in report.render(replace(inputs, bundle=changed))
 
 
+def test_a_setting_that_the_program_chooses_is_listed_as_automatic(inputs):
+    page = report.render(inputs)
+    values = dict(re.findall(r"<dt>([\w.]+)</dt><dd>(.*?)</dd>", page))
+    assert values["skin.rows"] == "automatic (0)"
+    assert values["data.time_unit"] == "automatic"
+    assert values["split.validation_fraction"] == "0.0"  # where 0 is a number
+
+
 def test_recall_and_precision_are_those_of_the_answers(inputs):
     pairs = [(0, 0), (0, 1), (1, 1), (1, 1), (2, 1)]
     samples = [{"label": label, "prediction": answer} for label, answer in pairs]

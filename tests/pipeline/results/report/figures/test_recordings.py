@@ -7,6 +7,7 @@ import pytest
 from matplotlib import font_manager
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from pipeline.look import find_colour
 from pipeline.recordings.events import Events
@@ -43,7 +44,7 @@ def test_recording(recordings):
     assert last[3, 0] == 0.5
     assert (raster.get_xlim(), raster.get_ylim()) == (
         (0, pytest.approx(1.4)),
-        (99.5, -1),
+        (99.5, -0.5),
     )  # from above
     on, off = raster.collections
     # ON in the upper half of a taxel's row, OFF in the lower half.
@@ -65,6 +66,26 @@ def test_sheet_has_a_row_for_each_digit(recordings):
     assert "simulated" in figure.get_suptitle()
 
 
+@pytest.mark.parametrize("rows", [1, 3])
+def test_all_text_of_a_sheet_is_inside_it(rows):
+    taxels = TaxelMap(np.repeat(np.arange(rows), 3), np.tile(np.arange(3), rows))
+    classes = ("tap", "slide")
+    samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
+    source = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
+                     Sensor(rows, 3, duration_s=1.0, classes=classes))  # fmt: skip
+    figure = data_figures.sheet(source)
+    figure.draw_without_rendering()
+    texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    extents = [text.get_window_extent() for text in texts]
+    width, height = figure.bbox.size
+    outside = [
+        text.get_text()
+        for text, box in zip(texts, extents, strict=True)
+        if box.x0 < 0 or box.y0 < 0 or box.x1 > width or box.y1 > height
+    ]
+    assert outside == []
+
+
 @pytest.mark.parametrize("positions", [None, [[0.0, 0.0], [1.0, 2.0], [5.0, -1.0]]])
 def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     taxels = TaxelMap(np.zeros(3, int), np.arange(3), positions and np.array(positions))
@@ -84,6 +105,7 @@ def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
             np.testing.assert_array_equal(points.get_array(), expected)
             assert axes.yaxis_inverted()
     else:
+        assert [tick for tick in raster.get_yticks() if -0.5 <= tick <= 2.5] == [0, 1, 2]
         image = np.asarray(first.images[0].get_array())
         assert [list(place) for place in np.argwhere(image)] == [[0, 0], [2, 36]]
         assert len(panels) == 1
