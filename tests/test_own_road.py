@@ -173,6 +173,15 @@ def test_cut_ends_new_polarities_and_a_smaller_sensor_are_said(folder, tmp_path)
     assert missing(said, "3 of 9 rows and 4 of 12 columns") == []
 
 
+def test_a_short_touch_is_not_said_to_be_of_a_smaller_sensor(folder, tmp_path):
+    bundle = read_bundle(folder / "events" / "bundle")
+    settings = other_recordings.find_settings_around(bundle)
+    (x, y, t, p), label = gestures(1)[0]
+    source = write_recordings(tmp_path / "touch.zip", [((x // 2, y // 2, t, p), label)], CLASSES, "s")
+    read = other_recordings.read_recordings_for(bundle, str(source), settings)
+    assert "smaller sensor" not in " ".join(other_recordings.list_warnings(bundle, read))
+
+
 def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, capsys):
     renamed = [(events, f"class {label}") for events, label in gestures(2)]
     write_recordings(tmp_path / "renamed.zip", renamed)

@@ -25,6 +25,10 @@ MIN_HOT_FACTOR = 5.0
 # Hot taxels that are printed.
 MAX_LISTED = 8
 
+# From how many times as many taxels with the fall first as with the rise first on, the polarities
+# may be exchanged.  Where both are as frequent, their order says nothing.
+MIN_EXCHANGED_RATIO = 1.5
+
 
 @dataclass(frozen=True)
 class TaxelActivity:
@@ -176,6 +180,6 @@ def format_polarity_order(order: dict) -> str:
         f"{order['taxels']} taxels of recordings with both polarities, the fall on "
         f"{100 * order['fall_first']:.1f} %, both at once on {100 * order['together']:.1f} %"
     )
-    if order["fall_first"] > order["rise_first"]:
+    if order["fall_first"] > MIN_EXCHANGED_RATIO * order["rise_first"]:
         text += "; a taxel at rest can only rise, so the polarities may be exchanged"
     return text

@@ -318,7 +318,7 @@ def describe_recordings(recordings: Recordings) -> str:
         f"{len(recordings)} recordings",
         describe_size(sensor),
         format_count(len(sensor.classes), "class", "classes"),
-        f"{lasts.min():.2g} to {lasts.max():.2g} s",
+        " to ".join(dict.fromkeys(f"{limit:.2g}" for limit in (lasts.min(), lasts.max()))) + " s",
     ]
     if recordings.source.time_unit:
         parts.append(f"times read as {UNIT_NAMES[recordings.source.time_unit]}")

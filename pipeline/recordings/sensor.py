@@ -94,9 +94,12 @@ def is_st_mnist_sensor(rows: int, columns: int, classes) -> bool:
 
 
 def describe_size(sensor: Sensor) -> str:
-    """Rows and columns in words."""
-    rows = sensor.rows
-    columns = sensor.columns
+    """Rows and columns of a sensor in words."""
+    return format_size(sensor.rows, sensor.columns)
+
+
+def format_size(rows: int, columns: int) -> str:
+    """Numbers of rows and columns in words."""
     return f"{format_count(rows, 'row')} x {format_count(columns, 'column')}"
 
 

@@ -29,7 +29,7 @@ from pipeline.recordings.interpretation.binned_counts import choose_rise, make_e
 from pipeline.recordings.interpretation.options import AS_FOUND, ReadingOptions
 from pipeline.recordings.interpretation.times import infer_unit, to_ns
 from pipeline.recordings.recordings import Recordings, describe_recordings, list_facts
-from pipeline.recordings.sensor import N_TAXELS, Sensor, is_st_mnist_sensor
+from pipeline.recordings.sensor import N_TAXELS, Sensor, format_size, is_st_mnist_sensor
 
 
 def list_facts_with_events(recordings: Recordings) -> dict:
@@ -144,7 +144,7 @@ def format_facts_of_file(name: str, facts: dict) -> str:
     counts = _format_count(facts, polarities)
     text = f"{escape_control(name)}{remark}: {counts} of {facts['taxels']} taxels"
     if "sensor" in facts:
-        text += f" in {facts['sensor']['rows']} rows x {facts['sensor']['columns']} columns"
+        text += " in " + format_size(facts["sensor"]["rows"], facts["sensor"]["columns"])
     text += f", {facts['t_first_s']:.4f} s to {facts['t_last_s']:.4f} s"
     if "time_unit" in facts:
         text += f", times read as {UNIT_NAMES[facts['time_unit']]}"

@@ -37,6 +37,11 @@ FOLDER = "other"
 # Share of a sensor's rows and columns that its recordings have events in, at least.
 MIN_REACHED_SHARE = 0.8
 
+# From this number on, the recordings of a sensor reach most of its rows and columns.  Of fewer,
+# the rectangle with all events is at least this share of the sensor.
+MANY_RECORDINGS = 10
+MIN_REACHED_AREA = 0.25
+
 
 def find_settings_around(bundle: Bundle, skip_bad: bool = False, time_unit: str = "") -> Settings:
     """The settings of the run that a bundle is in, or the defaults if it is in none.
@@ -238,7 +243,7 @@ def _describe_limits(spec, recordings):
         )
     rows, columns = spec.input_shape[:2]
     reached = [int(axis[events.taxel].max(initial=0)) + 1 for axis in (taxels.row, taxels.column)]
-    if reached[0] < MIN_REACHED_SHARE * rows or reached[1] < MIN_REACHED_SHARE * columns:
+    if _is_of_smaller_sensor(reached, (rows, columns), len(recordings)):
         yield (
             f"the events are in {reached[0]} of {rows} rows and {reached[1]} of {columns} columns; "
             "if these are recordings of a smaller sensor, the network is not for them"
@@ -251,6 +256,17 @@ def _describe_limits(spec, recordings):
         steps = spec.presentation.steps
         if line := describe_cut_recordings(recordings.table, step_ms, steps):
             yield line
+
+
+def _is_of_smaller_sensor(reached, size, n_recordings):
+    """True if the rows and columns with events are so few that the sensor may be smaller.
+
+    A few recordings, such as of a short touch, do not reach all taxels of their own sensor.
+    """
+    shares = [part / whole for part, whole in zip(reached, size, strict=True)]
+    if n_recordings < MANY_RECORDINGS:
+        return shares[0] * shares[1] < MIN_REACHED_AREA
+    return min(shares) < MIN_REACHED_SHARE
 
 
 def _measure_typical_duration_s(recordings):

@@ -57,6 +57,9 @@ def test_the_polarity_that_comes_first():
     assert order["fall_first"] == 0.5
     assert "exchanged" in format_polarity_order(order)
     assert measure_polarity_order(recordings(rises[:1]))["rise_first"] is None
+    order = measure_polarity_order(recordings(exchanged, rises))  # which say nothing
+    assert order["fall_first"] == order["rise_first"] == 0.25
+    assert "exchanged" not in format_polarity_order({**order, "fall_first": 0.26})
 
 
 def test_the_real_recordings():

@@ -1,5 +1,7 @@
 """The sensor of recordings: rows, columns, classes, and the unit of time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -64,6 +66,16 @@ def test_the_unit_of_time_is_recognised_and_said(tmp_path, scale, kind, unit):
     text = describe_recordings(read)
     facts = ("16 recordings", f"{ROWS} rows", f"{COLUMNS} columns", "4 classes", f" {unit}")
     assert missing(text, *facts) == []
+
+
+def test_equal_durations_are_said_once(tmp_path):
+    archive(tmp_path / "own.zip", own())
+    read = read_source(tmp_path / "own.zip", jobs=1)
+    assert " 1 s," not in describe_recordings(read)
+    time_ns = read.events.time_ns.copy()
+    time_ns[read.offsets[1:] - 1] = time_ns[read.offsets[:-1]] + 10**9
+    same = replace(read, events=replace(read.events, time_ns=time_ns))
+    assert ", 1 s," in describe_recordings(same)
 
 
 def test_the_unit_of_the_training_is_kept_where_it_fits(tmp_path):
