@@ -13,6 +13,7 @@ at their own speed::
 import argparse
 import json
 import math
+import os
 import queue
 import socket
 import sys
@@ -34,6 +35,9 @@ DATAGRAM = 65535
 
 # What is pushed in place of a malformed event: the stream counts it, and reports the number.
 NO_EVENT = (math.nan, 0, 0, 0)
+
+# Decimals of a printed time or probability.
+DECIMALS = 6
 
 END = None
 
@@ -57,10 +61,19 @@ def event_of(value):
     return value if all(isinstance(number, (int, float)) for number in value) else NO_EVENT
 
 
+def print_line(values):
+    """Print a decision as a line of JSON, at once."""
+    rounded = {
+        name: round(value, DECIMALS) if isinstance(value, float) else value
+        for name, value in values.items()
+    }
+    print(json.dumps(rounded), flush=True)
+
+
 def say(decisions):
     """Print decisions as JSON lines, at once."""
     for decision in decisions:
-        print(json.dumps(decision.to_dict()), flush=True)
+        print_line(decision.to_dict())
 
 
 def follow(stream, lines):
@@ -132,7 +145,7 @@ def replay(stream, recordings, speed):
             values = {"recording": recordings.ids[index], **decision.to_dict()}
             for name in ("time", "start"):
                 values[name] *= 1e-9
-            print(json.dumps(values), flush=True)
+            print_line(values)
 
     begun = time.monotonic()
     done = 0
@@ -183,3 +196,5 @@ if __name__ == "__main__":
     except stmnist.UserError as error:
         print(f"stream: {error}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # the reader of the decisions has ended, such as `head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -134,6 +134,23 @@ def test_events_from_a_port_are_decided_on_by_the_clock_of_this_machine(bundle):
     assert process.returncode == 0
 
 
+def test_a_reader_that_ends_ends_the_example_quietly(bundle):
+    with subprocess.Popen(
+        [*COMMAND, str(bundle.path), "--unit", "us"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+        env=environment(),
+        text=True,
+    ) as process:
+        process.stdout.close()
+        process.stdin.write("\n".join(lines_of(bundle)))
+        process.stdin.close()
+        errors = process.stderr.read()
+    assert "Traceback" not in errors
+
+
 def test_a_missing_bundle_is_said_in_one_line(tmp_path):
     done = subprocess.run(
         [*COMMAND, str(tmp_path)], cwd=ROOT, env=environment(), capture_output=True, text=True

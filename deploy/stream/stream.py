@@ -482,7 +482,7 @@ def _require_events(bundle):
     spec = bundle.spec
     name = bundle.path or "the bundle"
     if not isinstance(spec.stimulus, EventFrames):
-        remedy = format_command("convert", "runs/events", "--set", "input.kind=events")
+        remedy = format_command("convert", "runs/events", "--input", "events")
         raise UserError(
             f"{name}: its network is on images, which are made of whole recordings; a stream "
             f"needs one on events, such as of {remedy}"
