@@ -36,19 +36,26 @@ def describe_missing():
         installed = ".".join(str(n) for n in sys.version_info[:3])
         return f"Python {installed} is too old; use Python 3.8 or later"
     installed_numbers = {}
+    missing = []
     for package, (oldest, first_not, reason) in PACKAGES.items():
-        requirement = f"{package}>={_format_version(oldest)},<{_format_version(first_not)}"
-        remedy = f"pip install '{requirement}'" + (f" ({reason})" if reason else "")
+        requirement = f"'{package}>={_format_version(oldest)},<{_format_version(first_not)}'"
+        remedy = f"pip install {requirement}" + (f" ({reason})" if reason else "")
         try:
             installed = version(package)
         except PackageNotFoundError:
-            return f"{package} is not installed; {remedy}"
+            missing.append((package, requirement))
+            continue
         number = tuple(int(n) for n in re.findall(r"\d+", installed)[:3])
         installed_numbers[package] = number
         if number < oldest:
             return f"{package} {installed} is too old; {remedy}"
         if number >= first_not:
             return f"{package} {installed} is too new; {remedy}"
+    if missing:
+        names = " and ".join(package for package, _ in missing)
+        verb = "is" if len(missing) == 1 else "are"
+        needed = " ".join(requirement for _, requirement in missing)
+        return f"{names} {verb} not installed; pip install {needed}"
     if installed_numbers["nengo"] < (4,) and installed_numbers["numpy"] >= (2,):
         return "Nengo 3 fails with NumPy 2; pip install 'numpy<2' or 'nengo>=4,<5'"
     return None

@@ -97,6 +97,13 @@ def test_host_without_a_package(monkeypatch):
     assert "'no-such-package>=1,<2'" in host.describe_missing()
 
 
+def test_all_packages_that_a_host_lacks_are_said_at_once(monkeypatch):
+    packages = {"no-such-package": ((1,), (2,), ""), "nor-this": ((0, 3), (4,), "")}
+    monkeypatch.setattr(host, "PACKAGES", packages)
+    command = "pip install 'no-such-package>=1,<2' 'nor-this>=0.3,<4'"
+    assert command in host.describe_missing()
+
+
 def test_host_with_an_old_python(monkeypatch):
     monkeypatch.setattr(host, "OLDEST_PYTHON", (3, 99))
     assert f"Python {platform.python_version()} " in host.describe_missing()
