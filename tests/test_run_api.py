@@ -116,7 +116,8 @@ def test_recordings_in_memory_are_predicted_and_checked(run):
     predictions = run.predict(recordings)
     assert predictions.ids == list(recordings.ids)
     assert set(predictions.names) <= set(CLASSES)
-    assert predictions[recordings.ids[0]] == predictions.names[0]
+    assert predictions[recordings.ids[0]] == predictions[0] == predictions.names[0]
+    assert max(map(len, map(repr, (run.bundle, run.dataset, run.replay([0])[0])))) < 300
     assert all(0 < probability < 1 for probability in predictions.probabilities)
     assert is_one_line(predictions)
     backwards = recordings.subset(range(7, -1, -1))

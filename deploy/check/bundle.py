@@ -79,6 +79,9 @@ class CheckSet:
     def __len__(self):
         return len(self.labels)
 
+    def __repr__(self):
+        return f"CheckSet({len(self)} samples of shape {self.inputs.shape[1:]})"
+
     @property
     def sha256(self):
         """SHA-256 of inputs, labels and ids."""
@@ -111,6 +114,12 @@ class Bundle:
     id: str
     spec: NetworkSpec
     checks: CheckSet
+
+    def __repr__(self):
+        return (
+            f"Bundle({str(self.path)!r}: {self.id[:12]}, {self.spec.architecture}, "
+            f"{len(self.checks)} samples)"
+        )
 
     @property
     def seed(self):

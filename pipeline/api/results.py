@@ -210,6 +210,8 @@ class CheckResult(Result):
 class Predictions(Result):
     """Predictions for recordings: ``predictions["today/000"]`` is the name of a class.
 
+    So is ``predictions[0]``, that of the first recording.
+
     Attributes
     ----------
     ids : list of str
@@ -230,8 +232,9 @@ class Predictions(Result):
         self.probabilities = [row["probability"] for row in rows]
         self._name_of = dict(zip(self.ids, self.names, strict=True))
 
-    def __getitem__(self, name: str) -> str:
-        return self._name_of[name]
+    def __getitem__(self, recording: str | int) -> str:
+        """Name of the predicted class of a recording, given by its id or its index."""
+        return self.names[recording] if isinstance(recording, int) else self._name_of[recording]
 
     def __iter__(self):
         return iter(self.ids)

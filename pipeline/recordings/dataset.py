@@ -60,6 +60,11 @@ class Dataset:
     settings: Settings
     _made: dict = field(default_factory=dict, repr=False, compare=False)
 
+    def __repr__(self):
+        parts = ("train", "validation", "test")
+        sizes = ", ".join(f"{len(getattr(self.split, part))} {part}" for part in parts)
+        return f"Dataset({self.recordings!r}: {sizes})"
+
     @classmethod
     def of(
         cls,

@@ -53,6 +53,10 @@ class Replay:
     decided: int
     prediction: int
 
+    def __repr__(self):
+        layers = ", ".join(layer.name for layer in self.layers)
+        return f"Replay(class {self.prediction}, decided at {self.decided}; spikes of {layers})"
+
     def choose_classes(self, label: int) -> list:
         """The classes whose probability is drawn, for a sample of a class."""
         top = np.argsort(-self.chances[self.decided], kind="stable").tolist()
