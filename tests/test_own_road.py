@@ -177,7 +177,9 @@ def test_a_short_touch_is_not_said_to_be_of_a_smaller_sensor(folder, tmp_path):
     bundle = read_bundle(folder / "events" / "bundle")
     settings = other_recordings.find_settings_around(bundle)
     (x, y, t, p), label = gestures(1)[0]
-    source = write_recordings(tmp_path / "touch.zip", [((x // 2, y // 2, t, p), label)], CLASSES, "s")
+    source = write_recordings(
+        tmp_path / "touch.zip", [((x // 2, y // 2, t, p), label)], CLASSES, "s"
+    )
     read = other_recordings.read_recordings_for(bundle, str(source), settings)
     assert "smaller sensor" not in " ".join(other_recordings.list_warnings(bundle, read))
 
