@@ -73,7 +73,7 @@ def test_all_text_of_a_sheet_is_inside_it(rows):
     samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
     source = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
                      Sensor(rows, 3, duration_s=1.0, classes=classes))  # fmt: skip
-    figure = data_figures.sheet(source)
+    figure = data_figures.draw_sheet(source)
     figure.draw_without_rendering()
     texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
     extents = [text.get_window_extent() for text in texts]
