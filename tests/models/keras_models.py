@@ -361,7 +361,7 @@ def bad(keras):
     models["other_order"] = chain(layers.Permute((2, 1, 3)), conv())
     models["cropped"] = chain(layers.Cropping2D(1), conv())
     by_row = layers.Normalization(axis=1, mean=np.arange(8.0) / 8, variance=np.ones(8))
-    models["normalised_rows"] = chain(by_row, conv())
+    models["normalised_by_row"] = chain(by_row, conv())
     image = keras.Input((8, 8, 1))
     models["operation"] = keras.Model(image, layers.Dense(3)(layers.Flatten()(conv()(image / 2.0))))
     models["unknown_rows"] = chain(shape=(200,), end=[layers.Dense(3)])

@@ -77,7 +77,7 @@ BAD = {
     "other_padding": ("'c'", "padding='same'"),
     "other_order": ("'c'", "Permute"),
     "cropped": ("'c'", "Cropping2D"),
-    "normalised_rows": ("'c'", "at each place", "axis=-1"),
+    "normalised_by_row": ("'c'", "at each place", "axis=-1"),
     "operation": ("no layer of Keras", "Rescaling"),
     "not_square": ("'c'", "3x2"),
     "function": ("activation", "activation='relu'"),
