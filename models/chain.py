@@ -182,7 +182,7 @@ OUTPUT_THRESHOLD_PERCENTILE = 20
 
 
 def from_rates(
-    architecture: Architecture, weights: dict, snn, synapse: float | None, range_of=None
+    architecture: Architecture, weights: dict, snn, synapse: float | None, training_logits=None
 ) -> tuple:
     """The chain of a network trained with rate-LIF neurons.
 
@@ -199,7 +199,7 @@ def from_rates(
         Rates and time constants of the neurons, and whether weights are rounded as on the chip.
     synapse : float or None
         Time constant in seconds of the low-pass on spikes between layers; None for none.
-    range_of : (logits, labels), optional
+    training_logits : (logits, labels), optional
         Arrays of shapes (n_samples, outputs) and (n_samples,) of training samples, for an output of
         neurons whose range covers them.  Default: a linear readout on the host.
 
@@ -210,7 +210,7 @@ def from_rates(
     from models.cnn import find_gain  # imports TensorFlow
     from models.quantised import quantise_bias, quantise_weights
 
-    def spiking(link, rate, weights, bias):
+    def add_neurons(link, rate, weights, bias):
         neurons = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)
         return replace(link, weights=weights, bias=bias, neurons=neurons, synapse=synapse or None)
 
@@ -224,22 +224,28 @@ def from_rates(
         if snn.is_on_chip:
             kernel = quantise_weights(kernel).numpy()
             bias = quantise_bias(bias).numpy()
-        chain.append(spiking(link, rate, kernel, bias))
-    if range_of is not None:
-        # One LIF neuron per class: what the largest wrong logit usually exceeds maps to the
-        # threshold, and the largest right logits to the full rate, so that the range covers what
-        # decides.
-        logits = np.array(range_of[0], float)
-        labels = np.asarray(range_of[1])
-        right = logits[np.arange(len(labels)), labels]
-        logits[np.arange(len(labels)), labels] = -np.inf
-        threshold = np.percentile(logits.max(axis=1), OUTPUT_THRESHOLD_PERCENTILE)
-        full = np.percentile(right, 99)
+        chain.append(add_neurons(link, rate, kernel, bias))
+    if training_logits is not None:
+        threshold, full = _find_output_range(*training_logits)
         rate = OUTPUT_RATE_SHARE / snn.tau_ref
         gain = find_gain(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
         bias = 1 + gain * (output.bias - threshold)
-        output = spiking(output, rate, gain * output.weights, bias)
+        output = add_neurons(output, rate, gain * output.weights, bias)
     return (*chain, output)
+
+
+def _find_output_range(logits, labels) -> tuple:
+    """The logits at the threshold and at the full rate of output neurons, one for each class.
+
+    What the largest wrong logit usually exceeds maps to the threshold, and the largest right logits
+    to the full rate, so that the range covers what decides.
+    """
+    logits = np.array(logits, float)
+    labels = np.asarray(labels)
+    right = logits[np.arange(len(labels)), labels]
+    logits[np.arange(len(labels)), labels] = -np.inf
+    threshold = np.percentile(logits.max(axis=1), OUTPUT_THRESHOLD_PERCENTILE)
+    return threshold, np.percentile(right, 99)
 
 
 def build_network_spec(

@@ -83,7 +83,7 @@ class OtherLargest(DeployedOneToOne):
         (Affine, "not linear"),
         (TooFew, "count_fan_out"),
         (OtherTransform, "make_transform"),
-        (NameOfALayer, "names of a layer"),
+        (NameOfALayer, "the names of a layer"),
         (OtherLargest, "find_largest_weights"),
     ],
 )

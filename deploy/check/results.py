@@ -13,7 +13,7 @@ from .. import __version__
 from ..errors import CheckFailed, UserError
 from ..files import read_json
 from ..loading import Limit, WrongValue, between, limited_field, load
-from ..network.decision import share_of_time
+from ..network.decision import compute_share_of_time
 from ..network.provenance import read_classes
 from ..network.stimulus import find_last_steps
 from ..terminal import WARNING
@@ -148,7 +148,7 @@ def _measure_while_written(bundle, decisions, labels, samples) -> dict:
             "confidence": spec.presentation.confidence,
             "accuracy": float(right.mean()),
             "accuracy_ci95": list(compute_wilson_interval(int(right.sum()), len(right))),
-            "share_of_writing_mean": float(share_of_time(stopped - 1, written - 1).mean()),
+            "share_of_writing_mean": float(compute_share_of_time(stopped - 1, written - 1).mean()),
             "before_the_end": float((stopped < written).mean()),
         }
     return {"while_written": value}
@@ -429,7 +429,7 @@ def _are_of_the_same_data(a, b):
     return bool(of_a) and bool(of_b) and of_a["sha256"] == of_b["sha256"]
 
 
-def enforce(
+def enforce_limits(
     comparison: Comparison,
     max_disagreements: Optional[int] = None,
     max_accuracy_drop: Optional[float] = None,

@@ -93,10 +93,11 @@ def _choose_default_block(layer, is_recurrent, after, after_block, chip):
     """As `choose_block`; layers of the same shapes are equal, whether recurrent or not."""
     limit = chip.limits["compartments"]
     needs = BlockNeeds(layer, chip)
-    receiver = after and after.operation.make_resources(after, chip).make_output_axon_counter(
-        after_block
-    )
-    if layer.size <= limit and needs.fit(layer.shape, receiver):
+    count_output_axons = None
+    if after:
+        resources = after.operation.make_resources(after, chip)
+        count_output_axons = resources.make_output_axon_counter(after_block)
+    if layer.size <= limit and needs.are_within_limits(layer.shape, count_output_axons):
         return layer.shape
     lengths = [list(_list_lengths(n)) for n in layer.shape]
     blocks = [block for block in itertools.product(*lengths) if np.prod(block) <= limit]
@@ -106,7 +107,7 @@ def _choose_default_block(layer, is_recurrent, after, after_block, chip):
 
     by_cost = sorted(blocks, key=cost)
     for block in by_cost:
-        if needs.fit(block, receiver):
+        if needs.are_within_limits(block, count_output_axons):
             return block
     return by_cost[0]
 
@@ -129,29 +130,29 @@ class BlockNeeds:
         self.layer = layer
         self.chip = chip
         self.resources = layer.operation.make_resources(layer, chip)
-        self.own_axons = 0 if layer.recurrent is None else layer.size
+        self.recurrent_axons = 0 if layer.recurrent is None else layer.size
 
     def count_input_axons(self, block) -> int:
         """Number of input axons of all blocks of one shape."""
-        recurrent_axons = self.own_axons * count_blocks(self.layer.shape, block)
-        return self.resources.count_input_axons(block) + recurrent_axons
+        blocks = count_blocks(self.layer.shape, block)
+        return self.resources.count_input_axons(block) + self.recurrent_axons * blocks
 
     def count(self, ranges) -> Tuple[int, int]:
         """Input axons and words of synapse memory of the block with these ranges of outputs."""
         axons, words = self.resources.count_needs(ranges)
-        if self.own_axons:
+        if self.recurrent_axons:
             ((first, last),) = ranges
             words_of_one = count_input_words(last - first, self.chip.weight_bits, self.chip)
-            words += self.own_axons * words_of_one
-        return axons + self.own_axons, words
+            words += self.recurrent_axons * words_of_one
+        return axons + self.recurrent_axons, words
 
-    def fit(self, block, receiver) -> bool:
+    def are_within_limits(self, block, count_output_axons) -> bool:
         """True if each block is within the limits of a core, compartments excepted.
 
         Parameters
         ----------
         block : tuple of int
-        receiver : callable or None
+        count_output_axons : callable or None
             From `Resources.make_output_axon_counter` of the next layer.
         """
         limits = self.chip.limits
@@ -160,8 +161,8 @@ class BlockNeeds:
             axons, words = self.count(ranges)
             if axons > limits["input axons"] or words > limits["synapse words"]:
                 return False
-            sent = 0 if receiver is None else receiver(ranges)
-            if self.own_axons:
+            sent = 0 if count_output_axons is None else count_output_axons(ranges)
+            if self.recurrent_axons:
                 sent += (ranges[0][1] - ranges[0][0]) * count_blocks(self.layer.shape, block)
             if sent > limits["output axons"]:
                 return False

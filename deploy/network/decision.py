@@ -285,7 +285,7 @@ def find_decisions(outputs, sure, threshold: float):
     return steps, outputs[np.arange(len(steps)), steps].argmax(-1)
 
 
-def share_of_time(steps, last_step) -> np.ndarray:
+def compute_share_of_time(steps, last_step) -> np.ndarray:
     """Share of a sample's duration until its decision, at most 1.
 
     Parameters
@@ -333,7 +333,7 @@ def choose_threshold(
     for level in 1 - np.geomspace(0.5, 1e-4, 200):
         steps, classes = find_decisions(outputs, sure, level)
         threshold = Threshold(
-            float(level), mean(classes == labels), mean(share_of_time(steps, last_step))
+            float(level), mean(classes == labels), mean(compute_share_of_time(steps, last_step))
         )
         if threshold.accuracy >= at_the_end - loss and threshold.share < best.share:
             best = threshold

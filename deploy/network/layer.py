@@ -152,7 +152,9 @@ class Layer:
             f"{self.kind!r} cannot be recurrent, or has no neurons",
         )
         common = set(self.operation.to_file()) & LAYER_NAMES
-        self._require(not common, f"its operation has numbers with names of a layer's: {common}")
+        self._require(
+            not common, f"its operation has numbers with the names of a layer's values: {common}"
+        )
 
     def _check_shapes(self):
         """Compare the shapes with those of the operation."""

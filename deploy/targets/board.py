@@ -172,11 +172,11 @@ def _convert_board_errors():
 def _time_limit(seconds):
     """Raise TimeoutError after a time limit, which is not enforced where timers are not allowed."""
 
-    def over(signum, frame):
+    def raise_timeout(signum, frame):
         raise TimeoutError(f"no answer for {seconds:g} s")
 
     try:
-        before = signal.signal(signal.SIGALRM, over)
+        before = signal.signal(signal.SIGALRM, raise_timeout)
     except ValueError:  # not the main thread
         yield
         return
@@ -255,28 +255,28 @@ def describe(notes: list) -> dict:
         check was resumed elsewhere, board, partition or chips are the list of all, in order.
     """
 
-    def all_of(name):
+    def list_values(name):
         return list(dict.fromkeys(note[name] for note in notes))
 
-    def one_or_all(name):
-        values = all_of(name)
+    def find_value(name):
+        values = list_values(name)
         return values[0] if len(values) == 1 else values
 
-    def seconds_of(phase):
+    def sum_seconds(phase):
         return sum(note[f"{phase}_seconds"] for note in notes)
 
     samples = sum(note["samples"] for note in notes)
     result = {
         "hardware": {
-            **{name: one_or_all(name) for name in ("board", "partition", "chips")},
+            **{name: find_value(name) for name in ("board", "partition", "chips")},
             "connections": len(notes),
             "attempts": sum(note["attempts"] for note in notes),
         },
         "timing": {
-            f"{phase}_seconds_per_sample": seconds_of(phase) / samples
+            f"{phase}_seconds_per_sample": sum_seconds(phase) / samples
             for phase in ("build", "connect", "run")
         },
-        "versions": {"nxsdk": ", ".join(all_of("nxsdk"))},
+        "versions": {"nxsdk": ", ".join(list_values("nxsdk"))},
     }
     measured = [note for note in notes if "power" in note]
     if measured:

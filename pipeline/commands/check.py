@@ -201,10 +201,10 @@ def compare_checks(
     as_json: options.Json = False,
 ):
     """Compare two results: agreement, McNemar's test, the first samples that differ."""
-    from deploy.check.results import compare_results, enforce, read_result
+    from deploy.check.results import compare_results, enforce_limits, read_result
     from deploy.check.text import format_comparison
 
     comparison = compare_results(read_result(a), read_result(b))
     options.warn_if_outdated(a, b)
     options.print_result(comparison.to_json(), lambda _: format_comparison(comparison), as_json)
-    enforce(comparison, max_disagreements, max_accuracy_drop)
+    enforce_limits(comparison, max_disagreements, max_accuracy_drop)

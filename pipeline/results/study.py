@@ -21,7 +21,7 @@ from deploy import __version__
 from deploy.check.bundle import CheckSet
 from deploy.errors import CheckFailed, UserError
 from deploy.files import read_json, write_json
-from deploy.network.decision import share_of_time
+from deploy.network.decision import compute_share_of_time
 from deploy.network.stimulus import find_last_steps
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
@@ -264,7 +264,7 @@ def evaluate(case: Case, opened: OpenedRun, dataset: Dataset | None = None) -> d
     if responses.stopped_at is not None:
         last = responses.stopped_at - 1
         early = responses.decisions[np.arange(len(index)), last]
-        costs["share"] = float(share_of_time(last, find_last_steps(inputs)).mean())
+        costs["share"] = float(compute_share_of_time(last, find_last_steps(inputs)).mean())
         costs["early"] = float(np.mean(early == labels))
     return make_row(case, dataset, index, responses.predictions, costs=costs)
 

@@ -346,13 +346,13 @@ class _ConvolutionResources(Resources):
         )
         slots = self._count_channel_blocks(block) * POPULATION_SLOTS
 
-        def output_axons(ranges):
+        def count_output_axons(ranges):
             (first_row, last_row), (first_column, last_column), *_ = ranges
             rows = row_blocks[:, first_row:last_row].sum()
             columns = column_blocks[:, first_column:last_column].sum()
             return int(rows * columns) * slots
 
-        return output_axons
+        return count_output_axons
 
     @staticmethod
     def _is_read_by(line, n, length):

@@ -136,9 +136,9 @@ class _PopulationResources(Resources):
         blocks = count_blocks(self.layer.shape, block)
         rows, columns = _find_pooled_pixels(self.layer)
 
-        def output_axons(ranges):
+        def count_output_axons(ranges):
             sides = zip((rows, columns), ranges)
             pixels = (max(min(last, n) - first, 0) for n, (first, last) in sides)
             return math.prod(pixels) * blocks * POPULATION_SLOTS
 
-        return output_axons
+        return count_output_axons

@@ -29,21 +29,21 @@ def make_network_spec(settings: Settings, weights: dict, provenance: dict, data)
     """
     images, labels = data
     require_images_fit(images, settings)
-    readout_range = None
+    training_logits = None
     if settings.deployment.readout == "chip":
         from pipeline.training.images.networks import TrainedRates
 
-        readout_range = TrainedRates(settings, weights).compute_logits(images), labels
-    return make_image_spec(settings, weights, provenance, readout_range)
+        training_logits = TrainedRates(settings, weights).compute_logits(images), labels
+    return make_image_spec(settings, weights, provenance, training_logits)
 
 
 def make_image_spec(
-    settings: Settings, weights: dict, provenance: dict, range_of=None
+    settings: Settings, weights: dict, provenance: dict, training_logits=None
 ) -> NetworkSpec:
-    """As :func:`make_network_spec`; ``range_of`` is that of :func:`models.chain.from_rates`."""
+    """As :func:`make_network_spec`; ``training_logits`` is that of :func:`models.chain.from_rates`."""
     architecture = parse(settings.cnn.architecture)
     synapse = settings.deployment.synapse
-    links = chain.from_rates(architecture, weights, settings.snn, synapse, range_of)
+    links = chain.from_rates(architecture, weights, settings.snn, synapse, training_logits)
     provenance = {"image": asdict(settings.image), **provenance}  # for other recordings
     return chain.build_network_spec(
         links, settings.stimulus, settings.make_presentation(), provenance

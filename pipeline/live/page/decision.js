@@ -14,30 +14,30 @@ export const percent = (share) => `${Math.min(100 * share, 99.9).toFixed(share <
 // Whether the pen has only tapped: no stroke is longer than a taxel.
 export function isTap(strokes) {
   const extent = (stroke, axis) => {
-    const places = stroke.map((point) => point[axis]);
-    return Math.max(...places) - Math.min(...places);
+    const coordinates = stroke.map((point) => point[axis]);
+    return Math.max(...coordinates) - Math.min(...coordinates);
   };
   return strokes.length > 0 && strokes.every((stroke) => Math.max(extent(stroke, 0), extent(stroke, 1)) < TAP);
 }
 
 // message: an answer of the server, or null.  page: { classes, digits, pauseS, threshold, truth (the class of an
-// example or of a saved recording, or null), settled, writes, drawn (strokes), canDraw, named (of a class) }.
-// Returns { text (the class, or ""), confidence, said, open, mark ("right", "wrong" or ""), retracted, seconds }.
-// `confidence` and the beginning of `said` are one statement: "97 %" and "sure at the end, decided after 0.52 s", or "Not sure".
+// example or of a saved recording, or null), settled, writes, strokes, canDraw, nameClass }.
+// Returns { text (the class, or ""), confidence, statement, open, mark ("right", "wrong" or ""), retracted, seconds }.
+// `confidence` and the beginning of `statement` are read as one sentence: "97 %" and "sure at the end, decided after 0.52 s", or "Not sure".
 export function describeDecision(message, page) {
-  if (page.settled && isTap(page.drawn))
+  if (page.settled && isTap(page.strokes))
     return open("", "Too short", `a tap is no ${page.digits ? "digit" : "drawing"}: draw a line`);
   if (message === null) return describeSilence(page);
   return page.settled && message.verdict ? describeVerdict(message, page) : describeAnswer(message, page);
 }
 
-const open = (text, confidence, said) => ({ text, confidence, said, open: true, mark: "", retracted: false, seconds: "" });
+const open = (text, confidence, statement) => ({ text, confidence, statement, open: true, mark: "", retracted: false, seconds: "" });
 
 const isGuess = (confidence, page) => confidence < GUESS / page.classes.length;
 
 // The network has not answered: nothing has been written, or nothing that the sensor feels.
 function describeSilence(page) {
-  if (page.settled && page.drawn.length) return open("", "No decision", "the sensor felt nothing: draw a longer line");
+  if (page.settled && page.strokes.length) return open("", "No decision", "the sensor felt nothing: draw a longer line");
   return open("", "", waiting(page));
 }
 
@@ -52,20 +52,20 @@ function waiting({ threshold, canDraw, truth, pauseS }) {
 function describeAnswer(message, page) {
   const { decision, confidence } = message;
   const guess = isGuess(confidence, page);
-  const waits = !page.writes && page.drawn.length && page.truth === null;
+  const waits = !page.writes && page.strokes.length && page.truth === null;
   const number = guess || confidence < FLICKER ? "…" : percent(confidence);
   return {
     ...open(guess ? "" : page.classes[decision], message.exceeds_training ? NOT_SURE : number, ""),
-    said: soFarText(message, number, page) + (waits ? `; waits ${page.pauseS} s for another stroke` : ""),
+    statement: soFarText(message, number, page) + (waits ? `; waits ${page.pauseS} s for another stroke` : ""),
     seconds: message.verdict?.seconds ?? "",
   };
 }
 
-function soFarText({ decision, exceeds_training, verdict }, number, { named, threshold }) {
+function soFarText({ decision, exceeds_training, verdict }, number, { nameClass, threshold }) {
   if (exceeds_training) return SLOW;
   const sure = number === "…" ? "so far" : `${threshold === null ? SOFTMAX : "sure"} so far`;
   if (!verdict) return sure;
-  const decided = verdict.label === decision ? "decided" : `decided for ${named(verdict.label)}`;
+  const decided = verdict.label === decision ? "decided" : `decided for ${nameClass(verdict.label)}`;
   return `${sure}; ${decided} after ${verdict.seconds.toFixed(2)} s`;
 }
 
@@ -79,7 +79,7 @@ function describeVerdict(message, page) {
   return {
     text: guess ? "?" : page.classes[label],
     confidence: guess || retracted || message.exceeds_training ? NOT_SURE : percent(message.confidence),
-    said: verdictText(message, guess, retracted, page) + truthText(label, guess, page) + retractionText(message, retracted, page),
+    statement: verdictText(message, guess, retracted, page) + truthText(label, guess, page) + retractionText(message, retracted, page),
     open,
     mark: markOf(label, open, page),
     retracted,
@@ -95,14 +95,14 @@ function verdictText({ exceeds_training, verdict }, guess, retracted, { threshol
   return verdict.early ? `sure at the end, ${time}` : `sure ${time}`;
 }
 
-function truthText(label, guess, { classes, truth, named }) {
+function truthText(label, guess, { classes, truth, nameClass }) {
   if (guess) return `; a guess: ${classes[label]}`;
   if (truth === null) return "";
-  return truth === label ? ": right" : `: wrong, it was ${named(truth)}`;
+  return truth === label ? ": right" : `: wrong, it was ${nameClass(truth)}`;
 }
 
-function retractionText({ decision }, retracted, { named }) {
-  return retracted ? `; at the end it would be ${named(decision)}` : "";
+function retractionText({ decision }, retracted, { nameClass }) {
+  return retracted ? `; at the end it would be ${nameClass(decision)}` : "";
 }
 
 function markOf(label, open, { truth }) {

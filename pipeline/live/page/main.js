@@ -1,8 +1,8 @@
 // The page: messages of the server, input of the user, and what is displayed.
 
+import { Connection } from "./connection.js";
 import { describeDecision } from "./decision.js";
 import { count, onColours, setSensor } from "./drawing.js";
-import { Link } from "./link.js";
 import { Pen } from "./pen.js";
 import { drawRace } from "./race.js";
 import { drawSkin } from "./skin.js";
@@ -17,7 +17,7 @@ const SHORT = 3; // characters of a name that is shown large
 
 history.scrollRestoration = "manual"; // after reloading, start at the skin
 
-const link = new Link();
+const server = new Connection();
 let about = null; // the data set: rows, columns, classes and the like
 let ready = null; // description of the network, once it is ready
 let writer = null; // the writer, and the number of its saved recordings
@@ -170,14 +170,14 @@ const pen = new Pen($("skin"), (points, now) => {
     draw();
   }
   const touches = points.some((point) => point[4]);
-  link.send({ type: "pen", now, points }, touches ? ["events", "problem"] : []);
+  server.send({ type: "pen", now, points }, touches ? ["events", "problem"] : []);
 });
 
 // Whatever is asked of the server decides about the drawing: nothing saves it afterwards, and the rest of
 // a stroke that has not ended is no other recording.
 function ask(message, answers) {
   pen.lift();
-  link.send(message, answers);
+  server.send(message, answers);
 }
 
 function keep(label) {
@@ -218,7 +218,7 @@ $("writer").addEventListener("change", () => {
 
 // ---- from the server
 
-link.on("hello", (message) => {
+server.on("hello", (message) => {
   about = message;
   setSensor(about);
   describe();
@@ -231,13 +231,13 @@ link.on("hello", (message) => {
   complain(describeLoss());
 });
 
-link.on("examples", (message) => {
+server.on("examples", (message) => {
   examples = message.counts;
   $("example").title = message.reason ? `No test samples: ${message.reason}` : "Key: e";
   showExamples();
 });
 
-link.on("ready", (network) => {
+server.on("ready", (network) => {
   ready = network;
   const neurons = network.layers.slice(1).reduce((sum, layer) => sum + layer.neurons, 0);
   $("lead").textContent =
@@ -259,7 +259,7 @@ link.on("ready", (network) => {
   redraw();
 });
 
-link.on("cleared", (message) => {
+server.on("cleared", (message) => {
   const started = strokes.filter((stroke) => stroke.at >= message.begun_ms); // received already
   forget();
   if (message.recording !== null && !message.example) strokes = started;
@@ -278,7 +278,7 @@ function unmark() {
   for (const button of $("labels").children) button.removeAttribute("aria-pressed");
 }
 
-link.on("events", (message) => {
+server.on("events", (message) => {
   if (message.recording !== recording) return;
   const now = performance.now();
   time = message.time_s - about.start_s;
@@ -306,14 +306,14 @@ link.on("events", (message) => {
   draw();
 });
 
-link.on("answer", (message) => {
+server.on("answer", (message) => {
   if (message.recording !== recording) return;
   answer = message;
   stale.rest = true;
   draw();
 });
 
-link.on("spikes", (message) => {
+server.on("spikes", (message) => {
   if (message.recording !== recording) return;
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   spikes = {
@@ -325,28 +325,28 @@ link.on("spikes", (message) => {
   draw();
 });
 
-link.on("saved", (message) => {
+server.on("saved", (message) => {
   isKept = true;
   $("undo").disabled = false;
   $("shown").dataset.label = message.label; // right or wrong
   showDecision(displayed);
   unmark();
-  $("told").textContent = `Saved as ${named(message.label)}: ${message.name}, ${count(message.events, "event")}. Undo takes that back.`;
+  $("told").textContent = `Saved as ${nameClass(message.label)}: ${message.name}, ${count(message.events, "event")}. Undo takes that back.`;
   $(`label-${message.label}`).setAttribute("aria-pressed", "true");
   complain(null);
 });
 
-link.on("undone", (message) => {
+server.on("undone", (message) => {
   isKept = false; // the drawing can be saved again
   delete $("shown").dataset.label;
   showDecision(displayed);
   $("undo").disabled = true;
-  $("told").textContent = `Removed ${named(message.label)}: ${message.name}.`;
+  $("told").textContent = `Removed ${nameClass(message.label)}: ${message.name}.`;
   unmark();
   complain(null);
 });
 
-link.on("writer", (state) => {
+server.on("writer", (state) => {
   const first = writer === null;
   writer = state;
   $("saved").textContent = state.saved;
@@ -362,12 +362,12 @@ link.on("writer", (state) => {
   }
 });
 
-link.on("problem", (message) => complain(message.text));
+server.on("problem", (message) => complain(message.text));
 
-link.on("silent", () => complain("The server does not answer: what you have written or saved in the last seconds may be lost."));
-link.on("heard", () => complain(null));
+server.on("silent", () => complain("The server does not answer: what you have written or saved in the last seconds may be lost."));
+server.on("heard", () => complain(null));
 
-link.on("gone", ({ code, reason, opened }) => {
+server.on("gone", ({ code, reason, opened }) => {
   ready = null;
   delete document.body.dataset.ready;
   document.body.classList.add("offline");
@@ -378,7 +378,7 @@ link.on("gone", ({ code, reason, opened }) => {
       ? `The server has ended or cannot be reached${reason ? ` (${reason})` : ""}. Saved recordings are safe; start 'stmnist live' again and open the address that it prints.`
       : "The page cannot open its connection to the server: the server has ended, or a proxy or an extension of the browser blocks WebSockets. The page tries again by itself.");
   // Without the first message the page is as it was loaded, and reloading it would change nothing.
-  if (code !== REFUSED) setTimeout(about === null ? () => link.connect() : comeBack, AGAIN_MS);
+  if (code !== REFUSED) setTimeout(about === null ? () => server.connect() : comeBack, AGAIN_MS);
 });
 
 // The server can be reached again, for example after the machine has slept: reload, same writer.
@@ -402,7 +402,7 @@ function describeLoss() {
 
 function recallWriter() {
   recalled = readWriter(about.data_set); // earlier states are of the writer that every connection begins with
-  link.send({ type: "writer", number: recalled });
+  server.send({ type: "writer", number: recalled });
 }
 
 // ---- what is shown
@@ -419,7 +419,7 @@ function announce() {
     $("announce").textContent = `Decision: ${$("decision").textContent}, ${$("confidence").textContent}`;
 }
 
-function named(label) {
+function nameClass(label) {
   const name = about.classes[label];
   return about.digits ? `${name === "8" ? "an" : "a"} ${name}` : name;
 }
@@ -433,7 +433,7 @@ function showExamples() {
 
 function showExample(example) {
   isKept = true;
-  $("shown").textContent = `${about.simulated ? "Test sample" : "Recorded test sample"} ${example.name}: it is ${named(example.label)}.`;
+  $("shown").textContent = `${about.simulated ? "Test sample" : "Recorded test sample"} ${example.name}: it is ${nameClass(example.label)}.`;
   $("shown").dataset.label = example.label;
   pen.watch();
 }
@@ -446,7 +446,7 @@ function showDecision(message) {
   const view = describeDecision(message, {
     classes: about.classes, digits: about.digits, pauseS: about.pause_s, threshold: ready?.threshold ?? null,
     truth: truth === undefined ? null : Number(truth),
-    settled: pen.settled, writes: pen.writes, drawn: strokes, canDraw: canDraw(), named,
+    settled: pen.settled, writes: pen.writes, strokes, canDraw: canDraw(), nameClass,
   });
   const output = $("decision");
   output.textContent = view.text;
@@ -455,7 +455,7 @@ function showDecision(message) {
   output.classList.toggle("right", view.mark === "right");
   output.classList.toggle("wrong", view.mark === "wrong");
   $("confidence").textContent = view.confidence;
-  $("decided").textContent = view.said;
+  $("decided").textContent = view.statement;
   $("decided").classList.toggle("changed", view.retracted);
   $("decided").dataset.s = view.seconds;
   showScores(message, view.text);

@@ -6,14 +6,14 @@ const APART_MS = 8; // interval of messages while the pen moves
 const MAX_POINTS = 500; // points in a message, of which the server accepts a few more
 
 export class Pen {
-  // tell(points, now): [[ms, right, down, pressure, touches], ...]
-  constructor(canvas, tell) {
+  // report(points, now): [[ms, right, down, pressure, touches], ...]
+  constructor(canvas, report) {
     this.canvas = canvas;
-    this.tell = tell;
+    this.report = report;
     this.sensor = null; // rows and columns, while writing is possible
     this.pointer = null;
     this.settled = true;
-    this.told = -Infinity;
+    this.reportedAt = -Infinity;
     this.waiting = [];
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     // Movements without delay if the browser reports them, and again with its next frame.
@@ -56,7 +56,7 @@ export class Pen {
       this.last = point;
     }
     if (!this.waiting.length) return;
-    if (performance.now() - this.told >= APART_MS) this.send([]);
+    if (performance.now() - this.reportedAt >= APART_MS) this.send([]);
   }
 
   up(event) {
@@ -82,12 +82,12 @@ export class Pen {
     const place = (share, side) =>
       Math.min(Math.max(side * share - 0.5, -BEYOND), side - 1 + BEYOND);
     // A finger's pressure is rarely measured: 0 and 1 are ignored.
-    const told = event.pressure > 0 && (event.pointerType === "pen" || event.pressure < 1);
+    const hasPressure = event.pressure > 0 && (event.pointerType === "pen" || event.pressure < 1);
     return [
       this.time(event),
       place((event.clientX - box.left) / box.width, this.sensor.columns),
       place((event.clientY - box.top) / box.height, this.sensor.rows),
-      told ? event.pressure : 0.5,
+      hasPressure ? event.pressure : 0.5,
       touches,
     ];
   }
@@ -95,11 +95,11 @@ export class Pen {
   send(points) {
     points = [...this.waiting.splice(0), ...points];
     this.settled = false;
-    this.told = performance.now();
+    this.reportedAt = performance.now();
     do {
       const piece = points.splice(0, MAX_POINTS);
       // The skin's time must not pass the points of the next piece.
-      this.tell(piece, points.length ? piece.at(-1)[0] : this.told);
+      this.report(piece, points.length ? piece.at(-1)[0] : this.reportedAt);
     } while (points.length);
   }
 
@@ -115,7 +115,7 @@ export class Pen {
     const next = () => {
       this.beating = !this.settled || this.writes;
       if (!this.beating) return;
-      if (this.waiting.length || performance.now() - this.told >= BEAT_MS) this.send([]);
+      if (this.waiting.length || performance.now() - this.reportedAt >= BEAT_MS) this.send([]);
       requestAnimationFrame(next);
     };
     this.beating = true;

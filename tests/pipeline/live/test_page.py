@@ -448,7 +448,7 @@ def test_a_tap_or_line_without_events_is_answered(page):
     describe = """async (drawn) => {
       const { describeDecision } = await import(new URL("decision.js", location.href));
       const page = { classes: ["a", "b"], pauseS: 1, threshold: null, truth: null, canDraw: true };
-      return describeDecision(null, { ...page, settled: true, writes: false, drawn });
+      return describeDecision(null, { ...page, settled: true, writes: false, strokes: drawn });
     }"""
     assert page.evaluate(describe, [[[5, 5]]])["confidence"] == "Too short"
     assert page.evaluate(describe, [[[5, 5], [5, 8]]])["confidence"] == "No decision"
@@ -459,7 +459,7 @@ DESCRIBE = """async ([message, settled]) => {
   const { describeDecision } = await import(new URL("decision.js", location.href));
   const page = {
     classes: [..."0123456789"], pauseS: 1, threshold: 0.9, truth: null, canDraw: true,
-    named: (label) => `a ${label}`, settled, writes: !settled, drawn: [[[5, 5], [5, 8]]],
+    nameClass: (label) => `a ${label}`, settled, writes: !settled, strokes: [[[5, 5], [5, 8]]],
   };
   return describeDecision(message, page);
 }"""
@@ -496,7 +496,7 @@ def test_a_page_speaks_of_one_event_and_of_the_time_of_its_confidence(page):
     assert [page.evaluate(count, n) for n in (0, 1, 2)] == ["0 events", "1 event", "2 events"]
     verdict = {"label": 6, "confidence": 0.93, "seconds": 0.79, "early": True}
     message = {"decision": 6, "confidence": 0.99, "exceeds_training": False, "verdict": verdict}
-    assert "at the end" in page.evaluate(DESCRIBE, [message, True])["said"]
+    assert "at the end" in page.evaluate(DESCRIBE, [message, True])["statement"]
 
 
 def test_a_message_covers_neither_the_title_nor_what_is_pressed_or_drawn(browser, server):

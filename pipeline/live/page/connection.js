@@ -3,7 +3,7 @@
 
 const SILENT_MS = 3000;
 
-export class Link extends EventTarget {
+export class Connection extends EventTarget {
   constructor() {
     super();
     this.waiting = []; // messages that have not been answered
@@ -21,12 +21,12 @@ export class Link extends EventTarget {
     });
     this.socket.addEventListener("message", (event) => {
       const message = JSON.parse(event.data);
-      this.heard(({ answers }) => answers.includes(message.type));
-      this.tell(message.type, message);
+      this.endWaiting(({ answers }) => answers.includes(message.type));
+      this.emit(message.type, message);
     });
     this.socket.addEventListener("close", ({ code, reason }) => {
-      this.heard(() => true);
-      this.tell("gone", { code, reason, opened });
+      this.endWaiting(() => true);
+      this.emit("gone", { code, reason, opened });
     });
   }
 
@@ -34,7 +34,7 @@ export class Link extends EventTarget {
     this.addEventListener(type, (event) => listen(event.detail));
   }
 
-  tell(type, detail = null) {
+  emit(type, detail = null) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
@@ -46,18 +46,18 @@ export class Link extends EventTarget {
     if (!answers.length || this.waiting.some((message) => message.type === type)) return;
     const timer = setTimeout(() => {
       this.silent = true;
-      this.tell("silent");
+      this.emit("silent");
     }, SILENT_MS);
     this.waiting.push({ type, answers, timer });
   }
 
-  // Ends the waiting for which this holds.
-  heard(holds) {
-    for (const { timer } of this.waiting.filter(holds)) clearTimeout(timer);
-    this.waiting = this.waiting.filter((message) => !holds(message));
+  // Ends the waiting of the messages that match.
+  endWaiting(matches) {
+    for (const { timer } of this.waiting.filter(matches)) clearTimeout(timer);
+    this.waiting = this.waiting.filter((message) => !matches(message));
     if (this.silent && !this.waiting.length) {
       this.silent = false;
-      this.tell("heard");
+      this.emit("heard");
     }
   }
 }
