@@ -40,7 +40,7 @@ def make_network_spec(settings: Settings, weights: dict, provenance: dict, data)
 def make_image_spec(
     settings: Settings, weights: dict, provenance: dict, training_logits=None
 ) -> NetworkSpec:
-    """As :func:`make_network_spec`; ``training_logits`` is that of :func:`models.chain.from_rates`."""
+    """As :func:`make_network_spec`, with :func:`models.chain.from_rates`'s ``training_logits``."""
     architecture = parse(settings.cnn.architecture)
     synapse = settings.deployment.synapse
     links = chain.from_rates(architecture, weights, settings.snn, synapse, training_logits)
