@@ -22,7 +22,7 @@ from deploy.network.loihi_import import nengo_loihi
 from deploy.network.responses import make_responses
 from deploy.network.simulation import record_stream
 from deploy.tables import align_rows
-from deploy.targets.fast import Emulation
+from deploy.targets.emulation import Emulation
 from deploy.targets.registry import run_target
 from experiments.results import RESULTS, Store, name_processor
 from fastloihi import FastSimulator

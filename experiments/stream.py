@@ -20,7 +20,7 @@ from deploy.files import write_json
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.tables import align_rows
-from deploy.targets.fast import Emulation
+from deploy.targets.emulation import Emulation
 from experiments.results import RESULTS, Store, name_processor
 from pipeline.commands import options
 from pipeline.live.network import SHIPPED

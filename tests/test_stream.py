@@ -18,7 +18,7 @@ from deploy.network.stimulus import EventFrames
 from deploy.stream import faults
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
-from deploy.targets.fast import Emulation
+from deploy.targets.emulation import Emulation
 from deploy.targets.registry import run_target
 from tests.deploy import networks
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arithmetic import divide_up
 from ..network.readout import RunningReadout
-from ..targets.fast import Emulation
+from ..targets.emulation import Emulation
 
 # Maximum number of steps that are computed at once, which bounds the memory for their frames.
 MAX_STEPS_AT_ONCE = 256

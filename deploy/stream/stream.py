@@ -13,7 +13,7 @@ import numpy as np
 from ..check.bundle import Bundle, read_bundle
 from ..errors import UserError
 from ..network.stimulus import EventFrames
-from ..targets.fast import Emulation
+from ..targets.emulation import Emulation
 from ..terminal import format_command
 from .clock import UNIT_NS, SensorClock
 from .events import EventReader

@@ -27,7 +27,7 @@ from deploy.network.responses import compute_responses
 from deploy.network.stimulus import EventFrames
 from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
-from deploy.targets.fast import Emulation
+from deploy.targets.emulation import Emulation
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.recordings.events import Events
 from pipeline.recordings.recordings import Source, collect

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.check.bundle import Bundle
 from deploy.network.decision import compute_confidence, compute_probabilities, decide
 from deploy.network.readout import compute_running_sums, select_readout
-from deploy.targets.fast import Emulation
+from deploy.targets.emulation import Emulation
 
 # Number of classes whose probability is drawn: the decision, the prediction at the end, the right
 # one, and rivals.

@@ -8,7 +8,7 @@ from deploy.errors import UserError
 from deploy.network.ops.dense import DeployedDense
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
-from deploy.targets.fast import Emulation
+from deploy.targets.emulation import Emulation
 from pipeline.recordings.augmentation import AUGMENTATIONS, alter_recordings, choose_augmentation
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.recordings.recordings import Recordings

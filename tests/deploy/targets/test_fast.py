@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from deploy.errors import UserError
 from deploy.network.responses import join_responses, make_responses
-from deploy.targets.fast import OVERFLOWS, Emulation, run_fast
+from deploy.targets.emulation import Emulation
+from deploy.targets.fast import OVERFLOWS, run_fast
 from deploy.targets.simulators import run_emulator
 from tests.deploy.fast_networks import images_for, loud_spec, overflows_of, random_spec
 from tests.deploy.networks import bundle_at, paper_spec, small_spec
