@@ -54,14 +54,14 @@ def assert_format_conforms(
     AssertionError
     """
     _require_entry(ending)
-    found = READERS[ending](content, f"recording{ending}")
-    assert isinstance(found, EventRecording), "the reader does not return an EventRecording"
+    result = READERS[ending](content, f"recording{ending}")
+    assert isinstance(result, EventRecording), "the reader does not return an EventRecording"
     expected = {name: np.asarray(values) for name, values in events.items()}
-    _require_types(found)
-    _require_times(found, expected)
-    _require_places(found, expected)
-    _require_polarities(found, expected)
-    _require_same_for_every_name(ending, content, found)
+    _require_types(result)
+    _require_times(result, expected)
+    _require_places(result, expected)
+    _require_polarities(result, expected)
+    _require_same_for_every_name(ending, content, result)
     _require_refusals(ending, content)
     _require_source(ending, (content, *others), folder)
 
@@ -140,7 +140,7 @@ def _require_refusals(ending, content):
     cut = [content[: int(share * len(content))] for share in CUTS]
     for wrong in (b"", *cut, *FOREIGN_CONTENTS):
         try:
-            found = READERS[ending](wrong, f"damaged{ending}")
+            result = READERS[ending](wrong, f"damaged{ending}")
         except BadRecording:
             continue
         except Exception as error:
@@ -148,8 +148,8 @@ def _require_refusals(ending, content):
                 f"a damaged file of {len(wrong)} bytes raises {type(error).__name__}, not "
                 f"BadRecording: {error}"
             ) from error
-        assert isinstance(found, EventRecording), "a damaged file gives something else"
-        assert len(found), f"a damaged file of {len(wrong)} bytes gives a recording without events"
+        assert isinstance(result, EventRecording), "a damaged file gives something else"
+        assert len(result), f"a damaged file of {len(wrong)} bytes gives a recording without events"
 
 
 def _require_source(ending, contents, folder):

@@ -158,8 +158,8 @@ def _assert_trained(operation, input_shape, rng):
     weights = operation.to_deployed(kernel)
     assert weights.shape == operation.compute_weight_shape(input_shape), "to_deployed"
     sums = operation.compute_sums(weights, spikes).reshape(SAMPLES, -1)
-    found = np.reshape(operation.compute_tensor_sums(kernel, spikes), (SAMPLES, -1))
-    np.testing.assert_allclose(found, sums, atol=1e-4, err_msg="compute_tensor_sums")
+    result = np.reshape(operation.compute_tensor_sums(kernel, spikes), (SAMPLES, -1))
+    np.testing.assert_allclose(result, sums, atol=1e-4, err_msg="compute_tensor_sums")
     synapses = operation.make_synapses(input_shape)
     by_synapse = np.empty((1, *sums.shape), np.float32)
     sum_inputs(
@@ -199,12 +199,12 @@ def _assert_values(target, spec, samples):
     stream = spec.flatten_samples(samples)[: spec.presentation.stream_length]
     run_expected = find_target("fast").run if target.is_exact else run_reference
     (expected,) = run_expected(spec, [stream], 0)
-    (found,) = target.run(spec, [stream], 0)
-    ours = _sum_tenths(found.readout)
-    theirs = _sum_tenths(expected.readout)
-    error = np.abs(ours - theirs).max() / np.abs(theirs).max()
+    (result,) = target.run(spec, [stream], 0)
+    actual = _sum_tenths(result.readout)
+    reference = _sum_tenths(expected.readout)
+    error = np.abs(actual - reference).max() / np.abs(reference).max()
     assert error < 0.1, f"the readout differs by {error:.0%} from the expected one"
-    for name, spikes in (found.spikes or {}).items():
+    for name, spikes in (result.spikes or {}).items():
         total = np.sum(expected.spikes[name])
         difference = abs(np.sum(spikes) - total) / total
         assert difference < 0.1, f"{name} has {difference:.0%} more or fewer spikes"
@@ -238,5 +238,5 @@ def _assert_streams(target, spec, samples):
         )
     if target.is_exact:
         expected = run_target(spec, samples, "fast").spike_hashes
-        found = np.concatenate([output.spike_hashes for output in outputs])
-        np.testing.assert_array_equal(found, expected, "spikes differ from the emulator's")
+        result = np.concatenate([output.spike_hashes for output in outputs])
+        np.testing.assert_array_equal(result, expected, "spikes differ from the emulator's")

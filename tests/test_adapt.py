@@ -117,8 +117,8 @@ def test_responses_are_what_the_readout_reads(of, request):
     alone = bundle.spec.with_presentation(stream_length=1)
     readout = bundle.spec.layers[-1]
     scores = Responder(bundle.spec).compute_responses(bundle.checks.inputs) @ readout.weights.T
-    found = run_target(alone, bundle.checks.inputs, "fast").scores
-    np.testing.assert_allclose(scores + readout.bias, found, atol=1e-6)
+    result = run_target(alone, bundle.checks.inputs, "fast").scores
+    np.testing.assert_allclose(scores + readout.bias, result, atol=1e-6)
 
 
 def test_of_images(tiny_run, person, tmp_path, capsys):

@@ -35,8 +35,8 @@ def find_names(tree):
 
 def read_entries(docstring, section):
     """The (names, type) of each entry of a numpydoc section."""
-    found = re.search(rf"^{section}\n-+\n(.*?)(?=^\w[\w ]*\n---|\Z)", docstring, re.M | re.S)
-    for line in found[1].splitlines() if found else ():
+    result = re.search(rf"^{section}\n-+\n(.*?)(?=^\w[\w ]*\n---|\Z)", docstring, re.M | re.S)
+    for line in result[1].splitlines() if result else ():
         if entry := re.fullmatch(r"(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: : (.+))?", line):
             names = [name.strip("* ") for name in entry[1].split(",")]
             yield names, entry[2] or ""
@@ -138,6 +138,6 @@ def test_names_in_docstrings_exist(package):
     """In a role, such as :mod:`pipeline.paper`, or as the type of a parameter."""
     for path in (ROOT / package).rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        ours = r"(?:deploy|experiments|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
-        for name in re.findall(rf"(?:`~?| : |of )({ours})", text):
+        result = r"(?:deploy|experiments|models|pipeline|stmnist)(?!\.pyz?\b)(?:\.\w+)+"
+        for name in re.findall(rf"(?:`~?| : |of )({result})", text):
             assert is_defined(name), f"{path}: {name}"

@@ -69,8 +69,8 @@ def shown(text, program):
     """The command lines of a program that a page shows, as lists of words without the program."""
     lines = [line for _, block in blocks(text) for line in block.replace("\\\n", " ").splitlines()]
     for line in itertools.chain(lines, inline(text)):
-        if found := re.match(rf"\s*(?:\$ )?(?:\.venv/bin/)?{program}( .*)?$", line):
-            yield shlex.split(found[1] or "", comments=True)
+        if result := re.match(rf"\s*(?:\$ )?(?:\.venv/bin/)?{program}( .*)?$", line):
+            yield shlex.split(result[1] or "", comments=True)
 
 
 def test_there_is_a_readme_and_it_is_short():
@@ -129,9 +129,9 @@ def test_commands_that_a_page_shows_exist(page):
     groups = {" ".join(words.split()[:n]) for words in known for n in range(len(words.split()))}
     for words in shown(read(page), "stmnist"):
         plain = list(itertools.takewhile(lambda word: re.fullmatch(r"[a-z][a-z0-9]*", word), words))
-        found = [n for n in (2, 1) if " ".join(plain[:n]) in known and len(plain) >= n]
-        if found:
-            command = known[" ".join(plain[: found[0]])]
+        result = [n for n in (2, 1) if " ".join(plain[:n]) in known and len(plain) >= n]
+        if result:
+            command = known[" ".join(plain[: result[0]])]
             given = {word.partition("=")[0] for word in words if re.match("--[a-z]", word)}
             assert given <= options(command), words
         else:
@@ -153,9 +153,9 @@ def test_settings_that_a_page_names_exist(page):
     names = set(re.findall(r"--(?:set|grid) ([\w.]+)=", text))
     sections = "|".join({name.partition(".")[0] for name in settings.flatten() if "." in name})
     for code in inline(text):
-        found = re.match(rf"((?:{sections})\.(\w+))(?: = .*)?$", code)
-        if found and found[2] not in SUFFIXES:
-            names.add(found[1])
+        result = re.match(rf"((?:{sections})\.(\w+))(?: = .*)?$", code)
+        if result and result[2] not in SUFFIXES:
+            names.add(result[1])
     assert names - {"section.name"} <= set(settings.flatten())
 
 

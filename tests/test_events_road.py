@@ -53,10 +53,10 @@ def test_the_samples_are_frames_of_the_recordings_own_events(run_on_events):
 def test_fast_gives_every_spike_of_the_emulator(run_on_events, tmp_path):
     out = tmp_path / "fast.json"
     assert call("check", "run", run_on_events / "bundle", "--target", "fast", "--out", out) == 0
-    ours = read_result(out)["samples"]
-    theirs = read_result(run_on_events / "checks" / "emulator.json")["samples"]
+    result = read_result(out)["samples"]
+    expected = read_result(run_on_events / "checks" / "emulator.json")["samples"]
     for name in ("spike_hash", "prediction", "stopped_at"):
-        assert [s[name] for s in ours] == [s[name] for s in theirs]
+        assert [s[name] for s in result] == [s[name] for s in expected]
 
 
 def test_the_result_says_when_each_sample_was_decided(run_on_events):

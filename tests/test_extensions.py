@@ -176,9 +176,9 @@ def test_an_operation(monkeypatch):
     spec = replace(spec, layers=(replace(own, weights=np.full(25, 3.0)), output))
     images = np.ones((2, 5, 5, 1))
     images[0, 0] = 0  # 20 bright pixels of 25
-    found = {target: run_target(spec, images, target) for target in ("fast", "emulator")}
-    np.testing.assert_array_equal(*(one.spike_hashes for one in found.values()))
-    spikes = found["fast"].spikes["own1"]
+    result = {target: run_target(spec, images, target) for target in ("fast", "emulator")}
+    np.testing.assert_array_equal(*(one.spike_hashes for one in result.values()))
+    spikes = result["fast"].spikes["own1"]
     assert spikes[0] > 0
     assert spikes[0] / 20 == spikes[1] / 25
 

@@ -132,9 +132,9 @@ def test_the_command_line_of_a_copied_bundle_is_nobody_elses():
 
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_packages_import_one_way(package):
-    ours = {"stmnist", "pipeline", "models", "deploy", "experiments", "tests"}
+    result = {"stmnist", "pipeline", "models", "deploy", "experiments", "tests"}
     for path in sources(package):
-        assert imported(path) & ours <= ALLOWED[package], path
+        assert imported(path) & result <= ALLOWED[package], path
 
 
 def test_deploy_imports_what_an_inrc_host_has():
@@ -200,10 +200,10 @@ runpy.run_path(sys.argv[0], run_name="__main__")
     done = run(code, "deploy.pyz", "check", ".", "--target", "nengo", cwd=bundle)
     assert done.returncode == 0, done.stderr
     assert "nengo: accuracy" in done.stdout
-    ours = read_json(tiny_run / "checks" / "nengo.json", "")
-    theirs = read_json(bundle / "checks" / "nengo.json", "")
-    assert theirs["samples"] == ours["samples"]
-    assert theirs["bundle"] == ours["bundle"]
+    result = read_json(tiny_run / "checks" / "nengo.json", "")
+    expected = read_json(bundle / "checks" / "nengo.json", "")
+    assert expected["samples"] == result["samples"]
+    assert expected["bundle"] == result["bundle"]
     assert Path(tiny_run / "bundle" / "checks").exists() is False
 
 

@@ -51,8 +51,8 @@ def test_the_built_in_fit_has_its_source_and_no_recording():
 def test_a_step_moves_digits_towards_the_recordings():
     here, there = changed_fit(force=0.0, contact=0.0), changed_fit(force=0.0, contact=0.2)
     moved = step_digits(here, target_of(there), *simulate_fit(here, SHAPES, 15, 5, 1))
-    found = np.mean([form["contact"] for form in moved["digits"]])
-    assert 0.04 < found < 0.3
+    result = np.mean([form["contact"] for form in moved["digits"]])
+    assert 0.04 < result < 0.3
 
 
 def test_places_and_sizes_of_digits_are_those_of_the_paths():
@@ -74,12 +74,12 @@ def test_hot_taxels_are_found_with_their_sessions():
     fit = changed_fit(down=4.5, right=4.5, height=6.0)
     sessions = [[0.4, [[8, 1], [2, 0]]], [0.4, [[9, 8]]]]
     fit["sections"]["faults"]["sessions"] = sessions
-    found = find_sessions(*simulate_fit(fit, SHAPES, 30, 5, 1))
-    assert {frozenset(map(tuple, taxels)) for _, taxels in found} == {
+    result = find_sessions(*simulate_fit(fit, SHAPES, 30, 5, 1))
+    assert {frozenset(map(tuple, taxels)) for _, taxels in result} == {
         frozenset({(8, 1), (2, 0)}),
         frozenset({(9, 8)}),
     }
-    for share, _ in found:
+    for share, _ in result:
         assert share == pytest.approx(0.4, abs=0.25)
 
 

@@ -78,5 +78,5 @@ def test_readings_by_hand(name, expected):
     rises, falls = (np.array([[row, [0, 0]]], float) for row in ([3, 0], [1, 2]))
     reading = readings.READINGS[name]
     images = reading.aggregate(rises, falls)
-    found = reading.normalise(images, images).ravel()
-    np.testing.assert_allclose(found, expected)
+    result = reading.normalise(images, images).ravel()
+    np.testing.assert_allclose(result, expected)

@@ -50,16 +50,16 @@ def test_summaries_by_hand():
     bits = np.zeros((1, 100, 2, 100), bool)
     bits[0, 23, 0, [4, 5, 9]] = True  # row 3, column 2
     bits[0, 33, 1, 7] = True  # row 3, column 3
-    found = {name: value[0] for name, value in summarise_recordings(bits).items()}
-    assert found["bits"] == 4
-    assert found["active"] == 2
-    assert found["neighbours"] == 1
-    assert found["runs"] == pytest.approx(3 / 2)
-    assert found["run length"] == pytest.approx(4 / 3)
-    assert found["one bit"] == 0.5
-    assert found["rise over fall"] == 3
-    assert (found["row"], found["column"]) == (4, 3.5)
-    assert (found["height"], found["width"]) == (1, 1)
+    result = {name: value[0] for name, value in summarise_recordings(bits).items()}
+    assert result["bits"] == 4
+    assert result["active"] == 2
+    assert result["neighbours"] == 1
+    assert result["runs"] == pytest.approx(3 / 2)
+    assert result["run length"] == pytest.approx(4 / 3)
+    assert result["one bit"] == 0.5
+    assert result["rise over fall"] == 3
+    assert (result["row"], result["column"]) == (4, 3.5)
+    assert (result["height"], result["width"]) == (1, 1)
 
 
 def test_another_sensor_is_refused():

@@ -67,10 +67,10 @@ def test_people_who_are_not_known():
 def test_ways_of_other_people_join():
     one, other = fit.estimate(people()), fit.estimate(people(seed=1))
     joined = one.join(other, 0.25)
-    for mine, more, ways in zip(one.allographs, other.allographs, joined.allographs, strict=True):
-        assert len(ways) == len(mine) + len(more)
+    for first, more, ways in zip(one.allographs, other.allographs, joined.allographs, strict=True):
+        assert len(ways) == len(first) + len(more)
         assert sum(way.share for way in ways) == pytest.approx(1)
-        assert sum(way.share for way in ways[len(mine) :]) == pytest.approx(0.25)
+        assert sum(way.share for way in ways[len(first) :]) == pytest.approx(0.25)
 
 
 def test_offsets_of_persons_and_what_differs_within_one():
@@ -79,8 +79,8 @@ def test_offsets_of_persons_and_what_differs_within_one():
     between, within = np.array([[1.0, 0.3], [0.3, 0.2]]), np.diag([0.5, 0.9])
     offsets = rng.multivariate_normal([0, 0], between, 400)
     scores = offsets[writers] + rng.multivariate_normal([0, 0], within, len(writers))
-    found = fit._estimate_covariances(scores, writers)
-    for covariance, true in zip(found, (between, within), strict=True):
+    result = fit._estimate_covariances(scores, writers)
+    for covariance, true in zip(result, (between, within), strict=True):
         np.testing.assert_allclose(covariance, true, atol=0.15)
         root = fit._compute_root(covariance)
         np.testing.assert_allclose(root @ root.T, covariance, atol=0.05)
@@ -94,9 +94,9 @@ def test_loyalty_by_hand():
     assert fit._estimate_loyalty(np.array([[10], [10]])) == 1
     # A share q of one's own of two, the rest of either: same way with (1 + q^2) / 2.
     q = 0.6
-    mine, other = (1 + q) / 2, (1 - q) / 2
+    result, other = (1 + q) / 2, (1 - q) / 2
     many = 100_000
-    usage = np.rint(np.array([[mine, other], [other, mine]]) * many).astype(int)
+    usage = np.rint(np.array([[result, other], [other, result]]) * many).astype(int)
     assert fit._estimate_loyalty(usage) == pytest.approx(q, abs=1e-3)
 
 

@@ -57,6 +57,6 @@ def test_an_interrupted_training_ends_as_it_would_have(trained, data, tmp_path):
     seen = [0, 0, 0]
     network, _, counts = train_slayer(SETTINGS, data, 3, checkpoint, interrupt)
     assert seen[3:] == [3, 1, 1, 1]
-    for got, expected in zip(network.kernels, trained[0].kernels, strict=True):
-        np.testing.assert_array_equal(got.numpy(), expected.numpy())
+    for result, expected in zip(network.kernels, trained[0].kernels, strict=True):
+        np.testing.assert_array_equal(result.numpy(), expected.numpy())
     np.testing.assert_array_equal(counts, trained[2])

@@ -130,8 +130,8 @@ def test_a_layer_fires_as_in_numpy(reference, seed):
     spikes, potential = reference.fire(current)
     if np.abs(potential - NEURON.theta).min() < 1e-4:
         return  # too close to call in single precision
-    ((got, fired),) = layers_of(network, arriving)
-    np.testing.assert_allclose(got, potential, atol=1e-4)
+    ((result, fired),) = layers_of(network, arriving)
+    np.testing.assert_allclose(result, potential, atol=1e-4)
     np.testing.assert_array_equal(fired, spikes)
 
 

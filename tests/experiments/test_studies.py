@@ -61,16 +61,16 @@ def test_the_paper_is_beside_random_splits_only():
         for seed in range(3)
         for split in ("random", "writers")
     ]
-    found = tables.make_table(rows, against=BY_NAME["table2"].pairs)
+    result = tables.make_table(rows, against=BY_NAME["table2"].pairs)
     random, writers = (
-        study_tables.make_cells(BY_NAME["table2"], found, s) for s in ("random", "writers")
+        study_tables.make_cells(BY_NAME["table2"], result, s) for s in ("random", "writers")
     )
     assert [line[-1] for line in random] == ["paper, real data", "0.89 (0.01)", "0.86 (0.02)"]
     assert len(writers[0]) == len(random[0]) - 1
     titles = {line.name: line.title for line in BY_NAME["table2"].lines}
-    pairs = [tuple(cells[:3]) for cells in tables.make_comparison_cells(found, titles)[1:]]
+    pairs = [tuple(cells[:3]) for cells in tables.make_comparison_cells(result, titles)[1:]]
     assert (titles["loihi"], titles["cnn"], "random") in pairs
-    text = study_tables.format_result(BY_NAME["table2"], found)
+    text = study_tables.format_result(BY_NAME["table2"], result)
     assert missing(text, "random splits", "writers splits", "this row", "against", "Holm") == []
 
 
@@ -96,15 +96,15 @@ def test_an_experiment_from_end_to_end(tmp_path, capsys, monkeypatch):
     command = ("table2", "--only", "cnn,own-loihi,own-loihi-chip", "--seeds", "1", "--jobs", "1")
     command = (*command, "--out", out, *options, "--json", "--store", "stored")
     assert call(*command, main=main) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found == json.loads((tmp_path / "stored.json").read_text())
-    assert {entry["split"] for entry in found["rows"]} == {"random", "writers"}
-    assert all(entry["n_test"] in (40, 60) or entry["n_test"] > 20 for entry in found["rows"])
+    result = json.loads(capsys.readouterr().out)
+    assert result == json.loads((tmp_path / "stored.json").read_text())
+    assert {entry["split"] for entry in result["rows"]} == {"random", "writers"}
+    assert all(entry["n_test"] in (40, 60) or entry["n_test"] > 20 for entry in result["rows"])
     before = {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()}
     assert len(before) == 6
     assert call(*command, main=main) == 0
     assert {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()} == before
-    assert json.loads(capsys.readouterr().out)["rows"] == found["rows"]
+    assert json.loads(capsys.readouterr().out)["rows"] == result["rows"]
 
 
 def test_faulty_taxels_are_in_the_test_samples_only(tmp_path):
@@ -134,8 +134,8 @@ def test_slayer_is_trained_on_events(tmp_path, monkeypatch):
     small = {"epochs": 1, "bins": 20}
     monkeypatch.setattr(slayer, "Slayer", lambda **given: whole(**given, **small))
     settings = Settings().with_values({"data": {"samples_per_digit": 12}})
-    found = measuring.measure(Case("slayer", settings, "slayer"), Library(tmp_path))
-    assert (found["n_train"], len(found["right"]), len(found["history"])) == (96, 24, 1)
+    result = measuring.measure(Case("slayer", settings, "slayer"), Library(tmp_path))
+    assert (result["n_train"], len(result["right"]), len(result["history"])) == (96, 24, 1)
 
 
 def test_the_gain_over_people_by_hand():
@@ -144,11 +144,11 @@ def test_the_gain_over_people_by_hand():
          "others_after": 0.8, "used": 1.0}
         for who, after in enumerate((0.6, 0.7, 0.8))
     ]  # fmt: skip
-    (found,) = adapt.summarise(people)
+    (result,) = adapt.summarise(people)
     reach = 4.302652729911275 * 0.1 / 3**0.5
-    assert found["gain"] == pytest.approx(0.2)
-    np.testing.assert_allclose(found["ci95"], [0.2 - reach, 0.2 + reach])
-    assert (found["people"], found["worst"]) == (3, pytest.approx(0.1))
+    assert result["gain"] == pytest.approx(0.2)
+    np.testing.assert_allclose(result["ci95"], [0.2 - reach, 0.2 + reach])
+    assert (result["people"], result["worst"]) == (3, pytest.approx(0.1))
     assert adapt.summarise(people[:2])[0]["ci95"] is None
 
 
@@ -170,26 +170,26 @@ def test_people_are_fitted_one_by_one(tiny_run, monkeypatch):
     spec = bundle.spec
     if spec.rehearsal is None:
         spec = add_rehearsal(spec, *inputs, np.arange(len(inputs[1])), 0)
-    found = list(adapt.measure_fits_to_people(spec, inputs, some, draws=1, seed=0))
-    assert {(row["who"], row["each"]) for row in found} == {(0, 2), (1, 2)}
-    for person in found:
+    result = list(adapt.measure_fits_to_people(spec, inputs, some, draws=1, seed=0))
+    assert {(row["who"], row["each"]) for row in result} == {(0, 2), (1, 2)}
+    for person in result:
         assert all(0 <= person[name] <= 1 for name in adapt.MEASURES)
         if not person["used"]:
             assert person["after"] == person["before"]
 
 
 def test_fast_is_compared_with_the_emulator_in_turns(tiny_run):
-    found = speed.measure_on_bundle(read_bundle(tiny_run / "bundle"), samples=10)
-    assert found["identical"]
-    assert found["ratio"] > 0
-    slow, fast = found["samples_per_second"]
+    result = speed.measure_on_bundle(read_bundle(tiny_run / "bundle"), samples=10)
+    assert result["identical"]
+    assert result["ratio"] > 0
+    slow, fast = result["samples_per_second"]
     assert min(slow, fast) > 0
 
 
 def test_fast_simulator_is_compared_with_nengoloihis_in_turns():
-    found = speed.measure_on_network("a channel", lambda: speed.build_channel(20), 8)
-    assert found["identical"]
-    assert found["ratio_emulator"] > 0
+    result = speed.measure_on_network("a channel", lambda: speed.build_channel(20), 8)
+    assert result["identical"]
+    assert result["ratio_emulator"] > 0
 
 
 def test_a_figure_of_a_document(tmp_path, monkeypatch):

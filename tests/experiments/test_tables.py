@@ -27,24 +27,24 @@ def row(name, seed, right, split="random", n_train=80, n_test=None, **more):
 
 def test_the_interval_is_that_of_overlapping_splits():
     """Worked by hand: s = 0.01, 1/3 + 1/4 = 7/12, t of 2 degrees of freedom."""
-    found = estimate([0.89, 0.90, 0.91], n_train=80, n_test=20)
+    result = estimate([0.89, 0.90, 0.91], n_train=80, n_test=20)
     reach = 4.302652729911275 * 0.01 * (7 / 12) ** 0.5
-    assert found["mean"] == pytest.approx(0.9)
-    assert found["sd"] == pytest.approx(0.01)
-    np.testing.assert_allclose(found["ci95"], [0.9 - reach, 0.9 + reach])
+    assert result["mean"] == pytest.approx(0.9)
+    assert result["sd"] == pytest.approx(0.01)
+    np.testing.assert_allclose(result["ci95"], [0.9 - reach, 0.9 + reach])
 
 
 def test_a_published_split_has_the_interval_of_its_trainings():
     values = [0.89, 0.90, 0.91]
-    found = estimate(values, 80, 20, "published")
+    result = estimate(values, 80, 20, "published")
     expected = stats.t.interval(0.95, 2, np.mean(values), stats.sem(values))
-    np.testing.assert_allclose(found["ci95"], expected)
+    np.testing.assert_allclose(result["ci95"], expected)
 
 
 @pytest.mark.parametrize("values", [[0.9], [0.2, 0.8]])
 def test_there_is_no_interval_of_fewer_than_three_splits(values):
-    found = estimate(values, 80, 20)
-    assert (found["ci95"], found["p"], found["sd"]) == (None, None, None)
+    result = estimate(values, 80, 20)
+    assert (result["ci95"], result["p"], result["sd"]) == (None, None, None)
 
 
 def test_holm_by_hand():
@@ -65,17 +65,17 @@ def test_the_shares_are_those_of_the_split_whatever_was_evaluated():
 def test_differences_are_paired_on_the_samples_that_both_have():
     ones = [row("a", seed, [1, 1, 0, 0]) for seed in range(3)]
     others = [row("b", seed, [1, 0]) for seed in range(3)]
-    (found,) = make_table([*ones, *others], against=[("b", "a")])["comparisons"]
-    assert (found["a"], found["b"], found["split"]) == ("b", "a", "random")
-    assert found["mean"] == -0.5  # on samples 0 and 1; a loss is negative
-    assert found["agreement"] == 0.5
-    assert len(found["values"]) == 3
+    (result,) = make_table([*ones, *others], against=[("b", "a")])["comparisons"]
+    assert (result["a"], result["b"], result["split"]) == ("b", "a", "random")
+    assert result["mean"] == -0.5  # on samples 0 and 1; a loss is negative
+    assert result["agreement"] == 0.5
+    assert len(result["values"]) == 3
 
 
 def test_a_single_split_has_wilson_and_mcnemar():
     rows = [row("a", 0, [1] * 9 + [0]), row("b", 0, [0] * 10)]
-    found = make_table(rows, against=[("a", "b"), ("a", "missing")])
-    np.testing.assert_allclose(found["rows"][0]["ci95"], [0.5958, 0.9821], atol=1e-4)
-    (compared,) = found["comparisons"]
+    result = make_table(rows, against=[("a", "b"), ("a", "missing")])
+    np.testing.assert_allclose(result["rows"][0]["ci95"], [0.5958, 0.9821], atol=1e-4)
+    (compared,) = result["comparisons"]
     assert compared["p"] == pytest.approx(2 / 2**9)
     assert compared["ci95"] is None

@@ -31,7 +31,7 @@ def in_places(values):
 
 def by_layers(network, inputs, step, method):
     """Spikes of each layer of neurons and the readout's output, in real numbers."""
-    signal, found = in_places(inputs), []
+    signal, result = in_places(inputs), []
     for layer in from_nir(network, step, method):
         if layer.neurons is not None:
             signal = simulate_spikes(layer, signal)
@@ -43,26 +43,26 @@ def by_layers(network, inputs, step, method):
                 state = keep * state + (1 - keep) * added[:, t]
                 signal[:, t] = state
             signal = signal + layer.bias
-        found.append(signal)
-    return found
+        result.append(signal)
+    return result
 
 
 def compare(network, inputs, step=0.001, method="exact"):
     """Identical spikes in every layer; the readout within 1e-6."""
     reference = simulate(network, inputs, step, method, "value")
-    wanted = [in_places(values) for values in reference.spikes.values()]
-    got = by_layers(network, inputs, step, method)
-    n = len(wanted)
-    assert sum(int(w.sum()) for w in wanted) > 0
-    for layer, one, other in zip(from_nir(network, step, method), got, wanted, strict=False):
+    expected = [in_places(values) for values in reference.spikes.values()]
+    result = by_layers(network, inputs, step, method)
+    n = len(expected)
+    assert sum(int(w.sum()) for w in expected) > 0
+    for layer, one, other in zip(from_nir(network, step, method), result, expected, strict=False):
         assert one.shape == other.shape
         # a voltage within rounding of the threshold is what 64 bits cannot tell
         np.testing.assert_array_equal(one, other, err_msg=str(layer))
-    if len(got) > n:
-        out = reference.outputs.reshape(got[-1].shape)
+    if len(result) > n:
+        out = reference.outputs.reshape(result[-1].shape)
         scale = max(float(np.abs(out).max()), 1e-9)
-        assert np.abs(got[-1] - out).max() / scale <= 1e-6
-    return got
+        assert np.abs(result[-1] - out).max() / scale <= 1e-6
+    return result
 
 
 NEURONS = {
@@ -83,10 +83,10 @@ def test_every_kind_of_neuron_is_the_references(kind, method):
     inputs = spikes(rng, 3, 200, (12,))
     if (kind, method) == ("CubaLIF", "exact"):
         # the change of the current within a step is lost, not its sum
-        wanted = simulate(network, inputs, 0.001, method).spikes["n1"].sum(1)
-        got = by_layers(network, inputs, 0.001, method)[0].sum(1)
-        assert np.abs(got - wanted).max() <= 3
-        assert got.sum() == pytest.approx(wanted.sum(), rel=0.05)
+        expected = simulate(network, inputs, 0.001, method).spikes["n1"].sum(1)
+        result = by_layers(network, inputs, 0.001, method)[0].sum(1)
+        assert np.abs(result - expected).max() <= 3
+        assert result.sum() == pytest.approx(expected.sum(), rel=0.05)
         return
     compare(network, inputs, method=method)
 
@@ -101,9 +101,9 @@ def test_a_recurrent_layer_is_the_references(neuron):
     tree["nodes"]["back"] = {"type": "Linear", "weight": rng.normal(0, 0.5, (9, 9))}
     tree["edges"] += [("n1", "back"), ("back", "n1")]
     network, inputs = read_nir(Graph(tree)), spikes(rng, 3, 200, (12,))
-    found = compare(network, inputs, method="euler")
+    result = compare(network, inputs, method="euler")
     without = simulate(network_without_loop(network), inputs, 0.001, "euler").spikes["n1"]
-    assert (found[0] != without).any()
+    assert (result[0] != without).any()
 
 
 def network_without_loop(network):
@@ -232,11 +232,11 @@ def test_random_graphs_spike_as_the_reference(case):
     network, rng = case
     inputs = spikes(rng, 2, 200, network.input_shape, 0.15)
     reference = simulate(network, inputs, 0.001, "euler")
-    got = by_layers(network, inputs, 0.001, "euler")
-    for one, other in zip(got, reference.spikes.values(), strict=False):
+    result = by_layers(network, inputs, 0.001, "euler")
+    for one, other in zip(result, reference.spikes.values(), strict=False):
         np.testing.assert_array_equal(one, in_places(other))
     out = reference.outputs
-    assert np.abs(got[-1] - out).max() <= 1e-6 * max(np.abs(out).max(), 1e-9)
+    assert np.abs(result[-1] - out).max() <= 1e-6 * max(np.abs(out).max(), 1e-9)
 
 
 def test_integers_by_hand():
@@ -245,9 +245,9 @@ def test_integers_by_hand():
         (2,), ("Linear", {"weight": np.array([[1.0, -0.5]])}), ("Threshold", {"threshold": 1.0})
     )
     (layer,) = from_nir(network, 0.001)
-    found = round_to_integers(layer)
-    assert found.weights.T.tolist() == [[127, -64]]
-    assert (found.threshold, found.keep_u, found.keep_v, found.exponent) == (64 * 254, 1, 2, 0)
+    result = round_to_integers(layer)
+    assert result.weights.T.tolist() == [[127, -64]]
+    assert (result.threshold, result.keep_u, result.keep_v, result.exponent) == (64 * 254, 1, 2, 0)
     assert round_to_integers(layer, 0.5).weights.T.tolist() == [[127, -127]]
 
 
@@ -261,10 +261,10 @@ def test_the_scale_is_chosen_on_samples():
     inputs = spikes(rng, 8, 200, (20,), 0.3)
     inputs[:, :, 0] = 0
     assert np.abs(round_to_integers(layer).weights[1:]).max() < 5
-    wanted = simulate_spikes(layer, inputs).sum(1).astype(int)
+    expected = simulate_spikes(layer, inputs).sum(1).astype(int)
 
     def error(integers):
-        return np.abs(simulate_spikes(layer, inputs, integers).sum(1) - wanted).sum()
+        return np.abs(simulate_spikes(layer, inputs, integers).sum(1) - expected).sum()
 
     assert error(choose_integers(layer, inputs)) < error(round_to_integers(layer))
 
@@ -280,10 +280,10 @@ def test_rounding_is_made_up_for_where_inputs_are_active_together():
     inputs = np.zeros((1, 80, 3))
     inputs[0, ::8] = [1, 0, 1]
     inputs[0, 4::8] = [0, 1, 0]
-    found = round_to_integers(layer, 1.0, measure_moments(layer, inputs)).weights.ravel()
+    result = round_to_integers(layer, 1.0, measure_moments(layer, inputs)).weights.ravel()
     assert round_to_integers(layer).weights.ravel().tolist() == [0, 127, 0]
-    assert sorted(found[[0, 2]]) == [0, 1]
-    assert found[1] == 127
+    assert sorted(result[[0, 2]]) == [0, 1]
+    assert result[1] == 127
 
 
 @pytest.mark.parametrize("seed", range(3))

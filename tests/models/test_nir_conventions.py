@@ -72,13 +72,13 @@ def test_spyx_neurons_without_a_reset():
     network = network_of((3,), *nodes)
     assert network.convention.framework == "Spyx"
     inputs = (rng.random((2, 50, 3)) < 0.4).astype(float)
-    found = simulate(network, inputs).outputs
+    result = simulate(network, inputs).outputs
     voltage = np.zeros((2, 4))
     for step in range(50):
         sums = inputs[:, step] @ network.nodes[0]["weight"].T + network.nodes[0]["bias"]
         voltage = beta * voltage + sums
-        np.testing.assert_array_equal(found[:, step], voltage > 1.3)
-    assert 0 < found.mean() < 1
+        np.testing.assert_array_equal(result[:, step], voltage > 1.3)
+    assert 0 < result.mean() < 1
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -86,31 +86,31 @@ def test_frameworks_are_recognised(name):
     neurons, framework, method, step = WRITTEN[name]
     maps = [affine(np.random.default_rng(0), 2, n) for n in (4, *[2] * (len(neurons) - 1))]
     nodes = [node for pair in zip(maps, neurons, strict=True) for node in pair]
-    found = network_of((4,), *nodes).convention
-    assert found.framework.startswith(framework)
-    assert found.method == method
-    assert found.step == pytest.approx(step, rel=1e-3) if step else found.step is None
+    result = network_of((4,), *nodes).convention
+    assert result.framework.startswith(framework)
+    assert result.method == method
+    assert result.step == pytest.approx(step, rel=1e-3) if step else result.step is None
 
 
 @pytest.mark.parametrize("neuron", [integrator(300.0), lif(10.0, 8.0), lif(0.02, 8.0)])
 def test_what_fits_no_framework_is_said(neuron):
-    found = network_of((4,), affine(np.random.default_rng(0), 2, 4), neuron).convention
-    assert "nir.step" in found.doubt
+    result = network_of((4,), affine(np.random.default_rng(0), 2, 4), neuron).convention
+    assert "nir.step" in result.doubt
 
 
 def test_what_a_graph_says_of_its_step_comes_first():
     tree_with_step = network_of((4,), affine(np.random.default_rng(0), 2, 4), cuba_lif())
     assert tree_with_step.convention.framework == "Norse"
-    found = type(tree_with_step)((4,), tree_with_step.nodes, {"dt": 0.001}).convention
-    assert (found.method, found.step) == ("exact", 0.001)
+    result = type(tree_with_step)((4,), tree_with_step.nodes, {"dt": 0.001}).convention
+    assert (result.method, result.step) == ("exact", 0.001)
 
 
 @pytest.mark.parametrize("name", ["spikingjelly-if", "rockpool-lif", "sinabs-time-in-input",
                                   "tau-in-steps"])  # fmt: skip
 def test_spikes_are_the_frameworks(name):
     network = read_nir(CASES / f"{name}.nir")
-    found = simulate(network, np.load(CASES / "frames.npy"))
-    np.testing.assert_array_equal(found.outputs.sum(1), np.load(CASES / f"{name}.npy"))
+    result = simulate(network, np.load(CASES / "frames.npy"))
+    np.testing.assert_array_equal(result.outputs.sum(1), np.load(CASES / f"{name}.npy"))
 
 
 def spikes_of_spyx(inputs, alpha, beta, threshold):
@@ -130,8 +130,8 @@ def spikes_of_spyx(inputs, alpha, beta, threshold):
 def test_spyx_subtracts_the_threshold_as_its_layers_do(alpha):
     neuron = lif(4.0, 0.75) if alpha is None else cuba_lif(2.0, 4.0, 0.75)
     inputs = np.random.default_rng(0).uniform(0, 0.8, 300)
-    found = simulate(network_of((1,), neuron), inputs.reshape(1, 300, 1))
-    assert found.outputs.ravel().tolist() == list(spikes_of_spyx(inputs, alpha, 0.75, 1.0))
+    result = simulate(network_of((1,), neuron), inputs.reshape(1, 300, 1))
+    assert result.outputs.ravel().tolist() == list(spikes_of_spyx(inputs, alpha, 0.75, 1.0))
 
 
 def test_declared_shapes_of_subgraphs_are_ignored():
@@ -172,10 +172,10 @@ BY_HAND = {  # inputs 1, 0, 1
 
 @pytest.mark.parametrize("method", BY_HAND)
 def test_steps_by_hand(method):
-    neuron, step, wanted = BY_HAND[method]
+    neuron, step, expected = BY_HAND[method]
     equation = METHODS[method](network_of((1,), neuron).nodes[0], step)
     voltage = current = 0.0
-    for signal, right in zip((1.0, 0.0, 1.0), wanted, strict=True):
+    for signal, right in zip((1.0, 0.0, 1.0), expected, strict=True):
         voltage = equation.keep_v * voltage + equation.v_from_i * current
         voltage = voltage + equation.v_from_s * signal
         current = equation.keep_i * current + equation.i_from_s * signal

@@ -18,8 +18,8 @@ def solved(rates, start, inputs):
     """State at the end of each step; ``rates(state, s)`` with the input held in a step."""
     states, state = [], np.array(start, float)
     for s in inputs:
-        found = solve_ivp(lambda t, y, s=s: rates(y, s), (0, H), state, rtol=1e-11, atol=1e-13)
-        state = found.y[:, -1]
+        result = solve_ivp(lambda t, y, s=s: rates(y, s), (0, H), state, rtol=1e-11, atol=1e-13)
+        state = result.y[:, -1]
         states.append(state)
     return np.array(states)
 
@@ -40,17 +40,17 @@ def test_exact_steps_solve_the_equations(tau_syn):
         return [(leak - y[0] + r * y[1]) / tau, (-y[1] + w * s) / tau_syn]
 
     cuba = solved(rates, [leak, 0], s)[:, 0]
-    got = filtered("CubaLI", s, tau_syn=tau_syn, tau_mem=tau, r=r, v_leak=leak, w_in=w)
-    np.testing.assert_allclose(got, cuba, atol=1e-8)
+    result = filtered("CubaLI", s, tau_syn=tau_syn, tau_mem=tau, r=r, v_leak=leak, w_in=w)
+    np.testing.assert_allclose(result, cuba, atol=1e-8)
 
 
 def test_steps_by_hand():
     """b = 1/2: v = 0.6, 0.9, 1.05 spikes and resets to 0.1, 0.65."""
     tau = H / math.log(2)
     network = network_of((1,), lif(tau, 1.2, v_threshold=1.0, v_reset=0.1))
-    found = simulate(network, np.ones((1, 4, 1)), H, "exact", "value")
-    assert found.outputs[0, :, 0].tolist() == [0, 0, 1, 0]
-    assert found.spikes["n0"].dtype == bool
+    result = simulate(network, np.ones((1, 4, 1)), H, "exact", "value")
+    assert result.outputs[0, :, 0].tolist() == [0, 0, 1, 0]
+    assert result.spikes["n0"].dtype == bool
     # Euler with the same share: tau = 2 h
     network = network_of((1,), lif(2 * H, 1.2, v_threshold=1.0, v_reset=0.1))
     assert simulate(network, np.ones((1, 4, 1)), H, "euler").outputs[0, :, 0].tolist() == [
@@ -70,17 +70,17 @@ def test_steps_by_hand():
 )
 def test_resets_by_hand(r, value, subtract, late):
     network = network_of((1,), lif(2 * H, r))
-    for reset, wanted in zip(RESETS[:3], (value, subtract, late), strict=True):
-        found = simulate(network, np.ones((1, 5, 1)), H, "euler", reset).outputs[0, :, 0]
-        assert found.tolist() == wanted, reset
+    for reset, expected in zip(RESETS[:3], (value, subtract, late), strict=True):
+        result = simulate(network, np.ones((1, 5, 1)), H, "euler", reset).outputs[0, :, 0]
+        assert result.tolist() == expected, reset
 
 
 def test_several_spikes_in_a_step_by_hand():
     """sinabs: v = 2.5 - 2, 0.5 - 4 and not below -1, -0.5, 2 - 2; Rockpool's LIF has no limit."""
     inputs = np.array([2.5, -4.0, 0.5, 2.5]).reshape(1, 4, 1)
     integrator = network_of((1,), ("IF", {"r": 1.0, "v_threshold": 1.0}))
-    found = simulate(integrator, inputs, reset="subtract-all")
-    assert found.outputs.ravel().tolist() == found.spikes["n0"].ravel().tolist() == [2, 0, 0, 2]
+    result = simulate(integrator, inputs, reset="subtract-all")
+    assert result.outputs.ravel().tolist() == result.spikes["n0"].ravel().tolist() == [2, 0, 0, 2]
     # v = 2.5 - 2, 0.25 - 4, -1.875 + 0.5, -0.69 + 2.5
     leaky = simulate(network_of((1,), lif(2.0, 0.5)), inputs, 1.0, "spyx", "subtract-all")
     assert leaky.outputs.ravel().tolist() == [2, 0, 0, 1]
@@ -98,14 +98,14 @@ def test_windows_by_hand():
     x = rng.normal(size=(2, 5, 6))
     node = network_of((2, 5, 6), conv(rng, 4, 1, 2, bias=1.0, stride=(1, 2), padding=(1, 0),
                                       dilation=(2, 1), groups=2), lif()).nodes[0]  # fmt: skip
-    got = run_node(node, x[None, None], H)[0, 0]
+    result = run_node(node, x[None, None], H)[0, 0]
     padded = np.pad(x, ((0, 0), (1, 1), (0, 0)))
-    assert got.shape == node.shape == (4, 5, 3)
-    for f, row, column in np.ndindex(got.shape):
+    assert result.shape == node.shape == (4, 5, 3)
+    for f, row, column in np.ndindex(result.shape):
         channel = f // 2
         seen = padded[channel, row : row + 3 : 2, 2 * column : 2 * column + 2]
         expected = (node["weight"][f, 0] * seen).sum() + node["bias"][f]
-        assert got[f, row, column] == pytest.approx(expected)
+        assert result[f, row, column] == pytest.approx(expected)
 
 
 def test_rows_by_hand():
@@ -114,11 +114,11 @@ def test_rows_by_hand():
     row = {"weight": weight, "bias": np.arange(3.0), "stride": 2, "padding": 1, "dilation": 1,
            "groups": 1}  # fmt: skip
     node = network_of((2, 9), ("Conv1d", row), lif()).nodes[0]
-    got = run_node(node, x[None, None], H)[0, 0]
+    result = run_node(node, x[None, None], H)[0, 0]
     padded = np.pad(x, ((0, 0), (1, 1)))
     for f in range(3):
         added = sum(np.correlate(padded[c], weight[f, c], "valid") for c in range(2))
-        np.testing.assert_allclose(got[f], added[::2] + f)
+        np.testing.assert_allclose(result[f], added[::2] + f)
 
 
 @pytest.mark.parametrize("kind", ["AvgPool2d", "SumPool2d"])
@@ -126,10 +126,10 @@ def test_pools_by_hand(kind):
     x = np.random.default_rng(0).normal(size=(2, 5, 5))
     values = {"kernel_size": 3, "stride": 2, "padding": 1}
     node = network_of((2, 5, 5), (kind, values), lif()).nodes[0]
-    got = run_node(node, x[None, None], H)[0, 0]
+    result = run_node(node, x[None, None], H)[0, 0]
     corner = x[:, :2, :2].sum((1, 2))  # of nine places, five outside count as 0
-    np.testing.assert_allclose(got[:, 0, 0], corner / (9 if kind == "AvgPool2d" else 1))
-    assert got.shape == (2, 3, 3)
+    np.testing.assert_allclose(result[:, 0, 0], corner / (9 if kind == "AvgPool2d" else 1))
+    assert result.shape == (2, 3, 3)
 
 
 def test_an_euler_step_longer_than_a_time_constant_is_refused():
@@ -146,10 +146,10 @@ def test_a_loop_by_hand(kind):
     tree["edges"] += [("n0", "back"), ("back", "n0")]
     if kind == "Linear":
         del tree["nodes"]["back"]["bias"]
-    found = simulate(read_nir(Graph(tree)), np.full((1, 8, 1), 0.4), H).outputs[0, :, 0]
+    result = simulate(read_nir(Graph(tree)), np.full((1, 8, 1), 0.4), H).outputs[0, :, 0]
     # Linear: 0.4, 0.8, 1.2; 0.1, 0.5, 0.9, 1.3; 0.1.  Affine: 0.5, 1, 1.5; 0.2, 0.7, 1.2; 0.2, 0.7
-    wanted = {"Linear": [0, 0, 1, 0, 0, 0, 1, 0], "Affine": [0, 0, 1, 0, 0, 1, 0, 0]}[kind]
-    assert found.tolist() == wanted
+    expected = {"Linear": [0, 0, 1, 0, 0, 0, 1, 0], "Affine": [0, 0, 1, 0, 0, 1, 0, 0]}[kind]
+    assert result.tolist() == expected
 
 
 @pytest.mark.parametrize(("value", "step"), [(1, 0), (1, -H), (1, np.nan), (np.nan, H)])

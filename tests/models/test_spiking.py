@@ -82,8 +82,8 @@ def test_nengoloihis_emulator_makes_the_same_spikes(text):
     for sample in range(frames.shape[1]):
         expected = spiking_in_numpy.network(network.architecture, integers, frames[:, sample])
         spikes, _ = emulate(network.architecture, integers, frames[:, sample])
-        for mine, its in zip(expected, spikes, strict=True):
-            np.testing.assert_array_equal(mine, its)
+        for result, its in zip(expected, spikes, strict=True):
+            np.testing.assert_array_equal(result, its)
 
 
 @settings(max_examples=25, deadline=None)
@@ -148,8 +148,8 @@ def test_gradients_through_time_are_those_of_plain_numpy(floor):
         result = fire(inputs[0], parameters, beta)
         total = tf.reduce_sum(result[:, 0] * error)
     np.testing.assert_array_equal(result[:, 0], spikes)
-    for mine, its in zip(tape.gradient(total, inputs), expected, strict=True):
-        np.testing.assert_allclose(np.squeeze(mine), its, rtol=1e-9, atol=1e-12)
+    for actual, its in zip(tape.gradient(total, inputs), expected, strict=True):
+        np.testing.assert_allclose(np.squeeze(actual), its, rtol=1e-9, atol=1e-12)
 
 
 def test_gradients_reach_everything_that_is_trained():
@@ -218,9 +218,9 @@ def test_weights_there_and_back():
     for name, value in other.get_weights().items():
         np.testing.assert_allclose(value, weights[name], rtol=1e-5)
     for name, layer in other.compute_integers().items():
-        mine = network.compute_integers()[name]
-        np.testing.assert_array_equal(layer.weights, mine.weights)
-        assert (layer.threshold, layer.keep_u) == (mine.threshold, mine.keep_u)
+        result = network.compute_integers()[name]
+        np.testing.assert_array_equal(layer.weights, result.weights)
+        assert (layer.threshold, layer.keep_u) == (result.threshold, result.keep_u)
     with pytest.raises(ValueError, match=r"conv1\.kernel"):
         other.set_weights({**weights, "conv1.kernel": np.zeros((1, 1, 2, 8))})
     with pytest.raises(ValueError, match=r"dense1\.tau_u"):

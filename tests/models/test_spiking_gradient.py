@@ -61,11 +61,11 @@ def test_gradients_are_those_of_tensorflow(text, monkeypatch):
     assert result.loss == pytest.approx(loss, rel=1e-2)
     assert result.gradients.keys() == gradients.keys()
     for name, expected in gradients.items():
-        found = result.gradients[name]
-        assert np.shape(found) == expected.shape
+        actual = result.gradients[name]
+        assert np.shape(actual) == expected.shape
         size = np.abs(expected).max()
         assert size > 0
-        np.testing.assert_allclose(found, expected, atol=0.02 * size, err_msg=name)
+        np.testing.assert_allclose(actual, expected, atol=0.02 * size, err_msg=name)
 
 
 @pytest.mark.parametrize("text", ARCHITECTURES)
@@ -74,10 +74,10 @@ def test_outputs_are_those_of_tensorflow(text):
     frames = frames_for(network, 6, 40)
     outputs, spikes = network(tf.constant(frames))
     compiled = SpikingGradient(network.architecture, network.neuron)
-    found, cost, rates = compiled.compute_outputs(values_of(network), np.moveaxis(frames, 0, 1))
+    result, cost, rates = compiled.compute_outputs(values_of(network), np.moveaxis(frames, 0, 1))
     for layer, expected in zip(rates, spikes, strict=True):
         assert np.mean(layer != expected.numpy().sum(0)) < 0.01
-    assert np.abs(found - np.moveaxis(outputs.numpy(), 0, 1)).mean() < 0.01
+    assert np.abs(result - np.moveaxis(outputs.numpy(), 0, 1)).mean() < 0.01
     expected = count_operations(network.architecture, frames, spikes).numpy().sum(1)
     np.testing.assert_allclose(cost, expected, rtol=1e-2)
 

@@ -46,23 +46,23 @@ def figures(graph, answers, run, target="fast"):
         Accuracies and ``agreement`` on the whole test set; ``graph``, the share of values of the
         outputs that the reference simulator has as PyTorch has them, within 1e-3 of the largest.
     """
-    theirs = read_arrays(answers, "train again")
+    expected = read_arrays(answers, "train again")
     settings = read_settings(Path(run) / "experiment.toml")
     dataset, network = load_dataset(settings), read_nir(graph)
-    np.testing.assert_array_equal(dataset.split.test, theirs["test"])
-    labels, frames = dataset.labels[theirs["test"]], dataset.inputs[theirs["test"]]
-    stepping, n = Stepping.of(settings, network), len(theirs["outputs"])
+    np.testing.assert_array_equal(dataset.split.test, expected["test"])
+    labels, frames = dataset.labels[expected["test"]], dataset.inputs[expected["test"]]
+    stepping, n = Stepping.of(settings, network), len(expected["outputs"])
     shown = make_graph_inputs(network, frames[:n], settings.steps)
     outputs = simulate(network, shown, stepping.seconds, stepping.method).outputs
-    outputs = outputs.reshape(theirs["outputs"].shape)
-    near = np.abs(outputs - theirs["outputs"]) <= 1e-3 * np.abs(theirs["outputs"]).max()
+    outputs = outputs.reshape(expected["outputs"].shape)
+    near = np.abs(outputs - expected["outputs"]) <= 1e-3 * np.abs(expected["outputs"]).max()
     bundle = read_bundle(Path(run) / "bundle")
-    found = run_target(bundle.spec, frames, target).predictions
+    result = run_target(bundle.spec, frames, target).predictions
     return {
         "samples": len(labels),
-        "pytorch": float((theirs["predictions"] == labels).mean()),
-        target: float((found == labels).mean()),
-        "agreement": float((found == theirs["predictions"]).mean()),
+        "pytorch": float((expected["predictions"] == labels).mean()),
+        target: float((result == labels).mean()),
+        "agreement": float((result == expected["predictions"]).mean()),
         "graph": float(near.mean()),
     }
 

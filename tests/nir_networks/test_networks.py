@@ -44,12 +44,12 @@ def test_a_trained_network_answers_as_in_pytorch(package, options, shown, tmp_pa
     arguments = [PYTHON, train, package, shown, graph, answers, 0, EPOCHS]
     subprocess.run(list(map(str, arguments)), check=True, timeout=3600)
     compare.convert(graph, run, "--step", "20", *options)
-    found = compare.figures(graph, answers, run)
-    assert found["pytorch"] > 0.6
-    assert found["graph"] > 0.99  # 32 bits there, 64 here: a spike may fall on another step
-    assert found["fast"] > found["pytorch"] - 0.02
+    result = compare.figures(graph, answers, run)
+    assert result["pytorch"] > 0.6
+    assert result["graph"] > 0.99  # 32 bits there, 64 here: a spike may fall on another step
+    assert result["fast"] > result["pytorch"] - 0.02
     # After three epochs many samples have equal or nearly equal outputs.
-    assert found["agreement"] > 0.9
+    assert result["agreement"] > 0.9
     bundle = read_bundle(run / "bundle")
     some = bundle.checks.inputs[:4]
     hashes = (run_target(bundle.spec, some, target).spike_hashes for target in ("fast", "emulator"))

@@ -68,13 +68,13 @@ def test_every_step_is_the_packages(name, folder):
     assert [node.kind for node in network.nodes] == kinds.split()
     assert (network.convention.framework == "snnTorch") == name.startswith("snntorch")
     with np.load(folder / f"{name}.npz") as file:
-        inputs, wanted = file["inputs"], file["outputs"]
+        inputs, expected = file["inputs"], file["outputs"]
     reset = "subtract-late" if name == "snntorch-recurrent" else "value"
-    found = simulate(network, inputs, step, "euler", reset)
-    assert all(spikes.mean() > 0.001 for spikes in found.spikes.values())
-    error = np.abs(found.outputs - wanted.reshape(found.outputs.shape)).max()
+    result = simulate(network, inputs, step, "euler", reset)
+    assert all(spikes.mean() > 0.001 for spikes in result.spikes.values())
+    error = np.abs(result.outputs - expected.reshape(result.outputs.shape)).max()
     spiking = network.nodes[-1].kind in SPIKING
-    assert error <= (0 if spiking else 1e-6 * np.abs(wanted).max())
+    assert error <= (0 if spiking else 1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("name", RECOGNISED)
@@ -82,10 +82,10 @@ def test_what_is_recognised_has_the_packages_spikes(name, folder):
     network = read_nir(folder / f"{name}.nir")
     assert network.convention.framework.startswith(RECOGNISED[name])
     with np.load(folder / f"{name}.npz") as file:
-        inputs, wanted = file["inputs"], file["outputs"]
-    found = simulate(network, inputs, reset="subtract-all" if "several" in name else "auto")
-    assert all(spikes.mean() > 0.001 for spikes in found.spikes.values())
-    assert (wanted.max() > 1) == ("several" in name)
-    same = found.outputs.reshape(wanted.shape) == wanted
+        inputs, expected = file["inputs"], file["outputs"]
+    result = simulate(network, inputs, reset="subtract-all" if "several" in name else "auto")
+    assert all(spikes.mean() > 0.001 for spikes in result.spikes.values())
+    assert (expected.max() > 1) == ("several" in name)
+    same = result.outputs.reshape(expected.shape) == expected
     # A voltage within rounding of the threshold in 32 bits may spike a step later.
     assert same.mean() > 0.999

@@ -55,8 +55,8 @@ def test_one_definition_of_synaptic_operations(tmp_path):
     bundle = bundle_at(tmp_path / "bundle")
     result = run_check(bundle, "emulator", tmp_path / "emulator.json")
     value = estimate_energy(bundle.spec, result)
-    found = run_target(bundle.spec, bundle.checks.inputs, "emulator")
-    output = 10 * found.spikes["conv2"].sum()  # each of its spikes reaches ten outputs
+    actual = run_target(bundle.spec, bundle.checks.inputs, "emulator")
+    output = 10 * actual.spikes["conv2"].sum()  # each of its spikes reaches ten outputs
     assert result["synaptic_operations"]["output"] == output > 0
     total = sum(result["synaptic_operations"].values()) / len(bundle.checks)
     assert value.synaptic_operations == pytest.approx(total)

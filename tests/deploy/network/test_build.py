@@ -207,8 +207,8 @@ def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
     expected = run_target(spec_of(cut, one_window), cut_samples, "emulator").spikes["dense1"]
     assert expected.sum() > 5
     for target in ("emulator", "fast"):
-        found = run_target(spec_of(shape, wide), samples, target).spikes["dense1"]
-        np.testing.assert_array_equal(found, expected)
+        result = run_target(spec_of(shape, wide), samples, target).spikes["dense1"]
+        np.testing.assert_array_equal(result, expected)
     # As it divides itself, and counted before NengoLoihi makes the blocks
     own = replace(wide, block_shape=None)
     block = choose_block(own)
@@ -243,4 +243,4 @@ def test_layers_whose_blocks_are_scaled_separately():
             (name,) = [layer.name for layer in layers if f"'{layer.name}'" in block.label]
             thresholds.setdefault(name, set()).update(block.compartment.vth.tolist())
     assert find_rescaled_layers(layers) == ["conv1", "dense1"]
-    assert [name for name, found in thresholds.items() if len(found) > 1] == ["conv1", "dense1"]
+    assert [name for name, result in thresholds.items() if len(result) > 1] == ["conv1", "dense1"]

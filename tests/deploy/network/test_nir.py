@@ -47,8 +47,8 @@ def test_readout_is_permuted_to_channels_first():
     layer = spec.layers[-1]
     values = np.random.default_rng(1).normal(size=layer.input_shape)
     weight = make_nir_graph(spec).nodes["output_weights"].weight
-    ours = layer.weights @ values.ravel() * 0.01 / 0.001  # of the spike's amplitude over dt
-    np.testing.assert_allclose(weight @ np.moveaxis(values, -1, 0).ravel(), ours)
+    result = layer.weights @ values.ravel() * 0.01 / 0.001  # of the spike's amplitude over dt
+    np.testing.assert_allclose(weight @ np.moveaxis(values, -1, 0).ravel(), result)
 
 
 def test_output_neurons_and_neurons_without_a_filter():
@@ -145,7 +145,7 @@ def test_strides_padding_and_averaging_are_the_networks():
     padded = np.pad(mean, ((0, 0), *((int(n), int(n)) for n in graph.padding)))
     rows, columns = graph.weight.shape[2:]
     step = graph.stride[0]
-    got = np.array(
+    result = np.array(
         [
             [
                 np.tensordot(graph.weight, padded[:, i : i + rows, j : j + columns], 3)
@@ -155,5 +155,5 @@ def test_strides_padding_and_averaging_are_the_networks():
         ]
     )
     expected = matrix_by_hand(layer) @ image.ravel()
-    np.testing.assert_allclose(got.reshape(-1), expected)
+    np.testing.assert_allclose(result.reshape(-1), expected)
     assert graph.output_type["output"].tolist() == [3, 2, 2]

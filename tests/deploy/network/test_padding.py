@@ -21,12 +21,12 @@ def test_what_is_padded_is_numpys():
 @pytest.mark.parametrize("spec", [small_spec(), mixed_spec()], ids=["valid", "same"])
 def test_every_spike_is_that_of_nengo_as_it_is(spec, monkeypatch):
     images = random_checks(spec, 3).inputs
-    ours = run_target(spec, images, "nengo")
+    result = run_target(spec, images, "nengo")
     monkeypatch.setattr(transforms, "np", np)
-    theirs = run_target(spec, images, "nengo")
-    assert ours.spikes["conv1"].sum() > 0
-    np.testing.assert_array_equal(ours.spike_hashes, theirs.spike_hashes)
-    np.testing.assert_array_equal(ours.scores, theirs.scores)
+    expected = run_target(spec, images, "nengo")
+    assert result.spikes["conv1"].sum() > 0
+    np.testing.assert_array_equal(result.spike_hashes, expected.spike_hashes)
+    np.testing.assert_array_equal(result.scores, expected.scores)
 
 
 def test_numpy_pads_nothing_where_there_is_nothing_to_pad(monkeypatch):

@@ -31,12 +31,14 @@ def test_the_reference_is_nengoloihi_before_rounding(make_spec):
     """Both compute in real numbers, NengoLoihi in single precision."""
     spec = make_spec(stream_length=3) if make_spec is not mixed_spec else mixed_spec()
     samples = random_frames(spec, 3) if make_spec is events_spec else random_checks(spec, 3).inputs
-    ours = respond(spec, samples)
-    theirs = run_target(spec, samples, "simreal")
+    result = respond(spec, samples)
+    expected = run_target(spec, samples, "simreal")
     for name in spec.spiking_layers:
-        assert theirs.spikes[name].sum() > 0, name
-        np.testing.assert_allclose(ours.spikes[name], theirs.spikes[name], rtol=0.02, atol=1)
-    np.testing.assert_allclose(ours.scores, theirs.scores, atol=0.02 * np.abs(theirs.scores).max())
+        assert expected.spikes[name].sum() > 0, name
+        np.testing.assert_allclose(result.spikes[name], expected.spikes[name], rtol=0.02, atol=1)
+    np.testing.assert_allclose(
+        result.scores, expected.scores, atol=0.02 * np.abs(expected.scores).max()
+    )
 
 
 @pytest.mark.parametrize("tau_ref", [0.0, 0.001, 0.003])
@@ -51,19 +53,19 @@ def test_the_equations_are_the_emulator_s_integers_spike_by_spike(tau_ref, min_v
     with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
         blocks = list(sim.model.blocks)
         shown = list(present(built, sim, samples))
-    theirs = {
+    expected = {
         name: np.concatenate([of_sample.spikes[name] for of_sample in shown])
         for name in spec.spiking_layers
     }
-    np.testing.assert_array_equal(make_input_spikes(spec, samples), theirs["input"])
-    sent = theirs["input"]
+    np.testing.assert_array_equal(make_input_spikes(spec, samples), expected["input"])
+    sent = expected["input"]
     for layer, block in zip(spec.layers[:2], blocks, strict=True):
         largest = np.abs(layer.weights).max()
         unit = 2 * 64 * 2.0 ** block.compartment.discretize_info["w_exp"]
         integers = replace(layer, weights=np.rint(layer.weights / largest * 127.5) * unit)
         integers = replace(integers, weights=np.clip(integers.weights, -127 * unit, 127 * unit))
         sums = integers.compute_sums(delay_one_step(sent))
-        found = read_equations(block.compartment).compute_spikes(sums)
-        assert found.sum() > 20
-        np.testing.assert_array_equal(found, theirs[layer.name])
-        sent = theirs[layer.name]
+        result = read_equations(block.compartment).compute_spikes(sums)
+        assert result.sum() > 20
+        np.testing.assert_array_equal(result, expected[layer.name])
+        sent = expected[layer.name]

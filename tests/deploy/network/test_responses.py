@@ -118,12 +118,12 @@ def test_a_readout_of_another_scale_decides_alike(factor):
     output = np.random.default_rng(0).normal(size=(20, 30, 10))
     readout = spec.layers[-1]
     scaled = replace(readout, weights=readout.weights * factor, bias=readout.bias * factor)
-    found = compute_responses(
+    result = compute_responses(
         replace(spec, layers=(*spec.layers[:-1], scaled)), output * factor, spikes_of(spec, 20)
     )
     expected = compute_responses(spec, output, spikes_of(spec, 20))
-    np.testing.assert_array_equal(found.decisions, expected.decisions)
-    assert len(set(found.predictions)) > 1
+    np.testing.assert_array_equal(result.decisions, expected.decisions)
+    assert len(set(result.predictions)) > 1
 
 
 def test_what_is_shown_at_each_step():

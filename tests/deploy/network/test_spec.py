@@ -16,9 +16,9 @@ from tests.deploy.networks import conv, paper_spec, readout, small_spec
 
 def assert_same(a, b):
     assert a == b
-    for ours, theirs in zip(a.layers, b.layers, strict=True):
-        np.testing.assert_array_equal(ours.weights, theirs.weights)
-        np.testing.assert_array_equal(ours.bias, theirs.bias)
+    for result, expected in zip(a.layers, b.layers, strict=True):
+        np.testing.assert_array_equal(result.weights, expected.weights)
+        np.testing.assert_array_equal(result.bias, expected.bias)
 
 
 @st.composite

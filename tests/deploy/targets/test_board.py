@@ -78,14 +78,14 @@ def test_every_spike_is_the_emulators(nxsdk, spec):
     else:
         images = spec.stimulus.flatten(random_frames(spec, 7, share=0.3))
     streams = [images[:3], images[3:6], images[6:]]
-    for mine, theirs in zip(
+    for result, expected in zip(
         hardware.run_loihi(spec, streams), run_emulator(spec, streams), strict=True
     ):
-        np.testing.assert_array_equal(mine.spike_hashes, theirs.spike_hashes)
-        np.testing.assert_array_equal(mine.readout, theirs.readout)
-        for name, counts in theirs.spikes.items():
+        np.testing.assert_array_equal(result.spike_hashes, expected.spike_hashes)
+        np.testing.assert_array_equal(result.readout, expected.readout)
+        for name, counts in expected.spikes.items():
             assert counts.any()
-            np.testing.assert_array_equal(mine.spikes[name], counts)
+            np.testing.assert_array_equal(result.spikes[name], counts)
 
 
 def test_a_wrong_weight_shows(nxsdk, bundle, emulated, tmp_path, monkeypatch):

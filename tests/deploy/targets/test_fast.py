@@ -33,10 +33,13 @@ def assert_same(found, expected, atol=1e-9):
     assert found.spike_hashes.tolist() == expected.spike_hashes.tolist()
     np.testing.assert_allclose(found.scores, expected.scores, rtol=1e-12, atol=atol)
     assert np.array_equal(found.decisions, expected.decisions)
-    for mine, theirs in ((found.spikes, expected.spikes), (found.operations, expected.operations)):
-        assert list(mine) == list(theirs)
-        for name, values in theirs.items():
-            assert np.array_equal(mine[name], values), name
+    for result, reference in (
+        (found.spikes, expected.spikes),
+        (found.operations, expected.operations),
+    ):
+        assert list(result) == list(reference)
+        for name, values in reference.items():
+            assert np.array_equal(result[name], values), name
 
 
 @settings(
@@ -60,9 +63,9 @@ def test_answers_are_identical_to_the_emulators_on_random_networks(seed):
                 Emulation(spec)
             reject()
         outputs = run_fast(spec, streams, memory=(1, 32 << 20)[seed % 2])
-        found = answers(spec, outputs, streams)
-    for mine, theirs in zip(found, expected, strict=True):
-        assert_same(mine, theirs)
+        result = answers(spec, outputs, streams)
+    for actual, reference in zip(result, expected, strict=True):
+        assert_same(actual, reference)
     event(f"layers: {[layer.kind for layer in spec.layers]}, {spec.stimulus.kind}")
     event(f"readout: {spec.layers[-1].placement}")
 
@@ -73,9 +76,9 @@ def test_the_papers_network_answers_like_the_emulator():
     spec = replace(spec, layers=(conv1, replace(conv2, block_shape=(3, 5, 24)), output))
     images = images_for(spec, 5)
     streams = [images[:2], images[2:4], images[4:]]
-    found = join_responses(answers(spec, run_fast(spec, streams), streams))
-    assert_same(found, join_responses(answers(spec, run_emulator(spec, streams), streams)))
-    assert all(spikes.all() for spikes in found.spikes.values())
+    result = join_responses(answers(spec, run_fast(spec, streams), streams))
+    assert_same(result, join_responses(answers(spec, run_emulator(spec, streams), streams)))
+    assert all(spikes.all() for spikes in result.spikes.values())
 
 
 def test_a_streams_answer_does_not_depend_on_others_or_on_memory():
@@ -86,8 +89,8 @@ def test_a_streams_answer_does_not_depend_on_others_or_on_memory():
     for memory in (1, 60_000, 32 << 20):
         together = answers(spec, run_fast(spec, iter(streams), memory=memory), streams)
         assert [len(answer.scores) for answer in together] == [2, 2, 3, 1, 1]
-        for mine, theirs in zip(together, alone, strict=True):
-            assert_same(mine, theirs, atol=0)
+        for result, expected in zip(together, alone, strict=True):
+            assert_same(result, expected, atol=0)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -34,8 +34,8 @@ def test_all_targets_read_the_same(spec):
     np.testing.assert_array_equal(fast.decisions, expected.decisions)
     assert list(fast.spike_hashes) == list(expected.spike_hashes)
     for target in ("nengo", "simreal"):
-        found = run_target(spec, images, target)
-        assert found.scores.shape == expected.scores.shape
+        result = run_target(spec, images, target)
+        assert result.scores.shape == expected.scores.shape
     # A spike is read once, with the weights of its step's part.
     last, before = spec.layers[-1], spec.layers[-2].name
     assert (fast.operations["output"] == fast.spikes[before] * last.size).all()

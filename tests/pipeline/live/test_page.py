@@ -193,8 +193,8 @@ def test_everything_but_writing_goes_by_keyboard(page):
     for _ in range(40):
         page.keyboard.press("Tab")
         reached.add(page.evaluate("document.activeElement.id"))
-    wanted = {"clear", "undo", "example-class", "writer"}
-    assert wanted | {f"label-{number}" for number in range(10)} <= reached
+    expected = {"clear", "undo", "example-class", "writer"}
+    assert expected | {f"label-{number}" for number in range(10)} <= reached
     page.locator("body").press("u")
     until(page, "document.querySelector('#saved').textContent === '0'")
     robot.replay(page, digit(1))

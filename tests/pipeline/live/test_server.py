@@ -191,9 +191,9 @@ def test_two_pages_write_two_recordings_that_do_not_mix(server):
     with connect(server) as one, connect(server) as other:
         for page in (one, other):
             read_until(page, "ready")
-        for mine, theirs in zip(stroke(right=1.0), stroke(right=8.0), strict=True):
-            one.send(json.dumps(mine))
-            other.send(json.dumps(theirs))
+        for result, expected in zip(stroke(right=1.0), stroke(right=8.0), strict=True):
+            one.send(json.dumps(result))
+            other.send(json.dumps(expected))
         columns = []
         for page, digit in ((one, 1), (other, 7)):
             page.send(json.dumps({"type": "label", "label": digit}))

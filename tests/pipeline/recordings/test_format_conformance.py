@@ -192,7 +192,7 @@ def test_numbered_taxels_that_no_array_of_events_can_hold():
 
 
 def test_numbered_taxels_have_times_in_nanoseconds():
-    found = make_numbered_recording(np.array([0]), np.array([5]), np.array([1], np.int8), 3)
-    assert found.layout == "numbered"
+    result = make_numbered_recording(np.array([0]), np.array([5]), np.array([1], np.int8), 3)
+    assert result.layout == "numbered"
     with pytest.raises(ValueError, match="nanoseconds"):
-        replace(found, unit="s")
+        replace(result, unit="s")
