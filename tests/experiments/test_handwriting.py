@@ -94,9 +94,9 @@ def test_loyalty_by_hand():
     assert fit._estimate_loyalty(np.array([[10], [10]])) == 1
     # A share q of one's own of two, the rest of either: same way with (1 + q^2) / 2.
     q = 0.6
-    result, other = (1 + q) / 2, (1 - q) / 2
+    habitual, other = (1 + q) / 2, (1 - q) / 2
     many = 100_000
-    usage = np.rint(np.array([[result, other], [other, result]]) * many).astype(int)
+    usage = np.rint(np.array([[habitual, other], [other, habitual]]) * many).astype(int)
     assert fit._estimate_loyalty(usage) == pytest.approx(q, abs=1e-3)
 
 
