@@ -56,7 +56,7 @@ def require_ending(path, ending):
 
 # What Git LFS has in the place of a large file that was not fetched, and the remedy.
 POINTER_START = b"version https://git-lfs.github.com/"
-FETCH_POINTED = "is a pointer of Git LFS and not the file itself; fetch it with 'git lfs pull'"
+POINTER_PROBLEM = "is a pointer of Git LFS and not the file itself; fetch it with 'git lfs pull'"
 
 
 def is_pointer(content: bytes) -> bool:
@@ -65,7 +65,7 @@ def is_pointer(content: bytes) -> bool:
 
 
 # Remedy if a file cannot be written.
-FREE_IT = "check the folder's permissions and the free space"
+WRITE_REMEDY = "check the folder's permissions and the free space"
 
 
 @contextlib.contextmanager
@@ -97,7 +97,7 @@ def replacing(path, mode="wb"):
     if path.exists() and not path.is_file():  # would replace /dev/null
         raise UserError(f"{path}: cannot write (not a file); choose another name")
     try:
-        with reporting_os_errors(path, "cannot write", FREE_IT):
+        with reporting_os_errors(path, "cannot write", WRITE_REMEDY):
             path.parent.mkdir(parents=True, exist_ok=True)
             handle, temporary = tempfile.mkstemp(TEMPORARY, f".{path.name}.", str(path.parent))
             options = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}

@@ -37,7 +37,7 @@ from pipeline.workflow import open_experiment
 
 FOLDS = 3
 # Numbers of recordings of each class to which a network is fitted.
-EACH = (1, 2, 5)
+RECORDINGS_PER_CLASS = (1, 2, 5)
 
 MEASURES = ("before", "after", "others_before", "others_after", "used")
 
@@ -137,14 +137,14 @@ def measure_fits_to_people(spec, others, recordings, draws: int, seed: int):
     for writer in np.unique(recordings.writers[recordings.writers >= 0]):
         own_recordings = recordings.subset(np.flatnonzero(recordings.writers == writer))
         classes = len(recordings.sensor.classes)
-        if np.bincount(own_recordings.labels, minlength=classes).min() <= max(EACH):
+        if np.bincount(own_recordings.labels, minlength=classes).min() <= max(RECORDINGS_PER_CLASS):
             continue
         responses = responder.respond_to(own_recordings)
         copies = responder.respond_to_copies(own_recordings, [seed, int(writer)])
-        results = {count: [] for count in EACH}
+        results = {count: [] for count in RECORDINGS_PER_CLASS}
         for draw in range(draws):
             first, test_indices = split_recordings(own_recordings.labels, [seed, int(writer), draw])
-            for count in EACH:
+            for count in RECORDINGS_PER_CLASS:
                 fitted_indices = first[:, :count].ravel()
                 person = Person(
                     responses[fitted_indices],
@@ -171,11 +171,11 @@ def measure_fits_to_people(spec, others, recordings, draws: int, seed: int):
 
 
 def split_recordings(labels, seed) -> tuple:
-    """Indices of the recordings to fit to, shape (classes, max(EACH)), and of all others."""
+    """Indices of the recordings to fit to, a row for each class, and of all others."""
     rng = np.random.default_rng(seed)
     order = [rng.permutation(np.flatnonzero(labels == label)) for label in np.unique(labels)]
-    first = np.array([of_class[: max(EACH)] for of_class in order])
-    return first, np.concatenate([of_class[max(EACH) :] for of_class in order])
+    first = np.array([of_class[: max(RECORDINGS_PER_CLASS)] for of_class in order])
+    return first, np.concatenate([of_class[max(RECORDINGS_PER_CLASS) :] for of_class in order])
 
 
 def _measure_accuracy(readout, weights, samples):

@@ -34,7 +34,7 @@ from deploy.files import read_json, write_json
 from deploy.tables import align_rows
 from deploy.terminal import show
 from experiments.fidelity import (
-    FEWEST_BITS,
+    MIN_BITS,
     chunk_recordings,
     count_neighbours,
     hold_out,
@@ -53,7 +53,7 @@ from pipeline.simulation.simulate import simulate
 from pipeline.sources import load_recordings
 
 # Recordings of each digit that are needed at least.
-FEWEST_OF_A_DIGIT = 100
+MIN_RECORDINGS_PER_DIGIT = 100
 
 # Simulated recordings of each digit in a step of a fit.
 STEP_SAMPLES = 30
@@ -62,12 +62,12 @@ STEP_SAMPLES = 30
 # variation, which the errors of the paths increase.  Chosen on four fifths of the real training
 # part: a kernel classifier of 1,000 simulated recordings has 0.751 on real ones without the factor,
 # and 0.766 with it.
-MOST_WAYS = 24
-VARIATION = 0.7
+MAX_ALLOGRAPHS = 24
+VARIATION_FACTOR = 0.7
 
 # Strokes of a digit, and its height in taxels; other paths are those of failed recordings.
-MOST_STROKES = 3
-LOWEST = 3.0
+MAX_STROKES = 3
+MIN_HEIGHT_TAXELS = 3.0
 
 # Quantiles of the summaries that are compared.
 QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
@@ -137,7 +137,7 @@ def find_sessions(bits, labels) -> list:
     total = bits.sum((2, 3))
     slimmest = min(range(10), key=lambda digit: (total[labels == digit] > 0).mean())
     total = total[labels == slimmest]
-    alone = count_neighbours(total > FEWEST_BITS) == 0
+    alone = count_neighbours(total > MIN_BITS) == 0
     is_hot = (total >= HOT_BITS) & alone
     share = is_hot.sum(0) / np.maximum(alone.sum(0), 1)
     groups = []
@@ -171,7 +171,7 @@ def measure_hot(bits, hot) -> np.ndarray:
         Mean and standard deviation of the logarithm of the number of bits, and share of rises.
     """
     total = bits.sum((2, 3))
-    is_hot = (total >= HOT_BITS) & (count_neighbours(total > FEWEST_BITS) == 0)
+    is_hot = (total >= HOT_BITS) & (count_neighbours(total > MIN_BITS) == 0)
     logs = np.concatenate([np.log(total[is_hot[:, taxel], taxel]) for taxel in hot])
     rises = sum(bits[is_hot[:, taxel], taxel, 0].sum() for taxel in hot)
     n_bits = sum(total[is_hot[:, taxel], taxel].sum() for taxel in hot)
@@ -208,7 +208,7 @@ def trace_paths(bits, labels) -> list:
     traces = []
     for number, (digit, strokes) in enumerate(zip(labels, find_paths(bits), strict=True)):
         height = np.ptp(np.concatenate(strokes)[:, 0]) if strokes else 0.0
-        if height > LOWEST and len(strokes) <= MOST_STROKES:
+        if height > MIN_HEIGHT_TAXELS and len(strokes) <= MAX_STROKES:
             traces.append(Trace(int(digit), number, tuple(strokes)))
     return traces
 
@@ -219,9 +219,9 @@ def learn_shapes(traces, seed: int, about: dict) -> ShapeModel:
         [Trace(trace.digit, trace.writer, fit_in_box(trace.strokes)) for trace in traces],
         seed,
         about,
-        MOST_WAYS,
+        MAX_ALLOGRAPHS,
     )
-    return shapes.vary(VARIATION)
+    return shapes.vary(VARIATION_FACTOR)
 
 
 def fit_digit_boxes(fit: dict, traces) -> dict:
@@ -365,10 +365,10 @@ def read_target(source: Path, jobs: int) -> tuple:
         raise UserError(f"{source}: its classes are not the ten digits; give recordings of digits")
     recordings, _ = hold_out(recordings)
     counts = np.bincount(recordings.labels, minlength=10)
-    if counts.min() < FEWEST_OF_A_DIGIT:
+    if counts.min() < MIN_RECORDINGS_PER_DIGIT:
         raise UserError(
             f"{source}: {counts.min()} recordings of a {counts.argmin()}; give at least "
-            f"{FEWEST_OF_A_DIGIT} of each digit"
+            f"{MIN_RECORDINGS_PER_DIGIT} of each digit"
         )
     about = {
         "source": recordings.source.name,

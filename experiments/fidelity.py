@@ -30,7 +30,7 @@ RIDGE = 0.03
 POSITIONS = ("row", "column", "height", "width")
 
 # Taxels, rows and columns that have at least this many bits belong to the digit and not to strays.
-FEWEST_BITS = 2
+MIN_BITS = 2
 
 
 def chunk_recordings(recordings: Recordings) -> np.ndarray:
@@ -103,7 +103,7 @@ def summarise_recordings(bits) -> dict:
     last = CHUNKS - 1 - any_bit[..., ::-1].argmax(-1)
     starts = any_bit & ~np.pad(any_bit, ((0, 0), (0, 0), (1, 0)))[..., :-1]
     runs = starts.sum((1, 2))
-    height, width = _measure_largest(total >= FEWEST_BITS)
+    height, width = _measure_largest(total >= MIN_BITS)
     median = [np.median(row[row > 0]) if row.any() else 0.0 for row in total]
     return {
         "bits": n_bits,

@@ -27,23 +27,23 @@ KNOWN_HANDWRITING = {
 }
 
 # Initial maximum for each number of strokes; rare allographs are dissolved.
-MOST_ALLOGRAPHS = 10
+MAX_ALLOGRAPHS = 10
 
 # Minimum of digits and writers for an allograph: fewer would describe individuals.
-LEAST_DIGITS = 15
-LEAST_WRITERS = 3
+MIN_DIGITS = 15
+MIN_WRITERS = 3
 
-MOST_COMPONENTS = 12
+MAX_COMPONENTS = 12
 
 # Share of the variation that is assumed to be a person's, where writers are not known.
 UNKNOWN_SHARE = 0.5
 
 # Share of the variance that an allograph's components explain, within their maximum number.
-EXPLAINED = 0.97
+EXPLAINED_SHARE = 0.97
 
 
 def estimate(
-    traces, seed: int = 0, about: dict | None = None, max_allographs: int = MOST_ALLOGRAPHS
+    traces, seed: int = 0, about: dict | None = None, max_allographs: int = MAX_ALLOGRAPHS
 ) -> ShapeModel:
     """Estimate the model.
 
@@ -178,7 +178,7 @@ def _find_clusters(vectors, writers, seed, max_clusters):
     """
     if not _is_common(np.arange(len(vectors)), writers):
         return []
-    count = min(max_clusters, len(vectors) // LEAST_DIGITS)
+    count = min(max_clusters, len(vectors) // MIN_DIGITS)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # one that becomes empty is dissolved below
         centres, _ = kmeans2(vectors, count, iter=50, minit="++", seed=seed)
@@ -195,7 +195,7 @@ def _find_clusters(vectors, writers, seed, max_clusters):
 
 
 def _is_common(members, writers):
-    return len(members) >= LEAST_DIGITS and len(set(writers[members])) >= LEAST_WRITERS
+    return len(members) >= MIN_DIGITS and len(set(writers[members])) >= MIN_WRITERS
 
 
 def _make_allograph(share, points, vectors, writers):
@@ -203,7 +203,7 @@ def _make_allograph(share, points, vectors, writers):
     _, size, rows = np.linalg.svd(vectors - mean, full_matrices=False)
     rows = rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
     explained = np.cumsum(size**2) / (size**2).sum()
-    count = min(int(np.searchsorted(explained, EXPLAINED)) + 1, MOST_COMPONENTS)
+    count = min(int(np.searchsorted(explained, EXPLAINED_SHARE)) + 1, MAX_COMPONENTS)
     components = rows[:count] * (size[:count, None] / np.sqrt(len(vectors)))
     scores = (vectors - mean) @ rows[:count].T / size[:count] * np.sqrt(len(vectors))
     between, within = _estimate_covariances(scores, writers)

@@ -33,8 +33,8 @@ FULL_REPORTS = 12
 # Standard deviation of the pen's movement in a chunk, in taxels, the largest movement in steps,
 # and the logarithm of the probability of a lift relative to no movement.
 MOVE_SPREAD = 0.6
-FARTHEST_MOVE = 3
-LIFT = -9.0
+MAX_MOVE_STEPS = 3
+LIFT_LOG_PROBABILITY = -9.0
 
 # Stands for the position before a lift.
 LIFTED = -1
@@ -44,15 +44,15 @@ LIFT_TAXELS = 3.0
 LIFT_CHUNKS = 3
 
 # A stroke has at least this number of chunks, and extends over at least this number of taxels.
-SHORTEST_CHUNKS = 4
-SHORTEST_TAXELS = 1.4
+MIN_STROKE_CHUNKS = 4
+MIN_STROKE_TAXELS = 1.4
 
 # Smoothing of a path: of positions in taxels, and of times in chunks.
-NEAR = 1.3
-SMOOTH = 1.2
+NEAR_TAXELS = 1.3
+SMOOTHING_CHUNKS = 1.2
 
 # Recordings whose paths are sought together.
-BATCH = 400
+BATCH_RECORDINGS = 400
 
 ROW = np.arange(N_TAXELS) % GRID
 COLUMN = np.arange(N_TAXELS) // GRID
@@ -72,8 +72,8 @@ def find_paths(bits) -> list:
         For each recording its strokes: (down, right) in taxels, one point a chunk.
     """
     paths = []
-    for first in range(0, len(bits), BATCH):
-        reports = weigh_reports(bits[first : first + BATCH])
+    for first in range(0, len(bits), BATCH_RECORDINGS):
+        reports = weigh_reports(bits[first : first + BATCH_RECORDINGS])
         positions, lifts = seek_positions(reports)
         for path, lift, report in zip(positions, lifts, reports, strict=True):
             strokes = itertools.chain.from_iterable(
@@ -115,7 +115,7 @@ def seek_positions(reports) -> tuple:
     for chunk in range(CHUNKS):
         if chunk:
             likeliest[chunk - 1] = score.reshape(count, -1).argmax(1)
-            lifted = score.max((1, 2), keepdims=True) + LIFT
+            lifted = score.max((1, 2), keepdims=True) + LIFT_LOG_PROBABILITY
             # The cost of a move is that along the rows and that along the columns.
             moved, before = _move_along(score, np.broadcast_to(index, score.shape), 1)
             moved, before = _move_along(moved, before, 2)
@@ -127,7 +127,7 @@ def seek_positions(reports) -> tuple:
 
 def _move_along(score, before, axis):
     """Best scores after a move along an axis, and the positions before it."""
-    reach = range(-FARTHEST_MOVE, FARTHEST_MOVE + 1)
+    reach = range(-MAX_MOVE_STEPS, MAX_MOVE_STEPS + 1)
     best = np.full_like(score, -np.inf)
     origin = before
     for move in reach:
@@ -191,10 +191,12 @@ def smooth_strokes(positions, lifts, reports) -> list:
     for first, end in itertools.pairwise([0, *np.flatnonzero(lifts), CHUNKS]):
         path = positions[first:end]
         squares = ((path[:, None] - taxels) ** 2).sum(-1)
-        weight = np.exp(-squares / (2 * NEAR**2)) * reports[:, first:end].T
+        weight = np.exp(-squares / (2 * NEAR_TAXELS**2)) * reports[:, first:end].T
         prior = 0.3
-        total = gaussian_filter1d(weight.sum(1) + prior, SMOOTH, mode="nearest")
-        mean = gaussian_filter1d(weight @ taxels + prior * path, SMOOTH, axis=0, mode="nearest")
+        total = gaussian_filter1d(weight.sum(1) + prior, SMOOTHING_CHUNKS, mode="nearest")
+        mean = gaussian_filter1d(
+            weight @ taxels + prior * path, SMOOTHING_CHUNKS, axis=0, mode="nearest"
+        )
         strokes.append(mean / total[:, None])
     return strokes
 
@@ -211,6 +213,6 @@ def cut_leaps(stroke) -> list:
 
 
 def _is_stroke(stroke):
-    if len(stroke) < SHORTEST_CHUNKS:
+    if len(stroke) < MIN_STROKE_CHUNKS:
         return False
-    return np.hypot(*np.ptp(stroke, axis=0)) >= SHORTEST_TAXELS
+    return np.hypot(*np.ptp(stroke, axis=0)) >= MIN_STROKE_TAXELS

@@ -38,7 +38,7 @@ TICK_S = 0.0005
 # Samples, and seconds between them, with which processor time is measured: a sensor that is touched
 # nearly all the time.
 LOAD_SAMPLES = 5
-TOUCHING_S = 0.4
+LOAD_PAUSE_S = 0.4
 
 # Time for which a driver that pushes arrays collects events, in nanoseconds.
 BLOCK_NS = 1_000_000
@@ -205,7 +205,7 @@ def measure(bundle, rate: float, samples: int) -> dict:
         latency = played["latency_ms"]
         loads = []
         for load in rates:
-            events = make_events_at(bundle, load, LOAD_SAMPLES, TOUCHING_S)
+            events = make_events_at(bundle, load, LOAD_SAMPLES, LOAD_PAUSE_S)
             loads.append(measure_pushing_at_once(open_stream(), events, one_by_one))
         slope, intercept = np.polyfit(rates, loads, 1)
         highest = float((1 - intercept) / slope) if slope > 0 else np.inf

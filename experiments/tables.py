@@ -13,7 +13,7 @@ from deploy.check.intervals import compute_mcnemar_p, compute_wilson_interval
 from deploy.tables import format_p
 
 # Fewest splits for an interval.
-FEWEST = 3
+MIN_SPLITS = 3
 
 
 def make_table(rows, by=("split", "name"), against=()) -> dict:
@@ -122,12 +122,12 @@ def estimate(values, n_train: float, n_test: float, split: str = "random") -> di
     -------
     dict
         ``mean``; ``sd`` over the splits, 95 % interval ``ci95`` of the mean and two-sided ``p`` of
-        a mean of zero, which are None for fewer splits than :data:`FEWEST`.
+        a mean of zero, which are None for fewer splits than :data:`MIN_SPLITS`.
     """
     values = np.asarray(values, float)
     n = len(values)
     mean = float(values.mean())
-    if n < FEWEST:
+    if n < MIN_SPLITS:
         return {"mean": mean, "sd": None, "ci95": None, "p": None}
     sd = float(values.std(ddof=1))
     overlap = 0.0 if split == "published" else n_test / n_train

@@ -41,7 +41,7 @@ FLOOR = -(2**23) + 1
 WEIGHT_EXPONENTS = 8
 
 # Shares of a layer's largest weight that may become 127; larger weights are clipped.
-CLIPS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+CLIP_SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 
 # Interval in steps at which inputs are sampled for the rounding of weights.
 MOMENT_INTERVAL_STEPS = 4
@@ -287,7 +287,7 @@ def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
         moments = measure_moments(link, inputs)
         if moments is not None:
             moment_choices.append(moments)
-    for clip, moments in itertools.product(CLIPS, moment_choices):
+    for clip, moments in itertools.product(CLIP_SHARES, moment_choices):
         integers = round_to_integers(link, clip, moments, chip)
         error = simulate_spikes(link, spikes, integers, chip).sum(1, dtype=float) - real_counts
         candidates.append((float(np.square(error).mean()), -clip, integers))

@@ -30,8 +30,8 @@ import numpy as np
 from .. import limits
 from ..errors import UserError
 from ..files import (
-    FREE_IT,
     TEMPORARY,
+    WRITE_REMEDY,
     hash_file,
     read_arrays,
     read_json,
@@ -53,7 +53,7 @@ RESULTS = "checks"
 # The file of settings beside the bundle of a run.
 RUN_SETTINGS = "experiment.toml"
 # More bytes than the headers of the arrays of ``checks.npz``.
-HEADERS = 1 << 12
+MAX_HEADER_BYTES = 1 << 12
 _REMEDY = "delete the folder and make it again with 'stmnist convert', or copy it again"
 
 
@@ -162,7 +162,7 @@ def write_bundle(path, spec: NetworkSpec, checks: CheckSet) -> Bundle:
     _require_room(sum(array.nbytes for array in samples.values()), len(checks), spec.stimulus)
     if (wrong := _find_problem(samples, spec)) is not None:
         raise ValueError(f"the samples of the check do not fit the network: {wrong}")
-    with reporting_os_errors(path, "cannot write", FREE_IT):
+    with reporting_os_errors(path, "cannot write", WRITE_REMEDY):
         require_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(TEMPORARY, ".bundle.", str(path.parent)) as temporary:
@@ -224,7 +224,7 @@ def require_room(samples: int, shape: tuple, stimulus: Stimulus):
 
 
 def _require_room(n_bytes, samples, stimulus):
-    if n_bytes > limits.ARRAY_BYTES - HEADERS:
+    if n_bytes > limits.ARRAY_BYTES - MAX_HEADER_BYTES:
         remedy = "fewer check.samples"
         if not stimulus.static:
             remedy += " or presentation.steps, or a larger data.downsample"

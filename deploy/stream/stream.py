@@ -24,7 +24,7 @@ from .touch import NANOSECONDS_PER_MS, Decision, Touch, TouchSteps
 NUMBERS = (int, float, np.number)
 
 # Number of consecutive touches of one event each from which the unit of the times is doubted.
-SINGLE_EVENTS = 5
+SINGLE_EVENT_TOUCHES = 5
 
 
 class Stream:
@@ -454,12 +454,12 @@ class Stream:
     def _warn_of_single_events(self, touch):
         """Warn once if touch after touch has one event, as with times in another unit."""
         self._single_events = self._single_events + 1 if touch.start_ns == touch.last_ns else 0
-        if self._single_events == SINGLE_EVENTS and not self._has_warned_of_unit:
+        if self._single_events == SINGLE_EVENT_TOUCHES and not self._has_warned_of_unit:
             self._has_warned_of_unit = True
             LOG.warning(
                 "stream: %d consecutive touches have one event each; if the times are not in "
                 "%r, give their unit (unit='us')",
-                SINGLE_EVENTS,
+                SINGLE_EVENT_TOUCHES,
                 self._unit,
             )
 

@@ -32,7 +32,7 @@ MAX_MATRIX_WEIGHTS = 20_000_000
 MAX_PIXEL = 255.0
 
 # Activations that do not change which output is the largest.
-MONOTONE = (
+MONOTONE_ACTIVATIONS = (
     *("softmax", "log_softmax", "sigmoid", "tanh", "softplus", "softsign", "elu", "selu"),
     *("exponential", "relu", "leaky_relu"),
 )
@@ -384,4 +384,4 @@ def name_activation(activation) -> str:
 
 
 def is_monotone(activation) -> bool:
-    return name_activation(activation) in MONOTONE
+    return name_activation(activation) in MONOTONE_ACTIVATIONS

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deploy.errors import UserError
-from deploy.files import FETCH_POINTED, POINTER_START, is_pointer
+from deploy.files import POINTER_PROBLEM, POINTER_START, is_pointer
 
 REMEDY = "give a .keras or .h5 file that model.save() wrote"
 
@@ -109,7 +109,7 @@ def _read_config(path):
 
     with path.open("rb") as file:
         if is_pointer(file.read(len(POINTER_START))):
-            raise ModelFileError(FETCH_POINTED)
+            raise ModelFileError(POINTER_PROBLEM)
     if not h5py.is_hdf5(path):
         raise ModelFileError(f"is neither a zip nor an HDF5 file: no Keras model; {REMEDY}")
     _refuse_links(path)

@@ -72,7 +72,7 @@ def convert_layer(converter: LayerConverter, layer: KerasLayer):
     """
     if layer.kind == "InputLayer":
         return
-    if layer.kind in IDLE:
+    if layer.kind in TRAINING_LAYERS:
         converter.notes.append(f"{layer} left out: it only acts in training")
         return
     if layer.kind not in HANDLERS:
@@ -209,7 +209,7 @@ WITH_WINDOWS = (
     *("GlobalAveragePooling2D", "GlobalMaxPooling2D", "ZeroPadding2D"),
 )
 # Layers that only act in training.
-IDLE = (
+TRAINING_LAYERS = (
     *("Dropout", "SpatialDropout2D", "AlphaDropout", "GaussianDropout", "GaussianNoise"),
     *("ActivityRegularization", "RandomFlip", "RandomRotation", "RandomZoom", "RandomContrast"),
     *("RandomTranslation", "RandomBrightness", "Identity"),

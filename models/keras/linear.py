@@ -9,7 +9,7 @@ from models.keras.converter import MAX_PIXEL, NO_CHAIN, LayerConverter
 from models.keras.model import KerasLayer
 
 # The least deviation of Keras's Normalization.
-SMALLEST_DEVIATION = 1e-7
+MIN_DEVIATION = 1e-7
 
 # The scale below which a first Rescaling is for pixels (1/127.5 is the largest in use), and the sum
 # of mean and deviation above which a Normalization is.
@@ -99,7 +99,7 @@ def convert_normalisation(converter: LayerConverter, layer: KerasLayer):
         np.ones(shape) * (values if np.size(values) == 1 else np.reshape(values, shape))
         for values in arrays
     )
-    deviation = np.maximum(np.sqrt(variance), SMALLEST_DEVIATION)
+    deviation = np.maximum(np.sqrt(variance), MIN_DEVIATION)
     _take_pixels(converter, layer, (np.abs(mean) + deviation).max() > MAX_STANDARDISED)
     converter.apply_affine(layer, 1 / deviation, -mean / deviation)
 

@@ -17,7 +17,7 @@ from models.keras.layers import convert_layers
 from models.keras.model import KerasLayer, KerasModel
 
 # Random images on which the architecture is compared with the model.
-N_COMPARED = 8
+COMPARED_IMAGES = 8
 
 # Largest difference to the model's output, as a share of its largest output.
 MAX_DIFFERENCE = 1e-3
@@ -176,11 +176,10 @@ def _compare(model, converted: KerasModel):
     from models.keras.keras2 import quiet_compiler, tf
 
     shape = converted.architecture.input_shape
-    images = np.random.default_rng(0).uniform(0, 1, (N_COMPARED, *shape)).astype(np.float32)
-    inputs = (
-        converted.input_scale * images.reshape(N_COMPARED, -1)[:, converted.input_order.ravel()]
-    )
-    inputs = inputs.reshape(N_COMPARED, *converted.input_order.shape)
+    images = np.random.default_rng(0).uniform(0, 1, (COMPARED_IMAGES, *shape)).astype(np.float32)
+    values = images.reshape(COMPARED_IMAGES, -1)[:, converted.input_order.ravel()]
+    inputs = converted.input_scale * values
+    inputs = inputs.reshape(COMPARED_IMAGES, *converted.input_order.shape)
     # XLA computes convolutions with channels first on a CPU, which TensorFlow does not.
     is_channels_first = '"channels_first"' in model.to_json()
     if is_channels_first:

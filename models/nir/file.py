@@ -10,7 +10,7 @@ import io
 import h5py
 
 from deploy import limits
-from deploy.files import FETCH_POINTED, is_pointer
+from deploy.files import POINTER_PROBLEM, is_pointer
 from models.nir.errors import NirError, quote
 
 # Maximum number of groups within groups of a file.
@@ -27,7 +27,7 @@ def read_tree(content: bytes) -> dict:
         :data:`deploy.limits.ARRAY_BYTES`.
     """
     if is_pointer(content):
-        raise NirError(FETCH_POINTED)
+        raise NirError(POINTER_PROBLEM)
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             tree = _read_group(file["node"])

@@ -18,7 +18,7 @@ from pipeline.sources import load_named_recordings
 from pipeline.storage.run_folder import RunFolder
 
 # Time from an example's last event to its end.
-AFTERWARDS_S = 0.05
+END_MARGIN_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class ReplayedTouch:
         self._all_events = events
         self.time_s = START_S
         last_s = events.time_ns[-1] * 1e-9 if len(events) else START_S
-        self.settled_s = float(last_s) + AFTERWARDS_S
+        self.settled_s = float(last_s) + END_MARGIN_S
 
     @property
     def events(self) -> Events:

@@ -9,7 +9,7 @@ from pipeline.recordings.events import Events, join_events
 from pipeline.simulation.pen import START_S, PenPoint
 
 # Maximum duration of a recording. The published ones last 2 s; some people write more slowly.
-LONGEST_S = 10.0
+MAX_RECORDING_S = 10.0
 
 # Pause in seconds after which a recording has ended: a touch of the pen begins another one.
 PAUSE_S = 1.2
@@ -67,7 +67,7 @@ class OpenRecording:
         self.saved_as = None
         self.verdict = None
         self.output = None
-        self._longest_s = LONGEST_S if example is None else writing.settled_s
+        self._longest_s = MAX_RECORDING_S if example is None else writing.settled_s
         self._begun_ms = begun_ms
         self._now_s = START_S
 

@@ -55,7 +55,7 @@ MAX_PAGES = 8
 MAX_WAITING_MESSAGES = 128
 
 # Name of the QR code of the page's address.
-PICTURE = "qr.svg"
+QR_CODE = "qr.svg"
 
 PAGE = Path(__file__).with_name("page")
 LOOK = Path(__file__).parents[1] / "look.css"
@@ -66,7 +66,7 @@ _KINDS = {
     ".svg": "image/svg+xml",
 }
 # The page for addresses that are not those of the page.
-MISSING = """<!doctype html>
+MISSING_PAGE = """<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -184,7 +184,7 @@ class Live:
         if not self._has_token(request):
             return _refuse_address()
         name = request.path_params.get("name", "index.html")
-        if name == PICTURE and self.picture is not None:
+        if name == QR_CODE and self.picture is not None:
             return Response(self.picture, media_type=_KINDS[".svg"], headers=_HEADERS)
         file = self._files.get(name)
         if file is None:
@@ -317,7 +317,7 @@ async def _send_messages(socket, messages):
 
 def _refuse_address():
     """The page for other addresses than those of the page."""
-    return HTMLResponse(MISSING, 404, headers=_HEADERS)
+    return HTMLResponse(MISSING_PAGE, 404, headers=_HEADERS)
 
 
 def listen(port: int, host: str = HOST) -> socket.socket:

@@ -155,7 +155,7 @@ def test_the_gain_over_people_by_hand():
 def test_what_a_readout_is_fitted_to_is_not_what_it_is_tested_on():
     labels = np.repeat(np.arange(3), 9)
     first, rest = adapt.split_recordings(labels, 0)
-    assert first.shape == (3, max(adapt.EACH))
+    assert first.shape == (3, max(adapt.RECORDINGS_PER_CLASS))
     assert sorted([*first.ravel(), *rest]) == list(range(27))
     assert (labels[first] == np.arange(3)[:, None]).all()
 

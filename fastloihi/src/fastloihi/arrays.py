@@ -17,7 +17,9 @@ ROWS = ("current", "voltage", "input", "bias", "vth")  # of `cells`, by NengoLoi
 COUNTERS = ("ref_count", "spike_count")  # of `counters`
 
 MAX_PROBED_BYTES = 32 << 20  # bytes of probed values in one call of the compiled function
-AT_ONCE = 1 << 28  # updates of compartments in one call: half a second, in which Ctrl-C waits
+MAX_UPDATES_PER_CALL = (
+    1 << 28
+)  # updates of compartments in one call: half a second, in which Ctrl-C waits
 LOG_LINES = 256  # lines of the log of warnings
 
 # Learning parameters of a synapse, in floating point and in integers.
@@ -116,7 +118,9 @@ class EmulatorArrays:
         self._spikes_in = synapses.spikes_in  # of the step before the first
         self.last_spikes = None
         probed_bytes = max(1, 4 * sum(layout.widths))
-        self.at_once = max(1, min(AT_ONCE // max(n, 1000), MAX_PROBED_BYTES // probed_bytes))
+        self.at_once = max(
+            1, min(MAX_UPDATES_PER_CALL // max(n, 1000), MAX_PROBED_BYTES // probed_bytes)
+        )
         self.log = np.zeros((LOG_LINES + 3 * n_rules, 2), np.int64)
         self._types = [dtype, dtype, np.uint8]
         self._empty = [np.zeros((1, 0), kind) for kind in self._types]

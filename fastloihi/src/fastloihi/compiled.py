@@ -51,7 +51,7 @@ WEIGHTS = np.int64(2)
 OVERFLOWS = np.int64(3)
 UNSUPPORTED = -1  # returned instead of a number of steps; no step was run
 
-ROOM = 32767  # the largest sum of 16 bits
+MAX_NARROW_SUM = 32767  # the largest sum of 16 bits
 
 # Bits of an int32 that the synaptic accumulator lacks (21 bits and a sign), and the current (23).
 _SPARE_INPUT_BITS = np.int32(10)
@@ -584,7 +584,7 @@ def advance_integers(  # noqa: C901, PLR0913, PLR0915 - one loop over time, on a
                 continue
             largest = routes[r, LARGEST]
             while first < last:
-                rows = int64(uint64(ROOM - blocks_now[b, SPENT]) // uint64(largest))
+                rows = int64(uint64(MAX_NARROW_SUM - blocks_now[b, SPENT]) // uint64(largest))
                 if rows == 0:
                     _move_sums(blocks[b], blocks_now[b], sums, total)
                     continue

@@ -25,7 +25,7 @@ from nengo_loihi.inputs import SpikeInput
 
 KEYS = ("current", "voltage", "spiked")  # of probes; the compiled functions have their indices
 LANES = 16  # narrow runs are padded to multiples: vectors of 256 bits
-LARGEST_NARROW = 4095  # a sum of 16 bits has room for at least eight rows
+MAX_NARROW_WEIGHT = 4095  # a sum of 16 bits has room for at least eight rows
 
 
 class Unsupported(Exception):
@@ -194,7 +194,7 @@ class _Pools:
             self.is_wide.append(False)
             for rows in items:
                 synapse = rows.synapse
-                narrow = rows in fixed and rows.largest >> shift <= LARGEST_NARROW
+                narrow = rows in fixed and rows.largest >> shift <= MAX_NARROW_WEIGHT
                 self.narrow[synapse] = narrow
                 self.largest[synapse] = max(1, rows.largest >> shift) if narrow else 1
                 self.is_wide[-1] |= not narrow

@@ -9,7 +9,7 @@ and checks them; ``t_s``, ``t_ms`` and others name the unit of the times.
 
 from pathlib import PurePosixPath
 
-from deploy.files import FETCH_POINTED, is_pointer
+from deploy.files import POINTER_PROBLEM, is_pointer
 from pipeline.recordings.formats import atis, camera, csv, hdf5
 from pipeline.recordings.formats.mat import read_mat
 from pipeline.recordings.formats.npz import read_npy, read_npz
@@ -44,7 +44,7 @@ def read_file(content: bytes, name: str):
     if not content:
         raise BadRecording("is an empty file")
     if is_pointer(content):
-        raise BadRecording(FETCH_POINTED)
+        raise BadRecording(POINTER_PROBLEM)
     ending = PurePosixPath(name).suffix.lower()
     if ending not in READERS:
         raise BadRecording(

@@ -11,7 +11,7 @@ import pytest
 from pipeline.live.examples import Example
 from pipeline.live.keeping import Keeper
 from pipeline.live.messages import BadMessage
-from pipeline.live.recording import LONGEST_S, PAUSE_S
+from pipeline.live.recording import MAX_RECORDING_S, PAUSE_S
 from pipeline.live.session import Session
 from pipeline.recordings.events import Events
 from pipeline.recordings.formats.mat import read_recording
@@ -141,12 +141,12 @@ def test_a_pause_begins_another_recording_and_a_short_one_does_not(session):
 
 
 def test_a_recording_ends_and_the_next_stroke_begins_another(session, keeper):
-    replies = written(session, seconds=LONGEST_S + 2, per_message=10)
+    replies = written(session, seconds=MAX_RECORDING_S + 2, per_message=10)
     assert of(replies, "events")[-1]["over"]
     say(session, {"type": "label", "label": 1})
     read = read_recording(next(keeper.folder.rglob("w*.mat")).read_bytes())
-    assert read.events.time_ns[-1] < LONGEST_S * 1e9
-    replies = written(session, start_ms=1000.0 * (LONGEST_S + 4))
+    assert read.events.time_ns[-1] < MAX_RECORDING_S * 1e9
+    replies = written(session, start_ms=1000.0 * (MAX_RECORDING_S + 4))
     assert of(replies, "cleared")
     assert say(session, {"type": "label", "label": 2})[1]["type"] == "saved"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy import limits
-from deploy.check.bundle import HEADERS
+from deploy.check.bundle import MAX_HEADER_BYTES
 from deploy.errors import UserError
 from pipeline.recordings.dataset import make_dataset_origin, make_inputs
 from pipeline.recordings.images import make_tactile_images
@@ -101,11 +101,11 @@ def test_a_check_that_is_too_large_for_a_bundle_is_refused_before_the_training(
         {"input": {"kind": kind}, "presentation": {"steps": 50}, "check": {"samples": 5}}
     )
     run = RunFolder(tmp_path)
-    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one - 1)
+    monkeypatch.setattr(limits, "ARRAY_BYTES", MAX_HEADER_BYTES + 5 * one - 1)
     with pytest.raises(UserError, match=r"5 samples .* check\.samples"):
         open_run(run, settings)
     assert not run.experiment.exists()
-    monkeypatch.setattr(limits, "ARRAY_BYTES", HEADERS + 5 * one)
+    monkeypatch.setattr(limits, "ARRAY_BYTES", MAX_HEADER_BYTES + 5 * one)
     open_run(run, settings)
 
 
