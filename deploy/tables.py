@@ -28,10 +28,12 @@ def align_rows(rows: Sequence[Sequence[str]], left: int = 1) -> List[str]:
 
 
 # Maximum width of a table in characters.
-WIDTH = 80
+MAX_LINE_WIDTH = 80
 
 
-def align_in_blocks(rows: Sequence[Sequence[str]], left: int = 1, width: int = WIDTH) -> List[str]:
+def align_in_blocks(
+    rows: Sequence[Sequence[str]], left: int = 1, width: int = MAX_LINE_WIDTH
+) -> List[str]:
     """Align a table as :func:`align_rows` does, and divide a wide one into blocks of columns.
 
     Each block begins with the columns that are flush left; blocks are separated by an empty line.

@@ -34,13 +34,13 @@ from ..network.spec import NetworkSpec, get_spec
 from ..tables import align_rows
 
 # Joules (Davies et al. 2018).
-CHIP = {
+CHIP_JOULES = {
     "synaptic operation": LOIHI.synaptic_operation_joules,
     "neuron update": LOIHI.neuron_update_joules,
 }
 
 # Joules per multiply-accumulate and per neuron (Degnan et al. 2016).
-MAC = {"cpu": 8.6e-9, "gpu": 0.3e-9}
+MAC_JOULES = {"cpu": 8.6e-9, "gpu": 0.3e-9}
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,13 @@ class LayerEstimate:
     def chip_joules(self) -> float:
         """Energy of the layer on the chip."""
         return (
-            self.synaptic_operations * CHIP["synaptic operation"]
-            + self.neuron_updates * CHIP["neuron update"]
+            self.synaptic_operations * CHIP_JOULES["synaptic operation"]
+            + self.neuron_updates * CHIP_JOULES["neuron update"]
         )
 
     def estimate_cnn_joules(self, device: str) -> float:
         """Energy of the CNN's layer on ``"cpu"`` or ``"gpu"``."""
-        return (self.multiply_accumulates + self.neurons) * MAC[device]
+        return (self.multiply_accumulates + self.neurons) * MAC_JOULES[device]
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class EnergyEstimate:
     @property
     def share_of_updates(self) -> float:
         """Share of the chip's energy for neuron updates; the others are synaptic operations."""
-        return self.neuron_updates * CHIP["neuron update"] / self.chip_joules
+        return self.neuron_updates * CHIP_JOULES["neuron update"] / self.chip_joules
 
     def estimate_cnn_joules(self, device: str) -> float:
         """Energy of the whole CNN."""
@@ -123,11 +123,11 @@ class EnergyEstimate:
             "estimate": True,
             "joules_per_inference": {
                 "loihi": self.chip_joules,
-                **{f"cnn_{device}": self.estimate_cnn_joules(device) for device in MAC},
+                **{f"cnn_{device}": self.estimate_cnn_joules(device) for device in MAC_JOULES},
             },
             "joules_per_operation": {
-                "loihi": CHIP,
-                **{f"cnn_{device}": value for device, value in MAC.items()},
+                "loihi": CHIP_JOULES,
+                **{f"cnn_{device}": value for device, value in MAC_JOULES.items()},
             },
             "operations_per_inference": {
                 "synaptic operation": self.synaptic_operations,
@@ -146,7 +146,7 @@ def _make_layer_json(layer) -> dict:
     return {
         **asdict(layer),
         "chip_joules": layer.chip_joules,
-        **{f"cnn_{device}_joules": layer.estimate_cnn_joules(device) for device in MAC},
+        **{f"cnn_{device}_joules": layer.estimate_cnn_joules(device) for device in MAC_JOULES},
     }
 
 
@@ -194,7 +194,7 @@ def _list_values(estimate: Union[LayerEstimate, EnergyEstimate]) -> List[str]:
         f"{estimate.synaptic_operations:.0f}",
         f"{estimate.neuron_updates:.0f}",
         format_joules(estimate.chip_joules),
-        *(format_joules(estimate.estimate_cnn_joules(device)) for device in MAC),
+        *(format_joules(estimate.estimate_cnn_joules(device)) for device in MAC_JOULES),
     ]
 
 
