@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from deploy import __version__
 from deploy.check.bundle import Bundle
-from deploy.check.energy import MAC, estimate_energy, format_joules
+from deploy.check.energy import MAC_JOULES, estimate_energy, format_joules
 from deploy.check.intervals import compute_wilson_interval
 from deploy.check.results import compare_results
 from deploy.network.provenance import read_positions
@@ -526,5 +526,5 @@ def _format_energy(estimate):
     return {
         "loihi": format_joules(estimate.chip_joules),
         "share_of_updates": estimate.share_of_updates,
-        **{device: format_joules(estimate.estimate_cnn_joules(device)) for device in MAC},
+        **{device: format_joules(estimate.estimate_cnn_joules(device)) for device in MAC_JOULES},
     }

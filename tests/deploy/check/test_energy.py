@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.check.energy import CHIP, MAC, estimate_energy, format_estimate
+from deploy.check.energy import CHIP_JOULES, MAC_JOULES, estimate_energy, format_estimate
 from deploy.check.run import run_check
 from deploy.check.text import format_result
 from deploy.errors import UserError
@@ -90,8 +90,8 @@ def test_constants_and_cnn_are_those_of_keras_spiking():
     keras_spiking = pytest.importorskip("keras_spiking")
 
     devices = keras_spiking.ModelEnergy.devices
-    assert devices["loihi"]["energy_per_synop"] == pytest.approx(CHIP["synaptic operation"])
-    assert devices["loihi"]["energy_per_neuron"] == pytest.approx(CHIP["neuron update"])
+    assert devices["loihi"]["energy_per_synop"] == pytest.approx(CHIP_JOULES["synaptic operation"])
+    assert devices["loihi"]["energy_per_neuron"] == pytest.approx(CHIP_JOULES["neuron update"])
     layers = tf.keras.layers
     cnn = tf.keras.Sequential(
         [
@@ -104,5 +104,5 @@ def test_constants_and_cnn_are_those_of_keras_spiking():
     spec = paper_spec()
     value = estimate_energy(spec, counted(spec))
     energy = keras_spiking.ModelEnergy(cnn)
-    for device in MAC:
+    for device in MAC_JOULES:
         assert energy.total_energy(device) == pytest.approx(value.estimate_cnn_joules(device))
