@@ -7,7 +7,7 @@ makes the deployed network of any of them:
 =======================================  =========================================================
 :func:`from_rates`                       a network trained on images with rate-based neurons
 :func:`models.integers.from_integers`    a network trained on events in the chip's integers
-:func:`models.nir.chain.from_nir`        a NIR graph; :func:`models.integers.round_chain` rounds it
+:func:`models.nir.chain.from_nir`        a NIR graph; :func:`models.rounding.round_chain` rounds it
 =======================================  =========================================================
 
 A user's Keras model becomes an architecture and weights (:mod:`models.keras.reader`), from which
@@ -260,7 +260,7 @@ def build_network_spec(
     Parameters
     ----------
     chain : sequence of Link
-        Neurons are in seconds; see :func:`models.integers.round_chain` for others.
+        Neurons are in seconds; see :func:`models.rounding.round_chain` for others.
     stimulus : Stimulus
     presentation : Presentation
     provenance : dict, optional

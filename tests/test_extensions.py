@@ -18,7 +18,7 @@ from deploy.targets.options import Options, option
 from deploy.targets.registry import TARGETS, Target, list_options, run_target, select_options
 from models import ops
 from models.chain import Link, NeuronDecays
-from models.integers import choose_integers, simulate_spikes
+from models.rounding import choose_integers, simulate_spikes
 from pipeline import workflow
 from pipeline.kinds import registry
 from pipeline.kinds.architectures import make_untrained_network

@@ -15,7 +15,7 @@ integers ``cut`` rounds toward zero, and the shares that remain, keep_u and keep
 
 :func:`run_reference` is a whole target of these equations in real numbers.  The chip's integers are
 those that NengoLoihi's builder makes (``builder/discretize.py``); :func:`read_equations` takes them
-from there, and :mod:`models.integers` chooses them.
+from there, and :mod:`models.rounding` chooses them.
 """
 
 from __future__ import annotations

@@ -19,13 +19,7 @@ import numpy as np
 
 from deploy.network.chip import LOIHI
 from models.architecture import Architecture
-from models.integers import (
-    BIAS_MANTISSA,
-    DECAY_UNIT,
-    MAX_THRESHOLD,
-    THRESHOLD_UNIT,
-    WEIGHT_UNIT,
-)
+from models.integers import BIAS_MANTISSA, DECAY_UNIT, MAX_THRESHOLD, THRESHOLD_UNIT, WEIGHT_UNIT
 from models.spiking import compiled
 from models.spiking.network import BIAS_CAP, BIAS_EXPONENTS, OUTPUT_SCALE, Neuron
 

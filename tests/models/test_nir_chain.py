@@ -8,18 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.errors import UserError
-from models.integers import (
+from models.nir.chain import from_nir
+from models.nir.equations import METHODS
+from models.nir.errors import NirError
+from models.nir.graph import read_nir
+from models.nir.simulator import simulate
+from models.rounding import (
     choose_integers,
     compute_currents,
     measure_moments,
     round_to_integers,
     simulate_spikes,
 )
-from models.nir.chain import from_nir
-from models.nir.equations import METHODS
-from models.nir.errors import NirError
-from models.nir.graph import read_nir
-from models.nir.simulator import simulate
 from tests.models.nir_graphs import Graph, affine, conv, cuba_lif, lif, network_of, spikes, tree_of
 
 

@@ -12,9 +12,9 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Stimulus
 from deploy.terminal import WARNING
 from models import chain
-from models.integers import FLOOR, round_chain, round_to_integers
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
+from models.rounding import FLOOR, round_chain, round_to_integers
 from pipeline.kinds.nir.importing import Stepping
 from pipeline.settings import Settings
 

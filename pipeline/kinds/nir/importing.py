@@ -9,9 +9,9 @@ from pathlib import Path
 from deploy.errors import UserError
 from deploy.files import hash_file
 from deploy.network.chip import LOIHI
-from models.integers import round_to_integers
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork, read_nir
+from models.rounding import round_to_integers
 from pipeline.kinds.architectures import suggest_sensor_size
 from pipeline.kinds.imported import find_imported_file, is_file
 from pipeline.recordings.dataset import Dataset

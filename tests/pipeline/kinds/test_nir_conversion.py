@@ -15,10 +15,10 @@ from deploy.network.presentation import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
-from models.integers import choose_integers, round_to_integers, simulate_spikes
 from models.nir.chain import from_nir
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
+from models.rounding import choose_integers, round_to_integers, simulate_spikes
 from pipeline.kinds.nir.conversion import make_nir_spec
 from pipeline.kinds.nir.importing import Stepping, make_nir_settings, require_fit
 from pipeline.kinds.nir.simulation import make_graph_inputs
