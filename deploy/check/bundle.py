@@ -355,7 +355,7 @@ def make_zipapp() -> bytes:
     """This package and fastloihi as a zipapp; the bytes are the same for the same source files."""
     main = 'import runpy\n\nrunpy.run_module("deploy", run_name="__main__")\n'
     members = {"__main__.py": main.encode()}
-    # Found and not imported, because `network.loihi_import` imports it without TensorFlow.
+    # It is found and not imported, because `network.loihi_import` imports it without TensorFlow.
     emulator = find_spec("fastloihi")
     assert emulator is not None  # this package depends on it
     assert emulator.origin is not None  # it has an __init__.py
