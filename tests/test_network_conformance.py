@@ -102,7 +102,8 @@ SIMULATORS = [target for target in TARGETS.values() if not target.hardware]
 
 @pytest.mark.parametrize("target", [REFERENCE, *SIMULATORS], ids=lambda target: target.name)
 def test_targets_conform(target):
-    assert_target_conforms(target)
+    # The neurons of Nengo's reference simulator are not the chip's.
+    assert_target_conforms(target, computes_network=target.name != "nengo")
 
 
 def test_a_target_without_the_network_conforms_in_its_form():

@@ -37,11 +37,11 @@ def state_of(emulator):
     return state
 
 
-def assert_same(expected, found, where=""):
+def assert_same(expected, actual, where=""):
     """Two states, bit for bit."""
-    assert expected.keys() == found.keys()
+    assert expected.keys() == actual.keys()
     for name, value in expected.items():
-        other = found[name]
+        other = actual[name]
         assert value.dtype == other.dtype, f"{where}: {name}: {value.dtype}, {other.dtype}"
         assert value.shape == other.shape, f"{where}: {name}: {value.shape}, {other.shape}"
         equal_nan = value.dtype.kind == "f"
@@ -64,8 +64,8 @@ class Outcome(collections.namedtuple("Outcome", "warnings error")):
                 call()
             except Exception as caught:
                 error = caught
-        said = [(str(w.message), w.category, w.filename) for w in record]
-        return cls(said, error)
+        messages = [(str(w.message), w.category, w.filename) for w in record]
+        return cls(messages, error)
 
     def __eq__(self, other):
         words = type(self.error), str(self.error)
@@ -75,7 +75,7 @@ class Outcome(collections.namedtuple("Outcome", "warnings error")):
 class Both(EmulatorInterface):
     """NengoLoihi's emulator, with the fast one beside it and compared after every call.
 
-    In the place of NengoLoihi's class, for tests that are not ours.  Both read one model: what one
+    In place of NengoLoihi's class, for tests that are not ours.  Both read one model: what one
     of them changes there, spikes of inputs and weights that are learned, is kept for each.
     """
 
@@ -93,13 +93,13 @@ class Both(EmulatorInterface):
         self._give(plain)
 
     def _give(self, weights):
-        for synapse, own in zip(self.synapses.traces, weights):
-            synapse.weights[:] = own
+        for synapse, values in zip(self.synapses.traces, weights):
+            synapse.weights[:] = values
 
     def host2chip(self, spikes, errors):
         super().host2chip(spikes, errors)
-        for synapse, its in self.fast.synapses.pes_errors.items():
-            its[...] = self.synapses.pes_errors[synapse]
+        for synapse, errors in self.fast.synapses.pes_errors.items():
+            errors[...] = self.synapses.pes_errors[synapse]
 
     def run_steps(self, steps):
         for n in [1] * steps if self.each_step else [steps]:
@@ -112,7 +112,7 @@ class Both(EmulatorInterface):
         spikes = [dict(item.spikes) for item in self.inputs]
         plain = [list(synapse.weights) for synapse in self.synapses.traces]
         self._give(self._fast_weights)
-        found = Outcome.of(lambda: self.fast.run_steps(steps))
+        actual = Outcome.of(lambda: self.fast.run_steps(steps))
         state = state_of(self.fast)
         self._fast_weights = [list(synapse.weights) for synapse in self.synapses.traces]
         self._give(plain)
@@ -120,7 +120,7 @@ class Both(EmulatorInterface):
             item.spikes = before
         count = int(self.compartment.spike_count.sum())
         expected = Outcome.of(lambda: [EmulatorInterface.step(self) for _ in range(steps)])
-        assert expected == found, f"{expected} {found}"
+        assert expected == actual, f"{expected} {actual}"
         assert_same(state_of(self), state, f"after step {self.t}")
         Both.tally["steps"] += steps
         Both.tally["compartment steps"] += steps * self.block_info.n_compartments
@@ -131,10 +131,13 @@ class Both(EmulatorInterface):
             raise expected.error
 
     def collect_probe_output(self, probe):
-        mine, its = super().collect_probe_output(probe), self.fast.collect_probe_output(probe)
-        assert mine.dtype == its.dtype, probe.key
-        assert np.array_equal(mine, its, equal_nan=True), probe.key
-        return mine
+        expected, actual = (
+            super().collect_probe_output(probe),
+            self.fast.collect_probe_output(probe),
+        )
+        assert expected.dtype == actual.dtype, probe.key
+        assert np.array_equal(expected, actual, equal_nan=True), probe.key
+        return expected
 
     def chip2host(self, probes_receivers):
         super().chip2host(probes_receivers)

@@ -51,26 +51,26 @@ class Parts:
         """What is changed after discretising."""
 
 
-def after(change):
+def after_discretising(change):
     """A change that is made after discretising."""
     return lambda parts: setattr(parts, "finish", lambda: change(parts))
 
 
-def as_it_is(part):
+def change_nothing(part):
     """No change."""
 
 
-def together(*changes):
+def combine(*changes):
     """Several changes, one after the other."""
 
     def change(parts):
-        for one in changes:
-            one(parts)
+        for change_part in changes:
+            change_part(parts)
 
     return change
 
 
-def given(part, **values):
+def with_attributes(part, **values):
     """Other attributes of a part."""
 
     def change(parts):
@@ -80,44 +80,44 @@ def given(part, **values):
     return change
 
 
-def mapped(axons, atoms=None):
+def with_axons(axons, atoms=None):
     """Other axons and atoms of the neurons."""
     return lambda parts: parts.axon.set_compartment_axon_map(axons, atoms=atoms)
 
 
-def each(name, change):
+def with_each(name, change):
     """Other arrays of weights or indices, each made from what it was."""
 
     def changed(parts):
         arrays = getattr(parts.synapse, name)
         arrays[:] = map(change, arrays)
 
-    return after(changed)
+    return after_discretising(changed)
 
 
-def noisy(parts):
+def enable_noise(parts):
     parts.compartment.enable_noise[:] = True
 
 
-def noise(**values):
-    return after(together(noisy, given("compartment", **values)))
+def with_noise(**values):
+    return after_discretising(combine(enable_noise, with_attributes("compartment", **values)))
 
 
-def floating(parts):
+def stay_floating(parts):
     parts.discretized = False
 
 
-def learns(parts):
+def start_learning(parts):
     parts.synapse.set_learning(tracing_mag=20.0)
 
 
-def learning_with(**values):
-    return together(learns, after(given("synapse", **values)))
+def with_learning(**values):
+    return combine(start_learning, after_discretising(with_attributes("synapse", **values)))
 
 
-def probed(**what):
+def with_probe(**attributes):
     def change(parts):
-        parts.probe = LoihiProbe(target=[parts.block], **what)
+        parts.probe = LoihiProbe(target=[parts.block], **attributes)
 
     return change
 
@@ -127,8 +127,8 @@ def odd_block_that_learns(parts):
     parts.block.compartment.configure_lif()
     parts.synapse.set_weights(np.ones((N, N + 1)))
     parts.block.add_synapse(parts.synapse)
-    probed(key="voltage")(parts)
-    learns(parts)
+    with_probe(key="voltage")(parts)
+    start_learning(parts)
 
 
 def weights_of_other_shapes(parts):
@@ -156,15 +156,15 @@ class Doubled(SpikeInput):
         return np.repeat(super().spike_idxs(ti), 2)
 
 
-def made(kind, change):
+def make_emulator(kind, change):
     parts = Parts()
     change(parts)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        made = parts.emulator(kind)
-    return made, sum(issubclass(w.category, NotAccelerated) for w in said)
+        emulator = parts.emulator(kind)
+    return emulator, sum(issubclass(w.category, NotAccelerated) for w in caught)
 
 
-def pair(change=as_it_is):
+def make_both(change=change_nothing):
     """NengoLoihi's emulator of a changed model, and the fast one."""
-    return [made(kind, change)[0] for kind in (EmulatorInterface, FastEmulator)]
+    return [make_emulator(kind, change)[0] for kind in (EmulatorInterface, FastEmulator)]

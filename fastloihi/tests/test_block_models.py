@@ -51,7 +51,7 @@ def two_emulators(seed):
 
 def run_both(plain, fast, seed, each_step, n_calls=3):
     """All calls of a seed; whether one ended with an error, and what was warned of."""
-    said = set()
+    messages = set()
     for spikes, errors, steps in random_calls(plain, seed, n_calls):
         for emulator in (plain, fast):
             with warnings.catch_warnings():
@@ -59,27 +59,27 @@ def run_both(plain, fast, seed, each_step, n_calls=3):
                 feed(emulator, spikes, errors, emulator.t + 1)
         for n in [1] * steps if each_step else [steps]:
             expected = Outcome.of(lambda n=n: plain.run_steps(n))
-            found = Outcome.of(lambda n=n: fast.run_steps(n))
-            assert expected == found, f"step {plain.t}: {expected}, {found}"
+            actual = Outcome.of(lambda n=n: fast.run_steps(n))
+            assert expected == actual, f"step {plain.t}: {expected}, {actual}"
             assert_same(state_of(plain), state_of(fast), f"after step {plain.t}")
-            said |= {message for message, *_ in expected.warnings}
+            messages |= {message for message, *_ in expected.warnings}
             if expected.error is not None:
-                return True, said
+                return True, messages
     probes = zip(plain.probes.probes, fast.probes.probes)
-    for mine, its in probes:
-        expected, found = plain.collect_probe_output(mine), fast.collect_probe_output(its)
-        assert expected.dtype == found.dtype
-        assert np.array_equal(expected, found, equal_nan=True)
-    return False, said
+    for probe, fast_probe in probes:
+        expected, actual = plain.collect_probe_output(probe), fast.collect_probe_output(fast_probe)
+        assert expected.dtype == actual.dtype
+        assert np.array_equal(expected, actual, equal_nan=True)
+    return False, messages
 
 
 @settings(max_examples=20, **PROFILE)
 @given(seed=SEEDS)
 def test_every_step_is_that_of_the_emulator(seed):
     emulators = two_emulators(seed) or reject()
-    _, said = run_both(*emulators, seed, each_step=True)
+    _, messages = run_both(*emulators, seed, each_step=True)
     event(f"dtype: {emulators[0].compartment.dtype}")
-    for message in said:
+    for message in messages:
         event(message)
 
 
@@ -172,10 +172,12 @@ def test_more_warnings_than_the_log_holds_are_all_given():
 def test_a_call_is_cut_where_it_would_take_too_much_memory(monkeypatch):
     plain, fast = two_emulators(5)
     fast._arrays.at_once = 7
-    run, seen = fast._arrays.run, []
-    monkeypatch.setattr(fast._arrays, "run", lambda *given: seen.append(given[1]) or run(*given))
+    run, steps_at_once = fast._arrays.run, []
+    monkeypatch.setattr(
+        fast._arrays, "run", lambda *values: steps_at_once.append(values[1]) or run(*values)
+    )
     run_both(plain, fast, 5, each_step=False)
-    assert max(seen) == 7
+    assert max(steps_at_once) == 7
 
 
 @pytest.mark.parametrize("seed", [2, 3, 5, 8, 11, 19, 20, 24, 27, 40, 48, 55])

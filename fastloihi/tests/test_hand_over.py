@@ -16,65 +16,72 @@ from parts import (
     N,
     Shifted,
     Twice,
-    after,
-    as_it_is,
-    each,
-    floating,
-    given,
-    learning_with,
-    learns,
-    made,
-    mapped,
-    noise,
+    after_discretising,
+    change_nothing,
+    combine,
+    make_both,
+    make_emulator,
     odd_block_that_learns,
     one_weight,
-    pair,
-    probed,
-    together,
+    start_learning,
+    stay_floating,
     weights_of_other_shapes,
+    with_attributes,
+    with_axons,
+    with_each,
+    with_learning,
+    with_noise,
+    with_probe,
 )
 
 from fastloihi import FastEmulator, NotAccelerated, emulator
 
 ONE_TO_ONE = np.arange(N)
 AT_ONCE = {
-    "axon beyond its synapse": mapped(np.array([0, 1, 2, 3, 4, 9])),
-    "weights beyond the list": given("synapse", axon_to_weight_map={i: i for i in range(N - 1)}),
-    "atom that is not there": mapped(ONE_TO_ONE, np.array([0, 1, 0, 0, 0, 0])),
-    "compartment that is not there": after(lambda p: p.synapse.indices[5].__iadd__(1)),
-    "sparse weights that learn": together(
-        lambda p: p.synapse.set_weights(scipy.sparse.csr_matrix(np.eye(N))), learns
+    "axon beyond its synapse": with_axons(np.array([0, 1, 2, 3, 4, 9])),
+    "weights beyond the list": with_attributes(
+        "synapse", axon_to_weight_map={i: i for i in range(N - 1)}
+    ),
+    "atom that is not there": with_axons(ONE_TO_ONE, np.array([0, 1, 0, 0, 0, 0])),
+    "compartment that is not there": after_discretising(lambda p: p.synapse.indices[5].__iadd__(1)),
+    "sparse weights that learn": combine(
+        lambda p: p.synapse.set_weights(scipy.sparse.csr_matrix(np.eye(N))), start_learning
     ),
     "odd block that learns": odd_block_that_learns,
-    "shifts beyond 32 bits": together(learns, after(lambda p: p.synapse.format(weight_exp=-20))),
-    "weights of 64 bits": each("weights", np.int64),
-    "lowest voltage of 32 bits": after(
-        together(given("compartment", vmin=-(2**31)), lambda p: p.compartment.bias.fill(-(2**23)))
+    "shifts beyond 32 bits": combine(
+        start_learning, after_discretising(lambda p: p.synapse.format(weight_exp=-20))
     ),
-    "decay beyond 12 bits": after(lambda p: p.compartment.decay_v.__iadd__(4096)),
-    "learning rate beyond 32 bits": learning_with(_lr_int=2**31),
+    "weights of 64 bits": with_each("weights", np.int64),
+    "lowest voltage of 32 bits": after_discretising(
+        combine(
+            with_attributes("compartment", vmin=-(2**31)),
+            lambda p: p.compartment.bias.fill(-(2**23)),
+        )
+    ),
+    "decay beyond 12 bits": after_discretising(lambda p: p.compartment.decay_v.__iadd__(4096)),
+    "learning rate beyond 32 bits": with_learning(_lr_int=2**31),
     # It has no weights, and so only the trace would notice.
-    "trace of an axon that is not there": together(
-        given("synapse", axon_compartment_bases=[0] * N + [-1]),
-        learns,
-        mapped(np.array([0, 1, 2, 3, 4, N])),
+    "trace of an axon that is not there": combine(
+        with_attributes("synapse", axon_compartment_bases=[0] * N + [-1]),
+        start_learning,
+        with_axons(np.array([0, 1, 2, 3, 4, N])),
     ),
-    "one weight for several compartments": after(one_weight),
-    "axon of another class": given("axon", __class__=Twice),
-    "synapse of another class": given("synapse", __class__=Shifted),
-    "noise beyond 32 bits": noise(noise_exp=23, noise_offset=3000),
-    "probe of something else": probed(key="spike_count"),
-    "probe of one number": probed(key="voltage", slice=[2]),
-    "input of another class": given("input", __class__=Doubled),
-    "map that is a list": mapped(list(range(N))),
-    "indices of 8 bits": each("indices", np.uint8),  # to which a base is added in 8 bits
-    "weights of other shapes than their indices": after(weights_of_other_shapes),
-    "trace of no time": learning_with(tracing_tau=0),
-    "learning rate of 64 bits": learning_with(_lr_int=np.int64(2**28)),
-    "learning in floating point with a rate for each weight": together(
-        floating, learning_with(learning_rate=np.ones(N, np.float32))
+    "one weight for several compartments": after_discretising(one_weight),
+    "axon of another class": with_attributes("axon", __class__=Twice),
+    "synapse of another class": with_attributes("synapse", __class__=Shifted),
+    "noise beyond 32 bits": with_noise(noise_exp=23, noise_offset=3000),
+    "probe of something else": with_probe(key="spike_count"),
+    "probe of one number": with_probe(key="voltage", slice=[2]),
+    "input of another class": with_attributes("input", __class__=Doubled),
+    "map that is a list": with_axons(list(range(N))),
+    "indices of 8 bits": with_each("indices", np.uint8),  # to which a base is added in 8 bits
+    "weights of other shapes than their indices": after_discretising(weights_of_other_shapes),
+    "trace of no time": with_learning(tracing_tau=0),
+    "learning rate of 64 bits": with_learning(_lr_int=np.int64(2**28)),
+    "learning in floating point with a rate for each weight": combine(
+        stay_floating, with_learning(learning_rate=np.ones(N, np.float32))
     ),
-    "probe of a compartment that is not there": probed(key="voltage", slice=[[2, N]]),
+    "probe of a compartment that is not there": with_probe(key="voltage", slice=[[2, N]]),
 }
 ODD_SPIKES = {
     "as booleans": np.array([True, False, True, False, False, False]),
@@ -87,15 +94,17 @@ ODD_SPIKES = {
 
 
 def spikes_at_7(spikes):
-    return after(lambda parts: parts.input.add_spikes(7, spikes))
+    return after_discretising(lambda parts: parts.input.add_spikes(7, spikes))
 
 
 IN_A_STEP = {
     "spike of a neuron that is not there": lambda p: p.spikes[3].extend([2, N]),
-    "negative number of a neuron": together(mapped(ONE_TO_ONE), lambda p: p.spikes[3].append(-1)),
+    "negative number of a neuron": combine(
+        with_axons(ONE_TO_ONE), lambda p: p.spikes[3].append(-1)
+    ),
     "spikes in two dimensions": spikes_at_7(np.array([[0, 1], [2, 3]])),
     **{
-        f"spikes {how}": together(mapped(ONE_TO_ONE), spikes_at_7(spikes))
+        f"spikes {how}": combine(with_axons(ONE_TO_ONE), spikes_at_7(spikes))
         for how, spikes in ODD_SPIKES.items()
     },
 }
@@ -105,24 +114,26 @@ CALLS = [[1] * 10, [10], [4, 6]]
 
 
 @pytest.mark.parametrize(
-    ("what", "calls"), [*((what, [4, 6]) for what in AT_ONCE), *itertools.product(IN_A_STEP, CALLS)]
+    ("name", "calls"), [*((name, [4, 6]) for name in AT_ONCE), *itertools.product(IN_A_STEP, CALLS)]
 )
-def test_the_answer_is_nengo_loihis(what, calls):
-    change = {**AT_ONCE, **IN_A_STEP}[what]
-    plain, _ = made(EmulatorInterface, change)
-    fast, said = made(FastEmulator, change)
-    assert said == (what in AT_ONCE)
+def test_the_answer_is_nengo_loihis(name, calls):
+    change = {**AT_ONCE, **IN_A_STEP}[name]
+    plain, _ = make_emulator(EmulatorInterface, change)
+    fast, n_warnings = make_emulator(FastEmulator, change)
+    assert n_warnings == (name in AT_ONCE)
     for steps in calls:
         expected = Outcome.of(lambda n=steps: plain.run_steps(n))
-        found = Outcome.of(lambda n=steps: fast.run_steps(n))
-        said += sum(issubclass(category, NotAccelerated) for _, category, _ in found.warnings)
-        rest = [w for w in found.warnings if not issubclass(w[1], NotAccelerated)]
-        assert expected == found._replace(warnings=rest)
+        actual = Outcome.of(lambda n=steps: fast.run_steps(n))
+        n_warnings += sum(
+            issubclass(category, NotAccelerated) for _, category, _ in actual.warnings
+        )
+        others = [w for w in actual.warnings if not issubclass(w[1], NotAccelerated)]
+        assert expected == actual._replace(warnings=others)
         assert_same(state_of(plain), state_of(fast))
         if expected.error is not None:
             break
     assert type(fast) is EmulatorInterface
-    assert said == 1
+    assert n_warnings == 1
 
 
 def sends(*spikes):
@@ -138,32 +149,34 @@ def sum_beyond_16_bits(sign):
             weights[:] = 1
         parts.synapse.weights[0][:] = sign * 1024
 
-    return together(after(finish), sends([0] * 32, [0] * 33, [1]))
+    return combine(after_discretising(finish), sends([0] * 32, [0] * 33, [1]))
 
 
 class Case(NamedTuple):
     """Changes of a model before and after its emulator is made, the calls, and their outcome."""
 
     calls: list
-    change: Callable = as_it_is
-    begin: Callable = as_it_is
+    change: Callable = change_nothing
+    begin: Callable = change_nothing
     leads_to: Callable = lambda chip: True
 
 
 TAKEN = {
     "lists with spikes and without": Case(
         [12],
-        together(
-            mapped(ONE_TO_ONE),
-            after(lambda p: [p.input.add_spikes(t, [1, 2] * (t % 2)) for t in (7, 8, 9)]),
+        combine(
+            with_axons(ONE_TO_ONE),
+            after_discretising(
+                lambda p: [p.input.add_spikes(t, [1, 2] * (t % 2)) for t in (7, 8, 9)]
+            ),
         ),
     ),
     "more spikes than a sum of 16 bits holds": Case(
         [1] * 6,
-        together(
+        combine(
             # Small, or what 16 bits lose would be no bits of the accumulator; each as large as any.
             lambda p: p.synapse.set_weights(np.ones((N, N))),
-            each("weights", lambda weights: weights >> 7),
+            with_each("weights", lambda weights: weights >> 7),
             sends([0] * 5000 + [3] * 900, [1, 2] * 3000, [5] * 259, [4] * 20000),
         ),
     ),
@@ -176,15 +189,15 @@ TAKEN = {
     ),
     "a voltage that is no number": Case(
         [3],
-        floating,
+        stay_floating,
         lambda chip: chip.compartment.voltage.put(1, np.nan),
         lambda chip: np.isnan(chip.compartment.voltage[1]),
     ),
     "a trace of 127": Case(
         [1] * 6,
-        together(
+        combine(
             lambda p: p.synapse.set_learning(),
-            after(given("synapse", tracing_mag=127)),
+            after_discretising(with_attributes("synapse", tracing_mag=127)),
             sends([0, 1], [], [], [2, 3]),
         ),
         leads_to=lambda chip: 127 in np.concatenate([*chip.synapses.traces.values()]),
@@ -194,24 +207,27 @@ TAKEN = {
     ),
     "weights that learn and are mapped": Case(
         [12],
-        together(learns, given("synapse", axon_to_weight_map={i: (i + 1) % N for i in range(N)})),
+        combine(
+            start_learning,
+            with_attributes("synapse", axon_to_weight_map={i: (i + 1) % N for i in range(N)}),
+        ),
         lambda chip: [errors.fill(50) for errors in chip.synapses.pes_errors.values()],
     ),
 }
 
 
-@pytest.mark.parametrize("what", TAKEN)
-def test_the_compiled_code_gives_nengo_loihis_answer(what):
-    case = TAKEN[what]
-    plain, fast = pair(case.change)
+@pytest.mark.parametrize("name", TAKEN)
+def test_the_compiled_code_gives_nengo_loihis_answer(name):
+    case = TAKEN[name]
+    plain, fast = make_both(case.change)
     for chip in (plain, fast):
         case.begin(chip)
     for steps in case.calls:
-        expected, found = (
+        expected, actual = (
             Outcome.of(chip.step if steps == 1 else partial(chip.run_steps, steps))
             for chip in (plain, fast)
         )
-        assert expected == found
+        assert expected == actual
         assert expected.error is None
         assert_same(state_of(plain), state_of(fast))
     assert case.leads_to(fast)
@@ -221,12 +237,12 @@ def test_the_compiled_code_gives_nengo_loihis_answer(what):
 def test_weights_that_reached_their_limit_before_are_not_clipped_again():
     """Those of one axon go on to grow; one warning is given, although all are at the limit."""
 
-    strong = together(
+    strong = combine(
         lambda p: p.synapse.set_learning(),
-        after(given("synapse", tracing_mag=50, _lr_int=7, _lr_exp=4)),
+        after_discretising(with_attributes("synapse", tracing_mag=50, _lr_int=7, _lr_exp=4)),
         sends(*[range(N)] * 12, *[[0]] * 28),
     )
-    plain, fast = pair(strong)
+    plain, fast = make_both(strong)
     for chip in (plain, fast):
         for errors in chip.synapses.pes_errors.values():
             errors[:] = 100
@@ -245,7 +261,7 @@ def test_a_voltage_at_the_threshold_does_not_fire(tau_ref):
         parts.block.compartment.configure_lif(tau_ref=tau_ref)
         parts.finish = lambda: parts.block.compartment.vth.fill(2**23 - 1)
 
-    (scout, _), (plain, fast) = pair(high), pair(high)
+    (scout, _), (plain, fast) = make_both(high), make_both(high)
     scout.run_steps(5)
     reached = scout.compartment.voltage.copy()
     assert reached.all()
@@ -260,7 +276,7 @@ def test_a_voltage_at_the_threshold_does_not_fire(tau_ref):
 
 @pytest.mark.parametrize("name", ["compartment", "synapses", "probes"])
 def test_a_state_of_a_class_of_somebody_elses_is_left_as_it_is(name):
-    plain, _ = made(EmulatorInterface, as_it_is)
+    plain, _ = make_emulator(EmulatorInterface, change_nothing)
     part = getattr(plain, name)
     part.__class__ = type("Own", (type(part),), {})
     with pytest.warns(NotAccelerated):
@@ -269,16 +285,16 @@ def test_a_state_of_a_class_of_somebody_elses_is_left_as_it_is(name):
 
 
 def test_floating_point_that_learns_is_left_to_nengo_loihi_on_numpy_1(monkeypatch):
-    change = together(floating, learns)
-    assert NUMPY_1 or type(made(FastEmulator, change)[0]) is FastEmulator
+    change = combine(stay_floating, start_learning)
+    assert NUMPY_1 or type(make_emulator(FastEmulator, change)[0]) is FastEmulator
     monkeypatch.setattr(np, "__version__", "1.26.4")
-    chip, said = made(FastEmulator, change)
-    assert (type(chip), said) == (EmulatorInterface, 1)
+    chip, n_warnings = make_emulator(FastEmulator, change)
+    assert (type(chip), n_warnings) == (EmulatorInterface, 1)
 
 
 @pytest.mark.parametrize("name", ["voltage", "current"])
 def test_a_value_without_a_positive_counterpart_is_left_to_nengo_loihi(name):
-    plain, fast = pair()
+    plain, fast = make_both()
     for chip in (plain, fast):
         getattr(chip.compartment, name)[1] = -(2**31)
     plain.run_steps(5)

@@ -30,11 +30,11 @@ def run(kind, make, calls=(30, 1, 50), target="sim", after_first=None, **options
         return [simulator.data[probe] for probe in probes], state_of(simulator.sims["emulator"])
 
 
-def assert_same_run(expected, found):
-    for one, other in zip(expected[0], found[0]):
-        assert one.dtype == other.dtype
-        assert np.array_equal(one, other)
-    assert_same(expected[1], found[1])
+def assert_same_run(expected, actual):
+    for expected_array, other in zip(expected[0], actual[0]):
+        assert expected_array.dtype == other.dtype
+        assert np.array_equal(expected_array, other)
+    assert_same(expected[1], actual[1])
 
 
 @pytest.mark.parametrize("target", ["sim", "simreal"])
@@ -43,9 +43,9 @@ def test_a_network_gives_the_same_in_every_bit(name, target):
     if NUMPY_1 and target == "simreal" and name in ("learning", "two rules"):
         pytest.skip("learning in floating point is not compiled on NumPy 1")
     expected = run(nengo_loihi.Simulator, NETWORKS[name], target=target)
-    found = run(FastSimulator, NETWORKS[name], target=target)
+    actual = run(FastSimulator, NETWORKS[name], target=target)
     assert any(np.any(values) for values in expected[0])
-    assert_same_run(expected, found)
+    assert_same_run(expected, actual)
 
 
 def clear(simulator):
@@ -121,8 +121,8 @@ def test_a_simulator_goes_on_after_an_error_on_the_host(loop):
 def test_a_simulator_that_has_run_goes_on(make):
     """With its learned weights, its probes' filters and the spikes that are under way."""
     expected = run(nengo_loihi.Simulator, make)
-    found = run(nengo_loihi.Simulator, make, after_first=accelerate)
-    assert_same_run(expected, found)
+    actual = run(nengo_loihi.Simulator, make, after_first=accelerate)
+    assert_same_run(expected, actual)
 
 
 def test_accelerate_gives_the_simulator_and_may_be_called_again():
@@ -134,12 +134,12 @@ def test_accelerate_gives_the_simulator_and_may_be_called_again():
 def test_a_node_on_the_host_sees_the_state_of_every_step():
 
     def look(kind):
-        seen, simulators = [], []
+        states, simulators = [], []
 
         def look_at(t, x):
             if simulators:
                 state = simulators[0].sims["emulator"].compartment
-                seen.append((state.voltage.copy(), state.current.copy(), state.spiked.copy()))
+                states.append((state.voltage.copy(), state.current.copy(), state.spiked.copy()))
 
         network, _ = feedback()
         with network:
@@ -148,14 +148,14 @@ def test_a_node_on_the_host_sees_the_state_of_every_step():
         with kind(network, target="sim", seed=3) as simulator:
             simulators.append(simulator)
             simulator.run_steps(20)
-        assert len(seen) == 20
-        assert seen[-1][0].any()
-        return seen
+        assert len(states) == 20
+        assert states[-1][0].any()
+        return states
 
     states = zip(look(nengo_loihi.Simulator), look(FastSimulator))
-    for one, other in states:
-        for expected, found in zip(one, other):
-            assert np.array_equal(expected, found)
+    for expected_state, actual_state in states:
+        for expected, actual in zip(expected_state, actual_state):
+            assert np.array_equal(expected, actual)
 
 
 def test_a_closed_one_refuses_as_ever():
@@ -169,11 +169,11 @@ def test_a_closed_one_refuses_as_ever():
 
 @pytest.mark.parametrize("arguments", [{"network": None}, {"target": "nowhere"}])
 def test_what_nengo_loihi_refuses_is_refused_with_its_error(arguments):
-    given = {"network": channel()[0], **arguments}
-    expected = Outcome.of(lambda: nengo_loihi.Simulator(**given)).error
-    found = Outcome.of(lambda: FastSimulator(**given)).error
-    assert type(found) is type(expected) is ValidationError
-    assert str(found) == str(expected)
+    all_arguments = {"network": channel()[0], **arguments}
+    expected = Outcome.of(lambda: nengo_loihi.Simulator(**all_arguments)).error
+    actual = Outcome.of(lambda: FastSimulator(**all_arguments)).error
+    assert type(actual) is type(expected) is ValidationError
+    assert str(actual) == str(expected)
 
 
 def test_a_simulator_on_a_board_has_no_emulator_to_accelerate():
