@@ -54,7 +54,7 @@ def require_ending(path, ending):
         raise UserError(f"{path}: the name must end in {ending}")
 
 
-# What Git LFS has in the place of a large file that was not fetched, and the remedy.
+# What Git LFS has in place of a large file that was not fetched, and the remedy.
 POINTER_START = b"version https://git-lfs.github.com/"
 POINTER_PROBLEM = "is a pointer of Git LFS and not the file itself; fetch it with 'git lfs pull'"
 

@@ -16,7 +16,7 @@ import sys
 INTERRUPTED = 130
 
 # The line that is printed after Ctrl-C.
-INTERRUPTION = "interrupted; what is finished is kept, and the same command goes on"
+INTERRUPTION = "interrupted: what is finished is kept; run the same command to continue"
 
 
 def escape_control(text) -> str:

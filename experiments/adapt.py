@@ -279,7 +279,9 @@ def main(
     write_json(out / f"{name}.json", result)
     if store and not failed:
         write_json(RESULTS / f"{store}.json", result)
-    title = "real pen trajectories pressed on the simulated sensor, people nobody trained on"
+    title = (
+        "real pen trajectories on the simulated sensor, of people on whom no network was trained"
+    )
     errors = "; ".join(f"{case.alter}: {error}" for case, error in failed.items())
     text = "\n".join([title, *align_rows(make_cells(result))])
     options.print_summary(result, errors, lambda value: text, as_json)

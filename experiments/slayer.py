@@ -397,7 +397,7 @@ def train_and_predict(dataset, index, seed: int, conv_scale: float, checkpoint: 
     conv_scale : float
         See :class:`Slayer`.
     checkpoint : Path
-        File for the state after each epoch, from which an interrupted training goes on.
+        File for the state after each epoch, from which an interrupted training continues.
 
     Returns
     -------

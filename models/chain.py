@@ -128,7 +128,7 @@ class Link:
 
 
 def make_links(architecture: Architecture, weights: dict | None = None) -> tuple:
-    """The links of an architecture, as yet without neurons.
+    """The links of an architecture, still without neurons.
 
     Parameters
     ----------

@@ -258,7 +258,7 @@ def find_result_path(folder, target: str) -> Path:
 
 
 def _exchange(new, path, old):
-    """Put a new bundle in the place of another one, which becomes ``old``, and keep its results."""
+    """Put a new bundle in place of another one, which becomes ``old``, and keep its results."""
     try:
         if path.exists():
             os.replace(str(path), str(old))

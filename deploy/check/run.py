@@ -314,7 +314,7 @@ def open_check(
         "target": target,
         "seed": seed,
         "versions": list_versions(),
-        # Other recordings may have been put in the place of the bundle's, also with the same ids.
+        # Other recordings may have been put in place of the bundle's, also with the same ids.
         "samples": bundle.checks.sha256,
     }
     is_locked = f"{out}: another process is writing this result; wait for it or use another --out"

@@ -28,7 +28,7 @@ class SensorClock:
     clock has jumped.  It waits until the next event or :meth:`advance` tells which:
 
     - if the next time is near that of the waiting event, there was silence, or the clock has jumped
-      back; after a jump, the stream's time goes on without one;
+      back; after a jump, the stream's time continues without one;
     - if the next time is near those before, the time of the waiting event is wrong, and the event
       is used at the present time.
 
@@ -122,7 +122,7 @@ class SensorClock:
         return _sort(released)
 
     def advance_quietly(self, stream_ns: int) -> bool:
-        """As :meth:`advance`, in a short time, if the clock goes on and no event waits.
+        """As :meth:`advance`, in a short time, if the clock continues and no event waits.
 
         Returns
         -------

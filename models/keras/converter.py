@@ -9,7 +9,7 @@ them, and a linear output.  Between two layers with weights, Keras's layers are 
     signal = map @ built + offset,
 
 with the signal of the Keras model on the left, and that of the layers built so far on the right.
-The next layer with weights takes it in: for a dense layer with any map, ``kernel' = map^T kernel``
+The next layer with weights absorbs it: for a dense layer with any map, ``kernel' = map^T kernel``
 and ``bias' = bias + offset kernel``; for a convolution if the map scales channels and pads zeros.
 """
 
@@ -104,9 +104,9 @@ class LayerConverter:
     is_linear : bool
         True if no activation has followed the last weighted sums.
     maxima : MaxPool or None
-        A maximum over windows of the built image, which the next dense layer takes in.
+        A maximum over windows of the built image, which the next dense layer absorbs.
     means : WindowMeans or None
-        Averages over windows of the built image, which the next convolution may take in.
+        Averages over windows of the built image, which the next convolution may absorb.
     max_pools, paddings : dict
         As in `KerasModel`, by the index of their layer.
     end : (KerasLayer, str) or None
@@ -357,7 +357,7 @@ class LayerConverter:
         self.notes.append(f"{layer}: folded into the next layer")
 
     def scale_means(self, scale, offset):
-        """Scale averages that a convolution may take in, if each channel is scaled as a whole."""
+        """Scale averages that a convolution may absorb, if each channel is scaled as a whole."""
         scales, offsets = (a.reshape(-1, self.signal.shape[2]) for a in (scale, offset))
         if (scales == scales[0]).all() and (offsets == offsets[0]).all():
             before, constant = self.means.affine

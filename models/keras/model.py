@@ -54,7 +54,7 @@ class MaxPool:
         -1 for channels of which a later normalisation changes the sign, so that the file's model
         has their minimum.
     image : tuple of int
-        Shape of the image before it, if a dense layer has taken in the averages.
+        Shape of the image before it, if a dense layer has absorbed the averages.
     means : scipy.sparse.csr_array, shape (averages, values of the image)
         The averages that a dense layer has taken in.
     kernel : ndarray, shape (maxima, units)
@@ -89,7 +89,7 @@ class KerasModel:
         The functions in the file that ReLUs replace, by the name of the layer of neurons.
     max_pools : dict of str to MaxPool
         The layers in the file that averages replace, by the name of the pooling, or of the dense
-        layer that has taken in the averages.
+        layer that has absorbed the averages.
     paddings : dict of str to ndarray
         Values of the channels with which the file's model pads a convolution's input, where the
         architecture pads zeros, by the name of the convolution.

@@ -25,7 +25,7 @@ def convert_global_average_pooling(converter: LayerConverter, layer: KerasLayer)
 
 
 def convert_max_pooling(converter: LayerConverter, layer: KerasLayer):
-    """Take averages in the place of the maxima over windows."""
+    """Take averages in place of the maxima over windows."""
     _pool_maximum(
         converter,
         layer,
@@ -36,7 +36,7 @@ def convert_max_pooling(converter: LayerConverter, layer: KerasLayer):
 
 
 def convert_global_max_pooling(converter: LayerConverter, layer: KerasLayer):
-    """Take an average in the place of the maximum over all rows and columns."""
+    """Take an average in place of the maximum over all rows and columns."""
     _pool_maximum(converter, layer, converter.signal.shape[:2], converter.signal.shape[:2], "valid")
     _drop_sides(converter, layer)
 
@@ -67,7 +67,7 @@ def _pool_average(converter, size, strides, padding):
 
 
 def _pool_maximum(converter, layer, size, strides, padding):
-    """Append an average in the place of a maximum."""
+    """Append an average in place of a maximum."""
     if not converter.retrain:
         layer.refuse(
             f"the chip cannot take a maximum; {RETRAIN} an average and the network is trained "

@@ -1,7 +1,7 @@
 """A user's Keras model as an architecture and weights that compute the same function.
 
 The layers are converted one by one (:mod:`models.keras.layers`).  In the end the result is compared
-with the model on random images; where layers were replaced, because training goes on, the network
+with the model on random images; where layers were replaced, because training continues, the network
 that is compared has the model's own activations and maxima.
 """
 
@@ -30,7 +30,7 @@ def read_keras(path, retrain: bool = False, grid=None, pixels: bool = True) -> K
     ----------
     path : path-like
     retrain : bool
-        Replace maxima by averages and other activations by ReLUs, since training goes on.
+        Replace maxima by averages and other activations by ReLUs, since training continues.
     grid : tuple of int, optional
         (rows, columns, channels) of an image, for a model whose input is a vector.
     pixels : bool

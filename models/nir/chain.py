@@ -222,7 +222,7 @@ class _LinkNodes:
         return METHODS[self.method](node, self.step)
 
     def make_link(self, readout_steps) -> Link:
-        """The link, as yet without a name."""
+        """The link, still without a name."""
         filters = self.find_filter()
         effect = self.find_input_effect()
         loop = None if self.neuron is None else self.neuron.loop
@@ -267,7 +267,7 @@ class _LinkNodes:
         if len(filters) + (neuron is not None and neuron.kind == "CubaLIF") > 1:
             raise NirError(
                 f"{filters[-1]}: a second filter before the same neurons; the chip has one, so use "
-                "LIF in the place of CubaLIF, or leave one out"
+                "LIF in place of CubaLIF, or leave one out"
             )
         if filters and neuron is not None and neuron.loop is not None:
             raise NirError(
@@ -302,7 +302,7 @@ class _LinkNodes:
         return _InputEffect(constant * (1 - keep_u), constant, added, keep_u, keep_v)
 
     def replace_filter(self, node):
-        """The node itself, or the steady-state response in the place of a filter."""
+        """The node itself, or the steady-state response in place of a filter."""
         if node.kind not in FILTERS:
             return node
         equation = self.solve(node)

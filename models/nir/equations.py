@@ -111,7 +111,7 @@ def step_as_norse(node, h) -> StepEquation:
 def step_as_rockpool(node, h) -> StepEquation:
     """Rockpool's LIFTorch, LIFNeuronTorch and ExpSynTorch: inputs are added whole.
 
-    With a and b = exp(-h / tau), whatever r, with which Rockpool writes its step::
+    With a and b = exp(-h / tau), whatever r is; Rockpool writes its step with it::
 
         LIFTorch  I <- a (I + S),  v <- b v + I;     LIFNeuronTorch  v <- b v + S
         ExpSynTorch  v <- b (v + S)
@@ -127,7 +127,7 @@ def step_as_rockpool(node, h) -> StepEquation:
 
 
 def step_as_spyx(node, h) -> StepEquation:
-    """Spyx: inputs are added whole, whatever r, which has the share that remains.
+    """Spyx: inputs are added whole, whatever r is: it has the share that remains.
 
     With a and b = 1 - h / tau::
 
@@ -163,7 +163,7 @@ def _integrate(added):
 
 
 def _compute_whole_input(node, h):
-    """What an IF adds: r h, or its whole input if every r is 1, which no one means in seconds."""
+    """What an IF adds: r h, or its whole input if every r is 1, which is not in seconds."""
     return np.where((node["r"] == 1).all(), 1.0, node["r"] * h)
 
 

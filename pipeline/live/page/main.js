@@ -84,7 +84,7 @@ function describe() {
   );
 }
 
-// What to do on the sensor, and what the network depends on, is said where one draws.
+// What to do on the sensor, and what the network depends on, appears where one draws.
 function showHint() {
   const verb = about.digits ? "Write" : "Draw";
   $("hint").replaceChildren(canDraw() ? `${verb} here, large` : "Show an example");

@@ -103,7 +103,7 @@ export class Pen {
     } while (points.length);
   }
 
-  // The skin's time goes on although nobody writes, also that of an example.
+  // The skin's time continues although nobody writes, also that of an example.
   watch() {
     this.settled = false;
     this.beat();

@@ -25,7 +25,7 @@ export function storeLoss() {
   store("sessionStorage", LOST, true);
 }
 
-// Whether a drawing was lost; it is told once.
+// Whether a drawing was lost; it is reported once.
 export function takeLoss() {
   const isLost = read("sessionStorage", LOST);
   store("sessionStorage", LOST, null);
