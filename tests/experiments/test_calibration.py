@@ -100,7 +100,7 @@ def test_recordings_that_cannot_be_fitted_to(tmp_path):
 def test_the_command_writes_the_parameters_and_the_ways(tmp_path, monkeypatch):
     monkeypatch.setattr(calibration, "STEP_SAMPLES", 8)
     monkeypatch.setattr(calibration, "STEPS", 1)
-    monkeypatch.setattr(calibration, "FEWEST_OF_A_DIGIT", 20)
+    monkeypatch.setattr(calibration, "MIN_RECORDINGS_PER_DIGIT", 20)
     recordings, out = tmp_path / "real.zip", tmp_path / "fit.json"
     write_mat_zip(recordings, simulate(0, [40] * 10, 1))
     calibration.main(data=recordings, out=out, jobs=1)

@@ -130,11 +130,11 @@ def test_the_built_in_model_says_where_it_is_from_and_is_small():
 
 def test_no_way_of_writing_is_a_single_persons():
     """A mean of at least fifteen digits of at least three people is nobody's trajectory."""
-    assert fit.LEAST_DIGITS >= 15
-    assert fit.LEAST_WRITERS >= 3
+    assert fit.MIN_DIGITS >= 15
+    assert fit.MIN_WRITERS >= 3
     for ways in BUILT_IN.allographs:
         for way in ways:
-            assert way.share * BUILT_IN.about["digits"] / 10 >= 0.85 * fit.LEAST_DIGITS
+            assert way.share * BUILT_IN.about["digits"] / 10 >= 0.85 * fit.MIN_DIGITS
 
 
 def test_the_command_estimates_the_built_in_model(shared_data, tmp_path):

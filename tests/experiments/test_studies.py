@@ -161,7 +161,7 @@ def test_what_a_readout_is_fitted_to_is_not_what_it_is_tested_on():
 
 
 def test_people_are_fitted_one_by_one(tiny_run, monkeypatch):
-    monkeypatch.setattr(adapt, "EACH", (2,))
+    monkeypatch.setattr(adapt, "RECORDINGS_PER_CLASS", (2,))
     bundle = read_bundle(tiny_run / "bundle")
     recordings = load_named_recordings(Settings().with_values({"data": {"samples_per_digit": 60}}))
     some = recordings.subset(np.arange(0, len(recordings), 10))
