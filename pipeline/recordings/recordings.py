@@ -82,8 +82,11 @@ class Recordings:
     writers : ndarray of int64, shape (n_samples,)
         The writer, from 0; -1 if it is not known.
     source : Source
+        Name, hash and properties of the files that they were read from.
     taxels : TaxelMap
+        Row and column of each taxel, and its position if it is known.
     sensor : Sensor
+        Rows, columns, polarities, longest duration and names of the classes.
     parts : tuple of str
         ``"train"`` or ``"test"`` for each recording of a source with a published split; otherwise
         all are empty.
