@@ -36,7 +36,7 @@ DATAGRAM = 65535
 # What is pushed in place of a malformed event: the stream counts it, and reports the number.
 NO_EVENT = (math.nan, 0, 0, 0)
 
-# Decimals of a printed time or probability.
+# Decimals of a printed time.
 DECIMALS = 6
 
 END = None
@@ -63,11 +63,8 @@ def event_of(value):
 
 def print_line(values):
     """Print a decision as a line of JSON, at once."""
-    rounded = {
-        name: round(value, DECIMALS) if isinstance(value, float) else value
-        for name, value in values.items()
-    }
-    print(json.dumps(rounded), flush=True)
+    times = {name: round(values[name], DECIMALS) for name in ("time", "start")}
+    print(json.dumps(values | times), flush=True)
 
 
 def say(decisions):
