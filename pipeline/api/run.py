@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from dataclasses import replace
-from functools import partial
 from numbers import Integral
 from os import PathLike
 from pathlib import Path, PurePath
@@ -39,7 +38,7 @@ from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.results.ladder import measure_ladder
 from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
-from pipeline.settings import SIMULATED, Settings, read_settings, set_nested
+from pipeline.settings import SIMULATED, Settings, merge_values, read_settings, set_nested
 from pipeline.sources import load_named_recordings
 from pipeline.storage.run_folder import RunFolder, lock_run, refuse_other_folders
 from pipeline.workflow.target_check import TargetCheck
@@ -111,7 +110,7 @@ class Run:
             set_nested(changes, name, value, ORIGIN)
         before = self._folder.resolve_settings(None, {})
         self._user_settings = before.with_values(changes, ORIGIN)
-        self._changed_names = tuple(_list_names(changes))
+        self._changes = changes
         if isinstance(data, Recordings):
             data.write(self._name_source(data))
         if line := self._describe_changes():
@@ -172,7 +171,7 @@ class Run:
         now = self._user_settings.flatten()
         changes = [
             f"{name} from {before[name]!r} to {now[name]!r}"
-            for name in self._changed_names
+            for name in _list_names(self._changes)
             if before[name] != now[name]
         ]
         if not changes and self._has_other_recordings():
@@ -192,30 +191,35 @@ class Run:
         with self._open(check=False) as opened:
             return Training({name: opened.make(name) for name in opened.kind.trained_steps})
 
-    def convert(self, model=None, nir=None, step: float | None = None) -> Bundle:
+    def convert(
+        self,
+        model=None,
+        nir=None,
+        step: float | None = None,
+        retrain: bool = False,
+        strict: bool = False,
+    ) -> Bundle:
         """Train the spiking network, or import one, and write the bundle.
 
         Parameters
         ----------
         model : path-like, optional
-            A Keras model (.keras or .h5) that replaces the CNN; only one you trust.
+            A Keras model (.keras or .h5) that replaces the CNN; only one you trust.  It gets the
+            images of an existing run.
         nir : path-like, optional
             A NIR graph that replaces all training.
         step : float, optional
             With ``nir``: milliseconds of the recording in a step of the network.
+        retrain : bool
+            With ``model``: train it further with rate-LIF neurons.
+        strict : bool
+            With ``nir``: refuse a graph that was trained with another reset than the chip's.
         """
-        if model is not None and nir is not None:
-            raise UserError(f"{ORIGIN}: a run has one network; give model or nir")
-        examine = None
-        if model is not None:
-            self._user_settings = self._user_settings.with_values(
-                workflow.make_model_settings(model, False, self._user_settings), ORIGIN
-            )
-        elif nir is not None:
-            imported = workflow.make_nir_settings(nir, step, self._input, self._user_settings)
-            self._user_settings = self._user_settings.with_values(imported, ORIGIN)
-            examine = partial(workflow.refuse_early, strict=False)
-        with self._open(examine=examine) as opened:
+        imported = workflow.ImportRequest(model, nir, step, retrain, strict)
+        changes = imported.make_settings(self._user_settings, self._input, self._folder)
+        changes = merge_values(changes, self._changes)  # what the user has set wins
+        self._user_settings = self._user_settings.with_values(changes, ORIGIN)
+        with self._open(validate=imported.require_convertible) as opened:
             bundle = workflow.convert(opened)
             for stage in opened.kind.deployed_stages:
                 workflow.check_stage(opened, bundle, stage)
@@ -310,10 +314,10 @@ class Run:
         return replay(bundle, numbers)
 
     @contextlib.contextmanager
-    def _open(self, check=True, examine=None):
+    def _open(self, check=True, validate=None):
         with self._collect_notes(), lock_run(self.path) as folder:
-            if examine is not None:
-                examine(self._user_settings)
+            if validate is not None:
+                validate(self._user_settings)
             yield workflow.open_run(folder, self._user_settings, self._jobs, self._say, check)
 
     @contextlib.contextmanager

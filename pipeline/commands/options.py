@@ -266,7 +266,7 @@ def open_locked_run(
     jobs: int,
     changes: dict | None = None,
     check: bool = True,
-    examine=None,
+    validate=None,
 ):
     """Lock a run, load its recordings, and choose what the settings leave open.
 
@@ -278,7 +278,7 @@ def open_locked_run(
         Number of processes for recordings that are not in the cache.
     check : bool
         True if the samples of a check will be drawn.
-    examine : callable, optional
+    validate : callable, optional
         Called with the settings before the recordings are loaded.
 
     Yields
@@ -293,8 +293,8 @@ def open_locked_run(
     from pipeline.workflow import open_run  # imports all that a run is made with
 
     with resolve_settings(path, requested, changes) as (folder, settings):
-        if examine is not None:
-            examine(settings)
+        if validate is not None:
+            validate(settings)
         yield open_run(folder, settings, jobs, say, check)
 
 

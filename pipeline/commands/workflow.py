@@ -1,12 +1,10 @@
 """``stmnist train``, ``convert`` and ``ladder``: the stages of a run."""
 
-import functools
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deploy.errors import UserError
 from deploy.terminal import remark
 from pipeline.commands import options
 from pipeline.storage.run_folder import RunFolder, refuse_other_folders
@@ -17,10 +15,12 @@ def train(run: options.Run, requested: options.TrainingRequested, jobs: options.
 
     from pipeline.kinds.registry import find_kind  # imports all that a run is made with
 
-    def examine(settings):
+    def require_training(settings):
         return find_kind(settings).trained_steps  # an error if the network was trained elsewhere
 
-    with options.open_locked_run(run, requested, jobs, check=False, examine=examine) as opened:
+    with options.open_locked_run(
+        run, requested, jobs, check=False, validate=require_training
+    ) as opened:
         for name in opened.kind.trained_steps:
             opened.make(name)
     options.suggest("ladder", run)
@@ -56,48 +56,25 @@ def convert(  # noqa: PLR0913 - each is an option of the command
     With --model: scale that model to the neurons' range, make it spike, write the bundle.
     With --nir: turn the graph's neurons and weights into the chip's integers, write the bundle.
     """
-    _require_consistent(model, nir, step, strict, retrain)
     from pipeline import workflow
 
+    imported = workflow.ImportRequest(model, nir, step, retrain, strict, prefix="--")
     changes = {}
-    examine = None
     if model is not None or nir is not None:
         refuse_other_folders(run)
-        before = RunFolder(run).resolve_settings(requested.settings, {})
-    if model is not None:
-        changes = workflow.make_model_settings(model, retrain, before)
-        examine = _require_model
-        if requested.settings is None:
-            changes |= workflow.keep_images(RunFolder(run))
-    if nir is not None:
-        changes = workflow.make_nir_settings(nir, step, requested.input, before)
-        if step is not None and changes["input"]["kind"] == "image":
-            remark(f"--step {step:g} is not used: images have no steps of a recording")
-        examine = functools.partial(workflow.refuse_early, strict=strict)
-    with options.open_locked_run(run, requested, jobs, changes, examine=examine) as opened:
+        folder = RunFolder(run)
+        before = folder.resolve_settings(requested.settings, {})
+        kept = folder if requested.settings is None else None
+        changes = imported.make_settings(before, requested.input, kept)
+    if step is not None and changes["input"]["kind"] == "image":
+        remark(f"--step {step:g} is not used: images have no steps of a recording")
+    with options.open_locked_run(
+        run, requested, jobs, changes, validate=imported.require_convertible
+    ) as opened:
         bundle = workflow.convert(opened)
         for stage in opened.kind.deployed_stages:
             workflow.check_stage(opened, bundle, stage)
     options.suggest("ladder", run)
-
-
-def _require_consistent(model, nir, step, strict, retrain):
-    """Refuse options that need another one, and two networks."""
-    if retrain and model is None:
-        raise UserError("--retrain: needs a Keras model; give it with --model FILE")
-    if model is not None and nir is not None:
-        raise UserError("--model and --nir: a run has one network; give only one of them")
-    if step is not None and nir is None:
-        raise UserError("--step: needs a NIR graph; give it with --nir FILE")
-    if strict and nir is None:
-        raise UserError("--strict: needs a NIR graph; give it with --nir FILE")
-
-
-def _require_model(settings):
-    from pipeline.kinds.registry import find_kind
-
-    if find_kind(settings).imported is None:
-        raise UserError("--model: Keras models receive tactile images; leave out --input events")
 
 
 def ladder(

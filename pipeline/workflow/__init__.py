@@ -5,11 +5,9 @@ it returns: :meth:`OpenedRun.make` trains a network, :func:`convert` writes the 
 :func:`check_stage` runs a network or target on its samples.
 """
 
-from pipeline.kinds.image.keras_model import make_model_settings
-from pipeline.kinds.image.kind import keep_images
-from pipeline.kinds.nir.importing import make_nir_settings, refuse_early
 from pipeline.workflow.checks import check_stage, check_stages, make_check_artifact
 from pipeline.workflow.conversion import convert, find_bundle_artifact, list_network_settings
+from pipeline.workflow.imports import ImportRequest
 from pipeline.workflow.opening import (
     OpenedRun,
     find_dataset_artifact,
@@ -19,19 +17,16 @@ from pipeline.workflow.opening import (
 )
 
 __all__ = [
+    "ImportRequest",
     "OpenedRun",
     "check_stage",
     "check_stages",
     "convert",
     "find_bundle_artifact",
     "find_dataset_artifact",
-    "keep_images",
     "list_network_settings",
     "make_check_artifact",
-    "make_model_settings",
-    "make_nir_settings",
     "open_experiment",
     "open_locked_run",
     "open_run",
-    "refuse_early",
 ]

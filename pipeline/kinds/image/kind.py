@@ -213,7 +213,7 @@ def _describe_need(settings):
     )
 
 
-def keep_images(run: RunFolder) -> dict:
+def make_kept_image_settings(run: RunFolder) -> dict:
     """Changes of the settings that keep a run's images: a user's model was trained on them.
 
     Empty for a new run and for one of another kind.

@@ -162,7 +162,7 @@ def find_graph(folder: Path, settings: Settings, dataset: Dataset) -> tuple:
     return source, network
 
 
-def refuse_early(settings: Settings, strict: bool = False):
+def require_convertible_graph(settings: Settings, strict: bool = False):
     """Refuse a graph that cannot fit any recordings, before anything is written.
 
     Parameters

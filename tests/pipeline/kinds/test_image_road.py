@@ -9,7 +9,7 @@ import pytest
 from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.kinds.image.choices import choose_image_augmentation
-from pipeline.kinds.image.kind import keep_images
+from pipeline.kinds.image.kind import make_kept_image_settings
 from pipeline.kinds.imported import Imported
 from pipeline.kinds.registry import find_compared_stage, find_kind
 from pipeline.recordings.events import Events
@@ -140,12 +140,12 @@ def test_what_the_user_sets_is_kept():
 
 def test_a_model_for_a_run_gets_the_images_of_the_run(tmp_path):
     run = RunFolder(tmp_path)
-    assert keep_images(run) == {}
+    assert make_kept_image_settings(run) == {}
     image = Image("polarities", 4, 400.0, "sqrt-clip")
     run.save_settings(settings(image=asdict(image)))
-    assert keep_images(run) == {"image": asdict(image)}
+    assert make_kept_image_settings(run) == {"image": asdict(image)}
     run.save_settings(settings(input={"kind": "events"}))
-    assert keep_images(run) == {}
+    assert make_kept_image_settings(run) == {}
 
 
 def test_a_model_of_one_s_own_keeps_the_images_that_it_is_for():

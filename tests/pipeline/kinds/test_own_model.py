@@ -11,6 +11,8 @@ from deploy.check.results import read_result
 from deploy.files import read_json
 from models.architecture import parse
 from pipeline import workflow
+from pipeline.api.run import Run
+from pipeline.kinds.image.keras_model import make_model_settings
 from pipeline.kinds.records import read_weights
 from pipeline.settings import Settings, read_settings
 from pipeline.sources import load_dataset
@@ -249,10 +251,33 @@ def test_a_file_that_is_no_model(tmp_path, capsys):
 def test_a_file_that_has_changed_since(files, tmp_path, capsys):
     path, folder = tmp_path / "model.keras", tmp_path / "run"
     path.write_bytes((files / "good.keras").read_bytes())
-    changes = workflow.make_model_settings(path, retrain=False)
+    changes = make_model_settings(path, retrain=False)
     settings = Settings().with_values({**changes, "data": {"samples_per_digit": 60}}, "test")
     path.write_bytes((files / "other.keras").read_bytes())
     from deploy.errors import UserError
 
     with pytest.raises(UserError, match=r"model\.keras: .*--model"):
         workflow.open_experiment(RunFolder(folder), settings, load_dataset(settings)).make("cnn")
+
+
+@pytest.mark.parametrize("stated", [{}, {"image.normalisation": "max"}])
+def test_in_python_a_model_gets_the_images_of_the_run_unless_others_are_stated(
+    files, run, monkeypatch, stated
+):
+    """As by the command: a test of the settings with which the run is opened."""
+
+    class Opened(Exception):
+        pass
+
+    def open_run(folder, settings, *more):
+        raise Opened(settings)
+
+    monkeypatch.setattr(workflow, "open_run", open_run)
+    images = read_settings(run / "experiment.toml").image
+    assert images.normalisation == "sqrt-clip"
+    with pytest.raises(Opened) as raised:
+        Run(run, **stated).convert(model=files / "good.keras", retrain=True)
+    (settings,) = raised.value.args
+    assert settings.image.aggregation == images.aggregation
+    assert settings.image.normalisation == stated.get("image.normalisation", "sqrt-clip")
+    assert settings.snn.recipe == "loihi"
