@@ -59,6 +59,7 @@ def assert_operation_conforms(operation, input_shape):
 def _assert_meaning(operation, input_shape, rng):
     """Its sums are linear, and its synapses are those of its sums."""
     shape = operation.compute_shape(input_shape)
+    assert len(shape) in (1, 3), f"shape {shape}: needs one or three dimensions"
     assert all(type(side) is int and side >= 1 for side in shape), f"shape {shape}"
     weights = rng.normal(size=operation.compute_weight_shape(input_shape))
     values = rng.normal(size=(SAMPLES, *input_shape))

@@ -15,7 +15,7 @@ from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
 from deploy.network.output import TargetOutput
 from deploy.preflight.plan import make_plan
 from deploy.targets.options import Options, option
-from deploy.targets.registry import TARGETS, Target, list_options, run_target, select_options
+from deploy.targets.registry import TARGETS, Target, register_target, run_target, select_options
 from models import ops
 from models.chain import Link, NeuronDecays
 from models.rounding import choose_integers, simulate_spikes
@@ -32,6 +32,12 @@ from tests.deploy.networks import bundle_at, small_spec
 from tests.format_conformance import assert_format_conforms
 
 
+def delete_at_the_end(monkeypatch, registry, name):
+    """Delete at the end of a test what the test enters under this name."""
+    monkeypatch.setitem(registry, name, None)
+    del registry[name]
+
+
 def read_toy(content, name):
     """Read events as a list of [x, y, t in seconds, p] in JSON."""
     try:
@@ -42,7 +48,10 @@ def read_toy(content, name):
 
 
 def test_a_format(tmp_path, monkeypatch):
-    monkeypatch.setitem(formats.READERS, ".toy", read_toy)
+    delete_at_the_end(monkeypatch, formats.READERS, ".toy")
+    formats.register_format(".toy", read_toy)
+    with pytest.raises(ValueError, match=r"\.toy"):
+        formats.register_format(".toy", read_toy)
     events = {"x": [0, 2], "y": [0, 1], "t": [0.1, 0.2], "p": [1, -1]}
     content = json.dumps([[0, 0, 0.1, 1], [2, 1, 0.2, 0]]).encode()
     assert_format_conforms(".toy", content, events, tmp_path / "conformance")
@@ -73,7 +82,8 @@ def run_first_class(spec, streams, seed=0, options=None):
 
 def test_a_target(tmp_path, monkeypatch):
     target = Target("first", run_first_class, "Always the first class", options=FirstOptions)
-    monkeypatch.setitem(TARGETS, "first", target)
+    delete_at_the_end(monkeypatch, TARGETS, "first")
+    register_target(target)
     bundle = bundle_at(tmp_path / "bundle")
     result = run_check(bundle, "first", tmp_path / "first.json")
     assert {sample["prediction"] for sample in result["samples"]} == {0}
@@ -82,9 +92,9 @@ def test_a_target(tmp_path, monkeypatch):
     assert {sample["prediction"] for sample in result["samples"]} == {2}
     with pytest.raises(UserError, match="--label is for --target first"):
         select_options("fast", label=2)
-    monkeypatch.setitem(TARGETS, "twin", replace(target, name="twin"))
     with pytest.raises(ValueError, match="first and twin: both have --label"):
-        list_options()
+        register_target(replace(target, name="twin"))
+    assert "twin" not in TARGETS
 
 
 class RandomKind(NetworkKind):

@@ -236,7 +236,8 @@ def compute_probabilities(outputs, sure) -> np.ndarray:
     ----------
     outputs : ndarray, shape (..., n_classes)
     sure : ndarray, shape (...)
-        Below the share of equal classes all are equal; if outputs are equal, the largest is less.
+        Below 1 / n_classes, all classes get 1 / n_classes.  If several outputs are the largest, they
+        share, and each has less.
 
     Returns
     -------

@@ -161,7 +161,8 @@ class Layer:
         is_image = self.operation.is_spatial or self.pool > 1
         self._require(
             len(self.input_shape) in ((3,) if is_image else (1, 3)),
-            f"input_shape {self.input_shape} has a wrong number of dimensions",
+            f"input_shape {self.input_shape} has {len(self.input_shape)} dimensions; a layer has "
+            "one, or three for an image",
         )
         self._require(min(self.pooled_shape) >= 1, "its pooling is larger than its input")
         try:

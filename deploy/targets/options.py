@@ -49,13 +49,13 @@ class BoardOptions(Options):
     chips : int
         Maximum number of chips for the network.
     attempts : int
-        Maximum number of attempts per stream.  NengoLoihi tries to connect three times in entry.
+        Maximum number of attempts per stream.  NengoLoihi tries to connect three times in each.
     wait : float
         Seconds before the second attempt, doubled for each further one up to `MAX_WAIT_S`.
     energy : bool
         Measure power.
     timeout : float
-        Time limit in seconds for the connection and for the run of a stream, entry.
+        Time limit in seconds for the connection and for the run of a stream, each.
     """
 
     board: Optional[str] = option(None, "Name of a board (default: the cluster's choice).")

@@ -2,7 +2,8 @@
 
 To add a target:
 
-1. Write a function ``run(spec, streams, seed)`` in a file of this folder.  A stream is an array of
+1. Write a function ``run(spec, streams, seed)``, of a target with options
+   ``run(spec, streams, seed, options=None)``, in a file of this folder.  A stream is an array of
    samples that are presented one after the other, from a fresh network on.  For each stream the
    function yields a :class:`~deploy.network.output.TargetOutput`: the readout at each step, and
    the spikes if the target knows them.  Scores and decisions are computed from it in one place.
@@ -11,7 +12,8 @@ To add a target:
    targets that run the network in Nengo.
 2. Write its options, if it has any, in :mod:`.options`: a dataclass with a field for each.  No two
    targets have an option of the same name.
-3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.
+3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.  A
+   package of yours calls :func:`register_target` before it imports the command line.
 4. Set ``in_ladder`` if every ladder should have a row of it.
 5. Set ``is_exact`` if every spike is that of NengoLoihi's emulator: the energy and the comparison
    of runs then take its counts.
@@ -182,6 +184,30 @@ def rank_targets_by_spikes() -> Tuple[str, ...]:
     others = [target for target in reversed(list(TARGETS.values())) if target.name not in exact]
     others.sort(key=lambda target: target.hardware)  # keeps the order of equal ones
     return (*exact, *(target.name for target in others))
+
+
+def register_target(target: Target):
+    """Add a target, such as one of another package.
+
+    Parameters
+    ----------
+    target : Target
+        The command line has its options if it is registered before
+        :mod:`pipeline.commands.check` is imported.
+
+    Raises
+    ------
+    ValueError
+        There is a target of this name, or another one has an option of the same name.
+    """
+    if target.name in TARGETS:
+        raise ValueError(f"target {target.name!r}: there is one already")
+    TARGETS[target.name] = target
+    try:
+        list_options()
+    except ValueError:
+        del TARGETS[target.name]
+        raise
 
 
 def list_options() -> Dict[str, tuple]:

@@ -20,7 +20,7 @@ from pipeline.kinds.reference import Reference
 from pipeline.kinds.steps import Step
 from pipeline.storage.run_folder import DELETE_ITS_FOLDER
 
-# Event counts of a sample, at most; a sensor with more has them in one slice of time.
+# Maximum number of event counts of a sample; a sensor with more has one slice of time.
 MAX_FEATURES = 20_000
 
 # Scores of the test samples, by their ids.

@@ -29,8 +29,8 @@ MANTISSAS = (5, 2, 1)
 # Shortest length of a step in milliseconds.
 MIN_STEP_MS = 0.001
 
-# Presentations of at least this many milliseconds have the default time constants; those of shorter
-# ones are proportional to it.
+# Presentations of at least this many milliseconds have the default time constants; shorter
+# ones have them in proportion.
 FULL_TIME_CONSTANTS_MS = 500.0
 
 # Largest share of its threshold that a neuron may receive, in all steps of the next sample

@@ -63,4 +63,4 @@ def has_networks(settings: Settings, folder: Path) -> bool:
     """True if the folder of a run with these settings has a network for the bundle."""
     kind = find_kind(settings)
     steps = [step for step in kind.steps if kind.is_deployed(step.name)]
-    return any((folder / step.folder / "metrics.json").exists() for step in steps)
+    return any((folder / step.folder / step.files[0]).exists() for step in steps)

@@ -23,7 +23,7 @@ from pipeline.storage.artifacts import Origin
 # Recordings whose frames of events are made at once, which bounds the memory.
 MAX_RECORDINGS_AT_ONCE = 500
 
-# Largest array of the frames of all samples: of more, frames are made when they are needed.
+# Maximum size of one array of the frames of all samples; larger ones are made when needed.
 MAX_FRAME_BYTES = 1 << 29
 
 # Share of merged events above which a shorter step is suggested.
@@ -35,8 +35,8 @@ TOO_SMALL = "ask for fewer (--samples, or check.samples) or give more data"
 # Remedy for too few samples for the split.
 NO_SPLIT = "give other data, or another split.kind or split.test_fraction"
 
-# Version of the rules by which files become recordings; to be raised if they change, because files
-# that are read differently have the same hash.
+# Version of the rules by which files become recordings. Increase it when they change: the hash of
+# the files does not.
 READING_RULES_VERSION = "4"
 
 

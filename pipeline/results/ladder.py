@@ -20,9 +20,6 @@ from pipeline.storage.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.storage.run_folder import RunFolder
 from pipeline.workflow import OpenedRun, check_stages, convert
 
-# Targets whose existing results are included, but which the ladder does not run.
-BOARDS = tuple(name for name, target in TARGETS.items() if target.hardware)
-
 # What may help against a loss at the first stage in which samples follow each other in streams.
 STREAM_REMEDY = {
     "nengo": (
@@ -34,6 +31,11 @@ STREAM_REMEDY = {
 
 # Loss in points above which the layers are listed.
 MAX_LOSS_POINTS = 3.0
+
+
+def list_boards() -> list:
+    """Targets whose existing results are included, but which the ladder does not run."""
+    return [name for name, target in TARGETS.items() if target.hardware]
 
 
 def list_stages(kind: NetworkKind) -> list:
@@ -60,7 +62,7 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
     """
     bundle = convert(opened)
     if not stages:
-        stages = [stage for stage in list_stages(opened.kind) if stage not in BOARDS]
+        stages = [stage for stage in list_stages(opened.kind) if stage not in list_boards()]
     results = check_stages(opened, bundle, stages, jobs)
     results += read_board_results(opened.run, bundle.id)
     artifact = find_ladder_artifact(opened.run, results)
@@ -76,7 +78,7 @@ def measure_ladder(opened: OpenedRun, jobs: int = 1, stages=None) -> dict:
 
 def read_board_results(run: RunFolder, bundle_id: str) -> list:
     """The existing check results of a bundle on boards."""
-    files = [file for file in map(run.find_check_file, BOARDS) if file.exists()]
+    files = [file for file in map(run.find_check_file, list_boards()) if file.exists()]
     return [result for result in map(read_result, files) if result["bundle"] == bundle_id]
 
 

@@ -15,7 +15,7 @@ from deploy.terminal import WARNING, format_command
 from pipeline.kinds.registry import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.recordings.splits import RANDOM
-from pipeline.results.ladder import BOARDS, find_ladder_artifact, list_stages
+from pipeline.results.ladder import find_ladder_artifact, list_boards, list_stages
 from pipeline.settings import INPUTS, Settings, read_settings
 from pipeline.sources import find_identity
 from pipeline.storage.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
@@ -287,7 +287,7 @@ def _list_states_of_results(run, kind, dataset, bundle):
         if not artifact.record.exists():
             # Not every run needs every target: a result that was never
             # requested is not reported as missing.
-            if stage in expected and stage not in BOARDS:
+            if stage in expected and stage not in list_boards():
                 statuses.append(Status(State(artifact.name, MISSING)))
             continue
         results[stage] = result = read_result(artifact.record, DELETE_IT)

@@ -36,7 +36,7 @@ MIN_UPDATES = 1440
 # Updates by the square root of the number of training samples.
 UPDATES_BY_ROOT_OF_SAMPLES = 60
 
-# Number of training samples below which spikes are left out of training with this probability.
+# Number of training samples below which there are few, and the dropout of spikes for few.
 FEW_SAMPLES = 2000
 FEW_DROPOUT = 0.5
 
@@ -72,7 +72,7 @@ MAX_COUNTED_SAMPLES = 1000
 MAX_REFRACTORY_MS = 1000
 MAX_LOST_EVENT_SHARE = 0.72
 
-# Difference of accuracies that is not counted: drawing other samples changes them as much.
+# Accuracies this close count as equal: drawing other samples changes them as much.
 MAX_EQUAL_ACCURACY_GAP = 0.01
 
 # Strengths of the regularisation of the linear classifier, among which the best is taken.

@@ -106,7 +106,7 @@ def list_notes_on_recordings(opened) -> Iterator[str]:
     if absent := find_classes_without_test(recordings, split):
         yield (
             f"{WARNING}{recordings.source.name}: the test set has no recordings of "
-            f"{list_names(absent)}; no accuracy says anything about them"
+            f"{list_names(absent)}; the accuracy says nothing about them"
         )
     classes = recordings.sensor.classes
     missing = sorted(set(range(len(classes))) - set(recordings.labels.tolist()))

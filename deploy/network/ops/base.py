@@ -70,7 +70,7 @@ class DeployedOperation:
     # --- the meaning ------------------------------------------------------------------------------
 
     def compute_shape(self, pooled_shape) -> Tuple[int, ...]:
-        """Shape of the output.
+        """Shape of the output: ``(n,)``, or ``(rows, columns, channels)``.
 
         Raises
         ------

@@ -23,7 +23,7 @@ from pipeline.recordings.sensor import make_class_sort_key
 LOOKUP_TABLE = "lut.mat"
 POSITIONS = "taxels.csv"
 
-# Suffix of recordings if there are no others, and of files that are ignored otherwise.
+# Ending of files that are recordings only if the source has no others.
 TEXT_SUFFIX = ".txt"
 
 # Recordings of a source.

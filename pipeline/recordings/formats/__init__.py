@@ -4,7 +4,8 @@ To add a format, write a function ``read(content, name)`` that gives an
 :class:`~pipeline.recordings.formats.recording.EventRecording` or raises
 :class:`~pipeline.recordings.formats.recording.BadRecording`, and enter it in :data:`READERS`.
 :func:`~pipeline.recordings.formats.recording.make_recording` makes one of the columns x, y, t and p
-and checks them; ``t_s``, ``t_ms`` and others name the unit of the times.
+and checks them; ``t_s``, ``t_ms`` and others name the unit of the times.  A package of yours calls
+:func:`register_format` instead.
 """
 
 from pathlib import PurePosixPath
@@ -25,6 +26,28 @@ READERS = {
     **dict.fromkeys(atis.SUFFIXES, atis.read_bin),
     **dict.fromkeys(hdf5.SUFFIXES, hdf5.read_hdf5),
 }
+
+
+def register_format(ending: str, read):
+    """Add a format of recordings, such as one of another package.
+
+    Parameters
+    ----------
+    ending : str
+        Of its files, in lower case, such as ``".events"``.
+    read : callable
+        ``read(content, name)``, as of all formats.
+
+    Raises
+    ------
+    ValueError
+        The ending is none, or there is a format of it.
+    """
+    if not ending.startswith(".") or ending != ending.lower():
+        raise ValueError(f"ending {ending!r}: begins with a point, in lower case")
+    if ending in READERS:
+        raise ValueError(f"ending {ending!r}: there is a format of it already")
+    READERS[ending] = read
 
 
 def read_file(content: bytes, name: str):
