@@ -86,13 +86,13 @@ def set_integers(link: Link, layer: Integers, height: float = 1.0) -> Link:
     sum_v = _sum_of_decays(layer.keep_v)
     share_u = (decay_u + 1) / (DECAY_UNIT - 1)
     share_v = decay_v / (DECAY_UNIT - 1)
-    per_unit = 255 / LOIHI.weight_levels * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
+    real_per_integer = 255 / LOIHI.weight_levels * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
     tau_rc = float(-dt / np.log1p(-share_v))
-    per_unit *= 2.0**layer.exponent
+    real_per_integer *= 2.0**layer.exponent
     return replace(
         link,
-        weights=layer.weights * per_unit * (link.pool**2 / height),
-        recurrent=None if layer.recurrent is None else layer.recurrent * per_unit,
+        weights=layer.weights * real_per_integer * (link.pool**2 / height),
+        recurrent=None if layer.recurrent is None else layer.recurrent * real_per_integer,
         bias=layer.bias * (sum_v / layer.threshold),
         neurons=Neurons(dt, tau_rc, 0.0, layer.floor / layer.threshold),
         synapse=None if share_u == 1 else float(-dt / np.log1p(-share_u)),

@@ -9,6 +9,7 @@ outputs of a target that are not those of the equations.
 import itertools
 import math
 from dataclasses import replace
+from functools import partial
 
 import nengo
 import numpy as np
@@ -175,13 +176,16 @@ def _assert_trained(operation, input_shape, rng):
     assert operation.count_fan_in(input_shape) >= reads >= 1, "count_fan_in"
 
 
-def assert_target_conforms(target, computes_network: bool = True):
+def assert_target_conforms(target, computes_network: bool = True, options=None):
     """Try a target on images, on events, and on a readout in sections.
 
     It need not be entered in `TARGETS`.  Its readout and spikes must be those of the chip's
     emulator if it is exact, and otherwise similar to those of
-    :func:`deploy.network.reference.run_reference`, unless it does not compute the network.
+    :func:`deploy.network.reference.run_reference`, unless it does not compute the network.  A
+    target that computes it only with some options, such as noise of 0, is tried with these.
     """
+    if options is not None:
+        target = replace(target, run=partial(target.run, options=options))
     images = small_spec(stream_length=3)
     samples = random_checks(images, 5).inputs
     _assert_streams(target, images, samples)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from deploy.check.run import run_check
+from deploy.check.run import open_check, run_check, run_streams
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
@@ -89,6 +89,12 @@ def test_a_target(tmp_path, monkeypatch):
     assert {sample["prediction"] for sample in result["samples"]} == {0}
     options = select_options("first", label=2)
     result = run_check(bundle, "first", tmp_path / "second.json", options=options)
+    assert {sample["prediction"] for sample in result["samples"]} == {2}
+    assert result["options"] == {"label": 2}
+    out = tmp_path / "third.json"
+    with open_check(bundle, "first", out, options=FirstOptions()) as opened:
+        next(iter(run_streams(opened.make_job(opened.remaining_streams))))
+    result = run_check(bundle, "first", out, options=options)  # continues no check of other options
     assert {sample["prediction"] for sample in result["samples"]} == {2}
     with pytest.raises(UserError, match="--label is for --target first"):
         select_options("fast", label=2)

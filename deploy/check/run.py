@@ -16,6 +16,7 @@ from ..files import lock_file, reporting_os_errors, write_json
 from ..loading import load
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
+from ..targets.options import Options
 from ..targets.overflow import OverflowWatch, describe_overflows
 from ..targets.registry import (
     Target,
@@ -181,7 +182,8 @@ class OpenCheck:
     ----------
     bundle : Bundle
     identity : dict
-        What distinguishes this check from others: bundle, target, seed, versions and samples.
+        What distinguishes this check from others: bundle, target, seed, versions, samples, and the
+        options that change outputs.
     out, partial : Path
         File of the result, and of the records of the finished streams.
     records : dict of int to dict
@@ -229,6 +231,8 @@ class OpenCheck:
         records = [self.records[stream.start] for stream in _list_streams(bundle)]
         samples = [sample for record in records for sample in record["samples"]]
         extra = self._describe_notes(records)
+        if self.options is not None:
+            extra.update(_describe_options(self.options))
         if self.target.hardware:
             extra.update(self._compare_with_fast(samples))
         overflows = {number for record in records for number in record.get("overflows", ())}
@@ -251,7 +255,7 @@ class OpenCheck:
     def _compare_with_fast(self, samples) -> dict:
         """The number of samples whose spikes differ from those of ``fast``.
 
-        Empty without Numba: the board's result is written all the same.
+        Empty without Numba: the board's result is still written.
         """
         bundle = self.bundle
         try:
@@ -281,7 +285,7 @@ def open_check(
     out,
     seed: Optional[int] = None,
     advance=None,
-    options: Optional[object] = None,
+    options: Optional[Options] = None,
 ) -> Iterator[OpenCheck]:
     """Open a check, resuming an earlier one, for its streams to be run in any order and process.
 
@@ -317,6 +321,8 @@ def open_check(
         # Other recordings may have been put in place of the bundle's, also with the same ids.
         "samples": bundle.checks.sha256,
     }
+    if options is not None:
+        identity.update(_describe_options(options))
     is_locked = f"{out}: another process is writing this result; wait for it or use another --out"
     with lock_file(partial, is_locked, "choose another --out") as file:
         try:
@@ -336,6 +342,12 @@ def open_check(
         finally:
             if os.path.exists(str(partial)) and not os.path.getsize(str(partial)):
                 os.unlink(str(partial))
+
+
+def _describe_options(options) -> dict:
+    """The options on which the outputs depend; nothing if there are none."""
+    values = options.list_output_values()
+    return {"options": values} if values else {}
 
 
 def list_sample_records(checks: CheckSet, responses: Responses) -> list:

@@ -189,10 +189,10 @@ def compute_confidence(
     if estimator is not None:
         changed = (outputs != delay_outputs(outputs, 1)).any(-1)
         since = np.maximum.accumulate(np.where(changed, np.arange(changed.shape[-1]), 0), -1)
-        sure = np.take_along_axis(estimator(outputs, first), since, -1)
+        confidence = np.take_along_axis(estimator(outputs, first), since, -1)
     else:
-        sure = 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
-    return np.where(outputs.any(-1), np.minimum(sure, MAX_CONFIDENCE), 0.0)
+        confidence = 1 / np.exp(outputs - outputs.max(-1, keepdims=True)).sum(-1)
+    return np.where(outputs.any(-1), np.minimum(confidence, MAX_CONFIDENCE), 0.0)
 
 
 def continue_confidence(
@@ -218,14 +218,14 @@ def continue_confidence(
     if n == 0 or estimator is None:
         return compute_confidence(outputs[n:], estimator, first + n)
     start = max(0, n - max(LAGS) - 1)
-    sure = compute_confidence(outputs[start:], estimator, first + start)[n - start :]
+    confidence = compute_confidence(outputs[start:], estimator, first + start)[n - start :]
     changed = (outputs[n:] != outputs[n - 1 : -1]).any(axis=1)
     unchanged = len(changed) if not changed.any() else int(changed.argmax())
-    sure[:unchanged] = known[-1]
-    return sure
+    confidence[:unchanged] = known[-1]
+    return confidence
 
 
-def compute_probabilities(outputs, sure) -> np.ndarray:
+def compute_probabilities(outputs, confidence) -> np.ndarray:
     """Probabilities of the classes, of which the largest is the confidence in the answer.
 
     They are the softmax of the outputs at the temperature that gives this largest value, so that
@@ -235,22 +235,22 @@ def compute_probabilities(outputs, sure) -> np.ndarray:
     Parameters
     ----------
     outputs : ndarray, shape (..., n_classes)
-    sure : ndarray, shape (...)
-        Below 1 / n_classes, all classes get 1 / n_classes.  If several outputs are the largest, they
-        share, and each has less.
+    confidence : ndarray, shape (...)
+        Below 1 / n_classes, all classes get 1 / n_classes.  If several outputs are the largest,
+        each has less.
 
     Returns
     -------
     ndarray, shape (..., n_classes)
     """
     ahead = outputs - outputs.max(-1, keepdims=True)
-    lowest = np.full(np.shape(sure), -5.0)
-    highest = np.full(np.shape(sure), 3.0)
+    lowest = np.full(np.shape(confidence), -5.0)
+    highest = np.full(np.shape(confidence), 3.0)
     for _ in range(20):  # bisection of the logarithm of the inverse temperature
         middle = (lowest + highest) / 2
         powers = np.exp(10 ** middle[..., None] * ahead)
         shares = powers / powers.sum(-1, keepdims=True)
-        above = shares.max(axis=-1) > sure
+        above = shares.max(axis=-1) > confidence
         lowest = np.where(above, lowest, middle)
         highest = np.where(above, middle, highest)
     return shares
@@ -278,9 +278,9 @@ def decide(outputs, threshold: float, estimator: Optional[Estimator] = None, fir
     )
 
 
-def find_decisions(outputs, sure, threshold: float):
-    """As :func:`decide`, of outputs whose confidence ``sure`` at each step is known."""
-    reached = sure >= threshold
+def find_decisions(outputs, confidence, threshold: float):
+    """As :func:`decide`, of outputs whose ``confidence`` at each step is known."""
+    reached = confidence >= threshold
     reached[:, -1] = True
     steps = reached.argmax(1)
     return steps, outputs[np.arange(len(steps)), steps].argmax(-1)
@@ -329,12 +329,14 @@ def choose_threshold(
         return float(np.average(values, weights=weights))
 
     at_the_end = mean(outputs[:, -1].argmax(-1) == labels)
-    sure = compute_confidence(outputs, estimator)
+    confidence = compute_confidence(outputs, estimator)
     best = Threshold(1.0, at_the_end, 1.0)
-    for level in 1 - np.geomspace(0.5, 1e-4, 200):
-        steps, classes = find_decisions(outputs, sure, level)
+    for candidate in 1 - np.geomspace(0.5, 1e-4, 200):
+        steps, classes = find_decisions(outputs, confidence, candidate)
         threshold = Threshold(
-            float(level), mean(classes == labels), mean(compute_share_of_time(steps, last_step))
+            float(candidate),
+            mean(classes == labels),
+            mean(compute_share_of_time(steps, last_step)),
         )
         if threshold.accuracy >= at_the_end - loss and threshold.share < best.share:
             best = threshold

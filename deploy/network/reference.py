@@ -52,7 +52,7 @@ class NeuronEquations:
     keep_u: float
     keep_v: float
     bias: Union[float, np.ndarray]
-    threshold: float = 1.0
+    threshold: Union[float, np.ndarray] = 1.0
     floor: float = -np.inf
     input_scale: float = 1.0
     waiting_steps: int = 0
@@ -175,14 +175,14 @@ class InputNeurons:
         """
         n_streams, size = self._voltage.shape
         spikes = np.zeros((n_streams, last - first, size), np.uint8)
-        dark = min(max(-first, 0), last - first)
+        n_silent_steps = min(max(-first, 0), last - first)
         if not self._static:
-            frames = self._frames[:, first + dark : last]
-            np.greater(frames, 0, out=spikes[:, dark:].view(bool))
+            frames = self._frames[:, first + n_silent_steps : last]
+            np.greater(frames, 0, out=spikes[:, n_silent_steps:].view(bool))
             return spikes
-        if dark:  # no input resets the phase
+        if n_silent_steps:  # no input resets the phase
             self._voltage[:] = self._phase
-        self._make_even_spikes(self._frames, spikes[:, dark:])
+        self._make_even_spikes(self._frames, spikes[:, n_silent_steps:])
         return spikes
 
     def _make_even_spikes(self, frame, out):

@@ -122,30 +122,30 @@ def compute_responses(spec: NetworkSpec, output: np.ndarray, spikes: Optional[di
     """
     spikes = {} if spikes is None else spikes
     start = spec.presentation.readout_start
-    limit = spec.presentation.confidence
+    threshold = spec.presentation.confidence
     scores = compute_running_means(spec, output)
     decisions = np.full(output.shape[:2], -1)
     best = np.argmax(round_scores(scores, find_score_unit(spec)), axis=2)
     empty = ~np.logical_or.accumulate((output[:, start:] != 0).any(2), axis=1)
     decisions[:, start:] = np.where(empty, -1, best)
     stopped = None
-    sure = None
-    if limit is not None:
+    confidence = None
+    if threshold is not None:
         sums = sum_running_means(spec, scores)
         confidences = compute_confidence(sums, spec.estimator, start)
-        stopped = start + 1 + find_decisions(sums, confidences, limit)[0]
-        sure = confidences[:, -1]
+        stopped = start + 1 + find_decisions(sums, confidences, threshold)[0]
+        confidence = confidences[:, -1]
     elif spec.layers[-1].neurons is None:
-        sure = compute_confidence(scores[:, -1])
-    if sure is not None:
-        sure = np.where(empty[:, -1] | (sure == 0), np.nan, sure)
+        confidence = compute_confidence(scores[:, -1])
+    if confidence is not None:
+        confidence = np.where(empty[:, -1] | (confidence == 0), np.nan, confidence)
     return Responses(
         scores=round_scores(scores[:, -1], find_score_unit(spec)),
         decisions=decisions,
         spikes={name: counts.sum(axis=-1) for name, counts in spikes.items()},
         operations=spec.count_synaptic_operations(spikes) if spikes else {},
         stopped_at=stopped,
-        probabilities=sure,
+        probabilities=confidence,
     )
 
 

@@ -1,7 +1,7 @@
 """Options of targets: fields of a dataclass, which both command lines offer and check."""
 
-from dataclasses import dataclass, field, fields
-from typing import Optional
+from dataclasses import asdict, dataclass, field, fields
+from typing import ClassVar, Optional
 
 from ..errors import UserError
 
@@ -9,14 +9,20 @@ from ..errors import UserError
 MAX_WAIT_S = 600.0
 
 
-def option(default, help_text, least=None, largest=None):
+def option(default, help_text, minimum=None, maximum=None):
     """A field with its range, and its help on both command lines."""
-    return field(default=default, metadata={"help": help_text, "range": (least, largest)})
+    return field(default=default, metadata={"help": help_text, "range": (minimum, maximum)})
 
 
 @dataclass(frozen=True)
 class Options:
     """Base class of the options of a target: a frozen dataclass whose fields are :func:`option`.
+
+    Attributes
+    ----------
+    changes_outputs : bool
+        True if a target with other options gives other outputs: a check then records them, and a
+        check with other options does not continue it.
 
     Raises
     ------
@@ -24,16 +30,22 @@ class Options:
         A value is out of its range.
     """
 
+    changes_outputs: ClassVar[bool] = True
+
     def __post_init__(self):
         for entry in fields(self):
-            lowest, highest = entry.metadata["range"]
-            if lowest is None:
+            minimum, maximum = entry.metadata["range"]
+            if minimum is None:
                 continue
             value = getattr(self, entry.name)
-            if value < lowest:
-                raise UserError(f"--{entry.name} must be at least {lowest:g}")
-            if not value <= highest:  # also refuses NaN
-                raise UserError(f"--{entry.name} must be at most {highest:g}")
+            if value < minimum:
+                raise UserError(f"--{entry.name} must be at least {minimum:g}")
+            if not value <= maximum:  # also refuses NaN
+                raise UserError(f"--{entry.name} must be at most {maximum:g}")
+
+    def list_output_values(self) -> dict:
+        """The values on which the outputs depend, by the names of the options."""
+        return asdict(self) if self.changes_outputs else {}
 
 
 @dataclass(frozen=True)
@@ -57,6 +69,8 @@ class BoardOptions(Options):
     timeout : float
         Time limit in seconds for the connection and for the run of a stream, each.
     """
+
+    changes_outputs: ClassVar[bool] = False
 
     board: Optional[str] = option(None, "Name of a board (default: the cluster's choice).")
     partition: Optional[str] = option(None, "SLURM partition (default: a board of this host).")

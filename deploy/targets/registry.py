@@ -15,7 +15,9 @@ To add a target:
 3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.  A
    package of yours calls :func:`register_target` before it imports the command line.
 4. Set ``in_ladder`` if every ladder should have a row of it.
-5. Set ``is_exact`` if every spike is that of NengoLoihi's emulator: the energy and the comparison
+5. Set ``must_fit_integers`` unless the function itself refuses what the chip's integers cannot
+   hold.
+6. Set ``is_exact`` if every spike is that of NengoLoihi's emulator: the energy and the comparison
    of runs then take its counts.
 
 Ladder, report and both command lines read it from there.  The list is read without Nengo, since the
@@ -48,7 +50,8 @@ class Target:
     run : callable
         ``run(spec, streams, seed)`` yields a :class:`~deploy.network.output.TargetOutput` for
         each stream, in order.  Targets with options also have a keyword argument ``options``, which
-        is None for their defaults.
+        is None for their defaults.  What is random must not depend on earlier streams or on later
+        samples: draw it anew for each stream, and for each sample in order.
     title : str
         Short description.
     note : str

@@ -196,13 +196,13 @@ class ImageDecider(Decider):
         # The softmax was trained on the scores, which are means.  Sums of many steps would always
         # give a confidence of nearly 1 unless a threshold was chosen for them.
         if self.threshold is None:
-            sure = compute_confidence(scores[None])[-1]
+            confidence = compute_confidence(scores[None])[-1]
         else:
             first = self._spec.presentation.readout_start
-            sure = compute_confidence(sums, self._spec.estimator, first)[-1]
+            confidence = compute_confidence(sums, self._spec.estimator, first)[-1]
         now_s = float(events.time_ns[-1] * 1e-9) if np.isinf(time_s) else time_s
         best = int(np.argmax(round_scores(scores, find_score_unit(self._spec))))
-        points.append((now_s, sure, best, compute_probabilities(scores, sure)))
+        points.append((now_s, confidence, best, compute_probabilities(scores, confidence)))
         curve = Curve(*map(np.array, zip(*points, strict=True)))
         return NetworkOutput(scores, spikes, curve, curve.find_first(self.threshold))
 

@@ -55,7 +55,7 @@ NO_LIMITS = SpikeLimits()
 class EventTable:
     """Physical events of recordings, each recording's time counted from its first event.
 
-    Times and places are computed for the recordings that are picked: the columns of large sources
+    Times and places are computed for the recordings that are selected: the columns of large sources
     are memory-mapped, and a table of their own would not fit into memory.
 
     Attributes
@@ -115,7 +115,7 @@ class EventTable:
         Yields
         ------
         slice, EventColumns
-            Which of the recordings, and their events; see :meth:`pick`.
+            Which of the recordings, and their events; see :meth:`select`.
         """
         indices = np.arange(len(self)) if indices is None else np.asarray(indices, int)
         for start in range(0, len(indices), RECORDINGS_AT_ONCE):
@@ -154,7 +154,7 @@ class EventTable:
     def count(
         self, events: EventColumns, samples: int, slices: int, duration_ms: float, weights=None
     ) -> np.ndarray:
-        """Count events that were picked; see :meth:`count_in_slices`.
+        """Count events that were selected; see :meth:`count_in_slices`.
 
         Parameters
         ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import time
 from functools import partial
 
@@ -194,5 +195,7 @@ def make_check_artifact(
 def _read_check_record(result):
     names = ("bundle", "network", "target")
     contents = {name: result[name] for name in names if name in result}
+    if "options" in result:  # a ladder's results have the default ones
+        contents["options"] = json.dumps(result["options"], sort_keys=True)
     contents["samples"] = "others" if result.get("data") else OWN_SAMPLES
     return Origin({"seed": result.get("seed")}, contents).to_json()
