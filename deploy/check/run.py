@@ -63,7 +63,7 @@ def run_check(
     out,
     seed: Optional[int] = None,
     advance=None,
-    options: Optional[object] = None,
+    options: Optional[Options] = None,
 ) -> dict:
     """Run a target on the bundle's samples and write the result.
 
@@ -127,7 +127,7 @@ class StreamJob:
     streams: tuple
     identity: dict
     partial: Path
-    options: Optional[object]
+    options: Optional[Options]
 
     @property
     def target(self) -> str:
@@ -199,7 +199,7 @@ class OpenCheck:
     out: Path
     partial: Path
     records: Dict[int, dict]
-    options: Optional[object]
+    options: Optional[Options]
     advance: Callable
 
     @property

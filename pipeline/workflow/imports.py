@@ -1,12 +1,13 @@
 """A network that the user has trained elsewhere, as settings of a run.
 
-The command ``convert`` and :meth:`stmnist.Run.convert` take the same :class:`ImportRequest`.
+The command ``convert`` and :meth:`pipeline.api.run.Run.convert` take the same :class:`ImportRequest`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 
 from deploy.errors import UserError
 from pipeline.kinds.image.keras_model import make_model_settings
@@ -76,7 +77,7 @@ class ImportRequest:
             A Keras model gets the images that this run has, if it exists.
         """
         if self.model is not None:
-            changes = make_model_settings(self.model, self.retrain, before)
+            changes = make_model_settings(Path(self.model), self.retrain, before)
             kept = {} if run is None else make_kept_image_settings(run)
             return changes | kept
         if self.nir is not None:

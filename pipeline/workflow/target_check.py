@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deploy.check.bundle import Bundle
+    from deploy.targets.options import Options
 
 
 @dataclass(frozen=True)
@@ -19,13 +20,13 @@ class TargetCheck:
     target : str
     seed : int
         Given to the simulator.
-    options : object or None
+    options : Options or None
         See :func:`deploy.targets.registry.select_options`.
     """
 
     target: str
     seed: int
-    options: object = None
+    options: Options | None = None
 
     def run(self, bundle: Bundle, path: Path) -> dict:
         """Run the target on a bundle's samples, with a progress bar; write the result."""
