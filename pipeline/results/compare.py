@@ -143,8 +143,8 @@ def compare_runs(runs) -> dict:
         Ready for JSON: ``runs``, each with its ``name`` and the costs of an inference (see
         :func:`compute_inference`); the ``settings`` that differ, each with its ``name`` and
         ``values`` in the order of the runs (None of a run that does not read it); the ``stages`` of
-        at least two runs, each with ``accuracies`` and ``differences`` from the first run in the order of the
-        runs (see :func:`compare_accuracies`), None for a run without it.
+        at least two runs, each with ``accuracies`` and ``differences`` from the first run in the
+        order of the runs (see :func:`compare_accuracies`), None for a run without it.
     """
     runs_with = Counter(stage for run in runs for stage in run.results)
     shared = [stage for stage in list_stages() if runs_with[stage] > 1]

@@ -1,6 +1,7 @@
 """A network that the user has trained elsewhere, as settings of a run.
 
-The command ``convert`` and :meth:`pipeline.api.run.Run.convert` take the same :class:`ImportRequest`.
+The command ``convert`` and :meth:`pipeline.api.run.Run.convert` make the same
+:class:`ImportRequest`.
 """
 
 from __future__ import annotations
