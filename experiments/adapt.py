@@ -260,7 +260,7 @@ def main(
     as_json: options.Json = False,
 ):
     """Measure the gain of fitting a network to one person, as a mean over people."""
-    with options.resolve_settings(out, requested, of_results=True) as (folder, settings):
+    with options.lock_and_resolve_settings(out, requested, of_results=True) as (folder, settings):
         if settings.data.source != SIMULATED:
             raise UserError("the networks are trained on simulated recordings; omit data.source")
         pen = pen.absolute()

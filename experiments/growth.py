@@ -67,7 +67,7 @@ def repeat_recordings(recordings: Recordings, samples_per_digit: int) -> Recordi
 def store_repeated(cache: Path, recordings: Recordings, samples_per_digit: int):
     """Store repeated recordings where a run looks for as many simulated ones."""
     settings = Settings().with_values({"data": {"samples_per_digit": samples_per_digit}})
-    sha256, _ = sources.find_identity(settings)
+    sha256, _ = sources.find_hash_and_split(settings)
     repeated = repeat_recordings(recordings, samples_per_digit)
     repeated = replace(repeated, source=replace(recordings.source, sha256=sha256))
     cached_recordings.store(cache / sources.find_path_of_simulated(sha256).name, repeated)

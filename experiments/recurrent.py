@@ -66,7 +66,7 @@ def compare_with_torch(graph, predictions_file, settings, dataset, target) -> tu
     """The columns of a network: accuracies, and what snnTorch, graph and chip have in common."""
     network = read_nir(graph)
     of_torch = read_arrays(predictions_file, "train again")
-    stepping = Stepping.of(settings, network)
+    stepping = Stepping.from_settings(settings, network)
     presentation = settings.make_presentation()
     samples = dataset.inputs[np.sort(dataset.split.train)[:: len(dataset.split.train) // 48]]
     spec = make_nir_spec(network, stepping, settings.stimulus, presentation, samples, {})

@@ -171,7 +171,10 @@ def make_command(experiment: Experiment) -> Callable:
         workers: options.Workers,
         as_json: options.Json = False,
     ):
-        with options.resolve_settings(out, requested, of_results=True) as (folder, settings):
+        with options.lock_and_resolve_settings(out, requested, of_results=True) as (
+            folder,
+            settings,
+        ):
             result, failed = run(experiment, folder, settings, seeds, only, workers)
         if store and not failed:
             write_json(RESULTS / f"{store}.json", result)

@@ -54,7 +54,7 @@ class Integers:
     recurrent: np.ndarray | None = None
 
 
-def set_integers(link: Link, layer: Integers, height: float = 1.0) -> Link:
+def derive_parameters(link: Link, layer: Integers, height: float = 1.0) -> Link:
     """The link with parameters from which NengoLoihi derives these integers.
 
     NengoLoihi makes decays of 12 bits from the time constants.  It scales a block's weights so that
@@ -136,4 +136,4 @@ def from_integers(
     # On the chip, the relay and each layer of neurons take a step.
     arrive = (0, *(first + len(hidden) + 1 for first in starts[1:]))
     output = replace(output, weights=weights["output.kernel"].astype(float), starts=arrive)
-    return (*(set_integers(link, integers[link.name]) for link in hidden), output)
+    return (*(derive_parameters(link, integers[link.name]) for link in hidden), output)

@@ -22,7 +22,7 @@ from models.integers import (
     THRESHOLD_UNIT,
     WEIGHT_UNIT,
     Integers,
-    set_integers,
+    derive_parameters,
 )
 
 # In 4096ths.
@@ -78,7 +78,7 @@ def round_chain(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(link, weights=link.weights * factor)
-        rounded.append(set_integers(link, choose_integers(scaled, spikes, chip), factor))
+        rounded.append(derive_parameters(link, choose_integers(scaled, spikes, chip), factor))
         spikes = simulate_spikes(scaled, spikes)
     return tuple(rounded)
 

@@ -48,7 +48,7 @@ class SimulatedSource:
     chunked: float = 0.0
 
     @classmethod
-    def of(cls, settings: Settings) -> "SimulatedSource":
+    def from_settings(cls, settings: Settings) -> "SimulatedSource":
         """The simulated recordings that are named in the settings."""
         data = settings.data
         return cls(data.simulation_seed, data.samples_per_digit, data.writers, data.chunked)
@@ -107,7 +107,7 @@ def load_named_recordings(settings: Settings, jobs: int = 1, warn=None) -> Recor
     # An artifact may read only the settings that apply to its recordings (make_dataset_origin).
     if data.source == SIMULATED:
         size = ReadingOptions(settings.skin.rows, settings.skin.columns)
-        simulated = SimulatedSource.of(settings)
+        simulated = SimulatedSource.from_settings(settings)
         return load_recordings(jobs=jobs, reading=size, simulated=simulated)
     reading = make_reading_options(settings)
     return load_recordings(data.source, data.skip_bad, jobs, warn, reading)
@@ -125,12 +125,12 @@ def load_dataset(settings: Settings, jobs: int = 1, warn=None) -> Dataset:
     Raises
     ------
     UserError
-        As :func:`load_recordings` and :meth:`pipeline.recordings.dataset.Dataset.of`.
+        As :func:`load_recordings` and :meth:`pipeline.recordings.dataset.Dataset.from_recordings`.
     """
-    return Dataset.of(settings, load_named_recordings(settings, jobs, warn))
+    return Dataset.from_recordings(settings, load_named_recordings(settings, jobs, warn))
 
 
-def find_identity(settings: Settings) -> tuple:
+def find_hash_and_split(settings: Settings) -> tuple:
     """The hash of the recordings named in the settings and their split, without loading them.
 
     Returns
@@ -147,7 +147,7 @@ def find_identity(settings: Settings) -> tuple:
     """
     split = settings.split.kind
     if settings.data.source == SIMULATED:
-        simulated = SimulatedSource.of(settings)
+        simulated = SimulatedSource.from_settings(settings)
         parameters = simulated.describe_reading(settings.skin.rows, settings.skin.columns)
         sha256 = make_source(simulated.seed, simulated.counts, **parameters).sha256
         return sha256, RANDOM if split == "auto" else split

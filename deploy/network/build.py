@@ -95,7 +95,7 @@ class Relay(nengo.neurons.NeuronType):
 
 
 @dataclass(frozen=True)
-class Built:
+class BuiltNetwork:
     """A Nengo network, with the objects to feed and read it.
 
     Attributes
@@ -116,7 +116,7 @@ class Built:
     spikes: dict
 
 
-def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
+def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> BuiltNetwork:
     """Build the network in Nengo.
 
     The convolutions onto the chip come from ``Neurons``, with their biases in the ensembles, so
@@ -132,7 +132,7 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
 
     Returns
     -------
-    Built
+    BuiltNetwork
     """
     feed = Feed(spec.presentation, int(np.prod(spec.input_shape)))
     spikes = {}
@@ -160,7 +160,7 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> Built:
             if layer.neurons is not None:
                 spikes[layer.name] = output
             source = target
-    return Built(network, feed, output, spikes)
+    return BuiltNetwork(network, feed, output, spikes)
 
 
 def _add_units(network, layer: Layer, blocks: dict):

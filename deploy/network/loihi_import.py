@@ -46,7 +46,9 @@ warnings.filterwarnings("ignore", "invalid value encountered in cast", module="n
 # assertions, and one of their messages is itself mistaken (an AttributeError).
 BUILD_ERRORS = (nengo.exceptions.NengoException, AssertionError, AttributeError, OverflowError)
 
-HOLDS = "weights of 8 bits, a threshold of 17 bits times 64, a bias of 12 bits times up to 128"
+INTEGER_FORMATS = (
+    "weights of 8 bits, a threshold of 17 bits times 64, a bias of 12 bits times up to 128"
+)
 
 
 def require_integers(network: nengo.Network):
@@ -108,8 +110,8 @@ def _find_unfit_value(network):
         except BUILD_ERRORS:
             return (
                 f"layer {labels.get(block, block.label)}: no scale puts its numbers into the "
-                f"chip's integers ({HOLDS}): its largest weight, times the size of the spikes that "
-                f"arrive, is {weight:.3g}, its threshold {threshold:.3g}, its largest bias "
+                f"chip's integers ({INTEGER_FORMATS}): its largest weight, times the size of the "
+                f"spikes that arrive, is {weight:.3g}, its threshold {threshold:.3g}, its largest bias "
                 f"{bias:.3g}; bring them closer together"
             )
     return None

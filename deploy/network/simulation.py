@@ -11,7 +11,7 @@ from .output import TargetOutput, hash_spikes
 from .spec import NetworkSpec
 
 
-class ShortOfSteps(Exception):
+class ImpossibleOutput(Exception):
     """A simulator or board returned an impossible number of steps or spikes."""
 
 
@@ -35,7 +35,7 @@ def present(built, sim, samples) -> Iterator[SampleOutput]:
 
     Parameters
     ----------
-    built : deploy.network.build.Built
+    built : deploy.network.build.BuiltNetwork
         The network that ``sim`` runs.
     sim : nengo.Simulator or nengo_loihi.Simulator
         A simulator at its first step; its probes are cleared after each sample.
@@ -44,7 +44,7 @@ def present(built, sim, samples) -> Iterator[SampleOutput]:
 
     Raises
     ------
-    ShortOfSteps
+    ImpossibleOutput
         The simulator returned an impossible number of steps or spikes.
     """
     built.feed.samples = samples
@@ -55,11 +55,13 @@ def present(built, sim, samples) -> Iterator[SampleOutput]:
         for name, probe in built.spikes.items():
             rows = sim.data[probe]
             if len(rows) != period:
-                raise ShortOfSteps(f"{len(rows)} of {period} steps of layer {name} were returned")
+                raise ImpossibleOutput(
+                    f"{len(rows)} of {period} steps of layer {name} were returned"
+                )
             spikes[name] = np.asarray(rows) != 0
             amplitude_per_step = probe.target.ensemble.neuron_type.amplitude / LOIHI.dt
             if not np.allclose(np.asarray(rows)[spikes[name]], amplitude_per_step, rtol=1e-6):
-                raise ShortOfSteps(f"layer {name} had more than one spike per step and neuron")
+                raise ImpossibleOutput(f"layer {name} had more than one spike per step and neuron")
         output = np.array(sim.data[built.output])
         sim.clear_probes()
         yield SampleOutput(output, spikes)
@@ -71,7 +73,7 @@ def record_stream(spec: NetworkSpec, built, sim, samples) -> TargetOutput:
     Parameters
     ----------
     spec : NetworkSpec
-    built : Built
+    built : BuiltNetwork
         The network that ``sim`` runs.
     sim : nengo.Simulator or nengo_loihi.Simulator
         A simulator at its first step.
@@ -80,7 +82,7 @@ def record_stream(spec: NetworkSpec, built, sim, samples) -> TargetOutput:
 
     Raises
     ------
-    ShortOfSteps
+    ImpossibleOutput
         The simulator returned fewer steps than requested.
     """
     readouts: list = []

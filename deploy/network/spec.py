@@ -19,7 +19,7 @@ from .decision import Estimator
 from .layer import SHAPE, Layer, require
 from .presentation import Presentation
 from .rehearsal import Rehearsal
-from .stimulus import KINDS, Stimulus
+from .stimulus import STIMULI, Stimulus
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,8 @@ class NetworkSpec:
 def _read_stimulus(value):
     values = dict(value)
     kind = values.pop("kind")
-    require(kind in KINDS, "stimulus", f"kind {kind!r} is not one of {', '.join(KINDS)}")
-    return load(KINDS[kind], values, "stimulus")
+    require(kind in STIMULI, "stimulus", f"kind {kind!r} is not one of {', '.join(STIMULI)}")
+    return load(STIMULI[kind], values, "stimulus")
 
 
 def _refuse_unknown(values, known, where):

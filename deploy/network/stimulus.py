@@ -251,7 +251,7 @@ def find_last_steps(frames) -> np.ndarray:
     return np.where(busy.any(1), frames.shape[1] - 1 - np.argmax(busy[:, ::-1], 1), 0)
 
 
-KINDS = {stimulus.kind: stimulus for stimulus in (ImageSpikes, EventFrames)}
+STIMULI = {stimulus.kind: stimulus for stimulus in (ImageSpikes, EventFrames)}
 
 
 class Feed:

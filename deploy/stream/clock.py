@@ -114,7 +114,7 @@ class SensorClock:
             self._release(time_ns, released)
         now_ns = time_ns + self._offset_ns
         if self._advanced_ns is not None and now_ns < self._advanced_ns - MAX_DISORDER_NS:
-            self._faults.count("jump")
+            self._faults.record("jump")
             self._offset_ns += self._advanced_ns - now_ns
             now_ns = self._advanced_ns
         self._advanced_ns = now_ns
@@ -163,7 +163,7 @@ class SensorClock:
             self._waiting = time_ns, cell
             return
         if self.latest_ns is not None and self.now_ns + ahead_ns < self.latest_ns:
-            self._faults.count("late")
+            self._faults.record("late")
         self._use(self.now_ns + ahead_ns, cell, released)
 
     def _release(self, next_ns, released):
@@ -173,9 +173,9 @@ class SensorClock:
         ahead_ns = time_ns + self._offset_ns - self.now_ns
         is_near_waiting = abs(next_ns - time_ns) <= abs(next_ns + self._offset_ns - self.now_ns)
         if not is_near_waiting:
-            self._faults.count("future" if ahead_ns > 0 else "late")
+            self._faults.record("future" if ahead_ns > 0 else "late")
         elif ahead_ns < 0:
-            self._faults.count("jump")
+            self._faults.record("jump")
             self._offset_ns -= ahead_ns
         else:
             self.now_ns += ahead_ns

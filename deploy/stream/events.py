@@ -59,9 +59,9 @@ class EventReader:
         has_polarity = is_on | (((p == 0) | (p == -1)) & self._has_off)
         can_present = readable & inside & has_polarity
         if not can_present.all():
-            self._faults.count("unreadable", int(np.sum(~readable)))
-            self._faults.count("outside", int(np.sum(readable & ~inside)))
-            self._faults.count("polarity", int(np.sum(readable & inside & ~has_polarity)))
+            self._faults.record("unreadable", int(np.sum(~readable)))
+            self._faults.record("outside", int(np.sum(readable & ~inside)))
+            self._faults.record("polarity", int(np.sum(readable & inside & ~has_polarity)))
             time_ns = time_ns[can_present]
             x = x[can_present]
             y = y[can_present]

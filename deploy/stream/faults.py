@@ -40,7 +40,7 @@ class Faults:
         self._unreported = Counter()
         self._next_report_s = -float("inf")
 
-    def count(self, fault: str, number: int = 1):
+    def record(self, fault: str, number: int = 1):
         """Count some events with a fault, and report if the last report is long enough ago."""
         if number == 0:
             return

@@ -231,11 +231,11 @@ class Stream:
             t = self.now
             if t is None:
                 return []
-        if isinstance(t, NUMBERS) and self._is_nothing_due(t):
+        if isinstance(t, NUMBERS) and self._advance_if_nothing_due(t):
             return []
         time_ns, is_valid = self._reader.convert_to_ns(np.atleast_1d(t))
         if not is_valid.all():
-            self._faults.count("unreadable")
+            self._faults.record("unreadable")
             return []
         self._take(*self._clock.advance(int(time_ns[0])))
         self._pass_time(self._clock.now_ns)
@@ -293,7 +293,7 @@ class Stream:
         self.n_events += 1
         return True
 
-    def _is_nothing_due(self, t):
+    def _advance_if_nothing_due(self, t):
         """Take the present time in the shortest time, if no step or silence is over."""
         touch = self._touch
         try:
@@ -335,7 +335,7 @@ class Stream:
         step = np.maximum(self._steps.find_step(touch, time_ns), touch.presentation.n_steps)
         surplus = len(step) - int(np.searchsorted(step, self._steps.longest))
         if surplus:
-            self._faults.count("surplus", surplus)
+            self._faults.record("surplus", surplus)
             step = step[: len(step) - surplus]
             cell = cell[: len(cell) - surplus]
         if len(step):

@@ -52,7 +52,7 @@ class ChipLayer(NamedTuple):
     kernel_slope: np.float32
 
     @classmethod
-    def of(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
+    def from_real_numbers(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
         """The integers of trained variables, as `SpikingNetwork.compute_integers`."""
         scale = max(float(np.abs(kernel).max()), 1e-12) / LOIHI.weight_levels
         threshold = THRESHOLD_UNIT * np.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
@@ -147,7 +147,7 @@ class SpikingGradient:
         layers = []
         for name, neurons, synapses in zip(self.names, self.neurons, self.synapses, strict=True):
             layers.append(
-                ChipLayer.of(
+                ChipLayer.from_real_numbers(
                     kernel=np.reshape(values[f"{name}.kernel"], (-1, synapses.width)),
                     bias=values[f"{name}.bias"],
                     tau_u=values[f"{name}.tau_u"],

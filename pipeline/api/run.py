@@ -40,7 +40,7 @@ from pipeline.results.report import write_report
 from pipeline.results.report.samples import replay
 from pipeline.settings import SIMULATED, Settings, merge_values, read_settings, set_nested
 from pipeline.sources import load_named_recordings
-from pipeline.storage.run_folder import RunFolder, lock_run, refuse_other_folders
+from pipeline.storage.run_folder import RunFolder, lock_run, require_run_or_new_folder
 from pipeline.workflow.target_check import TargetCheck
 
 # Source of the settings in the messages of errors.
@@ -100,7 +100,7 @@ class Run:
         self._quiet = quiet
         self._input = input
         self._folder = RunFolder(self.path)
-        refuse_other_folders(self.path)
+        require_run_or_new_folder(self.path)
         changes = {}
         if data is not None:
             set_nested(changes, "data.source", self._name_source(data), ORIGIN)
@@ -137,7 +137,7 @@ class Run:
         """The recordings, their split, and the inputs of the network."""
         with self._collect_notes():
             recordings = load_named_recordings(self._user_settings, self._jobs, self._say)
-            return prepare_dataset(self._user_settings, recordings, check=False)
+            return prepare_dataset(self._user_settings, recordings, needs_check=False)
 
     @property
     def recordings(self) -> Recordings:
@@ -188,7 +188,7 @@ class Run:
 
     def train(self) -> Training:
         """Train the networks; on images the CNN, on events the spiking network."""
-        with self._open(check=False) as opened:
+        with self._open(needs_check=False) as opened:
             return Training({name: opened.make(name) for name in opened.kind.trained_steps})
 
     def convert(
@@ -225,16 +225,16 @@ class Run:
                 workflow.check_stage(opened, bundle, stage)
             return bundle
 
-    def ladder(self, asked=None) -> Ladder:
+    def ladder(self, stages=None) -> Ladder:
         """Test each stage on the way to the chip on the same samples.
 
         Parameters
         ----------
-        asked : sequence of str, optional
+        stages : sequence of str, optional
             Stages; default: all up to the emulator.
         """
         with self._open() as opened:
-            return Ladder(measure_ladder(opened, self._jobs, asked))
+            return Ladder(measure_ladder(opened, self._jobs, stages))
 
     def check(self, target: str = "fast", data=None, samples: int | None = None) -> CheckResult:
         """Test the network on a target, or one of its stages before.
@@ -314,11 +314,11 @@ class Run:
         return replay(bundle, numbers)
 
     @contextlib.contextmanager
-    def _open(self, check=True, validate=None):
+    def _open(self, needs_check=True, validate=None):
         with self._collect_notes(), lock_run(self.path) as folder:
             if validate is not None:
                 validate(self._user_settings)
-            yield workflow.open_run(folder, self._user_settings, self._jobs, self._say, check)
+            yield workflow.open_run(folder, self._user_settings, self._jobs, self._say, needs_check)
 
     @contextlib.contextmanager
     def _collect_notes(self):

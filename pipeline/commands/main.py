@@ -28,7 +28,7 @@ UsageError, ClickException = typer.BadParameter.__mro__[1:3]
 # Each sub-command: its line in the list, and its function, as ``module.function`` of this package,
 # or its own sub-commands. A module is imported only when one of its commands is chosen, so that
 # ``--help`` and TAB do not wait for the second that importing all of them takes.
-VERBS = {
+COMMANDS = {
     "data": (
         "Recordings: import, inspect, simulate, count, draw.",
         {
@@ -104,8 +104,8 @@ PANELS = {
 
 
 def _import_verbs(name):
-    """The functions of one of the :data:`VERBS`, or of the verbs below it, each with its name."""
-    _, verb = VERBS[name]
+    """The functions of one of :data:`COMMANDS`, or of the verbs below it, each with its name."""
+    _, verb = COMMANDS[name]
     paths = {name: verb} if isinstance(verb, str) else verb
     functions = {}
     for word, path in paths.items():
@@ -147,14 +147,14 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
 
 
 def make_command_line() -> TyperGroup:
-    """The command with its :data:`VERBS`, none of whose modules is imported yet."""
+    """The command with its :data:`COMMANDS`, none of whose modules is imported yet."""
     command = _make_typer(root.__doc__)
     command.callback(invoke_without_command=True)(root)
     group = typer.main.get_command(command)
     assert isinstance(group, TyperGroup)  # because the root has a callback
     for panel, names in PANELS.items():
         for name in names:
-            group.add_command(_Deferred(name, help=VERBS[name][0], rich_help_panel=panel))
+            group.add_command(_Deferred(name, help=COMMANDS[name][0], rich_help_panel=panel))
     return group
 
 

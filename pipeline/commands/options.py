@@ -24,7 +24,7 @@ import typer
 
 from deploy.errors import CheckFailed, UserError
 from deploy.terminal import format_command, remark, show
-from pipeline.storage.run_folder import lock_run, refuse_other_folders
+from pipeline.storage.run_folder import lock_run, require_run_or_new_folder
 
 KEYWORD = Parameter.KEYWORD_ONLY
 
@@ -228,7 +228,7 @@ TrainingRequested = Annotated[
 
 
 @contextlib.contextmanager
-def resolve_settings(
+def lock_and_resolve_settings(
     path: Path, requested: RequestedSettings, changes: dict | None = None, of_results: bool = False
 ):
     """Lock a folder and resolve its settings with the options that were given.
@@ -260,12 +260,12 @@ def resolve_settings(
 
 
 @contextlib.contextmanager
-def open_locked_run(
+def open_requested_run(
     path: Path,
     requested: RequestedSettings,
     jobs: int,
     changes: dict | None = None,
-    check: bool = True,
+    needs_check: bool = True,
     validate=None,
 ):
     """Lock a run, load its recordings, and choose what the settings leave open.
@@ -273,10 +273,10 @@ def open_locked_run(
     Parameters
     ----------
     path, requested, changes
-        As in :func:`resolve_settings`.
+        As in :func:`lock_and_resolve_settings`.
     jobs : int
         Number of processes for recordings that are not in the cache.
-    check : bool
+    needs_check : bool
         True if the samples of a check will be drawn.
     validate : callable, optional
         Called with the settings before the recordings are loaded.
@@ -288,14 +288,14 @@ def open_locked_run(
     Raises
     ------
     UserError
-        As :func:`resolve_settings` and :func:`pipeline.workflow.opening.open_run`.
+        As :func:`lock_and_resolve_settings` and :func:`pipeline.workflow.opening.open_run`.
     """
     from pipeline.workflow import open_run  # imports all that a run is made with
 
-    with resolve_settings(path, requested, changes) as (folder, settings):
+    with lock_and_resolve_settings(path, requested, changes) as (folder, settings):
         if validate is not None:
             validate(settings)
-        yield open_run(folder, settings, jobs, say, check)
+        yield open_run(folder, settings, jobs, say, needs_check)
 
 
 def find_bundle(path: Path) -> Path:
@@ -311,7 +311,7 @@ def find_bundle(path: Path) -> Path:
     if (path / "bundle").is_dir():
         return path / "bundle"
     if (path / "experiment.toml").exists():
-        refuse_other_folders(path)
+        require_run_or_new_folder(path)
         raise UserError(
             f"{path}: has no bundle yet; make it with {format_command('convert', path)}"
         )

@@ -30,6 +30,6 @@ def sweep(
     """
     from pipeline.results.sweep import format_sweep, measure_sweep
 
-    with options.resolve_settings(out, requested, of_results=True) as (folder, resolved):
+    with options.lock_and_resolve_settings(out, requested, of_results=True) as (folder, resolved):
         summary, failed = measure_sweep(folder, resolved, grid, workers, options.say)
     options.print_summary(summary, failed, format_sweep, as_json)

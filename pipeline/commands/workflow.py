@@ -7,7 +7,7 @@ import typer
 
 from deploy.terminal import remark
 from pipeline.commands import options
-from pipeline.storage.run_folder import RunFolder, refuse_other_folders
+from pipeline.storage.run_folder import RunFolder, require_run_or_new_folder
 
 
 def train(run: options.Run, requested: options.TrainingRequested, jobs: options.Jobs = 2):
@@ -18,8 +18,8 @@ def train(run: options.Run, requested: options.TrainingRequested, jobs: options.
     def require_training(settings):
         return find_kind(settings).trained_steps  # an error if the network was trained elsewhere
 
-    with options.open_locked_run(
-        run, requested, jobs, check=False, validate=require_training
+    with options.open_requested_run(
+        run, requested, jobs, needs_check=False, validate=require_training
     ) as opened:
         for name in opened.kind.trained_steps:
             opened.make(name)
@@ -61,14 +61,14 @@ def convert(  # noqa: PLR0913 - each is an option of the command
     imported = workflow.ImportRequest(model, nir, step, retrain, strict, prefix="--")
     changes = {}
     if model is not None or nir is not None:
-        refuse_other_folders(run)
+        require_run_or_new_folder(run)
         folder = RunFolder(run)
         before = folder.resolve_settings(requested.settings, {})
         kept = folder if requested.settings is None else None
         changes = imported.make_settings(before, requested.input, kept)
     if step is not None and changes["input"]["kind"] == "image":
         remark(f"--step {step:g} is not used: images have no steps of a recording")
-    with options.open_locked_run(
+    with options.open_requested_run(
         run, requested, jobs, changes, validate=imported.require_convertible
     ) as opened:
         bundle = workflow.convert(opened)
@@ -86,7 +86,7 @@ def ladder(
     """Run the missing stages up to the emulator, and print the loss of each stage."""
     from pipeline.results.ladder import format_ladder, measure_ladder
 
-    with options.open_locked_run(run, requested, jobs) as opened:
+    with options.open_requested_run(run, requested, jobs) as opened:
         table = measure_ladder(opened, jobs)
     options.print_result(table, lambda ladder: "\n" + format_ladder(ladder), as_json)
     options.suggest("report", run)

@@ -14,7 +14,7 @@ from pipeline.storage.artifacts import MISSING, State
 SPLIT_SETTINGS = ("seed", "split", "recordings", "data.", "skin.")
 
 
-class Imported(NamedTuple):
+class ImportedNetwork(NamedTuple):
     """A file of the user from which a step of a run is made.
 
     Attributes

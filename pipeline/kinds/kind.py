@@ -19,7 +19,7 @@ from pipeline.kinds.architectures import (
     suggest_architecture,
     suggest_sensor_size,
 )
-from pipeline.kinds.imported import Imported
+from pipeline.kinds.imported import ImportedNetwork
 from pipeline.kinds.steps import Step, StepInputs
 from pipeline.recordings.dataset import Dataset
 from pipeline.recordings.recordings import Recordings
@@ -71,7 +71,7 @@ class NetworkKind:
         self.settings = settings
 
     @classmethod
-    def describes(cls, settings: Settings) -> bool:
+    def is_selected_by(cls, settings: Settings) -> bool:
         """True if these settings are those of a network of this kind."""
         return settings.input.kind in cls.input_kinds
 
@@ -121,7 +121,7 @@ class NetworkKind:
         return True
 
     @property
-    def imported(self) -> Imported | None:
+    def imported(self) -> ImportedNetwork | None:
         """The user's file that the network is read from, if there is one."""
         return None
 
@@ -136,7 +136,7 @@ class NetworkKind:
         """The origin of a step, from that of the dataset."""
         step = self.find_step(name)
         uses = [self.make_origin(used, dataset) for used in step.uses] or [dataset]
-        return Origin.of(self.settings, step.reads, uses)
+        return Origin.from_settings(self.settings, step.reads, uses)
 
     def list_steps_to(self, name: str) -> tuple:
         """A step and those that it is made from, directly or through others, in order."""
@@ -160,7 +160,9 @@ class NetworkKind:
     def make_bundle_origin(self, dataset: Origin) -> Origin:
         """The origin of the bundle."""
         reads = [*self.bundle_settings, "presentation", "check"]
-        return Origin.of(self.settings, reads, [self.make_origin(self.deployed_step, dataset)])
+        return Origin.from_settings(
+            self.settings, reads, [self.make_origin(self.deployed_step, dataset)]
+        )
 
     def list_shapes(self, name: str) -> dict:
         """The shapes of the arrays that a step has, by their names."""

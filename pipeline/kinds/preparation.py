@@ -18,14 +18,14 @@ from pipeline.sources import load_named_recordings
 
 
 def choose_settings(
-    settings: Settings, recordings: Recordings | None = None, check: bool = True, say=None
+    settings: Settings, recordings: Recordings | None = None, needs_check: bool = True, say=None
 ) -> Settings:
     """The settings of :func:`prepare_dataset`."""
-    return prepare_dataset(settings, recordings, check, say).settings
+    return prepare_dataset(settings, recordings, needs_check, say).settings
 
 
 def prepare_dataset(
-    settings: Settings, recordings: Recordings | None = None, check: bool = True, say=None
+    settings: Settings, recordings: Recordings | None = None, needs_check: bool = True, say=None
 ) -> Dataset:
     """Split recordings, and choose the settings that the user has not set, for them.
 
@@ -35,7 +35,7 @@ def prepare_dataset(
         What the user has set.
     recordings : Recordings, optional
         The recordings that the settings name, if they were loaded before.
-    check : bool
+    needs_check : bool
         True if samples of a check will be drawn.
     say : callable, optional
         Called with a message about each choice.
@@ -54,7 +54,7 @@ def prepare_dataset(
         recordings = load_named_recordings(settings)
     if len(recordings.sensor.classes) < 2:  # there is no network to choose
         raise SeveralErrors([f"{settings.data.source}: {find_split_problem(recordings)}"])
-    split, problems_of_split = _try_to_split(recordings, settings, check)
+    split, problems_of_split = _try_to_split(recordings, settings, needs_check)
     train = np.empty(0, int) if split is None else split.train
     choices, complete, problems = _try_to_choose(settings, recordings, train)
     problems += problems_of_split
@@ -63,7 +63,7 @@ def prepare_dataset(
     if say is not None:
         for line in list_reasons(settings, choices):
             say(line)
-    return Dataset.of(complete, recordings, split)
+    return Dataset.from_recordings(complete, recordings, split)
 
 
 def _try_to_choose(settings, recordings, train):
@@ -81,7 +81,7 @@ def _try_to_choose(settings, recordings, train):
     return choices, complete, problems
 
 
-def _try_to_split(recordings, settings, check):
+def _try_to_split(recordings, settings, needs_check):
     """The split of recordings or None, and its problems: none, too few samples, missing classes."""
     problems = []
     split = None
@@ -89,7 +89,7 @@ def _try_to_split(recordings, settings, check):
         split = split_recordings(recordings, settings)
     except UserError as error:
         problems.append(str(error))
-    if check and split is not None:
+    if needs_check and split is not None:
         problems += _find_too_small_test_set(settings, len(split.test))
     if problem := find_split_problem(recordings, settings.split.kind):
         problems.append(problem)

@@ -45,10 +45,10 @@ class Reference(NamedTuple):
         if self.respond is not None:
             return self.respond(inputs, bundle, advance)
         logits = self.compute_logits(stage, inputs, bundle.checks, advance)
-        return compute_responses(logits, bundle.spec.presentation)
+        return make_responses_of_logits(logits, bundle.spec.presentation)
 
 
-def compute_responses(logits: np.ndarray, presentation) -> Responses:
+def make_responses_of_logits(logits: np.ndarray, presentation) -> Responses:
     """Compute scores and decisions from logits.
 
     Parameters

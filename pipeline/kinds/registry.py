@@ -11,7 +11,7 @@ from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.kind import NirKind
 from pipeline.settings import INPUTS, Settings
 
-# The first of them that describes the settings is the kind of a run.
+# The first of them that the settings select is the kind of a run.
 KINDS: list[type[NetworkKind]] = [NirKind, EventsKind, ImageKind]
 
 
@@ -56,7 +56,7 @@ def find_compared_stage(stages) -> str:
 
 def find_kind(settings: Settings) -> NetworkKind:
     """The kind of a run's network; the only place that decides it."""
-    return next(kind for kind in KINDS if kind.describes(settings))(settings)
+    return next(kind for kind in KINDS if kind.is_selected_by(settings))(settings)
 
 
 def has_networks(settings: Settings, folder: Path) -> bool:

@@ -66,7 +66,7 @@ class Dataset:
         return f"Dataset({self.recordings!r}: {sizes})"
 
     @classmethod
-    def of(
+    def from_recordings(
         cls,
         settings: Settings,
         recordings: Recordings,
@@ -196,7 +196,7 @@ def make_dataset_origin(
     contents = {"recordings": recordings_sha256, "split": split}
     if settings.data.source != SIMULATED:
         contents["rules of reading files"] = READING_RULES_VERSION
-    return Origin.of(settings, reads, contents=contents)
+    return Origin.from_settings(settings, reads, contents=contents)
 
 
 def _read_presentation_settings(settings):
@@ -266,7 +266,7 @@ class FramesOnDemand:
     def __init__(self, recordings: Recordings, settings: Settings):
         self._table = recordings.table
         self._step_ms = settings.input.step
-        self._limits = SpikeLimits.of(settings.input)
+        self._limits = SpikeLimits.from_input(settings.input)
         self.shape = (len(self._table), settings.steps, *self._table.size, 2)
         self.dtype = np.dtype(np.uint8)
 
@@ -343,7 +343,9 @@ def make_inputs_for(spec: NetworkSpec, recordings: Recordings, image: Image | No
         table = recordings.table
         steps = spec.presentation.steps
         step_ms = 1000 * stimulus.step_seconds
-        frames = table.make_frames(np.arange(len(table)), step_ms, steps, SpikeLimits.of(stimulus))
+        frames = table.make_frames(
+            np.arange(len(table)), step_ms, steps, SpikeLimits.from_input(stimulus)
+        )
         return np.moveaxis(frames, 0, 1)
     if (recorded := spec.provenance.get("image")) is not None:
         image = Settings().with_values({"image": recorded}, "provenance of the bundle").image

@@ -206,7 +206,7 @@ class Recordings:
     @cached_property
     def table(self) -> EventTable:
         """The physical events in the form that networks are trained on, made once."""
-        return EventTable.of(self)
+        return EventTable.from_recordings(self)
 
     @cached_property
     def hashes(self) -> tuple:

@@ -41,7 +41,7 @@ class SpikeLimits:
     max_spikes: int = 0
 
     @classmethod
-    def of(cls, stimulus: Input | EventFrames) -> SpikeLimits:
+    def from_input(cls, stimulus: Input | EventFrames) -> SpikeLimits:
         """The limits of settings or of a bundle's stimulus."""
         if isinstance(stimulus, EventFrames):
             return cls(stimulus.refractory, stimulus.max_spikes)
@@ -75,7 +75,7 @@ class EventTable:
     size: tuple = (10, 10)
 
     @classmethod
-    def of(cls, recordings: Recordings) -> EventTable:
+    def from_recordings(cls, recordings: Recordings) -> EventTable:
         """The physical events of recordings, independently of their numbers of columns."""
         size = (recordings.sensor.rows, recordings.sensor.columns)
         return cls(recordings.events, recordings.offsets, recordings.taxels, size)

@@ -17,7 +17,7 @@ from pipeline.recordings.dataset import make_dataset_origin
 from pipeline.recordings.splits import RANDOM
 from pipeline.results.ladder import find_ladder_artifact, list_boards, list_stages
 from pipeline.settings import INPUTS, Settings, read_settings
-from pipeline.sources import find_identity
+from pipeline.sources import find_hash_and_split
 from pipeline.storage.artifacts import DELETE_IT, MISSING, OUTDATED, Change, State
 from pipeline.storage.run_folder import RunFolder, require_run, run_around
 from pipeline.workflow import find_bundle_artifact, find_dataset_artifact, make_check_artifact
@@ -203,7 +203,7 @@ def _find_dataset_origin(run, settings):
     contents = recorded.get("contents") if isinstance(recorded, dict) else None
     contents = contents if isinstance(contents, dict) else {}
     try:
-        content, kind = find_identity(settings)
+        content, kind = find_hash_and_split(settings)
     except UserError:
         if "recordings" not in contents:
             raise
@@ -215,7 +215,7 @@ def _find_dataset_origin(run, settings):
 def explain_unread(settings: Settings) -> str | None:
     """Why a run's recordings could not be compared with those that it was made from, or None."""
     try:
-        find_identity(settings)
+        find_hash_and_split(settings)
     except UserError as error:
         return f"the recordings are not compared with the run's: {error}"
     return None

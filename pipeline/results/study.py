@@ -27,7 +27,7 @@ from deploy.preflight.plan import make_plan
 from deploy.targets.registry import TARGETS
 from deploy.targets.registry import run_target as answer_on_target
 from pipeline.jobs import Failure, attempt, run_jobs
-from pipeline.kinds.reference import compute_responses
+from pipeline.kinds.reference import make_responses_of_logits
 from pipeline.paper import CNN_MACS
 from pipeline.progress import hide_progress, progress
 from pipeline.recordings.dataset import Dataset
@@ -278,7 +278,7 @@ def _predict_before_chip(case, opened, index) -> np.ndarray:
     samples = CheckSet(dataset.inputs[index], dataset.labels[index], ids, case.seed)
     with hide_progress():
         logits = reference.compute_logits(case.stage, inputs, samples, None)
-    return compute_responses(logits, case.resolved.presentation).predictions
+    return make_responses_of_logits(logits, case.resolved.presentation).predictions
 
 
 def make_dataset(case: Case) -> Dataset:

@@ -66,7 +66,7 @@ class Origin:
     contents: dict = field(default_factory=dict)
 
     @classmethod
-    def of(cls, settings: Settings, reads=(), uses=(), contents=None) -> Origin:
+    def from_settings(cls, settings: Settings, reads=(), uses=(), contents=None) -> Origin:
         """Make the origin of an artifact from settings and other origins.
 
         Parameters

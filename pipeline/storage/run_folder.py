@@ -143,16 +143,16 @@ class RunFolder:
 
 LOCK = ".lock"
 # Most folders from a file or bundle of a run up to the run: ``checks/other/mine.json``.
-DEEPEST = 3
+MAX_FOLDERS_UP = 3
 
 
 def run_around(path) -> Path | None:
     """The folder of the run that a file or bundle is in, or None."""
-    above = list(Path(path).absolute().parents)[:DEEPEST]
+    above = list(Path(path).absolute().parents)[:MAX_FOLDERS_UP]
     return next((folder for folder in above if (folder / "experiment.toml").is_file()), None)
 
 
-def refuse_other_folders(path: Path, of_results: bool = False):
+def require_run_or_new_folder(path: Path, of_results: bool = False):
     """Make sure that a folder is a run or can become one: new, empty, or with experiment.toml.
 
     Parameters
@@ -203,7 +203,7 @@ def require_run(run: RunFolder):
     UserError
         It has no settings of a run: it is a bundle, has other files, or is not there.
     """
-    refuse_other_folders(run.path)
+    require_run_or_new_folder(run.path)
     if not run.experiment.is_file():
         raise UserError(
             f"{run.path}: not the folder of a run, since it has no {run.experiment.name}; make one "
@@ -219,7 +219,7 @@ def lock_run(path, of_results: bool = False):
     ----------
     path : path-like
     of_results : bool
-        As in :func:`refuse_other_folders`.
+        As in :func:`require_run_or_new_folder`.
 
     Yields
     ------
@@ -228,10 +228,10 @@ def lock_run(path, of_results: bool = False):
     Raises
     ------
     UserError
-        As :func:`refuse_other_folders` and :meth:`RunFolder.lock`.
+        As :func:`require_run_or_new_folder` and :meth:`RunFolder.lock`.
     """
     folder = RunFolder(path)
-    refuse_other_folders(folder.path, of_results)
+    require_run_or_new_folder(folder.path, of_results)
     new_folders = [above for above in (folder.path, *folder.path.parents) if not above.exists()]
     had_lock = (folder.path / LOCK).exists()
     try:

@@ -203,7 +203,7 @@ def choose_hidden_units(size: NetworkSize, samples: int, classes: int) -> int:
     return round(hidden * size.width)
 
 
-def find_bin_ms(table: EventTable) -> float | None:
+def compute_bin_ms(table: EventTable) -> float | None:
     """The bin in which the events of recordings were counted, or None.
 
     Returns

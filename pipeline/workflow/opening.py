@@ -122,7 +122,7 @@ def open_experiment(store, settings: Settings, dataset: Dataset, say=print) -> O
 
 
 def open_run(
-    run: RunFolder, settings: Settings, jobs: int = 2, say=print, check: bool = True
+    run: RunFolder, settings: Settings, jobs: int = 2, say=print, needs_check: bool = True
 ) -> OpenedRun:
     """Load the recordings of a run, choose what the settings leave open, and save both.
 
@@ -138,8 +138,8 @@ def open_run(
         Number of processes for recordings that are not in the cache.
     say : callable
         Called with each note and warning.
-    check : bool
-        True if the samples of a check will be drawn; a training needs none.
+    needs_check : bool
+        True if the samples of a check will be drawn; training needs none.
 
     Raises
     ------
@@ -150,10 +150,10 @@ def open_run(
     """
     lines: list[str] = []
     recordings = load_named_recordings(settings, jobs, say)
-    dataset = prepare_dataset(settings, recordings, check, lines.append)
+    dataset = prepare_dataset(settings, recordings, needs_check, lines.append)
     chosen = dataset.settings
     opened = open_experiment(run, chosen, dataset, say)
-    if check:
+    if needs_check:
         _require_check_fits(opened)
     opened.kind.require_usable(opened.make_step_inputs(chosen.flatten()))
     for line in list_notes(opened, lines):

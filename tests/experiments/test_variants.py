@@ -75,7 +75,7 @@ def test_every_recording_keeps_its_events_in_order_of_time(variant):
     made = drawn()
     varied = vary(made, variant, 0, 5e8)
     assert_same(replace(varied, events=made.events), made)
-    assert EventTable.of(varied).offsets[-1] == len(made.events)
+    assert EventTable.from_recordings(varied).offsets[-1] == len(made.events)
     for index in range(len(made)):
         before, after = made[index], varied[index]
         assert (np.diff(after.time_ns) >= 0).all()

@@ -5,7 +5,7 @@ import numpy as np
 
 from deploy.network.loihi_import import nengo_loihi
 from models.chain import make_links
-from models.integers import set_integers
+from models.integers import derive_parameters
 
 DT = 0.001
 
@@ -36,7 +36,8 @@ def emulate(architecture, integers, frames, gap=0):
         return shown[min(round(t / DT) - 1, len(shown) - 1)].reshape(-1)
 
     links = {
-        link.name: set_integers(link, integers[link.name]) for link in make_links(architecture)[:-1]
+        link.name: derive_parameters(link, integers[link.name])
+        for link in make_links(architecture)[:-1]
     }
     with nengo.Network(seed=0) as model:
         nengo_loihi.add_params(model)

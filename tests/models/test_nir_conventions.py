@@ -149,13 +149,13 @@ def test_the_step_of_recordings_is_not_the_graphs():
     changes = make_nir_settings(path, step=20.0)
     assert changes["input"] == {"kind": "image"}
     network = read_nir(path)
-    stepping = Stepping.of(Settings().with_values(changes), network)
+    stepping = Stepping.from_settings(Settings().with_values(changes), network)
     assert stepping == Stepping(1e-4, "euler", "value")
     held = np.load(CASES / "image-step-image.npy").reshape(1, 1, 64).repeat(100, 1)
     assert simulate(network, held).outputs.sum(1).tolist() == [[100, 58]]
     events = Settings().with_values(make_nir_settings(path, 20.0, "events"))
     assert (events.input.step, events.nir.step) == (20.0, 0.0)
-    assert Stepping.of(events, network) == stepping
+    assert Stepping.from_settings(events, network) == stepping
 
 
 BY_HAND = {  # inputs 1, 0, 1

@@ -51,7 +51,7 @@ def figures(graph, answers, run, target="fast"):
     dataset, network = load_dataset(settings), read_nir(graph)
     np.testing.assert_array_equal(dataset.split.test, expected["test"])
     labels, frames = dataset.labels[expected["test"]], dataset.inputs[expected["test"]]
-    stepping, n = Stepping.of(settings, network), len(expected["outputs"])
+    stepping, n = Stepping.from_settings(settings, network), len(expected["outputs"])
     shown = make_graph_inputs(network, frames[:n], settings.steps)
     outputs = simulate(network, shown, stepping.seconds, stepping.method).outputs
     outputs = outputs.reshape(expected["outputs"].shape)

@@ -22,7 +22,7 @@ def changed(name, value):
 
 
 def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
-    origin = Origin.of(SETTINGS, ["cnn.epochs", "image"], contents={"recordings": "ab"})
+    origin = Origin.from_settings(SETTINGS, ["cnn.epochs", "image"], contents={"recordings": "ab"})
     artifact = Artifact("cnn", tmp_path / "metrics.json", origin, (tmp_path / "weights.npz",))
     assert artifact.find_state().state == "missing"
     artifact.write({"accuracy": 0.5})
@@ -32,7 +32,9 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
     assert state.is_current
     assert state.record["accuracy"] == 0.5
     state.announce("training", pytest.fail)
-    later = Origin.of(changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents)
+    later = Origin.from_settings(
+        changed("cnn.epochs", 2), ["cnn.epochs", "image"], contents=origin.contents
+    )
     state = replace(artifact, origin=later).find_state()
     assert (state.state, state.to_json()["because"]) == (
         "outdated",
@@ -43,8 +45,12 @@ def test_an_artifact_is_missing_then_current_then_outdated(tmp_path):
 
 
 def test_contents_settings_that_come_and_settings_that_go_are_told():
-    before = Origin.of(SETTINGS, ["cnn.epochs", "seed"], contents={"recordings": "a" * 64})
-    now = Origin.of(SETTINGS, ["cnn.model_sha256", "seed"], contents={"recordings": "b" * 64})
+    before = Origin.from_settings(
+        SETTINGS, ["cnn.epochs", "seed"], contents={"recordings": "a" * 64}
+    )
+    now = Origin.from_settings(
+        SETTINGS, ["cnn.model_sha256", "seed"], contents={"recordings": "b" * 64}
+    )
     told = [str(change) for change in now.list_changes_since(before.to_json())]
     assert told == [
         'cnn.model_sha256 changed from unused to ""',
@@ -54,23 +60,23 @@ def test_contents_settings_that_come_and_settings_that_go_are_told():
 
 
 def test_an_origin_is_read_back_as_it_was_written(tmp_path):
-    origin = Origin.of(SETTINGS, ["snn", "deployment", "data.skip_bad"])
+    origin = Origin.from_settings(SETTINGS, ["snn", "deployment", "data.skip_bad"])
     write_json(tmp_path / "x.json", {"made_from": origin.to_json()})
     assert origin.list_changes_since(read_json(tmp_path / "x.json", "")["made_from"]) == ()
 
 
 def test_an_artifact_depends_on_all_that_it_uses():
-    below = Origin.of(SETTINGS, ["cnn"], contents={"recordings": "ab"})
-    above = Origin.of(SETTINGS, ["snn"], [below])
+    below = Origin.from_settings(SETTINGS, ["cnn"], contents={"recordings": "ab"})
+    above = Origin.from_settings(SETTINGS, ["snn"], [below])
     assert above.settings.keys() >= below.settings.keys()
     assert above.contents["recordings"] == "ab"
-    assert above.key != Origin.of(SETTINGS, ["snn"]).key
+    assert above.key != Origin.from_settings(SETTINGS, ["snn"]).key
     with pytest.raises(ValueError, match=r"cnn\.epochs"):
-        Origin.of(changed("cnn.epochs", 3), ["cnn"], [below])
+        Origin.from_settings(changed("cnn.epochs", 3), ["cnn"], [below])
 
 
 def test_a_setting_that_is_not_declared_cannot_be_read():
-    origin = Origin.of(SETTINGS, ["cnn.epochs", "image", "seed"])
+    origin = Origin.from_settings(SETTINGS, ["cnn.epochs", "image", "seed"])
     view = origin.view(SETTINGS)
     for seen in (view, pickle.loads(pickle.dumps(view))):  # as a worker gets it
         assert (seen.seed, seen.cnn.epochs, seen.image) == (0, 0, SETTINGS.image)
@@ -125,7 +131,7 @@ def test_a_published_split_does_not_depend_on_a_share():
 
 def test_variants_lie_side_by_side(tmp_path):
     library = Library(tmp_path)
-    one, two = (Origin.of(changed("cnn.epochs", n), ["cnn"]) for n in (1, 2))
+    one, two = (Origin.from_settings(changed("cnn.epochs", n), ["cnn"]) for n in (1, 2))
     assert library.find_folder("cnn", one) != library.find_folder("cnn", two)
     assert library.find_folder("cnn", one) == library.find_folder("cnn", one)
 
@@ -187,8 +193,8 @@ def test_a_setting_remakes_what_depends_on_it_and_nothing_else(setting, remade):
 def test_the_gap_that_the_user_sets_is_another_origin_than_the_same_default():
     default = Settings()
     users = default.with_named_values({"presentation.gap": default.presentation.gap})
-    of_default = Origin.of(default, ["presentation"])
-    of_users = Origin.of(users, ["presentation"])
+    of_default = Origin.from_settings(default, ["presentation"])
+    of_users = Origin.from_settings(users, ["presentation"])
     assert of_default.key != of_users.key
     assert not of_default.view(default).is_set_by_user("presentation.gap")
     assert of_users.view(users).is_set_by_user("presentation.gap")

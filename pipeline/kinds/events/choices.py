@@ -33,7 +33,7 @@ from pipeline.training.event_rules import (
     choose_input,
     choose_max_spikes,
     choose_size,
-    find_bin_ms,
+    compute_bin_ms,
 )
 
 # Synaptic operations that a network on events may take, in multiples of what its first layer takes
@@ -100,7 +100,7 @@ class EventChoices:
         settings = self.settings
         if self.is_usual or not settings.is_open("input.step"):
             return
-        bin_ms = find_bin_ms(self.table)
+        bin_ms = compute_bin_ms(self.table)
         if bin_ms is None or bin_ms <= settings.input.step:
             return
         step_ms = choose_step_ms(self.longest_ms, bin_ms, may_shorten=False)

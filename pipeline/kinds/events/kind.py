@@ -72,7 +72,7 @@ def _compute_logits(stage, inputs, samples, advance):
     """Logits at the end of each sample, which begins at rest."""
     from pipeline.training.events import TrainedOnEvents
 
-    network = TrainedOnEvents.of(inputs.settings, inputs.read_weights("events"))
+    network = TrainedOnEvents.from_weights(inputs.settings, inputs.read_weights("events"))
     return network.compute_logits(samples.inputs.astype(np.uint8))[:, None]
 
 
@@ -80,7 +80,7 @@ def _respond(inputs, bundle, advance):
     """Respond to each sample from rest, delayed as on the chip."""
     from pipeline.training.events import TrainedOnEvents, delay_as_on_chip
 
-    network = TrainedOnEvents.of(inputs.settings, inputs.read_weights("events"))
+    network = TrainedOnEvents.from_weights(inputs.settings, inputs.read_weights("events"))
     frames = bundle.checks.inputs.astype(np.uint8)
     outcome = network.run_on_frames(frames, advance)
     arrived = frames.reshape(*frames.shape[:2], -1).sum(1, dtype=np.int64)
@@ -140,7 +140,7 @@ class EventsKind(NetworkKind):
         settings = inputs.settings
         samples = hold_out_event_samples(inputs.dataset, settings.seed)
         n_train = len(samples.train)
-        design = events.EventDesign.of(settings).with_epochs_for(n_train)
+        design = events.EventDesign.from_settings(settings).with_epochs_for(n_train)
         updates = design.epochs * divide_up(n_train, design.batch_size)
         epochs = format_count(design.epochs, "epoch")
         inputs.say(f"events: {epochs}, {format_count(updates, 'update')}, on {n_train:,} samples")
@@ -169,7 +169,7 @@ class EventsKind(NetworkKind):
 
         settings = inputs.settings
         dataset = inputs.dataset
-        trained = TrainedOnEvents.of(settings, inputs.read_weights("events"))
+        trained = TrainedOnEvents.from_weights(settings, inputs.read_weights("events"))
         samples = hold_out_event_samples(dataset, settings.seed)
         held_out = samples.held_out
         chosen = choose_confidence(settings, samples, trained, settings.seed)
@@ -191,7 +191,7 @@ class EventsKind(NetworkKind):
         presentation = inputs.settings.make_presentation(
             read_confidence(inputs.find_artifact("threshold"))
         )
-        design = EventDesign.of(inputs.settings)
+        design = EventDesign.from_settings(inputs.settings)
         weights = inputs.read_weights("events")
         taus = {name: float(tau) for name, tau in weights.items() if name.endswith(".tau_u")}
         presentation, line = fit_gap(

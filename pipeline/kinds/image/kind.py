@@ -18,7 +18,7 @@ from pipeline.kinds.image.keras_model import (
 )
 from pipeline.kinds.image.spec import make_network_spec
 from pipeline.kinds.image.training import make_cnn, make_matched_cnn, make_rate_network
-from pipeline.kinds.imported import Imported
+from pipeline.kinds.imported import ImportedNetwork
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.records import list_training_versions
 from pipeline.kinds.reference import Reference
@@ -160,7 +160,7 @@ class ImageKind(NetworkKind):
         cnn = self.settings.cnn
         if not cnn.model:
             return None
-        return Imported(cnn.model, cnn.model_sha256, "cnn", GIVE_MODEL_AGAIN)
+        return ImportedNetwork(cnn.model, cnn.model_sha256, "cnn", GIVE_MODEL_AGAIN)
 
     def list_shapes(self, name):
         return parse(self.settings.cnn.architecture).weight_shapes
@@ -221,6 +221,6 @@ def make_kept_image_settings(run: RunFolder) -> dict:
     if not run.experiment.exists():
         return {}
     settings = read_settings(run.experiment)
-    if settings.nir.file or not ImageKind.describes(settings):
+    if settings.nir.file or not ImageKind.is_selected_by(settings):
         return {}
     return {"image": asdict(settings.image)}

@@ -44,7 +44,7 @@ class Stepping:
     reset: str = "value"
 
     @classmethod
-    def of(cls, settings: Settings, network: NirNetwork) -> Stepping:
+    def from_settings(cls, settings: Settings, network: NirNetwork) -> Stepping:
         """The values of the settings, or those of the graph's convention where they have none."""
         nir = settings.nir
         convention = network.convention
@@ -179,7 +179,7 @@ def require_convertible_graph(settings: Settings, strict: bool = False):
     """
     source = settings.nir.file
     network = read_nir(source)
-    stepping = Stepping.of(settings, network)
+    stepping = Stepping.from_settings(settings, network)
     if strict and stepping.reset != "value":
         raise UserError(
             f"{source}: trained with a reset by subtraction ('nir.reset'), and the chip resets to "

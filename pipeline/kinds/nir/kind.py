@@ -13,7 +13,7 @@ from deploy.errors import UserError
 from models.nir.graph import read_nir
 from pipeline.kinds import counts
 from pipeline.kinds.events.kind import DECISION_SETTINGS, read_confidence
-from pipeline.kinds.imported import Imported, is_file
+from pipeline.kinds.imported import ImportedNetwork, is_file
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.nir.conversion import make_nir_spec, record_convention
 from pipeline.kinds.nir.importing import (
@@ -59,7 +59,7 @@ def _compute_logits(stage, inputs, samples, advance):
     """Outputs of the graph at each step."""
     settings = inputs.settings
     network = read_copy_of_graph(inputs.find_artifact("nir").folder, settings)
-    stepping = Stepping.of(settings, network)
+    stepping = Stepping.from_settings(settings, network)
     return simulate_samples(network, stepping, samples.inputs, settings, advance)[0]
 
 
@@ -70,7 +70,7 @@ def _respond(inputs, bundle, advance):
 
 def _require_images_of_graph(source, network, settings, dataset):
     """Refuse images that are normalised in another way than those that the graph was trained on."""
-    stepping = Stepping.of(settings, network)
+    stepping = Stepping.from_settings(settings, network)
 
     def classify(images):
         outputs, _ = simulate_samples(network, stepping, images, settings)
@@ -99,7 +99,7 @@ class NirKind(NetworkKind):
     deployed_stage = "nir"
 
     @classmethod
-    def describes(cls, settings):
+    def is_selected_by(cls, settings):
         return bool(settings.nir.file)
 
     @property
@@ -134,7 +134,7 @@ class NirKind(NetworkKind):
     @property
     def imported(self):
         nir = self.settings.nir
-        return Imported(nir.file, nir.sha256, "nir", GIVE_AGAIN)
+        return ImportedNetwork(nir.file, nir.sha256, "nir", GIVE_AGAIN)
 
     @staticmethod
     def _read_graph(inputs, artifact):
@@ -150,7 +150,7 @@ class NirKind(NetworkKind):
         rng = np.random.default_rng([settings.seed, 0x41B])
         chosen = np.sort(rng.permutation(dataset.split.train)[:CALIBRATION_SAMPLES])
         samples = dataset.inputs[chosen]
-        stepping = Stepping.of(settings, network)
+        stepping = Stepping.from_settings(settings, network)
         provenance = {**provenance, "nir": record_convention(network, stepping)}
         spec = make_nir_spec(
             network, stepping, settings.stimulus, presentation, samples, provenance

@@ -108,7 +108,7 @@ def compute_graph_responses(
     network = read_copy_of_graph(folder, settings)
     inputs = bundle.checks.inputs
     spec = bundle.spec
-    stepping = Stepping.of(settings, network)
+    stepping = Stepping.from_settings(settings, network)
     outputs, counts = simulate_samples(network, stepping, inputs, settings, advance)
     readout = spec.layers[-1]
     if readout.neurons is None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pipeline.recordings.formats.recording import MAX_DURATION_S, UNIT_NAMES, UNITS
 from pipeline.recordings.interpretation import times
 from pipeline.recordings.interpretation.interpretation import Interpretation, renumber_doubts
-from pipeline.recordings.interpretation.one_sensor import find_other_numbers, find_other_sensors
+from pipeline.recordings.interpretation.one_sensor import find_other_sensors, find_unknown_taxels
 from pipeline.recordings.interpretation.size import SensorSize, measure_size, require_possible
 from pipeline.recordings.interpretation.taxel_tables import find_table_size
 from pipeline.recordings.sensor import TaxelMap
@@ -35,9 +35,9 @@ def interpret_coordinates(path, recordings, parts, lookup, options) -> Interpret
     if lookup is None:
         refused, remarks = find_other_sensors(path, recordings, parts, options)
     else:
-        refused = find_other_numbers(path, recordings, lookup)
+        refused = find_unknown_taxels(path, recordings, lookup)
         remarks = ()
-    for index, reason in _find_other_times(recordings, unit).items():
+    for index, reason in _find_unfit_durations(recordings, unit).items():
         refused.setdefault(index, reason)
     if lookup is None:
         size, damaged = _measure_size_without_damaged(recordings, refused, options)
@@ -53,7 +53,7 @@ def interpret_coordinates(path, recordings, parts, lookup, options) -> Interpret
     recordings = [recordings[index] for index in kept]
     if lookup is None:
         remarks = (*remarks, *_doubt_first_places(recordings, options))
-    from_first = times.is_clock([recording.time for recording in recordings], unit)
+    from_first = times.are_clock_times([recording.time for recording in recordings], unit)
     return Interpretation(
         kept,
         [
@@ -109,7 +109,7 @@ def _measure_size_without_damaged(recordings, refused, options):
     return measure_size([recordings[index] for index in kept], options), damaged
 
 
-def _find_other_times(recordings, unit):
+def _find_unfit_durations(recordings, unit):
     """Recordings whose times are in another unit, or that last too long, each with the reason."""
     reasons = {}
     for index in times.find_other_units([recording.time for recording in recordings]):

@@ -91,7 +91,7 @@ def renumber_doubts(doubts, numbers) -> tuple:
     return tuple(renumbered)
 
 
-def refuse_parts(path, properties: dict, remedy: str = ""):
+def refuse_two_sensors(path, properties: dict, remedy: str = ""):
     """Refuse a published split whose parts are of different sensors.
 
     Parameters

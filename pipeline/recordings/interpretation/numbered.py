@@ -8,7 +8,7 @@ from pipeline.recordings.interpretation import binned_counts
 from pipeline.recordings.interpretation.interpretation import (
     GIVE_SIZE,
     Interpretation,
-    refuse_parts,
+    refuse_two_sensors,
 )
 from pipeline.recordings.interpretation.taxel_tables import find_table_size
 from pipeline.recordings.sensor import N_TAXELS, TaxelMap
@@ -62,7 +62,7 @@ def _find_number_of_taxels(path, recordings, parts, lookup):
         by_part.setdefault(part, Counter())[recording.n_taxels] += 1
     of_part = {part: numbers.most_common(1)[0][0] for part, numbers in by_part.items()}
     if len(set(of_part.values())) > 1:
-        refuse_parts(path, {part: f"{n_taxels} taxels" for part, n_taxels in of_part.items()})
+        refuse_two_sensors(path, {part: f"{n_taxels} taxels" for part, n_taxels in of_part.items()})
     if lookup is None:
         n_taxels = next(iter(of_part.values()))
         authority = "most have"

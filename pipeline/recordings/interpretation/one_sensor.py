@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from deploy.errors import UserError
-from pipeline.recordings.interpretation.interpretation import GIVE_SIZE, refuse_parts
+from pipeline.recordings.interpretation.interpretation import GIVE_SIZE, refuse_two_sensors
 
 # Number of rows and columns from which the extents of the events of train and test identify a
 # sensor, and the factor between both extents above which the sensors differ.
@@ -72,7 +72,7 @@ def _find_zero_polarities(recordings):
     ]
 
 
-def find_other_numbers(path, recordings, lookup) -> dict:
+def find_unknown_taxels(path, recordings, lookup) -> dict:
     """Recordings that have taxels that the look-up table does not have, each with the reason.
 
     Parameters
@@ -148,7 +148,7 @@ def _compare_parts(path, recordings, extents, parts, options):
         stated_sizes[part] = stated.most_common(1)[0][0] if stated else None
         part_extents[part] = extents[is_in_part].max(axis=0)
     if None not in stated_sizes.values() and len(set(stated_sizes.values())) > 1:
-        refuse_parts(path, _describe_sizes(stated_sizes))
+        refuse_two_sensors(path, _describe_sizes(stated_sizes))
     texts = _describe_sizes(part_extents)
     smallest = np.min(list(part_extents.values()), axis=0)
     largest = np.max(list(part_extents.values()), axis=0)
@@ -156,7 +156,7 @@ def _compare_parts(path, recordings, extents, parts, options):
     is_multiple = (largest > MAX_SIZE_FACTOR * smallest)[has_side].all() and has_side.any()
     is_large = (smallest >= MIN_SENSOR_SIDE)[has_side].all()
     if is_multiple and is_large and not (options.rows or options.columns):
-        refuse_parts(path, texts, f", or give the size if it is one sensor: {GIVE_SIZE}")
+        refuse_two_sensors(path, texts, f", or give the size if it is one sensor: {GIVE_SIZE}")
     if (largest > MAX_EXTENT_FACTOR * smallest).any():
         listed = ", ".join(f"those of {part} in {text}" for part, text in texts.items())
         size = f"{options.rows or largest[0]} x {options.columns or largest[1]} taxels"

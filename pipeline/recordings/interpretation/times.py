@@ -125,7 +125,7 @@ def find_other_units(times) -> list:
     return with_events[(ratio > MIN_UNIT_FACTOR) | (ratio < 1 / MIN_UNIT_FACTOR)].tolist()
 
 
-def is_clock(times, unit: str) -> bool:
+def are_clock_times(times, unit: str) -> bool:
     """True if the times of recordings are a running clock's, not relative to their start.
 
     A camera's clock starts when it is switched on, or in 1970.  One recording that starts later

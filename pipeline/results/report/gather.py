@@ -13,7 +13,7 @@ from pipeline.kinds.registry import find_kind
 from pipeline.progress import progress
 from pipeline.results.ladder import list_stages, select_deployed_result
 from pipeline.results.other_recordings import FOLDER as OTHERS
-from pipeline.results.report.page import Inputs
+from pipeline.results.report.page import ReportData
 from pipeline.results.report.samples import choose_samples, replay
 from pipeline.results.status import find_outdated, list_states
 from pipeline.settings import read_settings
@@ -25,7 +25,7 @@ REMEDY = "delete it and make it again"
 MANY_CHIPS = 10_000
 
 
-def gather(folder: RunFolder) -> Inputs:
+def gather(folder: RunFolder) -> ReportData:
     """Read a run, and replay the samples that its report shows.
 
     Parameters
@@ -69,7 +69,7 @@ def gather(folder: RunFolder) -> Inputs:
             metrics[title] = _test_accuracy(path / "metrics.json")
         if (path / "history.csv").exists():
             histories[title] = read_history(path / "history.csv")
-    return Inputs(
+    return ReportData(
         name=str(folder.path),
         settings=settings,
         bundle=bundle,

@@ -32,7 +32,7 @@ MAX_MATRIX_CLASSES = 40
 
 
 @dataclass(frozen=True)
-class Inputs:
+class ReportData:
     """The data of a report.
 
     Attributes
@@ -79,12 +79,12 @@ class Inputs:
         return self.bundle.spec.provenance["classes"]
 
 
-def render(inputs: Inputs, now: datetime.datetime | None = None) -> str:
+def render(inputs: ReportData, now: datetime.datetime | None = None) -> str:
     """Write the report.
 
     Parameters
     ----------
-    inputs : Inputs
+    inputs : ReportData
     now : datetime, optional
         Time that is printed in the header.
 
@@ -202,7 +202,7 @@ def make_verdict(results: list, bundle: Bundle) -> dict:
     }
 
 
-def make_class_table(inputs: Inputs) -> list:
+def make_class_table(inputs: ReportData) -> list:
     """Recall and precision of each class in the deployed network's predictions.
 
     Recall is the share of a class's samples that are predicted as it, and precision the share of

@@ -55,7 +55,7 @@ class EventDesign:
 
     architecture: str = EventTraining.architecture
     step_ms: float = Input.step
-    limits: SpikeLimits = field(default_factory=lambda: SpikeLimits.of(Input()))
+    limits: SpikeLimits = field(default_factory=lambda: SpikeLimits.from_input(Input()))
     tau_u_ms: tuple = (30.0,)
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
@@ -87,7 +87,7 @@ class EventDesign:
         return table.make_frames(indices, self.step_ms, steps, self.limits)
 
     @classmethod
-    def of(cls, settings: Settings) -> EventDesign:
+    def from_settings(cls, settings: Settings) -> EventDesign:
         """Make the design from the settings."""
         inputs = settings.input
         values = asdict(settings.events)
@@ -99,7 +99,7 @@ class EventDesign:
             alteration = replace(alteration, hot=HOT_SHARE, dead=DEAD_SHARE)
         values |= {
             "step_ms": inputs.step,
-            "limits": SpikeLimits.of(inputs),
+            "limits": SpikeLimits.from_input(inputs),
             "starts": settings.section_starts,
         }
         del values["parts"], values["part"], values["size"]

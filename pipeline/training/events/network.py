@@ -42,9 +42,9 @@ class TrainedOnEvents:
     history: list = field(default_factory=list)
 
     @classmethod
-    def of(cls, settings: Settings, weights: dict) -> TrainedOnEvents:
+    def from_weights(cls, settings: Settings, weights: dict) -> TrainedOnEvents:
         """The network with given weights that was trained with some settings."""
-        return cls(EventDesign.of(settings), weights)
+        return cls(EventDesign.from_settings(settings), weights)
 
     def run_on_frames(self, frames, advance=None) -> NetworkOutputs:
         """Outputs, operations and spikes on event frames; see :func:`run_on_frames`."""

@@ -15,7 +15,7 @@ from tests.command import call, missing
 def test_options_and_what_is_set_besides(tmp_path):
     assignments = ["check.samples=50", "cnn.epochs=7"]
     given = options.RequestedSettings(seed=3, samples=50, assignments=assignments)
-    with options.resolve_settings(tmp_path / "run", given) as (folder, resolved):
+    with options.lock_and_resolve_settings(tmp_path / "run", given) as (folder, resolved):
         assert folder.path == tmp_path / "run"
         assert (resolved.seed, resolved.check.samples, resolved.cnn.epochs) == (3, 50, 7)
 

@@ -30,7 +30,7 @@ def chosen_on(changes):
     settings = Settings().with_values({**EVENTS, **changes}, "here")
     dataset = load_dataset(settings)
     samples = hold_out_event_samples(dataset, 3)
-    chosen = choose_confidence(settings, samples, TrainedOnEvents.of(settings, {}), 3)
+    chosen = choose_confidence(settings, samples, TrainedOnEvents.from_weights(settings, {}), 3)
     return dataset.split, samples, chosen
 
 

@@ -10,7 +10,7 @@ from deploy.errors import UserError
 from models.architecture import parse
 from pipeline.kinds.image.choices import choose_image_augmentation
 from pipeline.kinds.image.kind import make_kept_image_settings
-from pipeline.kinds.imported import Imported
+from pipeline.kinds.imported import ImportedNetwork
 from pipeline.kinds.registry import find_compared_stage, find_kind
 from pipeline.recordings.events import Events
 from pipeline.recordings.recordings import Source, collect
@@ -224,6 +224,6 @@ def test_the_architecture_that_a_refusal_suggests_fits(sections, size):
 
 
 def test_the_split_of_an_imported_network_is_said_when_it_is_new():
-    imported = Imported("graph.nir", "a", "nir", "")
+    imported = ImportedNetwork("graph.nir", "a", "nir", "")
     assert "seed 7" in "".join(imported.list_split_notes(State("nir", MISSING), 7))
     assert not list(imported.list_split_notes(State("nir", CURRENT), 7))

@@ -170,7 +170,7 @@ def test_the_export_of_a_bundle_on_images_is_imported(tmp_path):
     assert changes["input"]["kind"] == "image"
     images = random_checks(spec, 6).inputs
     network = read_nir(tmp_path / "n.nir")
-    stepping = Stepping.of(Settings().with_values(changes), network)
+    stepping = Stepping.from_settings(Settings().with_values(changes), network)
     again = make_nir_spec(network, stepping, spec.stimulus, spec.presentation, images, {})
     one, other = (run_target(s, images, "fast").scores for s in (spec, again))
     assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.9
@@ -213,7 +213,7 @@ def test_a_recurrent_graph_with_one_input_for_both_polarities():
     rng, network = np.random.default_rng(1), read_nir(merged_graph())
     frames = (rng.random((3, 60, 10, 10, 2)) < 0.03).astype(np.uint8)
     frames[..., 1] &= 1 - frames[..., 0]  # never both in one step, which would count twice
-    stepping = Stepping.of(Settings(), network)
+    stepping = Stepping.from_settings(Settings(), network)
     assert stepping == Stepping(1e-4, "euler")
     spec = make_nir_spec(network, stepping, EventFrames(0.02, 0), FRESH, frames, {})
     assert make_plan(spec).problems == []

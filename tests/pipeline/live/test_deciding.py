@@ -96,7 +96,9 @@ def test_a_slow_hand_is_answered_at_its_own_end(events_bundle, recordings):
     slow = replace(recordings, events=slow)
     decider = make_decider(events_bundle, Sensor())
     spec = events_bundle.spec.with_presentation(steps=600, stream_length=1)
-    frames = EventTable.of(slow).make_frames(np.arange(len(slow)), 10.0, 600, SpikeLimits(1))
+    frames = EventTable.from_recordings(slow).make_frames(
+        np.arange(len(slow)), 10.0, 600, SpikeLimits(1)
+    )
     expected = answers_of(spec, np.moveaxis(frames, 0, 1), "fast")
     longer = 0
     for index in range(0, len(slow), 3):

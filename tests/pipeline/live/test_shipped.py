@@ -11,7 +11,7 @@ from deploy.targets.registry import run_target
 from pipeline.live.network import SHIPPED, find_sensor
 from pipeline.recordings.sensor import Sensor
 from pipeline.settings import read_settings
-from pipeline.sources import find_identity
+from pipeline.sources import find_hash_and_split
 from tests.command import ROOT, call
 
 RECIPE = SHIPPED.with_name("shipped.toml")
@@ -25,7 +25,7 @@ def bundle():
 
 def test_it_is_of_its_recipe_and_of_the_built_in_recordings(bundle):
     provenance, settings = bundle.spec.provenance, read_settings(RECIPE)
-    assert provenance["source_sha256"] == find_identity(settings)[0], AGAIN
+    assert provenance["source_sha256"] == find_hash_and_split(settings)[0], AGAIN
     assert provenance["simulated"] is True
     made_from, flat = provenance["made_from"]["settings"], settings.flatten()
     for name, recorded in made_from.items():

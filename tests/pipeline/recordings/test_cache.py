@@ -51,7 +51,7 @@ def test_stored_recordings_are_mapped_and_the_same(some, tmp_path):
 
 def all_of(some):
     """What is made of the events of recordings: counts, images, altered images, lost events."""
-    table = EventTable.of(some)
+    table = EventTable.from_recordings(some)
     altered = AlteredImages(some, IMAGE, "space", np.array([0, 3, 4]))
     return [
         table.count_in_slices(2, 20.0),

@@ -10,7 +10,7 @@ from pipeline.recordings.dataset import make_dataset_origin, make_inputs
 from pipeline.recordings.images import make_tactile_images
 from pipeline.recordings.splits import make_split
 from pipeline.settings import SIMULATED, Settings, UndeclaredSetting
-from pipeline.sources import find_identity, load_dataset, load_named_recordings
+from pipeline.sources import find_hash_and_split, load_dataset, load_named_recordings
 from pipeline.storage.run_folder import RunFolder
 from pipeline.workflow import open_run
 from tests.own_sensor import write_folder
@@ -30,7 +30,7 @@ def dataset():
 def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
     source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
     settings = SMALL.with_values({"data": {"source": source}}, "test")
-    seen = make_dataset_origin(settings, *find_identity(settings)).view(settings)
+    seen = make_dataset_origin(settings, *find_hash_and_split(settings)).view(settings)
     assert len(load_named_recordings(seen)) == (20 if own else 60)
 
 
@@ -38,11 +38,11 @@ def test_other_simulated_people_are_other_recordings():
     more = SMALL.with_values({"data": {"writers": 5, "samples_per_digit": 5}}, "test")
     recordings = load_named_recordings(more)
     assert set(recordings.writers) == set(range(5))
-    assert recordings.source.sha256 == find_identity(more)[0]
+    assert recordings.source.sha256 == find_hash_and_split(more)[0]
     assert recordings.source.name == "simulated, seed 0, 5 people"
     fewer = more.with_values({"data": {"writers": 3}}, "test")
     assert set(load_named_recordings(fewer).writers) == set(range(3))
-    assert find_identity(fewer)[0] != find_identity(more)[0]
+    assert find_hash_and_split(fewer)[0] != find_hash_and_split(more)[0]
 
 
 def test_inputs_and_labels_are_those_of_the_recordings(dataset):

@@ -12,7 +12,7 @@ ROWS = [(5 * MS, 12, 1, 4), (14 * MS, 12, 1, 4), (16 * MS, 12, -1, 2), (47 * MS,
 
 @pytest.fixture
 def table():
-    return EventTable.of(recordings([(1 * MS, 0, -1, 2)], ROWS))
+    return EventTable.from_recordings(recordings([(1 * MS, 0, -1, 2)], ROWS))
 
 
 def test_times_count_from_the_first_event(table):
@@ -48,7 +48,7 @@ def test_lost_is_the_share_that_shares_a_step(table):
 def test_a_taxel_rests_after_a_spike():
     rows = [(time * MS, 12, 1, 1) for time in (1, 12, 15, 22, 45)]
     rows.insert(2, (12 * MS, 13, 1, 1))
-    table = EventTable.of(recordings([(1 * MS, 3, 1, 1)], rows))
+    table = EventTable.from_recordings(recordings([(1 * MS, 3, 1, 1)], rows))
     frames = table.make_frames([1], step_ms=10, steps=5, limits=SpikeLimits(1))[:, 0, :, :, 0]
     # Steps 0, 1, 1, 2, 4 of taxel 12: that of 1 is too soon, which makes 2 late enough.
     assert np.flatnonzero(frames[:, 2, 1]).tolist() == [0, 2, 4]

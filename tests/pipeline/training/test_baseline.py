@@ -24,7 +24,7 @@ def recordings():
 
 def test_counts_by_hand():
     """Times count from the first event, and what comes later is in the last slice."""
-    table = EventTable.of(recordings())
+    table = EventTable.from_recordings(recordings())
     counts = table.count_in_slices(2, 20.0)
     assert counts.shape == (2, 2, 1, 3, 2)
     assert counts[0, 0, 0].tolist() == [[2, 0], [0, 0], [0, 1]]

@@ -70,7 +70,7 @@ def test_the_bin_of_counted_events_is_found(times, expected):
     n = len(times)
     nothing = np.zeros(n, np.uint8)
     table = event_table((times, nothing, nothing, nothing), np.array([0, n]))
-    assert event_rules.find_bin_ms(table) == expected
+    assert event_rules.compute_bin_ms(table) == expected
 
 
 def test_left_out_accuracy_is_that_of_fits_without_the_sample():
