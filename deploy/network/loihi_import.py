@@ -111,7 +111,7 @@ def _find_unfit_value(network):
             return (
                 f"layer {labels.get(block, block.label)}: no scale puts its numbers into the "
                 f"chip's integers ({INTEGER_FORMATS}): its largest weight, times the size of the "
-                f"spikes that arrive, is {weight:.3g}, its threshold {threshold:.3g}, its largest bias "
-                f"{bias:.3g}; bring them closer together"
+                f"spikes that arrive, is {weight:.3g}, its threshold {threshold:.3g}, its largest "
+                f"bias {bias:.3g}; bring them closer together"
             )
     return None

@@ -6,7 +6,7 @@ import pytest
 from deploy.check.results import read_result
 from deploy.errors import UserError
 from deploy.network.presentation import Presentation
-from pipeline.kinds.reference import compute_responses
+from pipeline.kinds.reference import make_responses_of_logits
 from pipeline.results.ladder import (
     find_losing_stages,
     format_ladder,
@@ -156,8 +156,8 @@ def test_the_emulators_answers_are_the_fast_targets(tiny_run, tmp_path):
 
 def test_scores_are_means_from_the_readouts_start():
     logits = np.array([[[9.0, 0.0], [0.0, 1.0], [4.0, 0.0], [0.0, 9.0]]])
-    responses = compute_responses(logits, Presentation(steps=4, readout_start=1))
+    responses = make_responses_of_logits(logits, Presentation(steps=4, readout_start=1))
     assert responses.decisions.tolist() == [[-1, 1, 0, 1]]
     np.testing.assert_allclose(responses.scores, [[4 / 3, 10 / 3]])
-    still = compute_responses(logits[:, :1], Presentation(steps=4, readout_start=1))
+    still = make_responses_of_logits(logits[:, :1], Presentation(steps=4, readout_start=1))
     assert still.predictions.tolist() == [0]
