@@ -16,7 +16,7 @@ import sys
 INTERRUPTED = 130
 
 # The line that is printed after Ctrl-C.
-INTERRUPTION = "interrupted: what is finished is kept; run the same command to continue"
+INTERRUPTION = "interrupted: finished results are kept; repeat the command to continue"
 
 
 def escape_control(text) -> str:

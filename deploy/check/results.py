@@ -114,17 +114,17 @@ def _sum_by_layer(samples, name) -> dict:
 
 
 def _find_classes_without_samples(spec, labels) -> list:
-    """Names of the classes of which there is no sample: no accuracy says anything about them."""
+    """Names of the classes of which there is no sample: their accuracy is unknown."""
     presented = set(labels.tolist())
     return [name for label, name in enumerate(read_classes(spec)) if label not in presented]
 
 
 def _measure_while_written(bundle, decisions, labels, samples) -> dict:
-    """Accuracy while a sample is still being written; for event frames only.
+    """Accuracy during the recording of a sample; for event frames only.
 
     A step without a decision counts as a wrong answer.
 
-    Writing ends with the sample's last event; steps after the end count as the last step.
+    A recording ends with the sample's last event; steps after the end count as the last step.
     """
     spec = bundle.spec
     if spec.stimulus.static:

@@ -118,7 +118,7 @@ class Stream:
         self._frame = np.zeros(int(np.prod(spec.input_shape)), np.uint8)
         self._touch: Optional[Touch] = None
         self._touching = False
-        self._single_events = 0  # touches of one event each, after each other
+        self._single_events = 0  # consecutive touches of one event each
         self._has_warned_of_unit = False
         self._due: List[Decision] = []  # decisions that have not been returned
         # Time of the last event on the sensor's clock, and when it arrived on this machine's.

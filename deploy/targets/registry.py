@@ -168,7 +168,7 @@ def list_ladder_targets() -> Tuple[str, ...]:
     deployed network of the ladder and the report.
     """
     targets = [target for target in TARGETS.values() if target.in_ladder]
-    targets.sort(key=lambda target: (target.hardware, target.is_exact))  # keeps equal ones' order
+    targets.sort(key=lambda target: (target.hardware, target.is_exact))  # a stable sort
     return tuple(target.name for target in targets)
 
 
@@ -185,7 +185,7 @@ def rank_targets_by_spikes() -> Tuple[str, ...]:
     """
     exact = list_exact_targets()
     others = [target for target in reversed(list(TARGETS.values())) if target.name not in exact]
-    others.sort(key=lambda target: target.hardware)  # keeps the order of equal ones
+    others.sort(key=lambda target: target.hardware)  # a stable sort
     return (*exact, *(target.name for target in others))
 
 

@@ -122,8 +122,8 @@ def check_step(network: NirNetwork, step: float, method: str):
             if shortest < step * (1 - 1e-6):
                 raise NirError(
                     f"{node}: a {name} of {shortest:.3g} s is shorter than the step of "
-                    f"{step:.3g} s, which Euler steps cannot be; give the graph's own step in "
-                    "milliseconds with --set nir.step"
+                    f"{step:.3g} s, and Euler's method needs a step that is not longer than it; "
+                    "give the graph's step in milliseconds with --set nir.step"
                 )
 
 

@@ -89,9 +89,9 @@ def find_loops(nodes, edges) -> dict:
 def _refuse_shared_loop(name, layer, other) -> NoReturn:
     """Refuse weights through which a layer receives both its input and its own spikes."""
     raise NirError(
-        f"node {quote(name)}: leads both {quote(other)} and the spikes of {quote(layer)} to "
-        f"{quote(layer)}, as Spyx writes recurrent layers, in which the input does not pass these "
-        f"weights; connect {quote(other)} to {quote(layer)} in the edges of the graph"
+        f"node {quote(name)}: connects the input {quote(other)} through the recurrent weights of "
+        f"{quote(layer)}, as Spyx writes recurrent layers; connect {quote(other)} to "
+        f"{quote(layer)} directly in the edges of the graph"
     )
 
 

@@ -80,7 +80,7 @@ def run(  # noqa: PLR0913 - each is an option of the command
         Path | None,
         typer.Option(
             help="The result, .json (default: checks/TARGET.json in the run, or in a bundle "
-            "without run)."
+            "that has none)."
         ),
     ] = None,
     seed: Annotated[

@@ -230,7 +230,7 @@ def fit_gap(presentation: Presentation, taus: dict, is_users: bool) -> tuple[Pre
     presentation : Presentation
         With a gap after which little is left of a sample.
     line : str
-        What is to be said; empty if the gap is long enough, or if each sample begins at rest.
+        A note for the user; empty if the gap is long enough, or if each sample begins at rest.
     """
     if presentation.stream_length == 1 or not taus:
         return presentation, ""

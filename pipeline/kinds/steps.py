@@ -38,8 +38,8 @@ class Step:
     temporary : tuple of str
         Files that are deleted when the step is complete.
     measures : str
-        Name of a step that it uses, if the accuracy in its record is that of the network of
-        that step, which has none in its own record.
+        Name of the step whose network has the accuracy in this step's record, if that is another
+        step, which then has no accuracy in its own record.
     """
 
     name: str

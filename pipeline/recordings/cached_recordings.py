@@ -31,7 +31,7 @@ CACHE_VERSION = 9
 # Maximum number of bytes of a set of recordings, a hundred times that of the published one.
 MAX_CACHE_BYTES = 1 << 34
 
-DELETE = "delete it and run the command again to make it again"
+DELETE = "delete it and repeat the command, which makes it again"
 
 
 def make_reading_options(settings: Settings) -> ReadingOptions:

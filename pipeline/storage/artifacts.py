@@ -43,7 +43,7 @@ MISSING = "missing"
 # Remedy for a damaged file.
 DELETE_IT = "delete it and run the command again"
 
-# Characters of a value in a reason.
+# Maximum length of a value in a message.
 MAX_TEXT_LENGTH = 100
 
 # The entry of an origin's contents that changes with each release of this package.

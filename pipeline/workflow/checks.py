@@ -42,7 +42,7 @@ def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:
     if state.is_current:
         opened.say(f"{stage}: up to date ({path})")
         return read_result(path, DELETE_IT)
-    state.announce("answering", opened.say)
+    state.announce("checking", opened.say)
     if stage in TARGETS:
         return TargetCheck(stage, opened.settings.seed).run(bundle, path)
     result = _check_reference(opened, bundle, stage)
@@ -99,7 +99,7 @@ def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> li
     results = {}
     if jobs > 1 and any(TARGETS[name].slow for name in targets):
         for name in targets:
-            states[name].announce("answering", opened.say)
+            states[name].announce("checking", opened.say)
         paths = {name: artifacts[name].record for name in targets}
         others = [stage for stage in stages if stage not in targets]
         results = _check_side_by_side(opened, bundle, paths, others, jobs)

@@ -1,4 +1,4 @@
-"""The fit of the simulation to recordings, for which other simulated ones stand."""
+"""The fit of the simulation to recordings; simulated ones stand in for real ones."""
 
 import copy
 

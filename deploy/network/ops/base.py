@@ -199,7 +199,7 @@ class DeployedOperation:
         return sizes.reshape(-1, channels).max(0)
 
     def make_nir_nodes(self, layer, nir, area: float):
-        """Names and nodes of the export to NIR, without the pooling and the neurons.
+        """Yield the name and the NIR node of each part; pooling and neurons are added elsewhere.
 
         Parameters
         ----------

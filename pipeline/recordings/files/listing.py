@@ -171,8 +171,8 @@ def _choose_format(path, members):
         if any(member.suffix.lower() == OLD_SUFFIX for member in members):
             raise UserError(f"{path}: holds no recordings that can be read; {CONVERT_OLD}")
         raise UserError(
-            f"{path}: holds no recordings; expected a folder for each class with .mat, .npz or "
-            "other files of events, <digit>/*.mat in the ST-MNIST archive"
+            f"{path}: holds no recordings; expected a folder for each class with files of events "
+            "(.mat, .npz and others)"
         )
     if len(examples) > 1:
         raise UserError(

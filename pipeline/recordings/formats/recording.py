@@ -185,8 +185,8 @@ def make_numbered_recording(
     polarity : ndarray of int8, shape (n,)
         1 where pressure rises (ON), -1 where it falls (OFF).
     n_taxels : int
-        Number of taxels of the sensor, the same in all of its files.  A file that does not have it
-        is one for :func:`make_recording`, with the numbers as ``x`` and 0 as ``y``.
+        Number of taxels of the sensor, the same in all of its files.  Use
+        :func:`make_recording` without this number, with the taxels as ``x`` and 0 as ``y``.
     columns : ndarray of int, shape (n,), optional
         See :attr:`EventRecording.columns`.
 

@@ -1,4 +1,4 @@
-"""Interpret recordings by the layout of their files, which is that of most of them.
+"""Interpret recordings by the layout that most of their files have.
 
 Recordings in the published layout with a hundred taxels and digits as classes are treated as
 ST-MNIST's: they have its ten classes and its two seconds, independently of their content.  For all

@@ -89,7 +89,7 @@ def _arrange_taxels(path, n_taxels, has_bins, is_strip, options):
     columns = columns or max(n_taxels // rows, 1)
     if rows * columns != n_taxels:
         raise UserError(
-            f"{path}: recordings of {n_taxels} taxels, not of {rows} rows of {columns}; give "
+            f"{path}: the recordings have {n_taxels} taxels, not {rows} rows of {columns}; give "
             "recordings of that sensor, add LUT.mat, or give the numbers of rows and columns: "
             f"{GIVE_SIZE}"
         )

@@ -59,7 +59,8 @@ def add_positions(path, taxels: TaxelMap, rows: int, columns: int, positions: di
     if wrong := sorted(positions.keys() ^ set(range(columns))):
         raise UserError(
             f"{path}: taxels.csv needs a line for each taxel from 0 to {columns - 1} (or "
-            f"give --set skin.columns=...), and taxel {wrong[0]} is missing or not one of them"
+            f"give --set skin.columns=...), and taxel {wrong[0]} "
+            + ("is not one of them" if wrong[0] in positions else "is missing")
         )
     return replace(
         taxels, positions=np.array([positions[taxel] for taxel in range(columns)], float)

@@ -92,9 +92,9 @@ class EventDesign:
         inputs = settings.input
         values = asdict(settings.events)
         alteration = values.pop("augment")
-        alteration = AUGMENTATIONS[
-            "space" if alteration == "auto" else alteration
-        ]  # auto: not fitted, so simulated
+        if alteration == "auto":  # still open only for handwriting on the simulated sensor
+            alteration = "space"
+        alteration = AUGMENTATIONS[alteration]
         if alteration.hot:  # "none" has no faults either
             alteration = replace(alteration, hot=HOT_SHARE, dead=DEAD_SHARE)
         values |= {

@@ -1,4 +1,4 @@
-"""What NengoDL and NengoLoihi need of their time: each substitution, and what fails without it."""
+"""Compatibility patches for NengoDL and NengoLoihi: each of them, and what fails without it."""
 
 import os
 import subprocess
