@@ -130,10 +130,10 @@ def _measure_while_written(bundle, decisions, labels, samples) -> dict:
     if spec.stimulus.static:
         return {}
     written = find_last_steps(bundle.checks.inputs) + 1
-    everyone = np.arange(len(labels))
+    rows = np.arange(len(labels))
 
     def right_at(steps):
-        return decisions[everyone, np.minimum(steps, decisions.shape[1]) - 1] == labels
+        return decisions[rows, np.minimum(steps, decisions.shape[1]) - 1] == labels
 
     value = {
         "step_ms": 1000 * spec.stimulus.step_seconds,

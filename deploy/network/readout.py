@@ -123,7 +123,7 @@ class RunningReadout:
         """Scores of the classes after some number of steps, above ``readout_start``."""
         return round_scores(self._means[step - self._start - 1], self._unit)
 
-    def take(self, output: np.ndarray):
+    def append(self, output: np.ndarray):
         """Add the readout of the next steps.
 
         Parameters

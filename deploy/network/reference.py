@@ -156,7 +156,7 @@ class InputNeurons:
         self._voltage = np.full((n_streams, size), self._phase, float)
         self._frames = None
 
-    def take(self, samples):
+    def set_samples(self, samples):
         """Set the current sample of each stream: (n_streams, size) or (..., steps, size)."""
         self._frames = samples
 
@@ -218,7 +218,7 @@ def make_input_spikes(spec: NetworkSpec, samples: np.ndarray) -> np.ndarray:
     neurons = InputNeurons(spec.stimulus, 1, samples.shape[-1])
     spikes = []
     for sample in samples:
-        neurons.take(sample[None])
+        neurons.set_samples(sample[None])
         spikes.append(neurons.make_spikes(-presentation.gap, presentation.steps)[0])
     return np.concatenate(spikes)
 

@@ -121,7 +121,7 @@ class PresentingNetwork:
             next_frames = frames[first : first + MAX_STEPS_AT_ONCE]
             self._thin(next_frames, presentation.n_steps)
             output = self._compute(next_frames, presentation, gap + presentation.n_steps)
-            presentation.readout.take(output)
+            presentation.readout.append(output)
 
     def _thin(self, frames, step):
         """Remove spikes that the stimulus leaves out; see `deploy.network.stimulus`."""

@@ -197,7 +197,7 @@ class Emulation:
         steps_at_once = max(1, memory // self.count_bytes_per_step(n_streams))
         by_sample = []
         for index in range(n_samples):
-            host.take(samples[:, index])
+            host.set_samples(samples[:, index])
             by_sample.append(self._present_sample(state, host, steps_at_once, watch))
         counts = {}
         for name in by_sample[0].counts:

@@ -51,10 +51,10 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
             rows = [packed[name] for name in spec.spiking_layers]
             hashes.append([hash_spikes(layers) for layers in zip(*rows)])
 
-        recording = emulation.run(np.stack(batch), watch, memory)
-        _warn_of_overflows(recording.overflows)
-        for index, output in enumerate(recording.output):
-            counts = {name: recording.counts[name][index] for name in spec.spiking_layers}
+        outputs = emulation.run(np.stack(batch), watch, memory)
+        _warn_of_overflows(outputs.overflows)
+        for index, output in enumerate(outputs.output):
+            counts = {name: outputs.counts[name][index] for name in spec.spiking_layers}
             yield TargetOutput(output[:, gap:], counts, np.transpose(hashes)[index])
 
 

@@ -110,27 +110,27 @@ def run(  # noqa: PLR0913 - each is an option of the command
         require_ending(out, ".json")
     _require_data(others)
     faults = parse_faults(fault) if fault else None
-    bundle = options.find_bundle(bundle)
-    opened = read_bundle(bundle)
-    options.warn_if_outdated(bundle)
-    check = TargetCheck(target, opened.seed if seed is None else seed, target_options)
+    folder = options.find_bundle(bundle)
+    deployed = read_bundle(folder)
+    options.warn_if_outdated(folder)
+    check = TargetCheck(target, deployed.seed if seed is None else seed, target_options)
     if others.data is not None:
-        result, path = check_on_others(opened, others, check, options.say, faults, out)
+        result, path = check_on_others(deployed, others, check, options.say, faults, out)
         options.print_result(
             result, lambda value: f"{format_result_on_others(value)}\nwritten to {path}", as_json
         )
         return
-    path = find_checks_folder(opened.path) / f"{target}.json"
+    path = find_checks_folder(deployed.path) / f"{target}.json"
     if faults is not None:
         path = out or find_fault_path(path, faults)
-        result = _check_with_faults(opened, faults, others.jobs, path, check)
+        result = _check_with_faults(deployed, faults, others.jobs, path, check)
     else:
         path = out or path
-        result = _check_own_samples(opened, path, check)
+        result = _check_own_samples(deployed, path, check)
     options.print_result(
         result, lambda value: f"{format_result(value)}\nwritten to {path}", as_json
     )
-    if faults is None and (loss := _describe_loss(opened, result)):
+    if faults is None and (loss := _describe_loss(deployed, result)):
         options.say(f"check: {loss}")
 
 

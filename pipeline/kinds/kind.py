@@ -220,18 +220,18 @@ class NetworkKind:
         size = f"{sensor.rows}x{sensor.columns}x{self.channels}"
         parsed = parse(self.architecture)
         if self.imported is not None:
-            has = "x".join(map(str, parsed.input_shape))
+            input_size = "x".join(map(str, parsed.input_shape))
             remedy = suggest_sensor_size(parsed.input_shape[:2], (sensor.rows, sensor.columns))
             raise UserError(
-                f"{self.imported.file}: is for an input of {has} and {parsed.outputs} classes; "
-                f"recordings give {size} and {classes} classes: {remedy}train one for these "
+                f"{self.imported.file}: is for an input of {input_size} and {parsed.outputs} "
+                f"classes; recordings give {size} and {classes} classes: {remedy}train one for these "
                 "recordings, or give those that it was trained on (--data) or their images "
                 "(--set image.slices, image.aggregation)"
             )
-        like = suggest_architecture(sensor, self.settings.on_events, channels=self.channels)
+        example = suggest_architecture(sensor, self.settings.on_events, channels=self.channels)
         raise UserError(
             f"{self.settings.data.source}: '{self.settings_group}.architecture' must be for an "
-            f"input of {size} and {classes} classes, such as {like}, not {self.architecture}"
+            f"input of {size} and {classes} classes, such as {example}, not {self.architecture}"
         )
 
     def list_chip_problems(self) -> tuple:

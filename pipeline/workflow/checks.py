@@ -129,8 +129,8 @@ def _check_side_by_side(opened, bundle, paths, others, jobs) -> dict:
                 advance(len(bundle.checks), stage)
 
         seed = opened.settings.seed
-        of_targets = _run_targets(bundle, paths, seed, jobs, advance, check_others)
-    return {**results, **of_targets}
+        target_results = _run_targets(bundle, paths, seed, jobs, advance, check_others)
+    return {**results, **target_results}
 
 
 def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):

@@ -104,10 +104,12 @@ def _adopt_model(model, settings, dataset, say):
         for logits in (logits_of_file, logits_of_adopted, logits_of_trained)
     ]
     part = list(accuracies[0])[-1]
-    in_file, replaced, after = (f"{accuracy[part]:.3f}" for accuracy in accuracies)
+    in_file, with_replacements, after_training = (
+        f"{accuracy[part]:.3f}" for accuracy in accuracies
+    )
     say(
-        f"cnn: {part} accuracy {in_file} as in the file, {replaced} with what was replaced, "
-        f"{after} after further training"
+        f"cnn: {part} accuracy {in_file} as in the file, {with_replacements} with what was "
+        f"replaced, {after_training} after further training"
     )
     return trained, seconds
 

@@ -142,15 +142,15 @@ def measure_reset_cost(network: NirNetwork, stepping: Stepping, settings, datase
     chosen = np.sort(rng.permutation(dataset.split.train)[:MAX_RESET_SAMPLES])
     inputs = dataset.inputs[chosen]
     labels = dataset.labels[chosen]
-    chip, trained = (
+    on_chip, as_trained = (
         compute_predictions(simulate_samples(network, run, inputs, settings)[0], settings)
         for run in (replace(stepping, reset="value"), stepping)
     )
     return {
         "samples": len(chosen),
-        "accuracy": float((chip == labels).mean()),
-        "accuracy_as_trained": float((trained == labels).mean()),
-        "agreement": float((chip == trained).mean()),
+        "accuracy": float((on_chip == labels).mean()),
+        "accuracy_as_trained": float((as_trained == labels).mean()),
+        "agreement": float((on_chip == as_trained).mean()),
     }
 
 

@@ -91,9 +91,9 @@ def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, se
         ``loss`` and ``accuracy`` of the epoch.
     """
     count = len(samples)
-    rule = make_optimizer(schedule, count)
-    rule.build(model.trainable_variables)
-    train_on = _compile_training(model, rule, schedule.batch_size)
+    optimizer = make_optimizer(schedule, count)
+    optimizer.build(model.trainable_variables)
+    train_on = _compile_training(model, optimizer, schedule.batch_size)
     batches = _compute_ahead(_draw_samples(model, samples, schedule, seed))
     for _ in range(schedule.epochs):
         sums = tf.zeros(2)
@@ -106,7 +106,7 @@ def train_epochs(model, schedule: TrainingSchedule, samples: TrainingSamples, se
         yield {"loss": loss, "accuracy": right}
 
 
-def _compile_training(model, rule, batch_size):
+def _compile_training(model, optimizer, batch_size):
     """A function that trains on samples, and returns the sum of losses and of right predictions.
 
     It takes the arguments ``images, labels, noise, masks``.
@@ -119,7 +119,7 @@ def _compile_training(model, rule, batch_size):
             logits = call_with_noise(model, images, noise, masks)
             losses = tf.nn.sparse_softmax_cross_entropy_with_logits(labels, logits)
             loss = tf.reduce_mean(losses) + tf.add_n([0.0, *model.losses])
-        rule.apply_gradients(
+        optimizer.apply_gradients(
             zip(tape.gradient(loss, variables), variables, strict=True),
             skip_gradients_aggregation=True,
         )
