@@ -224,8 +224,8 @@ class NetworkKind:
             remedy = suggest_sensor_size(parsed.input_shape[:2], (sensor.rows, sensor.columns))
             raise UserError(
                 f"{self.imported.file}: is for an input of {input_size} and {parsed.outputs} "
-                f"classes; recordings give {size} and {classes} classes: {remedy}train one for these "
-                "recordings, or give those that it was trained on (--data) or their images "
+                f"classes; recordings give {size} and {classes} classes: {remedy}train one for "
+                "these recordings, or give those that it was trained on (--data) or their images "
                 "(--set image.slices, image.aggregation)"
             )
         example = suggest_architecture(sensor, self.settings.on_events, channels=self.channels)
