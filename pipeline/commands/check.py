@@ -14,7 +14,6 @@ from deploy.terminal import WARNING
 from pipeline.commands import options
 from pipeline.results.check_on_others import OtherRecordings, check_on_others
 from pipeline.storage.run_folder import find_checks_folder
-from pipeline.workflow.target_check import TargetCheck
 
 
 def _annotate_option(target, option):
@@ -104,6 +103,7 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from deploy.check.text import format_result, format_result_on_others
     from deploy.files import require_ending
     from pipeline.results.check_with_faults import find_fault_path, parse_faults
+    from pipeline.workflow.target_check import TargetCheck
 
     target_options = select_options(target, **vars(of_targets))
     if out is not None:
