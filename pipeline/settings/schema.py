@@ -131,7 +131,7 @@ class Settings(SettingsGroup):
                 ):
                     raise WrongValue(file, "must be kept; train others in a new RUN")
         except WrongValue as error:
-            raise UserError(f"{origin}: {error}{_suggest_name(error)}") from error
+            raise UserError(f"{origin}: {error}{_suggest_name(error)}") from None
         named = [name for name in self.flatten() if find_value(changes, name) is not None]
         return settings.with_provenance(self.provenance | dict.fromkeys(named, provenance))
 

@@ -256,7 +256,7 @@ def test_taxels_in_no_square_are_a_strip(tmp_path):
     archive(tmp_path / "s.zip", members)
     read = read_source(tmp_path / "s.zip", jobs=1)
     assert (read.sensor.rows, read.sensor.columns) == (1, 39)
-    with pytest.raises(UserError, match=r"39 taxels, not of 9 rows of 12.*LUT\.mat"):
+    with pytest.raises(UserError, match=r"39 taxels, not 9 rows of 12.*LUT\.mat"):
         read_source(tmp_path / "s.zip", jobs=1, reading=ReadingOptions(9, 12))
 
 
