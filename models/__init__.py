@@ -1,1 +1,1 @@
-"""Trainable networks: architectures, the Keras CNN, rate-LIF neurons, SLAYER, events."""
+"""Networks as values: notation, operations, chains, integers; import from Keras and NIR."""

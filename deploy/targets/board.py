@@ -158,6 +158,8 @@ def _convert_board_errors():
     """
     try:
         yield
+    except UserError:
+        raise
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
         if "AxonCfg" in text:

@@ -314,6 +314,8 @@ def respond_to_streams(
         if output is None:
             raise ValueError(f"target {target!r}: yields {number} outputs, not {len(streams)}")
         yield make_responses(spec, output, len(samples), target)
+    if next(outputs, None) is not None:
+        raise ValueError(f"target {target!r}: yields more outputs than {len(streams)}")
 
 
 def run_target(

@@ -19,11 +19,11 @@ from pipeline.training.event_rules import NetworkSize, choose_hidden_units
 # Rows and columns of the first convolution's output on images, at most, on average.
 MAX_MAP_SIDE = 14
 
+# Rows and columns of the first convolution's output on events, on average, as by default.
+EVENT_MAP = 5
+
 # More chips than any system has, for whether the cores are large enough.
 ANY_NUMBER = 10_000
-
-# The same for a network on events, as in the first layer of the default network.
-EVENT_MAP = 5
 
 
 def suggest_architecture(
@@ -63,7 +63,7 @@ def suggest_architecture(
     else:
         stride = math.ceil((side - 4) / (MAX_MAP_SIDE - 2))
         first = f"6c{stride + 2}s{stride}"
-        middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else ["64"]
+        middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else [f"{hidden}"]
     return "-".join([size, *middle, end])
 
 

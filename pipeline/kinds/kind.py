@@ -1,8 +1,9 @@
 """The interface that each kind of network implements.
 
 A kind determines the artifacts from which the bundle is made, the deployed network, the reference
-stages of the ladder, and the settings that are chosen for the recordings.  No module outside of
-this package depends on the kind of a run's network.
+stages of the ladder, and the settings that are chosen for the recordings.  Other
+packages ask only whether a run's input is events, and :mod:`pipeline.workflow.imports` knows the
+files from which networks are imported.
 """
 
 from typing import ClassVar

@@ -15,8 +15,8 @@ and the points of a sweep.  (Only an interrupted check has another mechanism for
 :mod:`deploy.check.run`, since it also runs on hosts without settings.)
 
 A dependency cannot be forgotten.  An origin declares its settings, and the code that makes the
-artifact receives ``origin.view(settings)``, which has only these.  Reading another one raises
-:class:`pipeline.settings.base.UndeclaredSetting`, in this process, in a worker or on a
+artifact receives ``settings.select(origin.settings)``, which has only these.  Reading another one
+raises :class:`pipeline.settings.base.UndeclaredSetting`, in this process, in a worker or on a
 cluster.
 Dependencies are declared rather than recorded while the artifact is made, because a declared origin
 is known beforehand: it can be compared before any work is done, and its key is the name of an

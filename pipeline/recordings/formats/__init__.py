@@ -41,10 +41,10 @@ def register_format(ending: str, read):
     Raises
     ------
     ValueError
-        The ending is none, or there is a format of it.
+        The ending is not valid, or there is a format of it.
     """
     if not ending.startswith(".") or ending != ending.lower():
-        raise ValueError(f"ending {ending!r}: begins with a point, in lower case")
+        raise ValueError(f"ending {ending!r}: must begin with a dot and be in lower case")
     if ending in READERS:
         raise ValueError(f"ending {ending!r}: there is a format of it already")
     READERS[ending] = read
