@@ -98,7 +98,7 @@ export function drawRace(canvas, drawn) {
 // At the line where the recordings of the training end: the first text that fits beside it.
 function labelUsualEnd(context, at, end, y) {
   const wide = (text) => context.measureText(text).width;
-  const textAfter = ["slower than the training", "too slow"].find((text) => wide(text) + 8 <= end - at);
+  const textAfter = ["slower than in training", "too slow"].find((text) => wide(text) + 8 <= end - at);
   const text = textAfter ?? "usual time";
   const left = textAfter ? at + 4 : at - 4 - wide(text);
   context.fillStyle = colour("--paper"); // the events below it would make it illegible
