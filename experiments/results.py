@@ -16,7 +16,7 @@ Store = Annotated[str, typer.Option(help="Name of a file in results/ for the res
 
 
 def describe_machine() -> dict:
-    """Where and when something was measured: processor, versions and time of the end."""
+    """Describe a measurement: its processor, its versions and the time of its end."""
     return {
         "processor": name_processor(),
         "python": platform.python_version(),

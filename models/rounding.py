@@ -286,7 +286,7 @@ def _choose_threshold(link, scale, chip) -> tuple:
 
 
 def _round_decay(keep, least, chip):
-    """What remains after a step, in the chip's units."""
+    """The share that remains after a step, in the chip's units."""
     return int(np.clip(np.rint(chip.decay_unit * keep), least, chip.decay_levels))
 
 

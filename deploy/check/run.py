@@ -230,9 +230,7 @@ class OpenCheck:
         name = self.target.name
         records = [self.records[stream.start] for stream in _list_streams(bundle)]
         samples = [sample for record in records for sample in record["samples"]]
-        extra = self._describe_notes(records)
-        if self.options is not None:
-            extra.update(_describe_options(self.options))
+        extra = {**self._describe_notes(records), **_describe_options(self.options)}
         if self.target.hardware:
             extra.update(self._compare_with_fast(samples))
         overflows = {number for record in records for number in record.get("overflows", ())}
@@ -320,9 +318,8 @@ def open_check(
         "versions": list_versions(),
         # Other recordings may have been put in place of the bundle's, also with the same ids.
         "samples": bundle.checks.sha256,
+        **_describe_options(options),
     }
-    if options is not None:
-        identity.update(_describe_options(options))
     is_locked = f"{out}: another process is writing this result; wait for it or use another --out"
     with lock_file(partial, is_locked, "choose another --out") as file:
         try:
@@ -346,7 +343,7 @@ def open_check(
 
 def _describe_options(options) -> dict:
     """The options on which the outputs depend; nothing if there are none."""
-    values = options.list_output_values()
+    values = {} if options is None else options.list_output_values()
     return {"options": values} if values else {}
 
 

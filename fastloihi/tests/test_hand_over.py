@@ -1,4 +1,4 @@
-"""What the compiled steps do not do is left to NengoLoihi's, errors included, with one warning."""
+"""NengoLoihi's steps do what the compiled ones cannot, errors included, after one warning."""
 
 from __future__ import annotations
 

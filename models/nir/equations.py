@@ -163,7 +163,7 @@ def _integrate(added):
 
 
 def _compute_whole_input(node, h):
-    """What an IF adds: r h, or its whole input if every r is 1, which is not in seconds."""
+    """The factor of an IF's input: r h, or 1 if every r is 1, since then r is not in seconds."""
     return np.where((node["r"] == 1).all(), 1.0, node["r"] * h)
 
 

@@ -220,10 +220,7 @@ class Run:
         changes = merge_values(changes, self._changes)  # what the user has set wins
         self._user_settings = self._user_settings.with_values(changes, ORIGIN)
         with self._open(validate=imported.require_convertible) as opened:
-            bundle = workflow.convert(opened)
-            for stage in opened.kind.deployed_stages:
-                workflow.check_stage(opened, bundle, stage)
-            return bundle
+            return workflow.convert_and_check(opened)
 
     def ladder(self, stages=None) -> Ladder:
         """Test each stage on the way to the chip on the same samples.

@@ -71,9 +71,7 @@ def convert(  # noqa: PLR0913 - each is an option of the command
     with options.open_requested_run(
         run, requested, jobs, changes, validate=imported.require_convertible
     ) as opened:
-        bundle = workflow.convert(opened)
-        for stage in opened.kind.deployed_stages:
-            workflow.check_stage(opened, bundle, stage)
+        workflow.convert_and_check(opened)
     options.suggest("ladder", run)
 
 

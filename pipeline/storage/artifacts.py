@@ -100,10 +100,6 @@ class Origin:
         """The origin with another content."""
         return replace(self, contents={**self.contents, name: value})
 
-    def view(self, settings: Settings) -> Settings:
-        """The settings restricted to those that may be read to make the artifact."""
-        return settings.select(self.settings)
-
     def to_json(self) -> dict:
         """The origin as plain values: the entry ``made_from`` of a record."""
         return {"settings": self.settings, "contents": self.contents}

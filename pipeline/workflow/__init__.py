@@ -5,7 +5,12 @@ it returns: :meth:`OpenedRun.make` trains a network, :func:`convert` writes the 
 :func:`check_stage` runs a network or target on its samples.
 """
 
-from pipeline.workflow.checks import check_stage, check_stages, make_check_artifact
+from pipeline.workflow.checks import (
+    check_stage,
+    check_stages,
+    convert_and_check,
+    make_check_artifact,
+)
 from pipeline.workflow.conversion import convert, find_bundle_artifact, list_network_settings
 from pipeline.workflow.imports import ImportRequest
 from pipeline.workflow.opening import (
@@ -22,6 +27,7 @@ __all__ = [
     "check_stage",
     "check_stages",
     "convert",
+    "convert_and_check",
     "find_bundle_artifact",
     "find_dataset_artifact",
     "list_network_settings",

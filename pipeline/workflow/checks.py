@@ -18,11 +18,20 @@ from pipeline.kinds.kind import NetworkKind
 from pipeline.progress import hide_progress, progress
 from pipeline.storage.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.storage.run_folder import RunFolder
+from pipeline.workflow.conversion import convert
 from pipeline.workflow.opening import OpenedRun
 from pipeline.workflow.target_check import TargetCheck
 
 # What the record of a check says of its samples if they are those in the bundle.
 OWN_SAMPLES = "the bundle's"
+
+
+def convert_and_check(opened: OpenedRun) -> Bundle:
+    """Make the bundle, and the checks of the kind that belong to each new bundle."""
+    bundle = convert(opened)
+    for stage in opened.kind.deployed_stages:
+        check_stage(opened, bundle, stage)
+    return bundle
 
 
 def check_stage(opened: OpenedRun, bundle: Bundle, stage: str) -> dict:

@@ -77,7 +77,7 @@ def test_an_artifact_depends_on_all_that_it_uses():
 
 def test_a_setting_that_is_not_declared_cannot_be_read():
     origin = Origin.from_settings(SETTINGS, ["cnn.epochs", "image", "seed"])
-    view = origin.view(SETTINGS)
+    view = SETTINGS.select(origin.settings)
     for seen in (view, pickle.loads(pickle.dumps(view))):  # as a worker gets it
         assert (seen.seed, seen.cnn.epochs, seen.image) == (0, 0, SETTINGS.image)
         for read in (
@@ -196,7 +196,7 @@ def test_the_gap_that_the_user_sets_is_another_origin_than_the_same_default():
     of_default = Origin.from_settings(default, ["presentation"])
     of_users = Origin.from_settings(users, ["presentation"])
     assert of_default.key != of_users.key
-    assert not of_default.view(default).is_set_by_user("presentation.gap")
-    assert of_users.view(users).is_set_by_user("presentation.gap")
+    assert not default.select(of_default.settings).is_set_by_user("presentation.gap")
+    assert users.select(of_users.settings).is_set_by_user("presentation.gap")
     with pytest.raises(UndeclaredSetting):
-        of_users.view(users).is_set_by_user("presentation.early_loss")
+        users.select(of_users.settings).is_set_by_user("presentation.early_loss")

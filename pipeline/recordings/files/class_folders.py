@@ -24,7 +24,7 @@ class MisplacedFile(ValueError):
 
 @dataclass(frozen=True)
 class ClassFolders:
-    """Where the classes of a source are.
+    """The place of the classes in a source.
 
     Attributes
     ----------

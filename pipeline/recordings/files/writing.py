@@ -84,7 +84,7 @@ def write_recordings(
 
 @dataclass(frozen=True)
 class _Properties:
-    """What is written with the events; see :func:`write_recordings`.
+    """Properties of the recordings that are written with their events.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""What the values in files mean: taxels, size of the sensor, unit of time, channels of counts."""
+"""The meaning of values in files: taxels, size of the sensor, unit of time, channels of counts."""

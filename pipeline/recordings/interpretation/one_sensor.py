@@ -1,4 +1,4 @@
-"""Whether recordings with coordinates can be of one sensor: single ones, and train and test."""
+"""Find recordings with coordinates that cannot be of the same sensor as the others."""
 
 from collections import Counter
 

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.errors import UserError
 from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats.bins import make_binned_recording
 from pipeline.recordings.interpretation.options import ReadingOptions
 from pipeline.sources import load_recordings
-from tests.pipeline.handmade import archive
+from tests.pipeline.recordings.sources import error, put
 
 # Real recordings, which are not part of the project.
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
@@ -38,26 +37,6 @@ def published(shape=(39, 2, 25), around="", classes="012", **more):
     if shape != (39, 2, 25):
         files = {name: npy(counts(i, shape)) for i, name in enumerate(files)}
     return {**files, **{f"{around}{name}": content for name, content in more.items()}}
-
-
-def put(path, contents):
-    """Write a zip, or a folder for a path without suffix."""
-    if path.suffix:
-        archive(path, contents)
-    else:
-        for name, content in contents.items():
-            (path / name).parent.mkdir(parents=True, exist_ok=True)
-            (path / name).write_bytes(content)
-    return path
-
-
-def error(path, **how) -> str:
-    """The only line of the error that reading a source ends with."""
-    with pytest.raises(UserError) as caught:
-        read_source(path, jobs=1, **how)
-    (line,) = getattr(caught.value, "lines", [str(caught.value)])
-    assert str(path) in line
-    return line
 
 
 @pytest.mark.parametrize("dtype", [float, np.float32, np.uint8, np.int64, bool, ">f8"])

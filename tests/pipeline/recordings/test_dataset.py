@@ -30,7 +30,8 @@ def dataset():
 def test_the_settings_of_an_experiment_suffice_to_read_the_recordings(tmp_path, own):
     source = str(write_folder(tmp_path / "own", per_class=5)) if own else SIMULATED
     settings = SMALL.with_values({"data": {"source": source}}, "test")
-    seen = make_dataset_origin(settings, *find_hash_and_split(settings)).view(settings)
+    origin = make_dataset_origin(settings, *find_hash_and_split(settings))
+    seen = settings.select(origin.settings)
     assert len(load_named_recordings(seen)) == (20 if own else 60)
 
 
@@ -68,7 +69,7 @@ def test_recordings_are_loaded_with_the_settings_of_their_origin(source, tmp_pat
         archive(tmp_path / "mine.zip", good_members(per_digit=6))
         settings = settings.with_values({"data": {"source": str(tmp_path / "mine.zip")}}, "test")
     opened = load_dataset(settings)
-    in_a_worker = load_dataset(opened.origin.view(settings))
+    in_a_worker = load_dataset(settings.select(opened.origin.settings))
     assert in_a_worker.origin == opened.origin
     np.testing.assert_array_equal(in_a_worker.labels, opened.labels)
 

@@ -27,6 +27,7 @@ from tests.pipeline.handmade import (
     recordings,
     spiketrain,
 )
+from tests.pipeline.recordings.sources import error, put
 
 # Real recordings, which are not part of the project.
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
@@ -51,26 +52,6 @@ def published(per_class=3, **how):
     """A source with a published split: no recording in both parts."""
     test = members("test/{}/t{}.npz", per_class=1, **how)
     return {**members("train/{}/{}.npz", per_class=per_class), **test}
-
-
-def put(path, contents):
-    """Write a zip, or a folder for a path without suffix."""
-    if path.suffix:
-        archive(path, contents)
-    else:
-        for name, content in contents.items():
-            (path / name).parent.mkdir(parents=True, exist_ok=True)
-            (path / name).write_bytes(content)
-    return path
-
-
-def error(path, **how) -> str:
-    """The only line of the error that reading a source ends with."""
-    with pytest.raises(UserError) as caught:
-        read_source(path, jobs=1, **how)
-    (line,) = getattr(caught.value, "lines", [str(caught.value)])
-    assert str(path) in line
-    return line
 
 
 # --- what belongs to a source ---------------------------------------------------------------------
