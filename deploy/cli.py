@@ -11,9 +11,11 @@ from .check.bundle import find_result_path, read_bundle
 from .check.run import run_check
 from .check.text import format_result
 from .errors import CheckFailed, UserError, describe_error, format_as_line
+from .plugins import load_plugins
 from .preflight.plan import format_plan, make_plan
 from .progress import ProgressLines
 from .targets.board import find_nxsdk_version
+from .targets.options import format_flag
 from .targets.registry import TARGETS, list_options, select_options
 from .terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 
@@ -28,6 +30,7 @@ def main(arguments=None) -> int:
     """
     prepare()
     try:
+        load_plugins()
         options = _make_parser().parse_args(arguments)
         options.run(options)
         sys.stdout.flush()  # errors could not be reported when Python exits
@@ -86,7 +89,7 @@ def _add_target_options(parser):
         elif option.default is not None:
             keywords["type"] = type(option.default)
             keywords["help"] += " (default: %(default)s)"
-        groups[target].add_argument(f"--{name}", **keywords)
+        groups[target].add_argument(format_flag(name), **keywords)
 
 
 def _check(options):

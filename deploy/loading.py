@@ -48,9 +48,25 @@ def one_of(*values) -> Limit:
     return Limit(lambda value: value in values, text)
 
 
-def key_of(table: dict) -> Limit:
-    """The limit of a value that is a key of a table, to which others may be added."""
-    return Limit(table.__contains__, f"one of {', '.join(table)}")
+class KeyOf:
+    """The :class:`Limit` of a value that is a key of a table, to which keys can be added.
+
+    Parameters
+    ----------
+    table : dict
+    """
+
+    def __init__(self, table: dict):
+        self._table = table
+
+    def holds(self, value) -> bool:
+        """True if the table has the key now."""
+        return value in self._table
+
+    @property
+    def expected(self) -> str:
+        """The keys that the table has now."""
+        return f"one of {', '.join(self._table)}"
 
 
 def limited_field(limit: Limit, default=MISSING):

@@ -13,6 +13,7 @@ from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from deploy.errors import KILLED, UserError
+from deploy.plugins import load_plugins
 from pipeline.interrupts import raise_at_interrupts
 
 # Largest number of characters in a failure's line; the traceback has the whole message.
@@ -135,9 +136,7 @@ def call_in_processes(calls, processes: int, in_order: bool = True):
         Each result when it is available.
     """
     order = "generator" if in_order else "generator_unordered"
-    # In a process that uses ``stmnist``, workers bind its packages first.
-    bound = processes != 1 and "stmnist" in sys.modules
-    options = {"initializer": sys.modules["stmnist"].bind} if bound else {}
+    options = _list_worker_options() if processes != 1 else {}
     with warnings.catch_warnings(), ExitStack() as stack:
         # Workers whose memory has grown are replaced between jobs, and jobs are cancelled if the
         # caller stops.
@@ -151,6 +150,13 @@ def call_in_processes(calls, processes: int, in_order: bool = True):
         with closing(Parallel(processes, return_as=order, **options)(calls)) as results:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             yield results
+
+
+def _list_worker_options() -> dict:
+    """What joblib's workers do first: load the plugins, and bind the packages of ``stmnist``."""
+    if "stmnist" in sys.modules:
+        return {"initializer": sys.modules["stmnist"].prepare_worker}
+    return {"initializer": load_plugins, "initargs": (True,)}
 
 
 def _run_in_processes(function, jobs, processes, meanwhile):
@@ -170,6 +176,11 @@ def _run_in_processes(function, jobs, processes, meanwhile):
 
 def _run_numbered(number, function, job):
     return number, attempt(function, job)
+
+
+def _attempt_on_cluster(function, job):
+    load_plugins(is_worker=True)
+    return attempt(function, job)
 
 
 def attempt(function, job):
@@ -209,7 +220,7 @@ def _run_on_cluster(function, jobs, scheduler, say):
     with client:
         if not client.scheduler_info()["workers"]:
             say(f"{scheduler} has no workers yet; the jobs wait for one")
-        tasks = {client.submit(attempt, function, job, pure=False): job for job in jobs}
+        tasks = {client.submit(_attempt_on_cluster, function, job, pure=False): job for job in jobs}
         for task in as_completed(tasks):
             if task.status == "finished":
                 yield tasks[task], task.result()

@@ -1,7 +1,7 @@
 """The public names: ``from stmnist import Recordings, Run, Stream, ...``; see docs/python.md.
 
-Each name is loaded from its module on first use.  The import therefore takes almost no time, and
-TensorFlow is imported only by code that trains.
+Each name is loaded from its module on first use, after the plugins (:mod:`deploy.plugins`).  The
+import therefore takes almost no time, and TensorFlow is imported only by code that trains.
 
 This distribution's own packages have common names: ``deploy``, ``models`` and ``pipeline``.  A file
 ``models.py`` beside a notebook or script would be found before ours, and our modules that import
@@ -64,7 +64,7 @@ __all__ = sorted(_MODULE_OF)
 def bind():
     """Bind the names of `PACKAGES` to the folders beside this one; done on import.
 
-    A second call changes nothing.  Workers call it before anything else.
+    A second call changes nothing.
 
     Raises
     ------
@@ -90,6 +90,12 @@ def bind():
             spec.loader.exec_module(module)
 
 
+def prepare_worker():
+    """Prepare a process that works for this one, before it imports anything else."""
+    bind()
+    importlib.import_module("deploy.plugins").load_plugins(is_worker=True)
+
+
 def _is(module, file):
     path = getattr(module, "__file__", None)
     return path is not None and os.path.realpath(path) == os.path.realpath(file)
@@ -107,6 +113,7 @@ def __getattr__(name):
         return importlib.import_module("deploy").__version__
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    importlib.import_module("deploy.plugins").load_plugins()
     module = _MODULE_OF[name]
     if module in _BEFORE:
         importlib.import_module(_BEFORE[module])

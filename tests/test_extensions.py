@@ -1,4 +1,7 @@
-"""What another package can add: a format, a target, a kind, an operation and a chip."""
+"""What another package can add: a format, a target, a kind, an operation and a chip.
+
+`tests/test_plugins.py` has such a package, which the command line finds by itself.
+"""
 
 import json
 import math
@@ -9,6 +12,7 @@ import numpy as np
 import pytest
 
 from deploy.check.run import open_check, run_check, run_streams
+from deploy.conformance.networks import make_image_network
 from deploy.errors import UserError
 from deploy.network.chip import LOIHI
 from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
@@ -25,11 +29,11 @@ from pipeline.kinds.architectures import make_untrained_network
 from pipeline.kinds.kind import NetworkKind
 from pipeline.kinds.steps import Step
 from pipeline.recordings import formats
+from pipeline.recordings.conformance import assert_format_conforms
 from pipeline.recordings.files.reading import read_source
 from pipeline.recordings.formats.recording import BadRecording, make_recording
 from pipeline.settings import INPUTS, Settings
-from tests.deploy.networks import bundle_at, small_spec
-from tests.format_conformance import assert_format_conforms
+from tests.deploy.networks import bundle_at
 
 
 def delete_at_the_end(monkeypatch, registry, name):
@@ -71,9 +75,8 @@ class FirstOptions(Options):
     label: int = option(0, "The class that is always predicted.", 0, 9)
 
 
-def run_first_class(spec, streams, seed=0, options=None):
+def run_first_class(spec, streams, seed, options):
     """Predict one class, the first by default, without a network."""
-    options = options or FirstOptions()
     for samples in streams:
         readout = np.zeros((len(samples), spec.presentation.steps, spec.layers[-1].size))
         readout[:, :, options.label] = 1
@@ -136,11 +139,13 @@ class RandomKind(NetworkKind):
 def random_kind(monkeypatch):
     """Register the kind for one test only."""
     monkeypatch.setattr(registry, "KINDS", list(registry.KINDS))
-    monkeypatch.setitem(INPUTS, "random", "")  # so that it is deleted at the end
+    delete_at_the_end(monkeypatch, INPUTS, "random")
     registry.register_kind(RandomKind)
 
 
 def test_a_kind(tmp_path, random_kind):
+    with pytest.raises(ValueError, match="random"):
+        registry.register_kind(RandomKind)
     settings = Settings().with_values(
         {
             "input": {"kind": "random"},
@@ -182,8 +187,10 @@ class OneToOne(ops.Operation, DeployedOneToOne):
 def test_an_operation(monkeypatch):
     """Each bright pixel has a neuron, and all of them have the same spikes."""
     for table in (ops.OPERATIONS, DEPLOYED_OPERATIONS):
-        monkeypatch.setitem(table, "own", None)  # so that it is deleted at the end
+        delete_at_the_end(monkeypatch, table, "own")
     ops.register_operation(OneToOne, DeployedOneToOne)
+    with pytest.raises(ValueError, match="own"):
+        ops.register_operation(OneToOne, DeployedOneToOne)
     spec = make_untrained_network("5x5-own-3o", False, Settings().deployment)
     assert spec.architecture == "5x5-own-3o"
     assert spec.multiply_accumulates == {"own1": 25, "output": 75}
@@ -202,7 +209,7 @@ def test_an_operation(monkeypatch):
 def test_a_chip():
     """Half the compartments take twice the cores, and six bits of weight make smaller integers."""
     small = replace(LOIHI, name="small", weight_bits=6, limits={**LOIHI.limits, "compartments": 32})
-    spec = small_spec()  # layers of 64 and 72 neurons
+    spec = make_image_network()  # layers of 64 and 72 neurons
     assert len(make_plan(spec).cores) == 2
     plan = make_plan(spec, chip=small)
     assert plan.problems == []

@@ -8,15 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.conformance.operations import assert_deployed_operation_conforms
+from deploy.conformance.targets import assert_target_conforms
 from deploy.errors import UserError
 from deploy.network.ops import DEPLOYED_OPERATIONS
 from deploy.network.output import TargetOutput
 from deploy.network.reference import run_reference
 from deploy.targets.registry import TARGETS, Target
+from models.conformance import assert_operation_conforms
 from models.ops import OPERATIONS, Convolution, Dense
 from tests.deploy.networks import bundle_at
-from tests.network_conformance import assert_operation_conforms, assert_target_conforms
-from tests.test_extensions import DeployedOneToOne, OneToOne, run_first_class
+from tests.test_extensions import DeployedOneToOne, FirstOptions, OneToOne, run_first_class
 
 
 @pytest.fixture
@@ -90,7 +92,7 @@ class OtherLargest(DeployedOneToOne):
 def test_mistakes_in_an_operation_are_found(mistaken, fact, one_to_one, monkeypatch):
     monkeypatch.setitem(DEPLOYED_OPERATIONS, "own", mistaken)
     with pytest.raises((AssertionError, ValueError, UserError), match=fact):
-        assert_operation_conforms(mistaken(), (4, 4, 1))
+        assert_deployed_operation_conforms(mistaken(), (4, 4, 1))
 
 
 # A target without Nengo.
@@ -107,7 +109,7 @@ def test_targets_conform(target):
 
 
 def test_a_target_without_the_network_conforms_in_its_form():
-    target = Target("first", run_first_class, "The first")
+    target = Target("first", run_first_class, "The first", options=FirstOptions)
     assert_target_conforms(target, computes_network=False)
     with pytest.raises(AssertionError, match="differs"):
         assert_target_conforms(target)
@@ -142,14 +144,14 @@ def test_a_check_on_a_target_without_nengo_needs_no_nengo(tmp_path):
     assert json.loads((tmp_path / "result.json").read_text())["target"] == "reference"
 
 
-def run_without_gaps(spec, streams, seed=0):
+def run_without_gaps(spec, streams, seed, options):
     """Yield the readout of the gaps, too."""
     for output in run_reference(spec, streams):
         readout = np.pad(output.readout, ((0, 0), (spec.presentation.gap, 0), (0, 0)))
         yield replace(output, readout=readout)
 
 
-def run_in_one_stream(spec, streams, seed=0):
+def run_in_one_stream(spec, streams, seed, options):
     """Present all streams to one network."""
     (together,) = run_reference(spec, [np.concatenate(streams)])
     begin = 0
@@ -159,21 +161,21 @@ def run_in_one_stream(spec, streams, seed=0):
         begin = end
 
 
-def run_only_first(spec, streams, seed=0):
+def run_only_first(spec, streams, seed, options):
     return run_reference(spec, streams[:1])
 
 
 def change_readout(change):
     """A target whose readout is that of the reference, changed."""
 
-    def run(spec, streams, seed=0):
+    def run(spec, streams, seed, options):
         for output in run_reference(spec, streams):
             yield replace(output, readout=change(output.readout))
 
     return run
 
 
-def run_with_more_spikes(spec, streams, seed=0):
+def run_with_more_spikes(spec, streams, seed, options):
     for output in run_reference(spec, streams):
         more = {name: spikes + (name != "input") for name, spikes in output.spikes.items()}
         yield replace(output, spikes=more)

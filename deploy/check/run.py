@@ -81,8 +81,8 @@ def run_check(
         Seed of the simulator; default: that of the bundle's run.
     advance : callable, optional
         Called with the number of samples done since the last call, including resumed ones.
-    options : object, optional
-        Options of the target's own class, see :func:`deploy.targets.registry.select_options`.
+    options : Options, optional
+        Options of the target's own class; its defaults if it is None.
 
     Returns
     -------
@@ -119,8 +119,8 @@ class StreamJob:
         What distinguishes the check from others, see `OpenCheck`.
     partial : Path
         File to which the responses to each stream are appended.
-    options : object or None
-        Options of the target.
+    options : Options or None
+        Options of the target's own class; its defaults if it is None.
     """
 
     spec: NetworkSpec
@@ -143,12 +143,11 @@ def run_streams(job: StreamJob) -> Iterator[dict]:
     UserError
         The disk is full, or the network's stimulus cannot present the samples.
     """
-    options = {} if job.options is None else {"options": job.options}
     samples = [job.spec.flatten_samples(checks.inputs) for _, checks in job.streams]
     seed = job.identity["seed"]
     watch = OverflowWatch()
     begun = time.perf_counter()
-    by_stream = watch.during(respond_to_streams(job.spec, samples, job.target, seed, **options))
+    by_stream = watch.during(respond_to_streams(job.spec, samples, job.target, seed, job.options))
     for (first, checks), responses in zip(job.streams, by_stream):
         ended = time.perf_counter()
         record = {
@@ -188,8 +187,8 @@ class OpenCheck:
         File of the result, and of the records of the finished streams.
     records : dict of int to dict
         Records of the finished streams, by their first sample.
-    options : object or None
-        Options of the target.
+    options : Options or None
+        Options of the target's own class; its defaults if it is None.
     advance : callable
         Called with the number of samples done since the last call.
     """

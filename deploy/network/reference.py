@@ -257,20 +257,11 @@ def delay_one_step(values: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros_like(values[:1]), values[:-1]])
 
 
-def run_reference(spec: NetworkSpec, streams, seed=0) -> Iterator[TargetOutput]:
+def run_reference(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[TargetOutput]:
     """Run a network in real numbers: a target without Nengo, with which the others must agree.
 
-    Parameters
-    ----------
-    spec : NetworkSpec
-    streams : iterable of ndarray
-        Each as returned by `Stimulus.flatten`.
-    seed : int
-        Not used: nothing is random.
-
-    Yields
-    ------
-    TargetOutput
+    It is the ``run`` of a :class:`deploy.targets.registry.Target` without options.  Nothing in it
+    is random.
     """
     for samples in streams:
         signal = make_input_spikes(spec, samples)

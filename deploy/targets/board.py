@@ -63,16 +63,10 @@ def find_nxsdk_version() -> str:
     return installed
 
 
-def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[TargetOutput]:
-    """Present streams of samples to a board.
-
-    Parameters
-    ----------
-    spec : NetworkSpec
-    streams : iterable of ndarray
-        Samples as returned by `Stimulus.flatten`.
-    seed : int
-    options : BoardOptions, optional
+def run_loihi(
+    spec: NetworkSpec, streams, seed: int, options: BoardOptions
+) -> Iterator[TargetOutput]:
+    """Present streams of samples to a board: ``run`` of :class:`~.registry.Target`.
 
     Yields
     ------
@@ -84,7 +78,6 @@ def run_loihi(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[Targ
     UserError
         NxSDK is missing, the network does not fit, or the board could not be reached or was lost.
     """
-    options = options or BoardOptions()
     version = find_nxsdk_version()
     require_fit(spec, options.chips)
     for index, samples in enumerate(streams):

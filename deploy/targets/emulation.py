@@ -170,7 +170,7 @@ class Emulation:
         decoded = self._sum_rows(_select_compartments(spikes, self._decoded), self._decoded_weights)
         return spikes, state.readout.advance(decoded), overflows
 
-    def run(self, samples, watch=None, memory=MAX_SPIKE_BYTES) -> StreamOutputs:
+    def run(self, samples, watch=None, max_spike_bytes=MAX_SPIKE_BYTES) -> StreamOutputs:
         """Present streams of samples, each to a fresh network, as the spec's presentation says.
 
         Parameters
@@ -180,21 +180,21 @@ class Emulation:
         watch : callable, optional
             Called after each sample of the streams with every spike of each layer: a dict of
             str to uint8 arrays (n_streams, period, n_neurons / 8), packed by `numpy.packbits`.
-        memory : int
-            Maximum memory in bytes for the spikes of some steps; the result does not depend on it.
+        max_spike_bytes : int
+            Maximum memory for the spikes of some steps; the result does not depend on it.
 
         Returns
         -------
         StreamOutputs
         """
         with self._lock:
-            return self._run(np.asarray(samples), watch, memory)
+            return self._run(np.asarray(samples), watch, max_spike_bytes)
 
-    def _run(self, samples, watch, memory):
+    def _run(self, samples, watch, max_spike_bytes):
         n_streams, n_samples = samples.shape[:2]
         host = InputNeurons(self.spec.stimulus, n_streams, samples.shape[-1])
         state = self.start(n_streams)
-        steps_at_once = max(1, memory // self.count_bytes_per_step(n_streams))
+        steps_at_once = max(1, max_spike_bytes // self.count_bytes_per_step(n_streams))
         by_sample = []
         for index in range(n_samples):
             host.set_samples(samples[:, index])

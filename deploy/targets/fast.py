@@ -18,22 +18,23 @@ OVERFLOWS = ("q0", "current", "u2")
 STREAMS_AT_ONCE = 8
 
 
-def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOutput]:
+def run_fast(spec, streams, seed=0, options=None) -> Iterator[TargetOutput]:
     """Run NengoLoihi's emulator, with identical integers and spikes, on many streams at once.
+
+    It is the ``run`` of a :class:`~.registry.Target` without options.
+    """
+    return run_in_batches(spec, streams, seed, MAX_SPIKE_BYTES)
+
+
+def run_in_batches(spec, streams, seed, max_spike_bytes: int) -> Iterator[TargetOutput]:
+    """:func:`run_fast` on as many streams at once as the memory has room for.
 
     Parameters
     ----------
-    spec : NetworkSpec
-    streams : iterable of array
-        Each as returned by `Stimulus.flatten`.
-    seed : int
-    memory : int
-        Maximum memory in bytes for the spikes of a batch of streams.
-
-    Yields
-    ------
-    TargetOutput
-        The output for each stream, in order.  It does not depend on the batches.
+    spec, streams, seed
+        As in :class:`~.registry.Target`.
+    max_spike_bytes : int
+        Maximum memory for the spikes of a batch of streams; the outputs do not depend on it.
     """
     emulation = Emulation(spec, seed)
     gap = spec.presentation.gap
@@ -41,7 +42,7 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
     def count_fitting_streams(n_samples):
         """Number of streams of some length that fit into the memory."""
         spikes = emulation.count_bytes_per_step(1) * spec.presentation.period
-        return max(1, memory // (spikes + emulation.count_bytes_kept() * n_samples))
+        return max(1, max_spike_bytes // (spikes + emulation.count_bytes_kept() * n_samples))
 
     for batch in _list_batches(streams, count_fitting_streams):
         hashes: List[list] = []
@@ -51,7 +52,7 @@ def run_fast(spec, streams, seed=0, memory=MAX_SPIKE_BYTES) -> Iterator[TargetOu
             rows = [packed[name] for name in spec.spiking_layers]
             hashes.append([hash_spikes(layers) for layers in zip(*rows)])
 
-        outputs = emulation.run(np.stack(batch), watch, memory)
+        outputs = emulation.run(np.stack(batch), watch, max_spike_bytes)
         _warn_of_overflows(outputs.overflows)
         for index, output in enumerate(outputs.output):
             counts = {name: outputs.counts[name][index] for name in spec.spiking_layers}

@@ -14,6 +14,11 @@ def option(default, help_text, minimum=None, maximum=None):
     return field(default=default, metadata={"help": help_text, "range": (minimum, maximum)})
 
 
+def format_flag(name: str) -> str:
+    """An option on a command line, by the name of its field."""
+    return "--" + name.replace("_", "-")
+
+
 @dataclass(frozen=True)
 class Options:
     """Base class of the options of a target: a frozen dataclass whose fields are :func:`option`.
@@ -38,10 +43,11 @@ class Options:
             if minimum is None:
                 continue
             value = getattr(self, entry.name)
+            flag = format_flag(entry.name)
             if value < minimum:
-                raise UserError(f"--{entry.name} must be at least {minimum:g}")
+                raise UserError(f"{flag} must be at least {minimum:g}")
             if not value <= maximum:  # also refuses NaN
-                raise UserError(f"--{entry.name} must be at most {maximum:g}")
+                raise UserError(f"{flag} must be at most {maximum:g}")
 
     def list_output_values(self) -> dict:
         """The values on which the outputs depend, by the names of the options."""

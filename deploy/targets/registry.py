@@ -2,18 +2,14 @@
 
 To add a target:
 
-1. Write a function ``run(spec, streams, seed)``, of a target with options
-   ``run(spec, streams, seed, options=None)``, in a file of this folder.  A stream is an array of
-   samples that are presented one after the other, from a fresh network on.  For each stream the
-   function yields a :class:`~deploy.network.output.TargetOutput`: the readout at each step, and
-   the spikes if the target knows them.  Scores and decisions are computed from it in one place.
+1. Write its function ``run`` in a file of this folder; :class:`Target` says what it must do.
    :mod:`deploy.network.reference` has what a target computes, as equations, and
    :func:`~deploy.network.reference.run_reference` is a target of them.  :mod:`.simulators` has
    targets that run the network in Nengo.
 2. Write its options, if it has any, in :mod:`.options`: a dataclass with a field for each.  No two
    targets have an option of the same name.
 3. Enter a `Target` in `TARGETS`; its ``run`` is ``import_when_called("FILE", "FUNCTION")``.  A
-   package of yours calls :func:`register_target` before it imports the command line.
+   package of yours calls :func:`register_target` instead, in a plugin (:mod:`deploy.plugins`).
 4. Set ``in_ladder`` if every ladder should have a row of it.
 5. Set ``must_fit_integers`` unless the function itself refuses what the chip's integers cannot
    hold.
@@ -27,12 +23,13 @@ help of the commands needs it; the file of a target is imported when the target 
 from __future__ import annotations
 
 import importlib
+import inspect
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Callable, Dict, Iterator, Optional, Tuple, Type
 
 from ..errors import UserError
 from ..terminal import WARNING, remark
-from .options import BoardOptions, Options
+from .options import BoardOptions, Options, format_flag
 from .overflow import OverflowWatch, describe_overflows
 
 if TYPE_CHECKING:
@@ -48,10 +45,17 @@ class Target:
     ----------
     name : str
     run : callable
-        ``run(spec, streams, seed)`` yields a :class:`~deploy.network.output.TargetOutput` for
-        each stream, in order.  Targets with options also have a keyword argument ``options``, which
-        is None for their defaults.  What is random must not depend on earlier streams or on later
-        samples: draw it anew for each stream, and for each sample in order.
+        ``run(spec, streams, seed, options)`` yields a :class:`~deploy.network.output.TargetOutput`
+        for each stream, in order: the readout at each step, and the spikes if the target knows
+        them.  Scores and decisions are computed from it in one place.
+
+        - ``spec`` is the :class:`~deploy.network.spec.NetworkSpec`.
+        - ``streams`` is an iterable of arrays, as returned by `Stimulus.flatten`.  The samples of a
+          stream are presented one after the other, from a fresh network on.
+        - ``seed``, an int, determines what is random.  It must not depend on earlier streams or on
+          later samples: draw it anew for each stream, and for each sample in order.
+        - ``options`` is an instance of the class in the attribute ``options``, or None if that is
+          None.
     title : str
         Short description.
     note : str
@@ -190,21 +194,21 @@ def rank_targets_by_spikes() -> Tuple[str, ...]:
 
 
 def register_target(target: Target):
-    """Add a target, such as one of another package.
-
-    Parameters
-    ----------
-    target : Target
-        The command line has its options if it is registered before
-        :mod:`pipeline.commands.check` is imported.
+    """Add a target of another package, with its options on both command lines.
 
     Raises
     ------
     ValueError
-        There is a target of this name, or another one has an option of the same name.
+        There is a target of this name, another one has an option of the same name, or ``run`` does
+        not take the four values that it is called with.
     """
     if target.name in TARGETS:
         raise ValueError(f"target {target.name!r}: there is one already")
+    try:
+        inspect.signature(target.run).bind("spec", "streams", "seed", "options")
+    except TypeError as error:
+        problem = "run must take (spec, streams, seed, options)"
+        raise ValueError(f"target {target.name!r}: {problem}: {error}") from None
     TARGETS[target.name] = target
     try:
         list_options()
@@ -226,24 +230,24 @@ def list_options() -> Dict[str, tuple]:
         for option in () if target.options is None else fields(target.options):
             if option.name in options:
                 owner = options[option.name][0]
-                raise ValueError(f"targets {owner} and {target.name}: both have --{option.name}")
+                flag = format_flag(option.name)
+                raise ValueError(f"targets {owner} and {target.name}: both have {flag}")
             options[option.name] = (target.name, option)
     return options
 
 
-def select_options(name: str, **values):
+def select_options(target: str, **values) -> Optional[Options]:
     """Select a target's options from those of a command.
 
     Parameters
     ----------
-    name : str
-        Name of the target.
+    target : str
     **values
         The value of every option of any target.
 
     Returns
     -------
-    object or None
+    Options or None
         An instance of the target's class of options; None if it has none.
 
     Raises
@@ -251,15 +255,15 @@ def select_options(name: str, **values):
     UserError
         There is no target of that name, or an option belongs to another target.
     """
-    target = find_target(name)
+    described = find_target(target)
     values_of_target = {}
-    for option_name, (owner, option) in list_options().items():
-        value = values.get(option_name, option.default)
-        if owner == name:
-            values_of_target[option_name] = value
+    for name, (owner, option) in list_options().items():
+        value = values.get(name, option.default)
+        if owner == target:
+            values_of_target[name] = value
         elif value != option.default:
-            raise UserError(f"--{option_name} is for --target {owner}, not for {name}")
-    return None if target.options is None else target.options(**values_of_target)
+            raise UserError(f"{format_flag(name)} is for --target {owner}, not for {target}")
+    return None if described.options is None else described.options(**values_of_target)
 
 
 def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
@@ -282,7 +286,7 @@ def refuse_unfit(spec: NetworkSpec, target: str, seed=0):
 
 
 def respond_to_streams(
-    spec: NetworkSpec, streams: list, target: str, seed=0, **options
+    spec: NetworkSpec, streams: list, target: str, seed=0, options: Optional[Options] = None
 ) -> Iterator[Responses]:
     """Run a target on streams of samples, and read the responses from its output.
 
@@ -293,8 +297,8 @@ def respond_to_streams(
         Each as returned by `Stimulus.flatten`.
     target : str
     seed : int
-    **options
-        Keyword arguments of the target's ``run``.
+    options : Options, optional
+        Options of the target's own class; its defaults if it is None.
 
     Yields
     ------
@@ -308,7 +312,10 @@ def respond_to_streams(
     """
     from ..network.responses import make_responses
 
-    outputs = iter(find_target(target).run(spec, streams, seed, **options))
+    described = find_target(target)
+    if options is None and described.options is not None:
+        options = described.options()
+    outputs = iter(described.run(spec, streams, seed, options))
     for number, samples in enumerate(streams):
         output = next(outputs, None)
         if output is None:
@@ -319,7 +326,7 @@ def respond_to_streams(
 
 
 def run_target(
-    spec: NetworkSpec, samples, target: str, seed=0, advance=None, **options
+    spec: NetworkSpec, samples, target: str, seed=0, advance=None, options: Optional[Options] = None
 ) -> Responses:
     """Run a target on samples, presented as the network defines it.
 
@@ -333,8 +340,8 @@ def run_target(
     seed : int
     advance : callable, optional
         Called with the number of samples done since the last call.
-    **options
-        Keyword arguments of the target's ``run``, such as the memory of ``fast``.
+    options : Options, optional
+        As in :func:`respond_to_streams`.
 
     Returns
     -------
@@ -353,7 +360,7 @@ def run_target(
     streams = [flat[stream] for stream in spec.presentation.list_streams(len(flat))]
     watch = OverflowWatch()
     by_stream = []
-    for responses in watch.during(respond_to_streams(spec, streams, target, seed, **options)):
+    for responses in watch.during(respond_to_streams(spec, streams, target, seed, options)):
         by_stream.append(responses)
         if advance is not None:
             advance(len(responses.scores))

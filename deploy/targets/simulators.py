@@ -1,4 +1,7 @@
-"""Targets that Nengo and NengoLoihi simulate: in floating point, and in the chip's integers."""
+"""Targets that Nengo and NengoLoihi simulate: in floating point, and in the chip's integers.
+
+Each function is the ``run`` of a :class:`~.registry.Target` without options.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +16,18 @@ from ..network.simulation import record_stream
 from ..network.spec import NetworkSpec
 
 
-def run_nengo(spec, streams, seed=0) -> Iterator[TargetOutput]:
+def run_nengo(spec, streams, seed=0, options=None) -> Iterator[TargetOutput]:
     """Run NengoCore's reference simulator, with Loihi's neurons in floating point."""
-    options = {"progress_bar": False, "optimize": False}
-    return _run_on(spec, streams, seed, lambda network: nengo.Simulator(network, **options))
+    settings = {"progress_bar": False, "optimize": False}
+    return _run_on(spec, streams, seed, lambda network: nengo.Simulator(network, **settings))
 
 
-def run_simreal(spec, streams, seed=0) -> Iterator[TargetOutput]:
+def run_simreal(spec, streams, seed=0, options=None) -> Iterator[TargetOutput]:
     """Run NengoLoihi's model of the chip before discretisation."""
     return _run_on(spec, streams, seed, lambda network: _make_simulator(network, "simreal"))
 
 
-def run_emulator(spec, streams, seed=0) -> Iterator[TargetOutput]:
+def run_emulator(spec, streams, seed=0, options=None) -> Iterator[TargetOutput]:
     """Run NengoLoihi's emulator, with the chip's integers."""
     return _run_on(spec, streams, seed, lambda network: _make_simulator(network, "sim"))
 

@@ -1,7 +1,7 @@
 """The operations of a network: convolution, pooling and dense layers, one file each.
 
-To add an operation, write two classes, and enter each in its table, or from outside of this package
-call :func:`register_operation`:
+To add an operation, write two classes, and enter each in its table, or from another package,
+in a plugin (:mod:`deploy.plugins`), call :func:`register_operation`:
 
 1. A :class:`~deploy.network.ops.base.DeployedOperation` in :mod:`deploy.network.ops` has what runs
    a layer: its shapes, and its sums in NumPy.  It needs no TensorFlow.
@@ -33,6 +33,16 @@ __all__ = [
 
 
 def register_operation(operation: type[Operation], deployed: type[DeployedOperation]):
-    """Enter an operation, and what runs it in a bundle, by the `kind` that both have."""
+    """Add an operation of another package, and what runs it in a bundle.
+
+    Raises
+    ------
+    ValueError
+        The two have different kinds, or there is an operation of their kind.
+    """
+    if operation.kind != deployed.kind:
+        raise ValueError(f"operation {operation.kind!r}: what runs it is {deployed.kind!r}")
+    if operation.kind in {*OPERATIONS, *DEPLOYED_OPERATIONS}:
+        raise ValueError(f"operation {operation.kind!r}: there is one already")
     OPERATIONS[operation.kind] = operation
     DEPLOYED_OPERATIONS[deployed.kind] = deployed

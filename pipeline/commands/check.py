@@ -9,6 +9,7 @@ import typer
 
 from deploy import limits
 from deploy.errors import UserError
+from deploy.targets.options import format_flag
 from deploy.targets.registry import TARGETS, list_options, select_options
 from deploy.terminal import WARNING
 from pipeline.commands import options
@@ -19,28 +20,26 @@ from pipeline.storage.run_folder import find_checks_folder
 def _annotate_option(target, option):
     """The annotation from which Typer makes an option of a target."""
     kind = str | None if option.default is None else type(option.default)
-    names = (f"--{option.name}",) if kind is bool else ()  # without --no-...
+    names = (format_flag(option.name),) if kind is bool else ()  # without --no-...
     return Annotated[
         kind,
         typer.Option(*names, help=option.metadata["help"], rich_help_panel=f"Target {target}"),
     ]
 
 
-# The value of every option of any target, of which a target takes its own.
-TargetValues = make_dataclass(
-    "TargetValues",
-    [
+def _make_target_options() -> options.Group:
+    """``--target``, and the options of all targets that are registered now."""
+    described = list_options()
+    entries = [
         (name, option.type, field(default=option.default))
-        for name, (_, option) in list_options().items()
-    ],
-)
-OfTargets = Annotated[
-    Any,
-    options.group(
-        TargetValues,
-        **{name: _annotate_option(*described) for name, described in list_options().items()},
-    ),
-]
+        for name, (_, option) in described.items()
+    ]
+    names = ", ".join(TARGETS)
+    return options.group(
+        make_dataclass("TargetRequested", [("target", str), *entries]),
+        target=Annotated[str, typer.Option(help=f"One of {names}.")],
+        **{name: _annotate_option(*owned) for name, owned in described.items()},
+    )
 
 
 Others = Annotated[
@@ -72,9 +71,9 @@ Others = Annotated[
 ]
 
 
-def run(  # noqa: PLR0913 - each is an option of the command
+def run(
     bundle: options.Bundle,
-    target: Annotated[str, typer.Option(help=f"One of {', '.join(TARGETS)}.")],
+    target_requested: Annotated[Any, _make_target_options],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -95,7 +94,6 @@ def run(  # noqa: PLR0913 - each is an option of the command
     ] = None,
     *,
     others: Others,
-    of_targets: OfTargets,
     as_json: options.Json = False,
 ):
     """Run a target on the bundle's samples; an interrupted check continues where it stopped."""
@@ -105,7 +103,8 @@ def run(  # noqa: PLR0913 - each is an option of the command
     from pipeline.results.check_with_faults import find_fault_path, parse_faults
     from pipeline.workflow.target_check import TargetCheck
 
-    target_options = select_options(target, **vars(of_targets))
+    target = target_requested.target
+    target_options = select_options(**vars(target_requested))
     if out is not None:
         require_ending(out, ".json")
     _require_data(others)

@@ -18,6 +18,7 @@ from deploy.errors import (
     describe_error,
     format_as_line,
 )
+from deploy.plugins import load_plugins
 from deploy.terminal import INTERRUPTED, INTERRUPTION, drop_output, prepare, remark, show
 from pipeline.commands.options import convert_for_typer
 from pipeline.interrupts import handle_signals, raise_at_interrupts
@@ -105,6 +106,7 @@ PANELS = {
 
 def _import_verbs(name):
     """The functions of one of :data:`COMMANDS`, or of the verbs below it, each with its name."""
+    load_plugins()  # the verbs have the options of their targets
     _, verb = COMMANDS[name]
     paths = {name: verb} if isinstance(verb, str) else verb
     functions = {}

@@ -5,8 +5,9 @@ value::
 
     def train(run: options.Run, requested: options.RunRequested, jobs: options.Jobs = 2): ...
 
-where the annotation contains a :class:`Group`.  Typer needs one parameter for each option, so
-:func:`convert_for_typer` replaces the group by its options.
+where the annotation contains a :class:`Group`, or a function that makes one, if plugins can add
+options to it.  Typer needs one parameter for each option, so :func:`convert_for_typer` replaces the
+group by its options.
 """
 
 import contextlib
@@ -16,7 +17,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature, isfunction, signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -56,7 +57,8 @@ def convert_for_typer(verb: Callable) -> Callable:
     Parameters
     ----------
     verb : callable
-        Function of a command; parameters may be annotated with a :func:`group`.
+        Function of a command; parameters may be annotated with a :func:`group`, or with a function
+        that is called here and returns one.
 
     Returns
     -------
@@ -67,13 +69,13 @@ def convert_for_typer(verb: Callable) -> Callable:
     parameters = []
     groups = {}
     for name, parameter in signature(verb).parameters.items():
-        metadata = getattr(hints[name], "__metadata__", ())
-        if metadata and isinstance(metadata[0], Group):
-            groups[name] = metadata[0]
-            defaults = signature(metadata[0].make).parameters
+        annotated = _find_group(hints[name])
+        if annotated is not None:
+            groups[name] = annotated
+            defaults = signature(annotated.make).parameters
             parameters += [
                 Parameter(option, KEYWORD, default=defaults[option].default, annotation=hint)
-                for option, hint in metadata[0].options.items()
+                for option, hint in annotated.options.items()
             ]
         else:
             parameters.append(parameter.replace(kind=KEYWORD, annotation=hints[name]))
@@ -87,6 +89,14 @@ def convert_for_typer(verb: Callable) -> Callable:
     vars(with_groups)["__signature__"] = Signature(parameters)
     with_groups.__annotations__ = {each.name: each.annotation for each in parameters}
     return with_groups
+
+
+def _find_group(hint) -> Group | None:
+    """The group with which a parameter is annotated, if it is."""
+    (first, *_) = getattr(hint, "__metadata__", (None,))
+    if isfunction(first):
+        first = first()
+    return first if isinstance(first, Group) else None
 
 
 Run = Annotated[Path, typer.Argument(help="Folder of the run, such as runs/default.")]

@@ -16,14 +16,22 @@ KINDS: list[type[NetworkKind]] = [NirKind, EventsKind, ImageKind]
 
 
 def register_kind(kind: type[NetworkKind], samples: str = "images"):
-    """Add a kind of network, which ``--input`` selects by its :attr:`NetworkKind.input_kinds`.
+    """Add a kind of network of another package.
 
     Parameters
     ----------
     kind : type
+        ``--input`` selects it by its :attr:`NetworkKind.input_kinds`.
     samples : str
         What its network gets of each recording: ``"images"`` or ``"frames"`` of events.
+
+    Raises
+    ------
+    ValueError
+        There is a kind of this name, or one that ``--input`` selects by the same value.
     """
+    if kind.name in {other.name for other in KINDS} or {*kind.input_kinds} & {*INPUTS}:
+        raise ValueError(f"kind {kind.name!r}: there is one of this name, or for the same --input")
     KINDS.insert(0, kind)
     INPUTS.update(dict.fromkeys(kind.input_kinds, samples))
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from deploy import limits
-from deploy.loading import Limit, between, key_of, one_of
+from deploy.loading import KeyOf, Limit, between, one_of
 from deploy.network.presentation import Presentation
 from pipeline import paper
 from pipeline.settings.base import SettingsGroup
@@ -85,7 +85,7 @@ class Input(SettingsGroup):
     #: ``image``: a recording's tactile image as evenly spaced spikes, as in the paper; ``slices``:
     #: the same with an image for each of several slices of time and each polarity, all at once,
     #: which tells the order of events; ``events``: the sensor's events.
-    kind: Annotated[str, key_of(INPUTS)] = "image"
+    kind: Annotated[str, KeyOf(INPUTS)] = "image"
     #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
     step: Annotated[float, STEP] = 10.0
     #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to

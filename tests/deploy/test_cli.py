@@ -8,9 +8,10 @@ from dataclasses import replace
 import pytest
 
 from deploy import cli
+from deploy.conformance.networks import make_image_network
 from deploy.errors import CheckFailed, UserError
 from tests.command import environment
-from tests.deploy.networks import bundle_at, small_spec
+from tests.deploy.networks import bundle_at
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_every_error_is_one_line_and_a_status(monkeypatch, capsys, error, status
 
 
 def test_a_check_runs_with_the_seed_of_the_bundle_s_run(tmp_path):
-    spec = small_spec()
+    spec = make_image_network()
     spec = replace(spec, provenance={**spec.provenance, "seed": 3})
     bundle = bundle_at(tmp_path / "bundle", spec)
     for options, seed in (([], 3), (["--seed", "5"], 5)):

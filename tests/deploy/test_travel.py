@@ -17,10 +17,11 @@ import pytest
 from deploy import requirements as host
 from deploy.check.bundle import CheckSet, write_bundle
 from deploy.check.run import run_check
+from deploy.conformance.networks import draw_frames, make_event_network, make_image_network
 from deploy.network.decision import Estimator
 from deploy.network.stimulus import EventFrames, apply_refractory_period
 from tests.command import missing
-from tests.deploy.networks import events_spec, random_checks, random_frames, small_spec
+from tests.deploy.networks import draw_checks
 from tests.deploy.standin import STANDIN
 
 ROOT = Path(__file__).parent.parent.parent
@@ -31,7 +32,7 @@ OLD_PYTHON = ROOT / ".venv-inrc" / "bin" / "python"
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     """A bundle and the emulator's result at home: ``(bundle, result)``."""
-    spec = small_spec(steps=10, gap=3, readout_start=4)
+    spec = make_image_network(steps=10, gap=3, readout_start=4)
     bundle, result = at_home(tmp_path_factory.mktemp("home"), spec)
     assert all(result["spikes"].values())
     assert len({sample["spike_hash"] for sample in result["samples"]}) == 7
@@ -39,7 +40,7 @@ def home(tmp_path_factory):
 
 
 def at_home(folder, spec, checks=None):
-    bundle = write_bundle(folder / "bundle", spec, checks or random_checks(spec, 7))
+    bundle = write_bundle(folder / "bundle", spec, checks or draw_checks(spec, 7))
     return bundle, run_check(bundle, "emulator", folder / "checks" / "emulator.json")
 
 
@@ -133,11 +134,11 @@ def test_python_38_answers_a_bundle_of_events(tmp_path):
         name: 0.3 * rng.normal(size=shape) for name, shape in Estimator.list_shapes(3).items()
     }
     spec = replace(
-        events_spec(confidence=0.7),
+        make_event_network(confidence=0.7),
         stimulus=EventFrames(0.01, refractory=1),
         estimator=Estimator.from_arrays(estimator, 3),
     )
-    frames = apply_refractory_period(np.moveaxis(random_frames(spec, 7, share=0.2), 1, 0), 1)
+    frames = apply_refractory_period(np.moveaxis(draw_frames(spec, 7, share=0.2), 1, 0), 1)
     names = tuple(f"random/{i:03d}" for i in range(7))
     checks = CheckSet(np.moveaxis(frames, 0, 1), rng.integers(0, 3, 7), names, 0)
     bundle, expected = at_home(tmp_path / "home", spec, checks)

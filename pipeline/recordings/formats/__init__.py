@@ -5,7 +5,7 @@ To add a format, write a function ``read(content, name)`` that gives an
 :class:`~pipeline.recordings.formats.recording.BadRecording`, and enter it in :data:`READERS`.
 :func:`~pipeline.recordings.formats.recording.make_recording` makes one of the columns x, y, t and p
 and checks them; ``t_s``, ``t_ms`` and others name the unit of the times.  A package of yours calls
-:func:`register_format` instead.
+:func:`register_format` instead, in a plugin (:mod:`deploy.plugins`).
 """
 
 from pathlib import PurePosixPath
@@ -29,7 +29,7 @@ READERS = {
 
 
 def register_format(ending: str, read):
-    """Add a format of recordings, such as one of another package.
+    """Add a format of recordings of another package.
 
     Parameters
     ----------

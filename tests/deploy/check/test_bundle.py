@@ -8,9 +8,10 @@ import pytest
 
 from deploy.check import bundle as bundles
 from deploy.check.bundle import FILES, CheckSet, read_bundle, write_bundle
+from deploy.conformance.networks import draw_frames, make_event_network, make_image_network
 from deploy.errors import UserError
 from deploy.files import hash_file, read_arrays, read_json, write_json
-from tests.deploy.networks import bundle_at, events_spec, random_checks, random_frames, small_spec
+from tests.deploy.networks import bundle_at, draw_checks
 
 
 @pytest.fixture
@@ -20,10 +21,12 @@ def bundle(tmp_path):
 
 def test_round_trip(bundle):
     read = read_bundle(bundle.path)
-    checks = random_checks(small_spec(), 7)
+    checks = draw_checks(make_image_network(), 7)
     assert read.id == bundle.id == hash_file(bundle.path / "MANIFEST.json")
-    assert read.spec == small_spec()
-    np.testing.assert_array_equal(read.spec.layers[0].weights, small_spec().layers[0].weights)
+    assert read.spec == make_image_network()
+    np.testing.assert_array_equal(
+        read.spec.layers[0].weights, make_image_network().layers[0].weights
+    )
     np.testing.assert_array_equal(read.checks.inputs, np.float32(checks.inputs))
     np.testing.assert_array_equal(read.checks.labels, checks.labels)
     assert (read.checks.ids, read.checks.seed, len(read.checks)) == (checks.ids, checks.seed, 7)
@@ -42,8 +45,8 @@ def test_the_same_inputs_make_the_same_id_and_others_another(bundle, tmp_path):
     assert bundle_at(tmp_path / "again").id == bundle.id
     with zipfile.ZipFile(bundle.path / "deploy.pyz") as file:
         assert {member.date_time for member in file.infolist()} == {(1980, 1, 1, 0, 0, 0)}
-    assert bundle_at(tmp_path / "other", small_spec(seed=1)).id != bundle.id
-    assert bundle_at(tmp_path / "gap", small_spec(gap=6)).id != bundle.id
+    assert bundle_at(tmp_path / "other", make_image_network(seed=1)).id != bundle.id
+    assert bundle_at(tmp_path / "gap", make_image_network(gap=6)).id != bundle.id
     assert bundle_at(tmp_path / "more", count=8).id != bundle.id
 
 
@@ -135,7 +138,7 @@ def test_a_folder_with_other_files_is_not_replaced(bundle):
     file = bundle.path / "thesis.txt"
     file.write_text("years of work")
     with pytest.raises(UserError, match=r"thesis\.txt"):
-        bundle_at(bundle.path, small_spec(seed=1))
+        bundle_at(bundle.path, make_image_network(seed=1))
     assert file.read_text() == "years of work"
 
 
@@ -145,7 +148,7 @@ def test_an_interruption_leaves_the_earlier_bundle(bundle, tmp_path, monkeypatch
 
     monkeypatch.setattr(bundles, "make_zipapp", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        bundle_at(bundle.path, small_spec(seed=1))
+        bundle_at(bundle.path, make_image_network(seed=1))
     assert read_bundle(bundle.path).id == bundle.id
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
 
@@ -160,7 +163,7 @@ def test_an_interruption_of_the_exchange_leaves_the_earlier_bundle(bundle, tmp_p
         replace(source, target)
 
     monkeypatched = []
-    new = small_spec(seed=1), random_checks(small_spec(), 7)
+    new = make_image_network(seed=1), draw_checks(make_image_network(), 7)
     monkeypatch.setattr(bundles.os, "replace", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_bundle(bundle.path, *new)
@@ -247,8 +250,8 @@ def test_weights_that_are_none(bundle, changes, fact):
     (lambda c: replace(c, ids=tuple("abca")), "^the samples of the check .*same id"),
 ])  # fmt: skip
 def test_samples_that_would_be_stored_as_others(tmp_path, change, fact):
-    spec = events_spec()
-    checks = CheckSet(random_frames(spec, 4), np.arange(4) % 3, tuple("abcd"), 0)
+    spec = make_event_network()
+    checks = CheckSet(draw_frames(spec, 4), np.arange(4) % 3, tuple("abcd"), 0)
     with pytest.raises(ValueError, match=fact):
         write_bundle(tmp_path / "b", spec, change(checks))
     assert not (tmp_path / "b").exists()

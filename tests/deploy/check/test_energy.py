@@ -5,12 +5,13 @@ import pytest
 from deploy.check.energy import CHIP_JOULES, MAC_JOULES, estimate_energy, format_estimate
 from deploy.check.run import run_check
 from deploy.check.text import format_result
+from deploy.conformance.networks import make_image_network
 from deploy.errors import UserError
 from deploy.files import read_json, write_json
 from deploy.targets.registry import run_target
 from pipeline.storage.run_folder import find_checks_folder
 from tests.command import call
-from tests.deploy.networks import bundle_at, paper_spec, small_spec
+from tests.deploy.networks import bundle_at, make_paper_network
 
 
 def counted(spec, samples=2, **operations):
@@ -22,7 +23,7 @@ def counted(spec, samples=2, **operations):
 
 def test_small_network_by_hand():
     # conv1 has 64 neurons and 36 inputs; a sample lasts 30 + 5 steps
-    spec = small_spec()
+    spec = make_image_network()
     value = estimate_energy(spec, counted(spec, conv1=2000))
     conv1, conv2, _ = value.layers
     assert conv1.synaptic_operations == 1000
@@ -38,7 +39,7 @@ def test_small_network_by_hand():
 
 @pytest.mark.parametrize("on_chip", [True, False])
 def test_both_sides_have_the_output_layer_wherever_it_is(on_chip):
-    spec = small_spec(on_chip_output=on_chip)
+    spec = make_image_network(on_chip_output=on_chip)
     value = estimate_energy(spec, counted(spec, conv1=2000, output=400))
     output = value.layers[-1]
     assert output.on_chip is on_chip
@@ -66,7 +67,7 @@ def test_one_definition_of_synaptic_operations(tmp_path):
 
 def test_result_without_counts_is_refused():
     with pytest.raises(UserError, match=r"synaptic operations.*--target emulator"):
-        estimate_energy(small_spec(), {"n_samples": 1})
+        estimate_energy(make_image_network(), {"n_samples": 1})
 
 
 def test_energy_of_a_bundle_that_never_ran_names_the_target_to_run(tmp_path, capsys):
@@ -101,7 +102,7 @@ def test_constants_and_cnn_are_those_of_keras_spiking():
             layers.Dense(10, activation="relu", use_bias=False),
         ]
     )
-    spec = paper_spec()
+    spec = make_paper_network()
     value = estimate_energy(spec, counted(spec))
     energy = keras_spiking.ModelEnergy(cnn)
     for device in MAC_JOULES:

@@ -9,11 +9,12 @@ import pytest
 from deploy import __version__
 from deploy.check.run import run_check
 from deploy.check.text import format_result
+from deploy.conformance.networks import make_image_network
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.stimulus import ImageSpikes
 from tests.deploy.checks import interrupted, partial, same_answers
-from tests.deploy.networks import bundle_at, small_spec
+from tests.deploy.networks import bundle_at
 
 CONTRACT = {
     *("schema", "target", "bundle", "seed", "steps_per_sample", "n_samples", "accuracy"),
@@ -24,7 +25,7 @@ CONTRACT = {
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory):
     """Seven samples in streams of three."""
-    spec = small_spec(steps=20, gap=3, readout_start=4)
+    spec = make_image_network(steps=20, gap=3, readout_start=4)
     return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle", spec)
 
 
@@ -78,7 +79,7 @@ def test_an_interrupted_check_goes_on_and_ends_the_same(bundle, whole, tmp_path,
 @pytest.mark.parametrize("target", ["nengo", "simreal", "emulator", "fast"])
 def test_a_network_that_no_integers_hold_is_refused_and_nothing_is_left(tmp_path, target):
     unfit = bundle_at(
-        tmp_path / "bundle", replace(small_spec(), stimulus=ImageSpikes(max_rate=1e-3))
+        tmp_path / "bundle", replace(make_image_network(), stimulus=ImageSpikes(max_rate=1e-3))
     )
     with pytest.raises(UserError, match="layer conv1: "):
         run_check(unfit, target, tmp_path / "result.json")
@@ -116,7 +117,7 @@ def test_a_damaged_line_starts_the_check_afresh(bundle, whole, begun, tmp_path, 
 
 def test_the_answers_to_another_bundle_are_not_taken(bundle, whole, tmp_path):
     out = tmp_path / "emulator.json"
-    other = bundle_at(tmp_path / "other", small_spec(seed=1))
+    other = bundle_at(tmp_path / "other", make_image_network(seed=1))
     interrupted(other, out, 1)
     same_answers(run_check(bundle, "emulator", out), whole)
 

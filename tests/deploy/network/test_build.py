@@ -7,6 +7,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deploy.conformance.networks import (
+    make_convolution,
+    make_dense,
+    make_image_network,
+    make_readout,
+)
 from deploy.network.blocks import BlockNeeds, choose_block, choose_blocks, find_rescaled_layers
 from deploy.network.build import build
 from deploy.network.chip import LOIHI
@@ -19,7 +25,6 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
-from tests.deploy.networks import conv, dense, readout, small_spec
 
 
 def matrix_of(layer):
@@ -75,12 +80,12 @@ def layers(draw):
     pool = draw(st.integers(1, 3))
     shape = (*(draw(st.integers(pool, 9)) for _ in range(2)), draw(st.integers(1, 2)))
     if draw(st.integers(0, 4)) == 0:
-        return dense("dense1", shape, draw(st.integers(1, 5)), rng, pool=pool)
+        return make_dense("dense1", shape, draw(st.integers(1, 5)), rng, pool=pool)
     padding, stride = draw(st.sampled_from(["valid", "same"])), draw(st.integers(1, 3))
     most = min(shape[:2]) // pool if padding == "valid" else 4
     kernel = draw(st.integers(1, max(1, min(4, most))))
     geometry = dict(stride=stride, padding=padding, pool=pool)
-    return conv("conv1", shape, draw(st.integers(1, 3)), kernel, rng, **geometry)
+    return make_convolution("conv1", shape, draw(st.integers(1, 3)), kernel, rng, **geometry)
 
 
 @settings(max_examples=60, deadline=None)
@@ -95,14 +100,14 @@ def test_a_layer_in_nengo_is_the_one_described(layer):
 def spec_of(shape, *layers, classes=3):
     rng = np.random.default_rng(1)
     return NetworkSpec(
-        "test", shape, ImageSpikes(), (*layers, readout(layers[-1].shape, rng, classes)),
+        "test", shape, ImageSpikes(), (*layers, make_readout(layers[-1].shape, rng, classes)),
         Presentation(steps=20, gap=3, readout_start=5, stream_length=2),
     )  # fmt: skip
 
 
 def test_multiply_accumulates_of_an_averaging_by_hand():
     rng = np.random.default_rng(0)
-    layer = conv("conv1", (7, 6, 2), 3, 2, rng, pool=2)  # 3x3x2 averaged, 2x2x3 out
+    layer = make_convolution("conv1", (7, 6, 2), 3, 2, rng, pool=2)  # 3x3x2 averaged, 2x2x3 out
     spec = spec_of((7, 6, 2), layer)
     macs = spec.multiply_accumulates
     assert macs["conv1"] == 2 * 2 * 3 * (2 * 2 * 2) + 6 * 6 * 2
@@ -113,22 +118,24 @@ def test_the_cut_with_the_fewest_axons():
     rng = np.random.default_rng(0)
     # 26 x 26 x 4 = 2704 neurons, three cores at the least; squares overlap least: four of 15 x 15
     # inputs are 900, three strips of 9 rows (11, 11 and 10 inputs of 28) 896
-    layer = conv("conv1", (28, 28, 1), 4, 3, rng)
+    layer = make_convolution("conv1", (28, 28, 1), 4, 3, rng)
     assert choose_block(layer) == (9, 26, 4)
     # channels are the last to be cut: each part would see every input
-    wide = conv("conv1", (6, 6, 1), 100, 3, rng)  # 1600 neurons: two parts of 4 x 6 inputs
+    # 1600 neurons: two parts of 4 x 6 inputs
+    wide = make_convolution("conv1", (6, 6, 1), 100, 3, rng)
     assert choose_block(wide) == (2, 4, 100)
     # with nothing else to cut, channels it is
-    assert choose_block(conv("conv1", (3, 3, 1), 1600, 3, rng)) == (1, 1, 800)
+    assert choose_block(make_convolution("conv1", (3, 3, 1), 1600, 3, rng)) == (1, 1, 800)
 
 
 def test_synapse_memory_and_output_axons_cut_too():
     rng = np.random.default_rng(0)
     # 600 inputs of 256 synapses of 8 bits: 36 words each, 21,600 of 16,384
-    layer = dense("dense1", (5, 5, 24), 256, rng)
+    layer = make_dense("dense1", (5, 5, 24), 256, rng)
     assert choose_block(layer) == (128,)
     # 1,000 neurons and six blocks after them are 6,000 axons of 4,096: two blocks of 500
-    before, after = conv("conv1", (10, 10, 1), 10, 1, rng), dense("dense1", (10, 10, 10), 600, rng)
+    before = make_convolution("conv1", (10, 10, 1), 10, 1, rng)
+    after = make_dense("dense1", (10, 10, 10), 600, rng)
     shapes = choose_blocks((before, after))
     assert -(-600 // shapes["dense1"][0]) * np.prod(shapes["conv1"]) <= 4096
     assert make_plan(spec_of((10, 10, 1), before, after)).problems == []
@@ -136,7 +143,7 @@ def test_synapse_memory_and_output_axons_cut_too():
 
 def test_a_layer_of_several_cores():
     rng = np.random.default_rng(0)
-    conv1 = conv("conv1", (24, 24, 1), 8, 3, rng)  # 3,872 neurons
+    conv1 = make_convolution("conv1", (24, 24, 1), 8, 3, rng)  # 3,872 neurons
     plan = make_plan(spec_of((24, 24, 1), conv1))
     assert plan.problems == []
     assert len(plan.cores) == 4
@@ -157,7 +164,7 @@ def away_from_zero(layer):
 def test_the_counts_are_those_that_nengo_loihi_makes(layer, more, data):
     """With a smaller core than there is: layers of a size that a test can build."""
     rng = np.random.default_rng(0)
-    after = away_from_zero(dense("after", layer.shape, more, rng))
+    after = away_from_zero(make_dense("after", layer.shape, more, rng))
     block = tuple(data.draw(st.integers(1, n)) for n in layer.shape)
     layer = replace(away_from_zero(layer), block_shape=block)
     plan = make_plan(spec_of(layer.input_shape, layer, after))
@@ -191,7 +198,7 @@ def test_a_dense_layer_reads_more_neurons_than_a_core_has_axons():
     """It is the convolution with one window, whose blocks share the weights of averaged pixels."""
     rng = np.random.default_rng(0)
     shape = (27, 26, 8)  # 5,616 neurons; averaging leaves out the last row
-    wide = away_from_zero(dense("dense1", shape, 7, rng, pool=2, block_shape=(3,)))
+    wide = away_from_zero(replace(make_dense("dense1", shape, 7, rng, pool=2), block_shape=(3,)))
     plan = make_plan(spec_of(shape, wide))
     assert plan.problems == []
     assert [core.used["input axons"] for core in plan.cores] == [26 * 26] * 3
@@ -220,7 +227,7 @@ def test_blocks_fit_by_the_count_of_nengo_loihi_too():
     """It counts the synapses of the 128 channels of a pixel as one sequence of lists."""
     rng = np.random.default_rng(0)
     shape = (10, 10, 128)
-    wide = away_from_zero(dense("dense1", shape, 44, rng, pool=2))
+    wide = away_from_zero(make_dense("dense1", shape, 44, rng, pool=2))
     assert make_plan(spec_of(shape, wide)).problems == []
 
 
@@ -233,11 +240,11 @@ def test_a_window_along_one_dimension_by_hand():
 def test_layers_whose_blocks_are_scaled_separately():
     """They are those in which NengoLoihi has several thresholds."""
     rng = np.random.default_rng(0)
-    by_filters = conv("conv1", (6, 6, 1), 4, 3, rng, block_shape=(4, 4, 2))
-    by_rows = conv("conv2", by_filters.shape, 8, 2, rng, block_shape=(2, 3, 8))
-    by_units = dense("dense1", by_rows.shape, 6, rng, block_shape=(3,))
-    layers = (by_filters, by_rows, by_units, readout(by_units.shape, rng))
-    spec, thresholds = replace(small_spec(), layers=layers), {}
+    by_filters = replace(make_convolution("conv1", (6, 6, 1), 4, 3, rng), block_shape=(4, 4, 2))
+    by_rows = replace(make_convolution("conv2", by_filters.shape, 8, 2, rng), block_shape=(2, 3, 8))
+    by_units = replace(make_dense("dense1", by_rows.shape, 6, rng), block_shape=(3,))
+    layers = (by_filters, by_rows, by_units, make_readout(by_units.shape, rng))
+    spec, thresholds = replace(make_image_network(), layers=layers), {}
     with nengo_loihi.Simulator(build(spec).network, target="sim", precompute=True) as sim:
         for block in sim.model.blocks:
             (name,) = [layer.name for layer in layers if f"'{layer.name}'" in block.label]

@@ -8,13 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deploy.conformance.networks import (
+    make_convolution,
+    make_dense,
+    make_image_network,
+    make_readout,
+)
 from deploy.errors import UserError
 from deploy.files import read_arrays
 from deploy.network.chip import DT
 from deploy.network.nir import make_graph_input, make_nir_graph, write_nir
 from deploy.targets.registry import run_target
 from tests.deploy.network.test_build import matrix_by_hand
-from tests.deploy.networks import conv, dense, paper_spec, random_checks, readout, small_spec
+from tests.deploy.networks import draw_checks, make_paper_network
 from tests.nir_reader.result import responses_of
 
 nir = pytest.importorskip("nir")
@@ -24,7 +30,7 @@ READER = ROOT / ".venv-nir" / "bin" / "python"
 
 
 def test_file_is_read_back_whole(tmp_path):
-    spec = small_spec()
+    spec = make_image_network()
     write_nir(tmp_path / "network.nir", spec)
     graph = nir.read(str(tmp_path / "network.nir"))
     edges = dict(graph.edges)
@@ -43,7 +49,7 @@ def test_file_is_read_back_whole(tmp_path):
 
 def test_readout_is_permuted_to_channels_first():
     """Flattened as (channels, rows, columns), the same map must give the same output."""
-    spec = small_spec()
+    spec = make_image_network()
     layer = spec.layers[-1]
     values = np.random.default_rng(1).normal(size=layer.input_shape)
     weight = make_nir_graph(spec).nodes["output_weights"].weight
@@ -52,15 +58,15 @@ def test_readout_is_permuted_to_channels_first():
 
 
 def test_output_neurons_and_neurons_without_a_filter():
-    spec = small_spec(on_chip_output=True)
+    spec = make_image_network(on_chip_output=True)
     assert type(make_nir_graph(spec).nodes["output_neurons"]) is nir.CubaLIF
     layers = (replace(spec.layers[0], synapse=None), *spec.layers[1:])
     assert type(make_nir_graph(replace(spec, layers=layers)).nodes["conv1_neurons"]) is nir.LIF
 
 
 def test_input_spikes_are_the_encoders():
-    spec = small_spec()
-    images = random_checks(spec, 7).inputs
+    spec = make_image_network()
+    images = draw_checks(spec, 7).inputs
     spikes = make_graph_input(spec, images)
     assert set(np.unique(spikes)) == {0, 2}  # 1 ms of an area of 1 / 500
     counted = run_target(spec, images, "nengo").spikes["input"]
@@ -70,7 +76,7 @@ def test_input_spikes_are_the_encoders():
 def test_without_the_package(monkeypatch, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "nir", None)
     with pytest.raises(UserError, match="needs the package nir"):
-        write_nir(tmp_path / "x.nir", small_spec())
+        write_nir(tmp_path / "x.nir", make_image_network())
 
 
 def euler(tau):
@@ -94,8 +100,8 @@ def without_what_nir_leaves_out(spec):
 @pytest.mark.slow
 @pytest.mark.skipif(not READER.exists(), reason="no environment with Norse; 'make setup-nir'")
 def test_norse_gives_what_the_reference_gives_without_what_nir_leaves_out(tmp_path):
-    spec = paper_spec(steps=60, gap=10)
-    images = random_checks(spec, 20).inputs
+    spec = make_paper_network(steps=60, gap=10)
+    images = draw_checks(spec, 20).inputs
     write_nir(tmp_path / "network.nir", spec)
     np.savez(tmp_path / "in.npz", spikes=make_graph_input(spec, images))
     subprocess.run(
@@ -129,10 +135,12 @@ def test_norse_gives_what_the_reference_gives_without_what_nir_leaves_out(tmp_pa
 def test_strides_padding_and_averaging_are_the_networks():
     """The graph's nodes, worked out in NumPy, against the network's own fan-in of every neuron."""
     rng = np.random.default_rng(0)
-    layer = conv("conv1", (9, 8, 2), 3, 3, rng, stride=2, padding="same", pool=2)
-    hidden = dense("dense1", layer.shape, 4, rng)
+    layer = make_convolution("conv1", (9, 8, 2), 3, 3, rng, stride=2, padding="same", pool=2)
+    hidden = make_dense("dense1", layer.shape, 4, rng)
     spec = replace(
-        small_spec(), input_shape=(9, 8, 2), layers=(layer, hidden, readout((4,), rng, 3))
+        make_image_network(),
+        input_shape=(9, 8, 2),
+        layers=(layer, hidden, make_readout((4,), rng, 3)),
     )
     nodes = make_nir_graph(spec).nodes
     names = ["conv1_pool", "conv1_weights", "conv1_neurons", "dense1_flatten", "dense1_weights"]

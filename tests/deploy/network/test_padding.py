@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from nengo.builder import transforms
 
+from deploy.conformance.networks import make_image_network
 from deploy.network.build import pad, pad_only_where_needed
 from deploy.targets.registry import run_target
-from tests.deploy.networks import mixed_spec, random_checks, small_spec
+from tests.deploy.networks import draw_checks, make_mixed_network
 
 
 def test_what_is_padded_is_numpys():
@@ -18,9 +19,11 @@ def test_what_is_padded_is_numpys():
     assert nothing.base is None  # not a view, of whose memory Nengo would take the wrong part
 
 
-@pytest.mark.parametrize("spec", [small_spec(), mixed_spec()], ids=["valid", "same"])
+@pytest.mark.parametrize(
+    "spec", [make_image_network(), make_mixed_network()], ids=["valid", "same"]
+)
 def test_every_spike_is_that_of_nengo_as_it_is(spec, monkeypatch):
-    images = random_checks(spec, 3).inputs
+    images = draw_checks(spec, 3).inputs
     result = run_target(spec, images, "nengo")
     monkeypatch.setattr(transforms, "np", np)
     expected = run_target(spec, images, "nengo")
@@ -33,8 +36,8 @@ def test_numpy_pads_nothing_where_there_is_nothing_to_pad(monkeypatch):
     def boom(*given, **more):
         raise AssertionError("padded")
 
-    spec, unpadded = small_spec(), transforms.np
-    images = random_checks(spec, 1).inputs
+    spec, unpadded = make_image_network(), transforms.np
+    images = draw_checks(spec, 1).inputs
     monkeypatch.setattr(np, "pad", boom)
     run_target(spec, images, "nengo")
     monkeypatch.setattr(transforms, "np", np)

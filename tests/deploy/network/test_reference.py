@@ -6,6 +6,7 @@ import nengo_loihi
 import numpy as np
 import pytest
 
+from deploy.conformance.networks import draw_frames, make_event_network, make_image_network
 from deploy.network.build import build
 from deploy.network.reference import (
     delay_one_step,
@@ -16,7 +17,7 @@ from deploy.network.reference import (
 from deploy.network.responses import make_responses
 from deploy.network.simulation import present
 from deploy.targets.registry import run_target
-from tests.deploy.networks import events_spec, mixed_spec, random_checks, random_frames, small_spec
+from tests.deploy.networks import draw_checks, make_mixed_network
 
 
 def respond(spec, samples):
@@ -26,11 +27,11 @@ def respond(spec, samples):
     return make_responses(spec, output, len(flat), "reference")
 
 
-@pytest.mark.parametrize("make_spec", [small_spec, mixed_spec, events_spec])
+@pytest.mark.parametrize("make_spec", [make_image_network, make_mixed_network, make_event_network])
 def test_the_reference_is_nengoloihi_before_rounding(make_spec):
     """Both compute in real numbers, NengoLoihi in single precision."""
-    spec = make_spec(stream_length=3) if make_spec is not mixed_spec else mixed_spec()
-    samples = random_frames(spec, 3) if make_spec is events_spec else random_checks(spec, 3).inputs
+    spec = make_spec()
+    samples = draw_checks(spec, 3).inputs if spec.stimulus.static else draw_frames(spec, 3)
     result = respond(spec, samples)
     expected = run_target(spec, samples, "simreal")
     for name in spec.spiking_layers:
@@ -44,11 +45,11 @@ def test_the_reference_is_nengoloihi_before_rounding(make_spec):
 @pytest.mark.parametrize("tau_ref", [0.0, 0.001, 0.003])
 @pytest.mark.parametrize("min_voltage", [0.0, -3.0])
 def test_the_equations_are_the_emulator_s_integers_spike_by_spike(tau_ref, min_voltage):
-    spec = small_spec()
+    spec = make_image_network()
     neurons = replace(spec.layers[0].neurons, tau_ref=tau_ref, min_voltage=min_voltage)
     layers = [replace(layer, neurons=neurons) for layer in spec.layers[:2]]
     spec = replace(spec, layers=(*layers, spec.layers[2]))
-    samples = spec.flatten_samples(random_checks(spec, 3).inputs)
+    samples = spec.flatten_samples(draw_checks(spec, 3).inputs)
     built = build(spec)
     with nengo_loihi.Simulator(built.network, target="sim", precompute=True) as sim:
         blocks = list(sim.model.blocks)

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deploy.conformance.networks import make_event_network, make_image_network
 from deploy.network.presentation import Presentation
 from deploy.network.readout import select_readout
 from deploy.network.responses import Responses, compute_responses, compute_seconds_per_sample
 from deploy.network.stimulus import Feed
-from tests.deploy.networks import events_spec, small_spec
 
 
 @given(st.integers(0, 300), st.integers(1, 50))
@@ -26,7 +26,7 @@ def spikes_of(spec, n):
 
 
 def test_scores_and_decisions_by_hand():
-    spec = small_spec(steps=4, readout_start=1)
+    spec = make_image_network(steps=4, readout_start=1)
     output = np.zeros((1, 4, 10))
     output[0, 0, 9] = 100  # before the readout starts
     output[0, 1, 3] = 3
@@ -42,7 +42,7 @@ def test_scores_and_decisions_by_hand():
 
 
 def test_each_step_is_read_with_the_weights_of_its_part():
-    spec = small_spec(steps=5, readout_start=0)
+    spec = make_image_network(steps=5, readout_start=0)
     readout = spec.layers[-1]
     weights = np.concatenate([readout.weights, 10 * readout.weights, 100 * readout.weights])
     in_parts = replace(readout, weights=weights, starts=(0, 1, 3))
@@ -61,7 +61,7 @@ def test_each_step_is_read_with_the_weights_of_its_part():
 
 
 def test_the_readout_on_the_chip_has_no_bias_to_add():
-    spec = small_spec(on_chip_output=True, steps=3, readout_start=0)
+    spec = make_image_network(on_chip_output=True, steps=3, readout_start=0)
     responses = compute_responses(spec, np.ones((2, 3, 10)), spikes_of(spec, 2))
     np.testing.assert_array_equal(responses.scores, 1)
 
@@ -81,7 +81,7 @@ def unbiased(spec):
 
 def test_an_empty_output_is_not_the_answer_class_0():
     """The first spike reaches the readout in step 3, for class 0; in the second sample, none."""
-    spec = unbiased(events_spec(steps=4))
+    spec = unbiased(make_event_network(steps=4))
     output = np.zeros((3, 4, 3))
     output[0, 2] = [1, 0, 0]
     output[2, 0] = [0, 0, 2]
@@ -91,14 +91,14 @@ def test_an_empty_output_is_not_the_answer_class_0():
 
 def test_no_early_decision_on_an_empty_output():
     """A softmax of three zeros is 1/3, which is above a threshold of 0.3."""
-    spec = unbiased(events_spec(steps=4, confidence=0.3))
+    spec = unbiased(make_event_network(steps=4, confidence=0.3))
     output = np.zeros((1, 4, 3))
     output[0, 2] = [9, 0, 0]
     assert compute_responses(spec, output, spikes_of(spec, 1)).stopped_at.tolist() == [3]
 
 
 def test_equal_scores_tie_alike_whatever_the_order_of_adding():
-    spec = small_spec(steps=30, readout_start=0)
+    spec = make_image_network(steps=30, readout_start=0)
     rng = np.random.default_rng(0)
     steps = rng.uniform(size=30)
     output = np.zeros((1, 30, 10))
@@ -114,7 +114,7 @@ def test_equal_scores_tie_alike_whatever_the_order_of_adding():
 @pytest.mark.parametrize("factor", [1e-25, 1e-9, 1e6])
 def test_a_readout_of_another_scale_decides_alike(factor):
     """Scores that were rounded to 9 decimals tied at 0."""
-    spec = small_spec(steps=30, readout_start=0)
+    spec = make_image_network(steps=30, readout_start=0)
     output = np.random.default_rng(0).normal(size=(20, 30, 10))
     readout = spec.layers[-1]
     scaled = replace(readout, weights=readout.weights * factor, bias=readout.bias * factor)
@@ -127,7 +127,7 @@ def test_a_readout_of_another_scale_decides_alike(factor):
 
 
 def test_what_is_shown_at_each_step():
-    spec = small_spec(steps=3, gap=2, readout_start=0)
+    spec = make_image_network(steps=3, gap=2, readout_start=0)
     feed = Feed(spec.presentation, 36)
     feed.samples = np.stack([np.full(36, 0.1), np.full(36, 0.2)])
     shown = [float(feed(step * 0.001)[0]) for step in range(1, 11)]

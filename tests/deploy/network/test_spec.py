@@ -6,12 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deploy.conformance.networks import make_convolution, make_image_network, make_readout
 from deploy.errors import UserError
 from deploy.network.layer import Layer, Neurons
 from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import ImageSpikes
-from tests.deploy.networks import conv, paper_spec, readout, small_spec
+from tests.deploy.networks import make_paper_network
 
 
 def assert_same(a, b):
@@ -27,7 +28,7 @@ def specs(draw):
     side = draw(st.integers(4, 9))
     shape, layers = (side, side, draw(st.integers(1, 2))), []
     for index in range(draw(st.integers(1, 3))):
-        layer = conv(
+        layer = make_convolution(
             f"conv{index + 1}", shape, draw(st.integers(1, 5)), draw(st.integers(1, 2)), rng
         )
         neurons = Neurons(
@@ -41,7 +42,7 @@ def specs(draw):
         layer = replace(layer, neurons=neurons, synapse=synapse)
         layers.append(replace(layer, block_shape=block))
         shape = layer.shape
-    layers.append(readout(shape, rng, draw(st.integers(2, 12)), draw(st.booleans())))
+    layers.append(make_readout(shape, rng, draw(st.integers(2, 12)), draw(st.booleans())))
     steps = draw(st.integers(1, 300))
     return NetworkSpec(
         architecture=draw(st.text(max_size=9)),
@@ -72,7 +73,7 @@ def test_round_trip_through_json_text(spec):
     pick=st.integers(0, 99),
 )
 def test_any_value_in_any_place_is_taken_or_refused_in_one_line(place, junk, pick):
-    spec = small_spec()
+    spec = make_image_network()
     value = json.loads(json.dumps(spec.to_json()))
     target = value
     for key in place:
@@ -85,7 +86,7 @@ def test_any_value_in_any_place_is_taken_or_refused_in_one_line(place, junk, pic
 
 
 def changed(path, value):
-    plain = json.loads(json.dumps(paper_spec().to_json()))
+    plain = json.loads(json.dumps(make_paper_network().to_json()))
     target = plain
     for key in path[:-1]:
         target = target[key]
@@ -129,11 +130,11 @@ def changed(path, value):
 )
 def test_what_does_not_fit_is_named(path, value, fact):
     with pytest.raises(UserError, match=fact):
-        NetworkSpec.from_json(changed(path, value), paper_spec().to_arrays())
+        NetworkSpec.from_json(changed(path, value), make_paper_network().to_arrays())
 
 
 def test_weights_must_be_finite_and_fit():
-    spec = paper_spec()
+    spec = make_paper_network()
     broken = {**spec.to_arrays(), "conv2.weights": spec.layers[1].weights * np.nan}
     with pytest.raises(UserError, match=r"'conv2': weights.*NaN"):
         NetworkSpec.from_json(spec.to_json(), broken)
@@ -143,7 +144,7 @@ def test_weights_must_be_finite_and_fit():
 
 
 def test_the_order_of_the_layers():
-    conv1, conv2, output = small_spec().layers
+    conv1, conv2, output = make_image_network().layers
     common = dict(architecture="", input_shape=(6, 6, 1), presentation=Presentation())
     with pytest.raises(UserError, match="'conv2': 'conv' cannot be the last"):
         NetworkSpec(stimulus=ImageSpikes(), layers=(conv1, conv2), **common)

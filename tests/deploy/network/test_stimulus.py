@@ -7,6 +7,7 @@ import pytest
 
 from deploy.check.bundle import CheckSet, read_bundle, write_bundle
 from deploy.check.run import run_check
+from deploy.conformance.networks import draw_frames, make_event_network
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.loihi_import import nengo_loihi
@@ -15,12 +16,11 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames, Feed, ImageSpikes, find_last_steps
 from deploy.preflight.plan import make_plan
 from tests.deploy.check.test_bundle import with_arrays
-from tests.deploy.networks import events_spec, random_frames
 
 
 def test_frames_and_silence_by_hand():
     """Two samples of three steps, two silent steps before each."""
-    spec = events_spec(steps=3, gap=2, readout_start=0)
+    spec = make_event_network(steps=3, gap=2, readout_start=0)
     feed = Feed(spec.presentation, 2)
     feed.samples = np.array([[[1, 0], [0, 0], [1, 1]], [[0, 1], [0, 0], [0, 0]]], np.uint8)
     frames = [feed(step * 0.001).tolist() for step in range(1, 11)]
@@ -31,8 +31,8 @@ def test_frames_and_silence_by_hand():
 
 @pytest.mark.parametrize("target", ["nengo", "simreal", "sim"])
 def test_an_event_is_one_spike_in_its_step(target):
-    spec = events_spec()
-    frames = random_frames(spec, 3)
+    spec = make_event_network()
+    frames = draw_frames(spec, 3)
     built = build(spec)
     if target == "nengo":
         import nengo
@@ -50,9 +50,9 @@ def test_an_event_is_one_spike_in_its_step(target):
 
 def test_an_event_arrives_as_a_spike_of_height_one():
     """Without a filter, a weight of w adds w to the current of one step: threshold 1."""
-    spec = events_spec(steps=6, gap=2, readout_start=0)
+    spec = make_event_network(steps=6, gap=2, readout_start=0)
     layer = replace(spec.layers[0], synapse=None, bias=np.zeros(spec.layers[0].bias.shape))
-    frames = random_frames(spec, 1, share=0)
+    frames = draw_frames(spec, 1, share=0)
     frames[0, 3, 2, 1, 0] = 1
     fires = {}
     for weight in (15.0, 25.0):  # of a membrane of 20 steps about a twentieth arrives in one step
@@ -66,8 +66,8 @@ def test_an_event_arrives_as_a_spike_of_height_one():
 
 
 def test_every_target_answers_and_fast_as_the_emulator_in_every_spike(tmp_path):
-    spec = events_spec()
-    frames = random_frames(spec, 7)
+    spec = make_event_network()
+    frames = draw_frames(spec, 7)
     checks = CheckSet(frames, np.arange(7) % 3, tuple(f"sample{i}" for i in range(7)), 0)
     bundle = write_bundle(tmp_path / "bundle", spec, checks)
     assert bundle.checks.inputs.dtype == np.uint8
@@ -86,7 +86,7 @@ def test_every_target_answers_and_fast_as_the_emulator_in_every_spike(tmp_path):
 
 
 def test_operations_of_events_by_hand():
-    spec = events_spec()
+    spec = make_event_network()
     counts = {"input": np.zeros((1, 72)), "conv1": np.zeros((1, 36)), "dense1": np.zeros((1, 5))}
     counts["input"][0, 0] = 2  # a corner reaches one position of 4 filters
     operations = spec.count_synaptic_operations(counts)
@@ -96,7 +96,7 @@ def test_operations_of_events_by_hand():
 def test_worst_case_counts_an_event_a_step():
     assert EventFrames().shortest_interval == 1
     assert ImageSpikes(250.0).shortest_interval == 4
-    assert make_plan(events_spec()).problems == []
+    assert make_plan(make_event_network()).problems == []
 
 
 def test_a_pixel_spikes_at_most_once_a_step():
@@ -113,8 +113,8 @@ def test_a_pixel_spikes_at_most_once_a_step():
 
 
 def test_wrong_samples_are_refused(tmp_path):
-    spec = events_spec()
-    frames = random_frames(spec, 2)
+    spec = make_event_network()
+    frames = draw_frames(spec, 2)
     checks = CheckSet(frames, np.zeros(2, int), ("a", "b"), 0)
     bundle = write_bundle(tmp_path / "bundle", spec, checks)
     for inputs, fact in ((2 * frames, "0 and 1"), (frames[:, :-1], r"\(19, 6, 6, 2\)")):
@@ -123,7 +123,7 @@ def test_wrong_samples_are_refused(tmp_path):
 
 
 def test_a_taxel_that_spikes_while_it_rests_is_refused():
-    spec = events_spec()
+    spec = make_event_network()
     resting = replace(spec, stimulus=EventFrames(0.01, refractory=2))
     assert resting.stimulus.shortest_interval == 3
     assert NetworkSpec.from_json(resting.to_json(), resting.to_arrays()) == resting

@@ -7,6 +7,12 @@ import pytest
 
 from deploy.check.energy import estimate_energy
 from deploy.check.run import run_check
+from deploy.conformance.networks import (
+    make_convolution,
+    make_dense,
+    make_image_network,
+    make_readout,
+)
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.chip import LOIHI
@@ -18,16 +24,17 @@ from deploy.network.stimulus import ImageSpikes
 from deploy.preflight.plan import make_plan, require_fit
 from deploy.preflight.resources import count_words_of_synapses
 from tests.command import missing
-from tests.deploy.networks import bundle_at, conv, dense, paper_spec, readout, small_spec
+from tests.deploy.networks import bundle_at, make_paper_network
 
 
-def spec_of(*filters_kernels, shape=(10, 10, 1), **options):
+def spec_of(*filters_kernels, shape=(10, 10, 1), block_shape=None):
     rng = np.random.default_rng(0)
     layers, before = [], shape
     for i, (filters, kernel) in enumerate(filters_kernels):
-        layers.append(conv(f"conv{i + 1}", before, filters, kernel, rng, **options))
+        layer = make_convolution(f"conv{i + 1}", before, filters, kernel, rng)
+        layers.append(replace(layer, block_shape=block_shape))
         before = layers[-1].shape
-    layers.append(readout(before, rng))
+    layers.append(make_readout(before, rng))
     return NetworkSpec("test", shape, ImageSpikes(), layers, Presentation())
 
 
@@ -39,7 +46,7 @@ def test_small_network_by_hand():
     # conv1: 4 x 4 pixels of 4 channels; 36 input pixels; its 16 pixels go out as pop32, 2 each.
     # Every input pixel reaches 3 x 3 pixels of 4 neurons, fewer at the edges: of the 36, 16 are
     # away from the edges by more than one, with 36 synapses of 8 bits and 7 bits of index.
-    plan = make_plan(small_spec())
+    plan = make_plan(make_image_network())
     (conv1,) = used(plan, "conv1")
     assert (conv1["compartments"], conv1["input axons"], conv1["output axons"]) == (64, 36, 32)
     assert conv1["AxonCfg registers"] == 32
@@ -62,9 +69,9 @@ def test_synapse_words_by_hand():
 @pytest.mark.parametrize(
     "spec",
     [
-        small_spec(),
-        small_spec(on_chip_output=True),
-        paper_spec(),
+        make_image_network(),
+        make_image_network(on_chip_output=True),
+        make_paper_network(),
         spec_of((4, 3), (24, 3), block_shape=(3, 3, 4)),
     ],
     ids=["small", "output-on-chip", "paper", "split"],
@@ -91,7 +98,7 @@ def test_counts_are_those_of_the_registers_written(nxsdk, spec):
 
 def test_current_never_exceeds_its_bound(nxsdk):
     """The worst case is not passed by what the stand-in really computes."""
-    spec = paper_spec()
+    spec = make_paper_network()
     bounds = {(core.chip, core.core): core for core in make_plan(spec).cores}
     built = build(spec)
     built.feed.samples = np.ones((1, 100))
@@ -127,9 +134,9 @@ def test_too_many_chips():
 
 def dense_receiver():
     rng = np.random.default_rng(0)
-    conv1 = conv("conv1", (10, 10, 1), 16, 3, rng, block_shape=(8, 8, 16))
-    dense1 = dense("dense1", conv1.shape, 20, rng, block_shape=(4,))
-    layers = (conv1, dense1, readout(dense1.shape, rng))
+    conv1 = replace(make_convolution("conv1", (10, 10, 1), 16, 3, rng), block_shape=(8, 8, 16))
+    dense1 = replace(make_dense("dense1", conv1.shape, 20, rng), block_shape=(4,))
+    layers = (conv1, dense1, make_readout(dense1.shape, rng))
     return NetworkSpec("10x10-16c3-20-10o", (10, 10, 1), ImageSpikes(), layers, Presentation())
 
 

@@ -11,22 +11,19 @@ from deploy import cli
 from deploy.check.results import compare_results, read_result
 from deploy.check.run import run_check
 from deploy.check.text import format_result
+from deploy.conformance.networks import (
+    draw_frames,
+    make_event_network,
+    make_image_network,
+    make_readout,
+)
 from deploy.errors import UserError
 from deploy.targets import board as hardware
 from deploy.targets.options import BoardOptions
 from deploy.targets.registry import run_target
 from deploy.targets.simulators import run_emulator
 from tests.command import call, missing
-from tests.deploy.networks import (
-    bundle_at,
-    events_spec,
-    mixed_spec,
-    paper_spec,
-    random_checks,
-    random_frames,
-    readout,
-    small_spec,
-)
+from tests.deploy.networks import bundle_at, draw_checks, make_mixed_network, make_paper_network
 
 PATIENT = BoardOptions(wait=0)
 
@@ -38,7 +35,7 @@ def no_waiting(monkeypatch):
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory):
-    return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle", small_spec(), 7)
+    return bundle_at(tmp_path_factory.mktemp("bundle") / "bundle", make_image_network(), 7)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +49,7 @@ def same_answers(a, b):
 
 def split(*block_shapes):
     """Two layers, in blocks of neurons on a core each, and with spikes of populations."""
-    spec = small_spec()
+    spec = make_image_network()
     convolutions = [
         replace(layer, block_shape=block)
         for layer, block in zip(spec.layers[:2], block_shapes, strict=True)
@@ -62,24 +59,26 @@ def split(*block_shapes):
 
 BLOCKS = (4, 3, 4), (2, 2, 8)  # of (4, 4, 4) and (3, 3, 8)
 SPECS = {
-    "small": small_spec(),
-    "output-on-chip": small_spec(on_chip_output=True),
-    "stride-padding-pool-dense": mixed_spec(),
-    "events": events_spec(),
+    "small": make_image_network(),
+    "output-on-chip": make_image_network(on_chip_output=True),
+    "stride-padding-pool-dense": make_mixed_network(),
+    "events": make_event_network(),
     "split": split(*BLOCKS),
-    "paper": paper_spec(steps=12, gap=3, readout_start=4),
+    "paper": make_paper_network(steps=12, gap=3, readout_start=4),
 }
 
 
 @pytest.mark.parametrize("spec", SPECS.values(), ids=SPECS)
 def test_every_spike_is_the_emulators(nxsdk, spec):
     if spec.stimulus.static:
-        images = random_checks(spec, 7).inputs.reshape(7, -1)
+        images = draw_checks(spec, 7).inputs.reshape(7, -1)
     else:
-        images = spec.stimulus.flatten(random_frames(spec, 7, share=0.3))
+        images = spec.stimulus.flatten(draw_frames(spec, 7, share=0.3))
     streams = [images[:3], images[3:6], images[6:]]
     for result, expected in zip(
-        hardware.run_loihi(spec, streams), run_emulator(spec, streams), strict=True
+        hardware.run_loihi(spec, streams, 0, BoardOptions()),
+        run_emulator(spec, streams),
+        strict=True,
     ):
         np.testing.assert_array_equal(result.spike_hashes, expected.spike_hashes)
         np.testing.assert_array_equal(result.readout, expected.readout)
@@ -138,9 +137,9 @@ def test_nxsdk_is_told_board_and_partition_and_only_then(nxsdk, monkeypatch):
         start(board)
 
     monkeypatch.setattr(N2Board, "start", spying)
-    spec = small_spec()
-    images = random_checks(spec, 1).inputs.reshape(1, -1)
-    list(hardware.run_loihi(spec, [images], options=BoardOptions(board="b", partition="p")))
+    spec = make_image_network()
+    images = draw_checks(spec, 1).inputs.reshape(1, -1)
+    list(hardware.run_loihi(spec, [images], 0, BoardOptions(board="b", partition="p")))
     assert seen == {"BOARD": "b", "PARTITION": "p", "SLURM": "1"}
     assert "SLURM" not in os.environ
 
@@ -177,9 +176,9 @@ def shortest(tmp_path_factory):
 
     Every attempt at a stream builds the network again, and there are hundreds.
     """
-    spec = small_spec(steps=20, gap=3, readout_start=4, stream_length=2)
+    spec = make_image_network(steps=20, gap=3, readout_start=4, stream_length=2)
     conv1 = spec.layers[0]
-    layers = (conv1, readout(conv1.shape, np.random.default_rng(0)))
+    layers = (conv1, make_readout(conv1.shape, np.random.default_rng(0)))
     return bundle_at(
         tmp_path_factory.mktemp("shortest") / "bundle", replace(spec, layers=layers), 6
     )
@@ -331,5 +330,5 @@ def test_ctrl_c_disconnects_from_the_board(nxsdk, bundle, monkeypatch):
     monkeypatch.setattr(hardware, "_close", lambda sim: closed.append(sim))
     streams = [bundle.spec.flatten_samples(bundle.checks.inputs[:3])]
     with pytest.raises(KeyboardInterrupt):
-        list(hardware.run_loihi(bundle.spec, streams))
+        list(hardware.run_loihi(bundle.spec, streams, 0, BoardOptions()))
     assert len(closed) == 1

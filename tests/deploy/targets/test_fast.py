@@ -13,13 +13,14 @@ import pytest
 from hypothesis import HealthCheck, Phase, event, given, reject, settings
 from hypothesis import strategies as st
 
+from deploy.conformance.networks import make_image_network
 from deploy.errors import UserError
 from deploy.network.responses import join_responses, make_responses
 from deploy.targets.emulation import Emulation
-from deploy.targets.fast import OVERFLOWS, run_fast
+from deploy.targets.fast import OVERFLOWS, run_fast, run_in_batches
 from deploy.targets.simulators import run_emulator
 from tests.deploy.fast_networks import images_for, loud_spec, overflows_of, random_spec
-from tests.deploy.networks import bundle_at, paper_spec, small_spec
+from tests.deploy.networks import bundle_at, make_paper_network
 
 
 def answers(spec, outputs, streams):
@@ -62,7 +63,7 @@ def test_answers_are_identical_to_the_emulators_on_random_networks(seed):
             with pytest.raises(UserError, match="NengoLoihi"):
                 Emulation(spec)
             reject()
-        outputs = run_fast(spec, streams, memory=(1, 32 << 20)[seed % 2])
+        outputs = run_in_batches(spec, streams, 0, (1, 32 << 20)[seed % 2])
         result = answers(spec, outputs, streams)
     for actual, reference in zip(result, expected, strict=True):
         assert_same(actual, reference)
@@ -71,7 +72,7 @@ def test_answers_are_identical_to_the_emulators_on_random_networks(seed):
 
 
 def test_the_papers_network_answers_like_the_emulator():
-    spec = paper_spec(steps=30, gap=5, readout_start=5, stream_length=2)
+    spec = make_paper_network(steps=30, gap=5, readout_start=5, stream_length=2)
     conv1, conv2, output = spec.layers
     spec = replace(spec, layers=(conv1, replace(conv2, block_shape=(3, 5, 24)), output))
     images = images_for(spec, 5)
@@ -82,12 +83,12 @@ def test_the_papers_network_answers_like_the_emulator():
 
 
 def test_a_streams_answer_does_not_depend_on_others_or_on_memory():
-    spec = paper_spec(steps=20, gap=5, readout_start=0)
+    spec = make_paper_network(steps=20, gap=5, readout_start=0)
     images = images_for(spec, 9)
     streams = [images[:2], images[2:4], images[4:7], images[7:8], images[8:]]
     alone = [answers(spec, run_fast(spec, [stream]), [stream])[0] for stream in streams]
     for memory in (1, 60_000, 32 << 20):
-        together = answers(spec, run_fast(spec, iter(streams), memory=memory), streams)
+        together = answers(spec, run_in_batches(spec, iter(streams), 0, memory), streams)
         assert [len(answer.scores) for answer in together] == [2, 2, 3, 1, 1]
         for result, expected in zip(together, alone, strict=True):
             assert_same(result, expected, atol=0)
@@ -106,7 +107,7 @@ def test_overflows_are_counted_and_warned_of_by_layer(filters, kinds, sign):
 
 
 def test_silence_gives_zeros():
-    spec = paper_spec(steps=5, gap=0, readout_start=0)
+    spec = make_paper_network(steps=5, gap=0, readout_start=0)
     silent = [replace(layer, bias=np.zeros_like(layer.bias)) for layer in spec.layers]
     (answer,) = run_fast(replace(spec, layers=silent), [np.zeros((2, 100))])
     assert not answer.readout.any()
@@ -114,7 +115,7 @@ def test_silence_gives_zeros():
 
 
 def test_a_copied_bundle_says_how_to_install_numba(tmp_path):
-    bundle = bundle_at(tmp_path / "bundle", small_spec(), 4)
+    bundle = bundle_at(tmp_path / "bundle", make_image_network(), 4)
     (tmp_path / "without").mkdir()
     (tmp_path / "without" / "numba.py").write_text("raise ImportError('not here')")
     done = subprocess.run(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.conformance.networks import make_dense, make_readout
 from deploy.errors import UserError
 from deploy.network.blocks import choose_blocks
 from deploy.network.presentation import Presentation
@@ -12,17 +13,16 @@ from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
-from tests.deploy.networks import dense, readout
 
 
 def recurrent_spec(units=12, seed=0, strength=1.0, **presentation):
     """Events into a recurrent layer."""
     rng = np.random.default_rng(seed)
-    layer = dense("dense1", (3, 4, 2), units, rng)
+    layer = make_dense("dense1", (3, 4, 2), units, rng)
     own = strength * rng.normal(size=(units, units)) / np.sqrt(units)
     object.__setattr__(layer, "recurrent", own)
     shown = {"steps": 40, "gap": 5, "readout_start": 0, "stream_length": 2, **presentation}
-    layers = (layer, readout((units,), rng))
+    layers = (layer, make_readout((units,), rng))
     return NetworkSpec("3x4x2-12-10o", (3, 4, 2), EventFrames(), layers, Presentation(**shown))
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from deploy.check.bundle import write_bundle
 from deploy.check.run import run_check
+from deploy.conformance.networks import make_convolution, make_image_network, make_readout
 from deploy.errors import UserError
 from deploy.network.build import build
 from deploy.network.layer import Layer, Neurons
@@ -21,7 +22,7 @@ from deploy.preflight.plan import make_plan, require_fit
 from deploy.targets.registry import TARGETS, find_target, run_target
 from deploy.targets.simulators import _make_simulator
 from tests.deploy.fast_networks import loud_spec, random_spec
-from tests.deploy.networks import conv, random_checks, readout, small_spec
+from tests.deploy.networks import draw_checks
 
 EQUAL_TARGETS = ("nengo", "simreal", "emulator")
 
@@ -36,12 +37,12 @@ def assert_same(a, b, part=slice(None)):
 
 @pytest.fixture(scope="module")
 def images():
-    return random_checks(small_spec(), 6).inputs
+    return draw_checks(make_image_network(), 6).inputs
 
 
 @pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_in_a_stream_of_one_every_sample_is_fresh(target, images):
-    fresh = small_spec(stream_length=1)
+    fresh = make_image_network(stream_length=1)
     together = run_target(fresh, images[:3], target)
     backwards = run_target(fresh, images[2::-1], target)
     assert_same(together, backwards, slice(None, None, -1))
@@ -49,15 +50,15 @@ def test_in_a_stream_of_one_every_sample_is_fresh(target, images):
 
 @pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_a_stream_goes_on_from_the_state_that_it_is_in(target, images):
-    fresh = run_target(small_spec(stream_length=1), images[:3], target)
-    stream = run_target(small_spec(), images[:3], target)
+    fresh = run_target(make_image_network(stream_length=1), images[:3], target)
+    stream = run_target(make_image_network(), images[:3], target)
     np.testing.assert_array_equal(stream.scores[0], fresh.scores[0])
     assert (stream.scores[1:] != fresh.scores[1:]).any()
 
 
 @pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
-    spec = small_spec(gap=4)
+    spec = make_image_network(gap=4)
     built = build(spec)
     built.feed.samples = images[:3].reshape(3, -1)
     if target == "nengo":
@@ -80,7 +81,7 @@ def test_sample_by_sample_is_the_same_as_in_one_run(target, images):
 
 
 def test_the_encoder_makes_the_rounded_number_of_spikes():
-    spec = small_spec(steps=50, gap=0, readout_start=0)
+    spec = make_image_network(steps=50, gap=0, readout_start=0)
     image = np.zeros((1, 6, 6, 1))
     image[0, 0, :5, 0] = [1.0, 0.5, 0.25, 0.1, 0.01]
     counts = run_target(spec, image, "nengo").spikes["input"]
@@ -90,7 +91,7 @@ def test_the_encoder_makes_the_rounded_number_of_spikes():
 
 @pytest.mark.parametrize("target", EQUAL_TARGETS)
 def test_more_than_a_spike_a_step_is_refused_and_no_less(target):
-    spec = small_spec(steps=30)  # 500 Hz: a pixel of 2 spikes in each of the 30 steps
+    spec = make_image_network(steps=30)  # 500 Hz: a pixel of 2 spikes in each of the 30 steps
     image = np.zeros((1, 6, 6, 1))
     image[0, 0, 0, 0] = 2
     assert run_target(spec, image, target).spikes["input"][0] == 30
@@ -125,7 +126,7 @@ def test_a_neuron_fires_at_the_rate_of_its_bias_current(target):
 
 
 def test_a_readout_on_the_chip(images):
-    spec = small_spec(on_chip_output=True)
+    spec = make_image_network(on_chip_output=True)
     for target in EQUAL_TARGETS:
         responses = run_target(spec, images[:2], target)
         assert responses.spikes["output"].sum() > 0
@@ -134,9 +135,9 @@ def test_a_readout_on_the_chip(images):
 
 def test_what_nengo_loihi_cannot_build_is_one_error():
     rng = np.random.default_rng(0)
-    wide = conv("conv1", (6, 6, 1), 64, 3, rng)
-    wider = conv("conv2", wide.shape, 256, 2, rng, block_shape=(3, 3, 256))
-    layers = (wide, wider, readout(wider.shape, rng))
+    wide = make_convolution("conv1", (6, 6, 1), 64, 3, rng)
+    wider = replace(make_convolution("conv2", wide.shape, 256, 2, rng), block_shape=(3, 3, 256))
+    layers = (wide, wider, make_readout(wider.shape, rng))
     spec = NetworkSpec("6x6-64c3-256c2-10o", (6, 6, 1), ImageSpikes(), layers, Presentation())
     with pytest.raises(UserError, match=r"NengoLoihi.* exceeded max"):
         run_target(spec, np.zeros((1, 6, 6, 1)), "emulator")
@@ -149,7 +150,7 @@ ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.hardware
 @pytest.mark.parametrize(
     "spec",
     [
-        replace(small_spec(), stimulus=ImageSpikes(max_rate=1e-3)),
+        replace(make_image_network(), stimulus=ImageSpikes(max_rate=1e-3)),
         *map(random_spec, (77000, 77017, 77105)),
     ],
     ids=["max_rate", "77000", "77017", "77105"],
@@ -182,7 +183,7 @@ def test_an_unknown_target_is_named_with_the_known_ones():
 @pytest.mark.parametrize("target", ["emulator", "fast"])
 def test_overflows_are_one_line_with_the_remedy(target, tmp_path, capsys, recwarn):
     spec = loud_spec(3, 1)
-    checks = random_checks(spec, 2)
+    checks = draw_checks(spec, 2)
     checks = replace(checks, inputs=np.ones_like(checks.inputs), labels=checks.labels % 3)
     bundle = write_bundle(tmp_path / "bundle", spec, checks)
     run_check(bundle, target, tmp_path / "result.json")

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.conformance.networks import make_image_network
 from deploy.errors import UserError
 from deploy.network.nir import make_nir_graph
 from deploy.network.spec import NetworkSpec
 from deploy.targets.registry import run_target
 from pipeline.training.adaptation.responder import Responder
-from tests.deploy.networks import small_spec
 
 IMAGES = np.random.default_rng(1).random((4, 6, 6, 1))
 
 
 @pytest.fixture(scope="module")
 def spec():
-    plain = small_spec(steps=40, readout_start=5)
+    plain = make_image_network(steps=40, readout_start=5)
     readout = plain.layers[-1]
     factors = np.random.default_rng(0).normal(size=(3, *readout.weights.shape))
     weights = (factors * readout.weights).reshape(-1, readout.weights.shape[1])

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from deploy.check.run import run_check
+from deploy.conformance.networks import make_image_network
 from tests.command import call, missing
-from tests.deploy.networks import bundle_at, small_spec
+from tests.deploy.networks import bundle_at
 from tests.deploy.preflight.test_plan import spec_of
 
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory):
-    return bundle_at(tmp_path_factory.mktemp("run") / "bundle", small_spec(), 7)
+    return bundle_at(tmp_path_factory.mktemp("run") / "bundle", make_image_network(), 7)
 
 
 def run(capsys, *arguments):

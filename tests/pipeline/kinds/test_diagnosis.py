@@ -8,6 +8,7 @@ import pytest
 from deploy.check.bundle import read_bundle
 from deploy.check.results import read_result
 from deploy.check.run import run_check
+from deploy.conformance.networks import make_image_network
 from deploy.files import read_json
 from deploy.targets.fast import measure_firing_rates
 from models.architecture import parse
@@ -22,7 +23,7 @@ from pipeline.kinds.image import kind
 from pipeline.training.images import rescaling
 from pipeline.training.images.rescaling import select_measured
 from tests.command import call
-from tests.deploy.networks import bundle_at, random_checks, small_spec
+from tests.deploy.networks import bundle_at, draw_checks
 
 
 def test_the_fastest_rate_is_a_spike_every_refractory_period_and_a_step():
@@ -53,7 +54,7 @@ def test_fidelity_by_hand():
 
 def test_rates_of_the_readout_window_are_the_spikes_of_it():
     """A constant drive of J = 2: one spike every 15 steps, as in the tests of firing rates."""
-    spec = small_spec(steps=150, gap=6)
+    spec = make_image_network(steps=150, gap=6)
     layer = replace(
         spec.layers[0], weights=np.zeros_like(spec.layers[0].weights), bias=np.full(4, 2.0)
     )
@@ -66,7 +67,7 @@ def test_rates_of_the_readout_window_are_the_spikes_of_it():
 @pytest.mark.parametrize("stream_length", [1, 4, 20])
 def test_rates_and_the_targets_counts_agree_however_samples_are_streamed(tmp_path, stream_length):
     """With no gap and the window from the first step on, the window holds every spike."""
-    spec = small_spec(gap=0).with_presentation(readout_start=0, stream_length=stream_length)
+    spec = make_image_network(gap=0).with_presentation(readout_start=0, stream_length=stream_length)
     bundle = bundle_at(tmp_path / "bundle", spec, 9)
     result = run_check(bundle, "fast", tmp_path / "fast.json")
     steps = []
@@ -78,8 +79,8 @@ def test_rates_and_the_targets_counts_agree_however_samples_are_streamed(tmp_pat
 
 
 def test_a_layer_against_its_own_rates_is_perfect():
-    spec = small_spec()
-    images = random_checks(spec, 4).inputs
+    spec = make_image_network()
+    images = draw_checks(spec, 4).inputs
     rates = measure_firing_rates(spec, images, start=spec.presentation.readout_start)
     amplitudes = {layer.name: layer.neurons.amplitude for layer in spec.layers if layer.neurons}
     own = {name: values * amplitudes[name] for name, values in rates.items()}

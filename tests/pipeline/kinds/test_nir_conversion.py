@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from deploy.conformance.networks import make_image_network
 from deploy.errors import UserError
 from deploy.files import read_json
 from deploy.network.nir import make_nir_graph, write_nir
@@ -26,7 +27,7 @@ from pipeline.settings import Settings, read_settings
 from pipeline.storage.run_folder import RunFolder
 from tests.command import call as stmnist
 from tests.command import missing
-from tests.deploy.networks import random_checks, small_spec
+from tests.deploy.networks import draw_checks
 from tests.models.nir_graphs import affine, conv, cuba_lif, lif, network_of, spikes
 from tests.own_sensor import write_folder
 
@@ -164,11 +165,11 @@ def test_an_exported_network_on_events_has_the_same_weights_again():
 
 def test_the_export_of_a_bundle_on_images_is_imported(tmp_path):
     """Its input is the image, as that of any graph with one channel."""
-    spec = small_spec()
+    spec = make_image_network()
     write_nir(tmp_path / "n.nir", spec)
     changes = make_nir_settings(tmp_path / "n.nir")
     assert changes["input"]["kind"] == "image"
-    images = random_checks(spec, 6).inputs
+    images = draw_checks(spec, 6).inputs
     network = read_nir(tmp_path / "n.nir")
     stepping = Stepping.from_settings(Settings().with_values(changes), network)
     again = make_nir_spec(network, stepping, spec.stimulus, spec.presentation, images, {})

@@ -8,13 +8,13 @@ import h5py
 import numpy as np
 import pytest
 
+from pipeline.recordings.conformance import assert_format_conforms
 from pipeline.recordings.formats import READERS
 from pipeline.recordings.formats.recording import (
     BadRecording,
     make_numbered_recording,
     make_recording,
 )
-from tests.format_conformance import assert_format_conforms
 from tests.pipeline.handmade import mat5, npz
 
 EVENTS = {"x": [3, 0, 1], "y": [1, 2, 0], "t": [0.1, 0.25, 0.5], "p": [1, -1, 1]}

@@ -7,6 +7,7 @@ import shutil
 import pytest
 
 from deploy.check.intervals import compute_fisher_p, compute_wilson_interval
+from deploy.conformance.networks import make_event_network, make_image_network
 from deploy.errors import UserError
 from pipeline.kinds.registry import find_kind
 from pipeline.recordings.dataset import make_dataset_origin
@@ -21,7 +22,6 @@ from pipeline.results.compare import (
 )
 from pipeline.settings import Settings
 from tests.command import call, missing
-from tests.deploy.networks import events_spec, small_spec
 
 LABELS = (0, 1, 2, 3, 4, 5, 6, 7)
 
@@ -44,7 +44,7 @@ def result(stage, predictions, labels=LABELS, ids=None, operations=None, **more)
 
 
 def run(name, results, spec=None, changes=None, cores=2, source="s" * 64, **more):
-    spec = spec or small_spec()
+    spec = spec or make_image_network()
     spec.provenance["source_sha256"] = source
     settings = Settings().with_values(changes or {}, "here")
     origin = find_kind(settings).make_bundle_origin(make_dataset_origin(settings, source))
@@ -147,7 +147,7 @@ def test_time_to_decide_of_events():
     counts = {"operations": {"conv1": 8}}
     answer = result("fast", ALL, **counts, while_written={"by_itself": early})
     changes = {"input": {"kind": "events"}}
-    events = run("b", [answer], spec=events_spec(), changes=changes)
+    events = run("b", [answer], spec=make_event_network(), changes=changes)
     compared = compare_runs([run("a", [result("fast", ALL)]), events])
     assert compared["runs"][0]["writing"] is None
     assert compared["runs"][1]["writing"]["share"] == 0.82
@@ -158,7 +158,7 @@ def test_time_to_decide_of_events():
 
 
 def test_simulated_and_other_samples_are_told_apart():
-    real = small_spec()
+    real = make_image_network()
     real.provenance["simulated"] = False
     runs = [run("a", [result("cnn", ALL)]), run("b", [result("cnn", ALL)], spec=real)]
     assert "8 samples" in format_runs(compare_runs(runs))

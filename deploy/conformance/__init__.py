@@ -1,0 +1,1 @@
+"""Checks that new targets and operations must pass; tests of another package can call them."""

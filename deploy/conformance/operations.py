@@ -1,0 +1,143 @@
+"""Checks that every operation of a deployed layer must pass."""
+
+import itertools
+
+import nengo
+import numpy as np
+
+from ..network.blocks import BlockNeeds, choose_blocks
+from ..network.chip import LOIHI
+from ..network.layer import Layer, Neurons
+from ..network.ops import DEPLOYED_OPERATIONS
+from ..network.ops.base import DeployedOperation, list_ranges
+from ..network.ops.dense import DeployedDense
+from ..network.presentation import Presentation
+from ..network.spec import NetworkSpec
+from ..network.stimulus import ImageSpikes
+from ..preflight.plan import make_plan
+
+# Number of samples that sums are computed of.
+N_SAMPLES = 4
+
+
+def assert_deployed_operation_conforms(operation: DeployedOperation, input_shape):
+    """Find the usual mistakes of a deployed operation; each is an error that names the mistake.
+
+    These are wrong shapes and types, sums that Nengo does not compute, too few resources counted,
+    and numbers that a bundle loses.  :func:`models.conformance.assert_operation_conforms` tries the
+    notation and the training, too.
+
+    Parameters
+    ----------
+    operation : DeployedOperation
+        Its class is entered in `DEPLOYED_OPERATIONS`.
+    input_shape : tuple of int
+
+    Raises
+    ------
+    AssertionError
+    """
+    rng = np.random.default_rng(0)
+    _assert_meaning(operation, input_shape, rng)
+    deployed = _assert_written(operation, input_shape)
+    layer = Layer(
+        name="tried",
+        operation=deployed,
+        input_shape=input_shape,
+        neurons=Neurons(amplitude=0.01),
+        synapse=0.005,
+        weights=rng.normal(size=deployed.compute_weight_shape(input_shape)),
+        bias=np.ones(deployed.compute_shape(input_shape)[-1]),
+    )
+    _assert_layer_written(layer)
+    _assert_built(layer, rng)
+
+
+def _assert_meaning(operation, input_shape, rng):
+    """Its sums are linear, and its synapses are those of its sums."""
+    shape = operation.compute_shape(input_shape)
+    assert len(shape) in (1, 3), f"shape {shape}: needs one or three dimensions"
+    assert all(type(side) is int and side >= 1 for side in shape), f"shape {shape}"
+    weights = rng.normal(size=operation.compute_weight_shape(input_shape))
+    values = rng.normal(size=(N_SAMPLES, *input_shape))
+    kept = values.copy()
+    sums = operation.compute_sums(weights, values)
+    assert np.array_equal(values, kept), "compute_sums changes its values"
+    assert sums.shape == (N_SAMPLES, *shape), (
+        f"sums of shape {sums.shape}, not {(N_SAMPLES, *shape)}"
+    )
+    np.testing.assert_allclose(
+        operation.compute_sums(weights, values[:1] + values[1:2]),
+        sums[:1] + sums[1:2],
+        err_msg="compute_sums is not linear in the values",
+    )
+    synapses = operation.find_synapses(input_shape)  # refuses other sums than of one weight each
+    fan_out = operation.count_fan_out(input_shape)
+    assert fan_out.shape == tuple(input_shape)
+    np.testing.assert_array_equal(fan_out.ravel(), (synapses >= 0).sum(1), "count_fan_out")
+    matrix = operation.make_matrix(weights, input_shape)
+    flat = values.reshape(N_SAMPLES, -1)
+    np.testing.assert_allclose(flat @ matrix.T, sums.reshape(N_SAMPLES, -1), err_msg="make_matrix")
+    np.testing.assert_allclose(
+        operation.find_largest_weights(weights, input_shape),
+        DeployedOperation.find_largest_weights(operation, weights, input_shape),
+        err_msg="find_largest_weights",
+    )
+
+
+def _assert_written(operation, input_shape):
+    """A bundle has its numbers; return the operation that is read from it."""
+    cls = DEPLOYED_OPERATIONS[operation.kind]
+    read = cls.from_file(operation.to_file(), operation.compute_shape(input_shape))
+    assert type(read) is cls
+    assert read.to_file() == operation.to_file(), "to_file and from_file"
+    assert read.compute_shape(input_shape) == operation.compute_shape(input_shape), (
+        "to_file loses a number"
+    )
+    return read
+
+
+def _assert_layer_written(layer):
+    """A bundle has the layer, whose numbers beside the operation's are others."""
+    arrays = {f"{layer.name}.{name}": getattr(layer, name) for name in layer.arrays}
+    read = Layer.from_json(layer.to_json(), arrays, "layers[0]")
+    assert read.to_json() == layer.to_json(), "the layer is read differently from a bundle"
+
+
+def _assert_built(layer, rng):
+    """Nengo computes its sums, and a core needs no more than what is counted."""
+    transform, inputs = layer.operation.make_transform(layer, LOIHI)
+    values = rng.normal(size=layer.operation.count_fan_out(layer.input_shape).size)
+    with nengo.Network() as network:
+        source = nengo.Node(values)
+        target = nengo.Node(size_in=layer.size)
+        read = source if inputs is None else source[inputs]
+        nengo.Connection(read, target, transform=transform, synapse=None)
+        probe = nengo.Probe(target)
+    with nengo.Simulator(network, progress_bar=False) as sim:
+        sim.run_steps(1)
+    np.testing.assert_allclose(
+        sim.data[probe], layer.compute_sums(values), atol=1e-9, err_msg="make_transform"
+    )
+    output = Layer(
+        name="output",
+        operation=DeployedDense(3),
+        input_shape=layer.shape,
+        neurons=None,
+        synapse=0.005,
+        weights=rng.normal(size=(3, layer.size)),
+        bias=np.zeros(3),
+    )
+    if len(layer.input_shape) != 3:
+        return
+    shown = Presentation(steps=20, gap=2, readout_start=0)
+    spec = NetworkSpec("tried", layer.input_shape, ImageSpikes(), (layer, output), shown)
+    plan = make_plan(spec)
+    assert plan.problems == []
+    needs = BlockNeeds(layer)
+    block = choose_blocks(spec.layers)[layer.name]
+    along = (list_ranges(n, length) for n, length in zip(layer.shape, block))
+    for ranges, core in zip(itertools.product(*along), plan.cores):
+        axons, words = needs.count(ranges)
+        assert axons >= core.used["input axons"], "resources counts too few axons"
+        assert words >= core.used["synapse words"], "resources counts too few words"

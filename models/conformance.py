@@ -1,0 +1,61 @@
+"""Checks that every operation must pass; the test of a new one calls them."""
+
+import math
+
+import numpy as np
+
+from deploy.conformance.operations import N_SAMPLES, assert_deployed_operation_conforms
+from models.architecture import Architecture, parse
+from models.ops import OPERATIONS, Dense, Operation
+
+
+def assert_operation_conforms(operation: Operation, input_shape):
+    """Find the usual mistakes of an operation; each is an error that names the mistake.
+
+    These are the mistakes of
+    :func:`~deploy.conformance.operations.assert_deployed_operation_conforms`, and a notation that
+    is read differently, or sums that TensorFlow does not compute.
+
+    Parameters
+    ----------
+    operation : Operation
+        Its classes are entered in `OPERATIONS` and `DEPLOYED_OPERATIONS`.
+    input_shape : tuple of int
+
+    Raises
+    ------
+    AssertionError
+    """
+    assert_deployed_operation_conforms(operation, input_shape)
+    _assert_trained(operation, input_shape, np.random.default_rng(0))
+
+
+def _assert_trained(operation, input_shape, rng):
+    """TensorFlow computes its sums, and so do the synapses of the compiled functions."""
+    from models.spiking.compiled import sum_inputs
+
+    if len(input_shape) == 3 and operation.kind in OPERATIONS:
+        output = Dense(3, output=True)
+        text = str(Architecture(input_shape, (operation, output)))
+        assert parse(text).layers[0] == operation, f"the notation {text} is read differently"
+    shapes = operation.list_array_shapes(input_shape)
+    assert shapes["bias"] == operation.compute_shape(input_shape)[-1:]
+    kernel = rng.normal(size=shapes["kernel"]).astype(np.float32)
+    spikes = (rng.random((N_SAMPLES, *input_shape)) < 0.3).astype(np.float32)
+    weights = operation.to_deployed(kernel)
+    assert weights.shape == operation.compute_weight_shape(input_shape), "to_deployed"
+    sums = operation.compute_sums(weights, spikes).reshape(N_SAMPLES, -1)
+    result = np.reshape(operation.compute_tensor_sums(kernel, spikes), (N_SAMPLES, -1))
+    np.testing.assert_allclose(result, sums, atol=1e-4, err_msg="compute_tensor_sums")
+    synapses = operation.make_synapses(input_shape)
+    by_synapse = np.empty((1, *sums.shape), np.float32)
+    sum_inputs(
+        spikes.reshape(1, N_SAMPLES, -1).astype(np.uint8),
+        np.ones((1, math.prod(input_shape)), np.float32),
+        *synapses.arrays,
+        kernel.reshape(-1, synapses.width),
+        by_synapse,
+    )
+    np.testing.assert_allclose(by_synapse[0], sums, atol=1e-4, err_msg="make_synapses")
+    reads = (operation.find_synapses(input_shape) >= 0).sum(0).max()
+    assert operation.count_fan_in(input_shape) >= reads >= 1, "count_fan_in"
