@@ -72,7 +72,7 @@ def compare_with_torch(graph, predictions_file, settings, dataset, target) -> tu
     spec = make_nir_spec(network, stepping, settings.stimulus, presentation, samples, {})
     inputs, labels = (x[dataset.split.test] for x in (dataset.inputs, dataset.labels))
     graph_inputs = make_graph_inputs(network, inputs, settings.steps)
-    outputs = simulate(network, graph_inputs, stepping.seconds, stepping.method).outputs
+    outputs = simulate(network, graph_inputs, stepping.step_s, stepping.method).outputs
     share_equal = (outputs == np.moveaxis(of_torch["outputs"], 0, 1)).mean()
     chip = run_target(spec, inputs, target).predictions
     torch = of_torch["predictions"]

@@ -210,27 +210,26 @@ def limit_spikes(frames, max_spikes: int) -> np.ndarray:
     return frames * (np.cumsum(frames != 0, axis=0, dtype=np.int32) <= max_spikes)
 
 
-def apply_refractory_period(frames, refractory: int) -> np.ndarray:
+def apply_refractory_period(frames, refractory_steps: int) -> np.ndarray:
     """Spikes that remain with a refractory period.
 
     Parameters
     ----------
     frames : ndarray, shape (steps, ...)
         1 where there is a spike, 0 elsewhere.
-    refractory : int
-        Refractory period in steps.
+    refractory_steps : int
 
     Returns
     -------
     ndarray of the same shape
     """
-    if refractory == 0:
+    if refractory_steps == 0:
         return frames
     frames = np.array(frames)
     ready = np.zeros(frames.shape[1:], int)  # first step in which each may spike again
     for step in range(len(frames)):
         frames[step] *= ready <= step
-        ready[frames[step] != 0] = step + 1 + refractory
+        ready[frames[step] != 0] = step + 1 + refractory_steps
     return frames
 
 

@@ -73,7 +73,7 @@ class PresentingNetwork:
         self._stream_length = stream_length
         self._steps = steps
         self._size = int(np.prod(self._spec.input_shape))
-        self._refractory = self._spec.stimulus.refractory
+        self._refractory_steps = self._spec.stimulus.refractory
         # Without a limit, as many as there are steps.
         self._max_spikes = self._spec.stimulus.max_spikes or steps
         self._presented = stream_length
@@ -128,7 +128,7 @@ class PresentingNetwork:
         for frame in frames:
             if frame.any():
                 frame *= (self._ready <= step) & (self._n_spikes < self._max_spikes)
-                self._ready[frame != 0] = step + 1 + self._refractory
+                self._ready[frame != 0] = step + 1 + self._refractory_steps
                 self._n_spikes += frame != 0
             step += 1
 

@@ -55,14 +55,14 @@ from models.windows import fit_to_chip
 
 
 def from_nir(
-    network: NirNetwork, step: float, method: str = "exact", input_shape=None, readout_steps=None
+    network: NirNetwork, step_s: float, method: str = "exact", input_shape=None, readout_steps=None
 ) -> tuple:
     """Convert a graph to a chain.
 
     Parameters
     ----------
     network : NirNetwork
-    step : float
+    step_s : float
         Seconds of the graph's time that a step of the chip represents.
     method : str
         One of :data:`models.nir.equations.METHODS`.
@@ -86,7 +86,7 @@ def from_nir(
     NirError
         A node cannot be on the chip; the message names it and an alternative.
     """
-    check_step(network, step, method)
+    check_step(network, step_s, method)
     shape = network.input_shape
     chip_shape = _to_channels_last(shape) if input_shape is None else tuple(input_shape)
     merged = merges_polarities(network, chip_shape)
@@ -112,7 +112,7 @@ def from_nir(
             chip_shape,
             is_image=is_image and not is_last,
             is_last=is_last,
-            step=step,
+            step_s=step_s,
             method=method,
         )
         link = nodes_of_link.make_link(readout_steps)
@@ -202,7 +202,7 @@ class _LinkNodes:
     chip_shape: tuple
     is_image: bool
     is_last: bool
-    step: float
+    step_s: float
     method: str
 
     @property
@@ -219,7 +219,7 @@ class _LinkNodes:
 
     def solve(self, node):
         """The equation of a node's step."""
-        return METHODS[self.method](node, self.step)
+        return METHODS[self.method](node, self.step_s)
 
     def make_link(self, readout_steps) -> Link:
         """The link, still without a name."""

@@ -18,13 +18,13 @@ from models.nir.equations import name_voltage_time
 TOLERANCE = 1e-3
 
 # The step that snnTorch's and SpikingJelly's exporters write, whatever the training had; Norse's.
-EXPORTED_STEP = 1e-4
-NORSE_STEP = 1e-3
+EXPORTED_STEP_S = 1e-4
+NORSE_STEP_S = 1e-3
 
 # Time constants, in seconds, below which a graph with r = 1 cannot be in seconds: Norse's
 # exporter multiplies them with its step, SpikingJelly's has multiples of 0.1 ms.
 SHORTEST_SPIKINGJELLY = 1e-4
-SHORTEST_IN_SECONDS = 5e-3
+SHORTEST_TAU_S = 5e-3
 
 
 SNNTORCH_RESET = (
@@ -66,7 +66,7 @@ class Convention:
         Name of the framework, or of the rule.
     method : str
         One of :data:`models.nir.equations.METHODS`.
-    step : float or None
+    step_s : float or None
         Seconds of the graph's time in a step; None if the graph has seconds and no step.
     evidence : str
         What the framework was recognised by.
@@ -85,7 +85,7 @@ class Convention:
 
     framework: str
     method: str
-    step: float | None
+    step_s: float | None
     evidence: str
     equation: str
     reset: str = "value"
@@ -180,15 +180,15 @@ def recognise_snntorch(nodes):
     steps = [node[name_voltage_time(node)] / _hide_zeros(node["r"]) for node in nodes]
     currents = [node for node in nodes if node.kind == "CubaLIF"]
     into = [node["tau_syn"] / _hide_zeros(node["w_in"]) for node in currents]
-    for h in (EXPORTED_STEP, 1e-3, 1.0):
+    for h in (EXPORTED_STEP_S, 1e-3, 1.0):
         have_factors = all(_are_near(step, h) for step in into)
         if not all(_are_near(step, h) for step in steps):
             continue
-        if have_factors or (h == EXPORTED_STEP and all(map(_has_no_w_in, currents))):
+        if have_factors or (h == EXPORTED_STEP_S and all(map(_has_no_w_in, currents))):
             text = ", w_in too" if have_factors else ", without w_in, as in 2023"
             return Convention(
                 "snnTorch", "euler" if have_factors else "spyx", h,
-                f"r = tau / {_time(h)}" + text * bool(currents),
+                f"r = tau / {_format_time(h)}" + text * bool(currents),
                 "I <- alpha I + S, v <- beta v + I" if currents else "v <- beta v + S",
                 doubt=SNNTORCH_RESET + SYNAPTIC_RESET * bool(currents),
                 usual_reset="subtract-late",
@@ -216,7 +216,7 @@ def recognise_rockpool(nodes):
         return None
     h = float(f"{h:.1e}") if is_round else h
     return Convention(
-        "Rockpool", "rockpool", h, f"r = tau exp(-h / tau) / h with h = {_time(h)}, no w_in",
+        "Rockpool", "rockpool", h, f"r = tau exp(-h / tau) / h with h = {_format_time(h)}, no w_in",
         "I <- a (I + S), v <- b v + I", "subtract", at_threshold=True, usual_reset="subtract-all",
         doubt="Rockpool does not export the biases of its neurons, nor max_spikes_per_dt, without "
         "which they may spike several times in a step (--set nir.reset=subtract-all)",
@@ -236,10 +236,10 @@ def recognise_spyx(nodes):
         return None
     steps = [node[name_voltage_time(node)] * (1 - node["r"]) for node in leaky]
     has_currents = any(node.kind == "CubaLIF" for node in leaky)
-    for h in (1.0, 1e-3, EXPORTED_STEP):
+    for h in (1.0, 1e-3, EXPORTED_STEP_S):
         if all(_are_near(step, h) for step in steps):
             return Convention(
-                "Spyx", "spyx", h, f"r = 1 - {_time(h)} / tau, no w_in",
+                "Spyx", "spyx", h, f"r = 1 - {_format_time(h)} / tau, no w_in",
                 "I <- a I + S, v <- b v + I", "subtract" if has_currents else "subtract-late",
                 doubt=SNNTORCH_OF_2023
                 + SPYX_ORDER * any(len(node.shape) == 3 for node in nodes),
@@ -256,8 +256,8 @@ def recognise_norse_currents(nodes):
     return Convention(
         "Norse", "norse", h, "CubaLIF with r = 1 and no w_in",
         "I <- I + S, v <- b v + (1 - b) (v_leak + I), I <- a I",
-        doubt=f"its step is not in the graph; {_time(h)} is that of Norse's defaults, others need "
-        "--set nir.step (in ms); if its current is NIR's own, give --set nir.method=exact; "
+        doubt=f"its step is not in the graph; {_format_time(h)} is Norse's default, others "
+        "need --set nir.step (in ms); if its current is NIR's own, give --set nir.method=exact; "
         + NORSE_RESET,
     )  # fmt: skip
 
@@ -283,12 +283,12 @@ def recognise_spikingjelly(nodes):
         h = 10.0 ** round(exponent)
         if not all(_are_near(node["r"], 1 / h) for node in integrators):
             return None
-        evidence = f"IF with r = 1 / {_time(h)}"
+        evidence = f"IF with r = 1 / {_format_time(h)}"
     else:
-        h = EXPORTED_STEP
+        h = EXPORTED_STEP_S
         evidence = "LIF with r = 1 and time constants of some tenths of a ms"
         taus = np.concatenate([node["tau"].ravel() for node in leaky])
-        is_short = (taus >= SHORTEST_SPIKINGJELLY * (1 - TOLERANCE)) & (taus < SHORTEST_IN_SECONDS)
+        is_short = (taus >= SHORTEST_SPIKINGJELLY * (1 - TOLERANCE)) & (taus < SHORTEST_TAU_S)
         if not is_short.all() or not _have_unit_factors(leaky):
             return None
         doubt += (
@@ -374,10 +374,10 @@ def _find_norse_step(nodes):
     and more are counted in steps.
     """
     longest = max(node[name_voltage_time(node)].max() for node in nodes if node.kind != "IF")
-    if longest < SHORTEST_IN_SECONDS / 5:
-        return NORSE_STEP**2
-    return NORSE_STEP if longest < 1 else 1.0
+    if longest < SHORTEST_TAU_S / 5:
+        return NORSE_STEP_S**2
+    return NORSE_STEP_S if longest < 1 else 1.0
 
 
-def _time(seconds):
+def _format_time(seconds):
     return f"{1000 * seconds:g} ms" if seconds < 1 else f"{seconds:g} s"

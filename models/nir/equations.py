@@ -1,7 +1,7 @@
 """The steps of a graph's neurons and filters, one function a way of integrating them.
 
-Every way is linear between two spikes.  With the input S, which is constant during a step, the
-current I and the voltage v::
+A step lasts h seconds.  Every way is linear between two spikes.  With the input S, which is
+constant during a step, the current I and the voltage v::
 
     v <- keep_v v + v_from_i I + v_from_s S + added          (with the current of the step before)
     I <- keep_i I + i_from_s S

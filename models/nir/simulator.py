@@ -75,15 +75,15 @@ def simulate(
         finite, the step is not positive, or the graph has none and none is given.
     """
     convention = network.convention
-    step = convention.step if step is None else step
+    step_s = convention.step_s if step is None else step
     method = convention.method if method == "auto" else method
     reset = convention.reset if reset == "auto" else reset
     inputs = np.asarray(inputs)
-    if step is None:
+    if step_s is None:
         raise ValueError("the graph has seconds and no step: give the step in seconds")
-    if not (0 < step < math.inf and np.isfinite(inputs).all()):
+    if not (0 < step_s < math.inf and np.isfinite(inputs).all()):
         raise ValueError("the step is not positive, or an input not finite")
-    check_step(network, step, method)
+    check_step(network, step_s, method)
     shape = inputs.shape[2:]
     expected = tuple(network.input_shape)
     one_is_flat = min(len(shape), len(expected)) == 1 and math.prod(shape) == math.prod(expected)
@@ -99,7 +99,7 @@ def simulate(
     for start in range(0, len(inputs), SAMPLES_AT_ONCE):
         signal = inputs[start : start + SAMPLES_AT_ONCE].astype(float)
         for node in network.nodes:
-            signal = run_node(node, signal, step, method, reset, convention.at_threshold)
+            signal = run_node(node, signal, step_s, method, reset, convention.at_threshold)
             if node.kind in SPIKING:
                 is_count = reset == "subtract-all"
                 spikes[node.name].append(signal.astype(np.int32 if is_count else bool))
@@ -108,7 +108,7 @@ def simulate(
     return GraphOutputs(np.concatenate(outputs), joined)
 
 
-def check_step(network: NirNetwork, step: float, method: str):
+def check_step(network: NirNetwork, step_s: float, method: str):
     """Refuse Euler steps that are longer than a time constant.
 
     Raises
@@ -119,10 +119,10 @@ def check_step(network: NirNetwork, step: float, method: str):
     for node in network.nodes if method in ("euler", "norse", "spyx") else ():
         for name in ("tau", "tau_syn", "tau_mem"):
             shortest = float(np.min(node.parameters.get(name, math.inf)))
-            if shortest < step * (1 - 1e-6):
+            if shortest < step_s * (1 - 1e-6):
                 raise NirError(
                     f"{node}: a {name} of {shortest:.3g} s is shorter than the step of "
-                    f"{step:.3g} s, and Euler's method needs a step that is not longer than it; "
+                    f"{step_s:.3g} s, and Euler's method needs a step that is not longer than it; "
                     "give the graph's step in milliseconds with --set nir.step"
                 )
 
@@ -130,7 +130,7 @@ def check_step(network: NirNetwork, step: float, method: str):
 def run_node(
     node: Node,
     signal,
-    step: float,
+    step_s: float,
     method: str = "exact",
     reset: str = "value",
     at_threshold: bool = False,
@@ -142,7 +142,7 @@ def run_node(
     node : Node
     signal : ndarray of float, shape (n_samples, steps, ...)
         In the node's input shape.
-    step : float
+    step_s : float
         Length of a step in seconds.
     method, reset : str
         One of :data:`models.nir.equations.METHODS`, one of :data:`RESETS`.
@@ -157,7 +157,7 @@ def run_node(
     if node.kind == "Threshold":
         return (signal > node["threshold"]).astype(float)
     if node.kind in SPIKING + FILTERS:
-        return _run_over_time(node, signal, step, method, reset, at_threshold)
+        return _run_over_time(node, signal, step_s, method, reset, at_threshold)
     lead = signal.shape[:2]
     flat = signal.reshape(-1, *node.input_shape)
     return apply(node, flat).reshape(*lead, *node.shape)
@@ -174,12 +174,12 @@ def apply(node: Node, signal) -> np.ndarray:
     return _LINEAR[node.kind](node, np.asarray(signal, float)).reshape(len(signal), *node.shape)
 
 
-def _run_over_time(node, signal, step, method, reset, at_threshold):
+def _run_over_time(node, signal, step_s, method, reset, at_threshold):
     if method not in METHODS:
         raise ValueError(f"method {method!r} is not one of {', '.join(METHODS)}")
     if reset not in RESETS:
         raise ValueError(f"reset {reset!r} is not one of {', '.join(RESETS)}")
-    equation = METHODS[method](node, step)
+    equation = METHODS[method](node, step_s)
     spiking = node.kind in SPIKING
     shape = (len(signal), *node.shape)
     spikes = np.zeros(shape)

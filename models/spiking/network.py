@@ -319,9 +319,9 @@ def _round_to_power_of_two(x):
     return tf.reduce_sum(passed * tf.constant(rises, x.dtype), -1)
 
 
-def _compute_logit(tau):
-    """The trained variable of a time constant in steps: decay = sigmoid(logit) = exp(-1 / tau)."""
-    return -np.log(np.expm1(1 / np.asarray(tau, np.float64)))
+def _compute_logit(tau_steps):
+    """The trained variable of a time constant: decay = sigmoid(logit) = exp(-1 / tau_steps)."""
+    return -np.log(np.expm1(1 / np.asarray(tau_steps, np.float64)))
 
 
 def _compute_steps(logit):

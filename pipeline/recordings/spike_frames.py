@@ -30,14 +30,13 @@ class SpikeLimits:
 
     Attributes
     ----------
-    refractory : int
-        Refractory period in steps: events in it after a spike are ignored, as in an event camera's
-        pixel.
+    refractory_steps : int
+        Refractory period: events in it after a spike are ignored, as in an event camera's pixel.
     max_spikes : int
         Maximum number of spikes; later events are ignored.  0: no limit.
     """
 
-    refractory: int = 0
+    refractory_steps: int = 0
     max_spikes: int = 0
 
     @classmethod
@@ -211,22 +210,22 @@ class EventTable:
         events = self.select(np.asarray(indices))
         return make_spike_frames(events, step_ms, len(indices), steps, self.size, limits)
 
-    def measure_loss(self, step_ms: float, refractory: int = 0) -> float:
+    def measure_loss(self, step_ms: float, refractory_steps: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`make_spike_frames`."""
         spikes = sum(
-            self._count_spikes(events, step_ms, refractory)
+            self._count_spikes(events, step_ms, refractory_steps)
             for _, events in self.select_in_batches()
         )
         return 1 - spikes / self.offsets[-1] if self.offsets[-1] else 0.0
 
-    def _count_spikes(self, events, step_ms, refractory):
+    def _count_spikes(self, events, step_ms, refractory_steps):
         if not len(events.time_ms):
             return 0
         cell = (events.sample * self.size[0] + events.row) * self.size[1] + events.column
         step = (events.time_ms / step_ms).astype(np.int64)
         # One time axis for all: each taxel and polarity follows the previous one after a gap.
-        time = np.sort((2 * cell + events.polarity) * (step.max() + refractory + 1) + step)
-        following = np.searchsorted(time, time + refractory + 1).tolist()
+        time = np.sort((2 * cell + events.polarity) * (step.max() + refractory_steps + 1) + step)
+        following = np.searchsorted(time, time + refractory_steps + 1).tolist()
         spikes = event = 0
         while event < len(following):
             spikes = spikes + 1
@@ -267,5 +266,5 @@ def make_spike_frames(
     inside = (step >= 0) & (step < steps)
     sample, _, row, column, polarity = events.select(inside)
     frames[step[inside], sample, row, column, polarity] = 1
-    frames = apply_refractory_period(frames, limits.refractory)
+    frames = apply_refractory_period(frames, limits.refractory_steps)
     return limit_spikes(frames, limits.max_spikes)

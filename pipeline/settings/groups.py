@@ -28,21 +28,21 @@ SEED = between(0, 2**31 - 1)
 EPOCHS_OR_AUTOMATIC = between(0, limits.EPOCHS)
 BATCH = between(1, limits.BATCH)
 BATCH_OR_AUTOMATIC = between(0, limits.BATCH)
-STEPS_OR_NONE = between(0, limits.STEPS)
+STEPS_OR_0 = between(0, limits.STEPS)
 MAX_DOWNSAMPLING = 64
 MAX_SECTIONS = 64
 SAMPLES = between(1, limits.SAMPLES)
 SAMPLES_OR_ALL = between(0, limits.SAMPLES)
-TAU = between(1e-6, limits.SECONDS, " seconds")
-TAU_OR_NONE = between(0, limits.SECONDS, " seconds")
-REFRACTORY = between(1e-9, limits.REFRACTORY_S, " seconds")
+TAU_S = between(1e-6, limits.SECONDS, " seconds")
+TAU_S_OR_NONE = between(0, limits.SECONDS, " seconds")
+REFRACTORY_S = between(1e-9, limits.REFRACTORY_S, " seconds")
 AT_LEAST_0 = between(0, 1000)
 ABOVE_0 = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
 INSIDE_0_1 = Limit(lambda value: 0 < value < 1, "between 0 and 1")
 FROM_0_BELOW_1 = Limit(lambda value: 0 <= value < 1, "from 0 to below 1")
-RATE = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
-STEP = between(1e-3, 1000, " milliseconds")
-STEP_OR_NONE = Limit(
+RATE_HZ = Limit(lambda value: 0 < value <= 1000, "above 0, at most 1000")
+STEP_MS = between(1e-3, 1000, " milliseconds")
+STEP_MS_OR_AUTOMATIC = Limit(
     lambda value: value == 0 or 1e-3 <= value <= 1e6, "0, or from 0.001 to 1000000 milliseconds"
 )
 MAX_TAU_MS = 1e6
@@ -87,14 +87,14 @@ class Input(SettingsGroup):
     #: which tells the order of events; ``events``: the sensor's events.
     kind: Annotated[str, KeyOf(INPUTS)] = "image"
     #: Recording time in milliseconds that one step of the chip represents; for ``events`` only.
-    step: Annotated[float, STEP] = 10.0
+    step: Annotated[float, STEP_MS] = 10.0
     #: Refractory period of a taxel and polarity after a spike, in milliseconds, rounded down to
     #: whole steps, as of an event camera's pixel: events in it are ignored.  For ``events`` only.
     refractory: Annotated[float, AT_LEAST_0] = 10.0
     #: Maximum number of spikes of a taxel and polarity in a sample; later events of it are ignored,
     #: so that a taxel that fires all the time has little weight.  0: no limit.  For ``events``
     #: only.
-    max_spikes: Annotated[int, STEPS_OR_NONE] = 0
+    max_spikes: Annotated[int, STEPS_OR_0] = 0
 
     @property
     def refractory_steps(self) -> int:
@@ -213,9 +213,9 @@ class SNN(SettingsGroup):
     #: the last entry also applies to all layers after it.
     max_rates: tuple[float, ...] = (150.0,)
     #: Membrane time constant in seconds.
-    tau_rc: Annotated[float, TAU] = 0.02
+    tau_rc: Annotated[float, TAU_S] = 0.02
     #: Refractory period in seconds.
-    tau_ref: Annotated[float, REFRACTORY] = 0.001
+    tau_ref: Annotated[float, REFRACTORY_S] = 0.001
 
     @property
     def is_on_chip(self) -> bool:
@@ -238,7 +238,7 @@ class NIR(SettingsGroup):
     sha256: str = ""
     #: Milliseconds of the graph's time in a step of the chip; 0: that of the framework that wrote
     #: the graph, if it is recognised, otherwise the value of ``input.step``, or 1 with images.
-    step: Annotated[float, STEP_OR_NONE] = 0.0
+    step: Annotated[float, STEP_MS_OR_AUTOMATIC] = 0.0
     #: Step of the graph's equations: ``exact``, their exact solution; ``euler``, forward Euler
     #: steps; ``norse``, ``rockpool``, ``spyx``, those of these frameworks; ``auto``, that of the
     #: framework that wrote the graph, ``exact`` if none is recognised.
@@ -305,12 +305,12 @@ class Deployment(SettingsGroup):
     #: for each class, of networks on images only.
     readout: Annotated[str, one_of("chip", "host")] = "host"
     #: Spikes per second of a pixel of value 1.
-    input_rate: Annotated[float, RATE] = 500.0
+    input_rate: Annotated[float, RATE_HZ] = 500.0
     #: Initial voltage of an input neuron in a sample, as a share of its threshold.  Its number of
     #: spikes is the expected number, rounded to the nearest with 0.5 and down with 0.
     input_phase: Annotated[float, FROM_0_BELOW_1] = 0.5
     #: Time constant in seconds of the low-pass on every spiking connection; 0 for none.
-    synapse: Annotated[float, TAU_OR_NONE] = 0.008
+    synapse: Annotated[float, TAU_S_OR_NONE] = 0.008
 
 
 @dataclass(frozen=True)
@@ -320,13 +320,13 @@ class PresentationSettings(SettingsGroup):
     #: Number of steps for which a sample is presented: steps of 1 ms, or with events of
     #: ``input.step``.  0 for 100 steps, or with events for as many as the
     #: longest recording needs, from 50 to 400.
-    steps: Annotated[int, STEPS_OR_NONE] = 0
+    steps: Annotated[int, STEPS_OR_0] = 0
     #: Silent steps before each sample.  More, if it is not set, where the neurons' currents last
     #: longer.
-    gap: Annotated[int, STEPS_OR_NONE] = Presentation.gap
+    gap: Annotated[int, STEPS_OR_0] = Presentation.gap
     #: First step of the readout window, over which the output is averaged for the decision; with
     #: events always the first step of the presentation.
-    readout_start: Annotated[int, STEPS_OR_NONE] = Presentation.readout_start
+    readout_start: Annotated[int, STEPS_OR_0] = Presentation.readout_start
     #: Number of samples that are presented before the network is reset.
     stream_length: Annotated[int, SAMPLES] = Presentation.stream_length
     #: Largest loss of accuracy by early decisions, on held-out samples; a smaller one makes fewer

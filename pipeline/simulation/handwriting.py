@@ -226,12 +226,13 @@ def move(strokes, tempo: float, step_s: float, start_s: float, p) -> Motion:
         From ``p.landing_s`` before the first stroke to ``p.settle_s`` after the last one.
     """
     clock = _time_points(strokes, tempo, p)
-    end = clock[-1][-1]
-    time = np.arange(-p.landing_s, end + p.settle_s, step_s)
+    end_s = clock[-1][-1]
+    time_s = np.arange(-p.landing_s, end_s + p.settle_s, step_s)
     path = PchipInterpolator(np.concatenate(clock), np.concatenate(strokes))
-    down, right = path(np.clip(time, 0, end)).T
-    lands, lifts = np.array([(stroke[0], stroke[-1]) for stroke in clock]).T
-    return Motion(start_s + time, down, right, compute_contact_force(time, lands, lifts, p))
+    down, right = path(np.clip(time_s, 0, end_s)).T
+    lands_s, lifts_s = np.array([(stroke[0], stroke[-1]) for stroke in clock]).T
+    force = compute_contact_force(time_s, lands_s, lifts_s, p)
+    return Motion(start_s + time_s, down, right, force)
 
 
 def _time_points(strokes, tempo, p):
@@ -247,17 +248,17 @@ def _time_points(strokes, tempo, p):
     return clock
 
 
-def compute_contact_force(time, lands, lifts, p):
+def compute_contact_force(time_s, lands_s, lifts_s, p):
     """Force over time: 0 in the air and 1 on the skin, rising and falling smoothly.
 
     Parameters
     ----------
-    time : ndarray of float, shape (n,)
-    lands, lifts : ndarrays of float, shape (n_contacts,)
+    time_s : ndarray of float, shape (n,)
+    lands_s, lifts_s : ndarrays of float, shape (n_contacts,)
     p : section ``[kinematics]`` of ``parameters.toml``
     """
-    width = p.landing_s / 4
-    rise = expit((time[:, None] - lands) / width)
-    fall = expit((lifts - time[:, None]) / width)
+    width_s = p.landing_s / 4
+    rise = expit((time_s[:, None] - lands_s) / width_s)
+    fall = expit((lifts_s - time_s[:, None]) / width_s)
     force = (rise * fall).max(axis=1)
     return np.where(force < 0.02, 0.0, force)

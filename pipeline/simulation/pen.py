@@ -184,14 +184,14 @@ class Writing:
             self._parts.append(events)
         return events
 
-    def _locate_tip(self, time):
+    def _locate_tip(self, time_s):
         """Position and force of the tip at some times, each shape (n,)."""
         knots = np.array([(p.time_s, p.down, p.right, p.pressure) for p in self._points])
-        down, right, pressure = (np.interp(time, knots[:, 0], knots[:, i]) for i in (1, 2, 3))
+        down, right, pressure = (np.interp(time_s, knots[:, 0], knots[:, i]) for i in (1, 2, 3))
         kinematics = self._p.kinematics
-        lands, lifts = np.array(self._contacts).T + kinematics.landing_s
+        lands_s, lifts_s = np.array(self._contacts).T + kinematics.landing_s
         force = self._usual * np.clip(pressure / USUAL_PRESSURE, WEAKEST, STRONGEST)
-        return down, right, force * compute_contact_force(time, lands, lifts, kinematics)
+        return down, right, force * compute_contact_force(time_s, lands_s, lifts_s, kinematics)
 
     def _forget(self):
         """Delete data on which no later row depends."""

@@ -29,7 +29,7 @@ class ImportRequest:
         A Keras model that replaces the CNN.
     nir : path-like, optional
         A NIR graph that replaces all training.
-    step : float, optional
+    step_ms : float, optional
         With ``nir``: milliseconds of the recording in a step of the network.
     retrain : bool
         With ``model``: train it further with rate-LIF neurons.
@@ -46,7 +46,7 @@ class ImportRequest:
 
     model: str | PathLike | None = None
     nir: str | PathLike | None = None
-    step: float | None = None
+    step_ms: float | None = None
     retrain: bool = False
     strict: bool = False
     prefix: str = ""
@@ -58,7 +58,7 @@ class ImportRequest:
             raise UserError(f"{self.prefix}retrain: needs a Keras model; give it with {model}")
         if self.model is not None and self.nir is not None:
             raise UserError(f"{model} and {nir}: a run has one network; give only one of them")
-        if self.step is not None and self.nir is None:
+        if self.step_ms is not None and self.nir is None:
             raise UserError(f"{self.prefix}step: needs a NIR graph; give it with {nir}")
         if self.strict and self.nir is None:
             raise UserError(f"{self.prefix}strict: needs a NIR graph; give it with {nir}")
@@ -82,7 +82,7 @@ class ImportRequest:
             kept = {} if run is None else make_kept_image_settings(run)
             return changes | kept
         if self.nir is not None:
-            return make_nir_settings(self.nir, self.step, input_kind, before)
+            return make_nir_settings(self.nir, self.step_ms, input_kind, before)
         return {}
 
     def require_convertible(self, settings: Settings):

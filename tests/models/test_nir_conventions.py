@@ -89,7 +89,7 @@ def test_frameworks_are_recognised(name):
     result = network_of((4,), *nodes).convention
     assert result.framework.startswith(framework)
     assert result.method == method
-    assert result.step == pytest.approx(step, rel=1e-3) if step else result.step is None
+    assert result.step_s == pytest.approx(step, rel=1e-3) if step else result.step_s is None
 
 
 @pytest.mark.parametrize("neuron", [integrator(300.0), lif(10.0, 8.0), lif(0.02, 8.0)])
@@ -102,7 +102,7 @@ def test_what_a_graph_says_of_its_step_comes_first():
     tree_with_step = network_of((4,), affine(np.random.default_rng(0), 2, 4), cuba_lif())
     assert tree_with_step.convention.framework == "Norse"
     result = type(tree_with_step)((4,), tree_with_step.nodes, {"dt": 0.001}).convention
-    assert (result.method, result.step) == ("exact", 0.001)
+    assert (result.method, result.step_s) == ("exact", 0.001)
 
 
 @pytest.mark.parametrize("name", ["spikingjelly-if", "rockpool-lif", "sinabs-time-in-input",
@@ -146,7 +146,7 @@ def test_declared_shapes_of_subgraphs_are_ignored():
 def test_the_step_of_recordings_is_not_the_graphs():
     """An image has no steps; snnTorch's 0.1 ms remain, on events too."""
     path = CASES / "image-step.nir"
-    changes = make_nir_settings(path, step=20.0)
+    changes = make_nir_settings(path, step_ms=20.0)
     assert changes["input"] == {"kind": "image"}
     network = read_nir(path)
     stepping = Stepping.from_settings(Settings().with_values(changes), network)

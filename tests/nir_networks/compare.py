@@ -53,7 +53,7 @@ def figures(graph, answers, run, target="fast"):
     labels, frames = dataset.labels[expected["test"]], dataset.inputs[expected["test"]]
     stepping, n = Stepping.from_settings(settings, network), len(expected["outputs"])
     shown = make_graph_inputs(network, frames[:n], settings.steps)
-    outputs = simulate(network, shown, stepping.seconds, stepping.method).outputs
+    outputs = simulate(network, shown, stepping.step_s, stepping.method).outputs
     outputs = outputs.reshape(expected["outputs"].shape)
     near = np.abs(outputs - expected["outputs"]) <= 1e-3 * np.abs(expected["outputs"]).max()
     bundle = read_bundle(Path(run) / "bundle")

@@ -32,7 +32,7 @@ def record_convention(network: NirNetwork, stepping: Stepping) -> dict:
         if stepping.method == convention.method
         else stepping.method,
         "method": stepping.method,
-        "step_seconds": stepping.seconds,
+        "step_seconds": stepping.step_s,
         "reset": stepping.reset,
     }
 
@@ -54,13 +54,13 @@ def list_conversion_notes(
     record = record_convention(network, stepping)
     yield (
         f"read as {convention.framework}, by {convention.evidence}: {record['equation']}; a step "
-        f"is {1000 * stepping.seconds:g} ms of the graph's time, reset: {stepping.reset}"
+        f"is {1000 * stepping.step_s:g} ms of the graph's time, reset: {stepping.reset}"
     )
     is_as_recognised = (settings.nir.step, settings.nir.method) == (0, "auto")
     if convention.doubt and is_as_recognised and settings.nir.reset == "auto":
         yield f"{WARNING}{convention.doubt}"
     for node in network.nodes:
-        yield from _list_doubtful_times(node, stepping.seconds, settings.steps)
+        yield from _list_doubtful_times(node, stepping.step_s, settings.steps)
     for layer in layers:
         windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
         is_matrix = layer.neurons is not None and layer.kind == "dense"
@@ -85,17 +85,17 @@ def list_conversion_notes(
             yield f"{node}: only its longer time constant is kept"
 
 
-def _list_doubtful_times(node, step, steps):
+def _list_doubtful_times(node, step_s, n_steps):
     """Yield a warning for time constants that no network is trained with."""
     for name in ("tau", "tau_syn", "tau_mem"):
         if name not in node.parameters:
             continue
         shortest = float(node[name].min())
         problem = ""
-        if shortest > step * steps:
-            problem = f"longer than a whole sample, {steps} steps of {1000 * step:g} ms"
-        elif shortest < step * (1 - 1e-6):
-            problem = f"shorter than a step of {1000 * step:g} ms"
+        if shortest > step_s * n_steps:
+            problem = f"longer than a whole sample, {n_steps} steps of {1000 * step_s:g} ms"
+        elif shortest < step_s * (1 - 1e-6):
+            problem = f"shorter than a step of {1000 * step_s:g} ms"
         if problem:
             yield (
                 f"{WARNING}{node}: a {name} of {1000 * shortest:g} ms is {problem}; if it is "
@@ -125,7 +125,7 @@ def make_nir_spec(
         Stored in the bundle.
     """
     readout_steps = range(presentation.readout_start, presentation.steps)
-    links = from_nir(network, stepping.seconds, stepping.method, samples.shape[-3:], readout_steps)
+    links = from_nir(network, stepping.step_s, stepping.method, samples.shape[-3:], readout_steps)
     spikes = count_input_spikes(stimulus, samples, presentation.steps)
     links = round_chain(links, spikes, stimulus.area / LOIHI.dt)
     return chain.build_network_spec(links, stimulus, presentation, provenance)

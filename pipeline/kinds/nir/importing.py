@@ -31,15 +31,15 @@ class Stepping:
 
     Attributes
     ----------
-    seconds : float
-        Seconds of the graph's time per step.
+    step_s : float
+        Seconds of the graph's time in a step.
     method : str
         One of :data:`models.nir.equations.METHODS`.
     reset : str
         One of :data:`models.nir.simulator.RESETS`, with which the graph was trained.
     """
 
-    seconds: float
+    step_s: float
     method: str
     reset: str = "value"
 
@@ -48,14 +48,14 @@ class Stepping:
         """The values of the settings, or those of the graph's convention where they have none."""
         nir = settings.nir
         convention = network.convention
-        seconds = settings.input.step / 1000 if settings.on_events else LOIHI.dt
+        step_s = settings.input.step / 1000 if settings.on_events else LOIHI.dt
         if nir.step:
-            seconds = nir.step / 1000
-        elif convention.step is not None:
-            seconds = convention.step
+            step_s = nir.step / 1000
+        elif convention.step_s is not None:
+            step_s = convention.step_s
         method = convention.method if nir.method == "auto" else nir.method
         reset = convention.reset if nir.reset == "auto" else nir.reset
-        return cls(seconds, method, reset)
+        return cls(step_s, method, reset)
 
 
 def read_copy_of_graph(folder: Path, settings: Settings) -> NirNetwork:
@@ -74,14 +74,14 @@ def read_copy_of_graph(folder: Path, settings: Settings) -> NirNetwork:
 
 
 def make_nir_settings(
-    path, step: float | None = None, kind: str | None = None, before: Settings | None = None
+    path, step_ms: float | None = None, kind: str | None = None, before: Settings | None = None
 ) -> dict:
     """Changes of the settings with which a NIR graph replaces the trained network.
 
     Parameters
     ----------
     path : path-like
-    step : float, optional
+    step_ms : float, optional
         Milliseconds of the recording in a step of the chip; of events only.
     kind : str, optional
         ``"image"`` or ``"events"``; default: from the number of channels of the graph's input, two
@@ -110,8 +110,8 @@ def make_nir_settings(
     changes = {"input": {"kind": kind}, "nir": nir}
     if not (was_graph and before.input.kind == kind):
         nir["step"] = 0.0
-    if step is not None and kind == "events":  # images have no step of the recording
-        changes["input"]["step"] = step
+    if step_ms is not None and kind == "events":  # images have no step of the recording
+        changes["input"]["step"] = step_ms
     return changes
 
 
@@ -186,7 +186,7 @@ def require_convertible_graph(settings: Settings, strict: bool = False):
             "v_reset; train it with a reset to zero, or convert it without --strict"
         )
     try:
-        first, *others = from_nir(network, stepping.seconds, stepping.method)
+        first, *others = from_nir(network, stepping.step_s, stepping.method)
         height = settings.stimulus.area / LOIHI.dt
         for layer in (replace(first, weights=first.weights * height), *others):
             if layer.neurons is not None:

@@ -77,7 +77,7 @@ def import_graph(folder: Path, settings: Settings, dataset: Dataset, say=print) 
     begun = time.perf_counter()
     source, network = find_graph(folder, settings, dataset)
     stepping = Stepping.from_settings(settings, network)
-    layers = from_nir(network, stepping.seconds, stepping.method, find_input_shape(dataset))
+    layers = from_nir(network, stepping.step_s, stepping.method, find_input_shape(dataset))
     for line in list_conversion_notes(network, layers, stepping, settings):
         say(f"nir: {line}")
     cost = None

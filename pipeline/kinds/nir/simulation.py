@@ -43,7 +43,7 @@ def simulate_samples(network, stepping, inputs, settings, advance=None):
     for start in range(0, len(inputs), SAMPLES_AT_ONCE):
         batch = inputs[start : start + SAMPLES_AT_ONCE]
         presented = make_graph_inputs(network, batch, settings.steps)
-        result = simulate(network, presented, stepping.seconds, stepping.method, stepping.reset)
+        result = simulate(network, presented, stepping.step_s, stepping.method, stepping.reset)
         outputs.append(result.outputs.reshape(*result.outputs.shape[:2], -1))
         counts.append(
             {n: _put_in_chip_order(s.sum(1, dtype=np.int64)) for n, s in result.spikes.items()}

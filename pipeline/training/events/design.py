@@ -114,7 +114,9 @@ class EventDesign:
     @property
     def stimulus(self) -> EventFrames:
         """The input of the chip."""
-        return EventFrames(self.step_ms / 1000, self.limits.refractory, self.limits.max_spikes)
+        return EventFrames(
+            self.step_ms / 1000, self.limits.refractory_steps, self.limits.max_spikes
+        )
 
     @property
     def neuron(self) -> Neuron:

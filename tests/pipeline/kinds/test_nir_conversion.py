@@ -153,7 +153,7 @@ def test_an_exported_network_on_events_has_the_same_weights_again():
     frames = frames_of(rng, 3)
     spec = make_nir_spec(events_network(rng), STEPPED, EventFrames(0.02, 0), FRESH, frames, {})
     graph = read_nir(make_nir_graph(spec))
-    assert graph.convention.step == 0.001
+    assert graph.convention.step_s == 0.001
     for link, layer in zip(from_nir(graph, 0.001, "exact", (8, 8, 2)), spec.layers, strict=True):
         weights = layer.weights if layer.kind == "conv" else layer.weights.T
         if layer.neurons is None:

@@ -53,7 +53,7 @@ def test_a_taxel_rests_after_a_spike():
     # Steps 0, 1, 1, 2, 4 of taxel 12: that of 1 is too soon, which makes 2 late enough.
     assert np.flatnonzero(frames[:, 2, 1]).tolist() == [0, 2, 4]
     assert np.flatnonzero(frames[:, 3, 1]).tolist() == [1]
-    assert table.measure_loss(10, refractory=1) == pytest.approx(2 / 7)
+    assert table.measure_loss(10, refractory_steps=1) == pytest.approx(2 / 7)
     assert table.measure_loss(10) == pytest.approx(1 / 7)
     long = table.make_frames([1], step_ms=10, steps=5, limits=SpikeLimits(100))[:, 0, :, :, 0]
     assert np.flatnonzero(long[:, 2, 1]).tolist() == [0]
