@@ -73,7 +73,7 @@ class Link:
         input of the next step.
     sources : tuple of str
         Names of the nodes of an imported graph that the link represents, for messages.
-    starts : tuple of int
+    section_starts : tuple of int
         See :class:`deploy.network.layer.Layer`.
     """
 
@@ -87,7 +87,7 @@ class Link:
     pool: int = 1
     recurrent: np.ndarray | None = field(default=None, repr=False)
     sources: tuple = ()
-    starts: tuple = (0,)
+    section_starts: tuple = (0,)
 
     def __str__(self):
         nodes = f" (nodes {', '.join(self.sources)})" if self.sources else ""
@@ -293,10 +293,10 @@ def _deploy(link: Link) -> Layer:
         input_shape=link.input_shape,
         neurons=link.neurons,
         synapse=link.synapse,
-        weights=link.operation.to_deployed(link.weights, len(link.starts)),
+        weights=link.operation.to_deployed(link.weights, len(link.section_starts)),
         bias=link.bias,
         pool=link.pool,
-        starts=link.starts,
+        section_starts=link.section_starts,
         recurrent=None if link.recurrent is None else link.recurrent.T,
     )
 

@@ -113,7 +113,7 @@ def _sum_of_decays(keep):
 
 
 def from_integers(
-    architecture: Architecture, weights: dict, integers: dict, starts: tuple = (0,)
+    architecture: Architecture, weights: dict, integers: dict, section_starts: tuple = (0,)
 ) -> tuple:
     """The chain of a network trained in the chip's integers, with a linear readout.
 
@@ -124,7 +124,7 @@ def from_integers(
         With ``"output.kernel"``; the output has no bias.
     integers : dict of str to Integers
         The integers of each layer of neurons, by its name.
-    starts : tuple of int
+    section_starts : tuple of int
         First step of each section of a sample, which has readout weights of its own, in the trained
         network, where spikes reach the readout at once.
 
@@ -134,6 +134,6 @@ def from_integers(
     """
     *hidden, output = make_links(architecture)
     # On the chip, the relay and each layer of neurons take a step.
-    arrive = (0, *(first + len(hidden) + 1 for first in starts[1:]))
-    output = replace(output, weights=weights["output.kernel"].astype(float), starts=arrive)
+    arrive = (0, *(first + len(hidden) + 1 for first in section_starts[1:]))
+    output = replace(output, weights=weights["output.kernel"].astype(float), section_starts=arrive)
     return (*(derive_parameters(link, integers[link.name]) for link in hidden), output)

@@ -59,7 +59,7 @@ def make_readout(input_shape, rng, classes=10, on_chip=False, section_starts=(0,
         synapse=0.005,
         weights=(3 if on_chip else 1) * weights,
         bias=np.full(classes, 1.0) if on_chip else rng.normal(size=classes),
-        starts=section_starts,
+        section_starts=section_starts,
     )
 
 

@@ -91,7 +91,7 @@ class Layer:
         Side length of the average pooling windows before the weights; 1 for no pooling.  Values
         outside of complete windows are not read.  The chip cannot average: pooling is folded into
         the weights when the network is built.
-    starts : tuple of int
+    section_starts : tuple of int
         Of a readout on the host: first step, in a sample, of each section of the presentation,
         which has weights of its own.  The host knows the step; all other layers have one section.
     recurrent : ndarray, shape (units, units), or None
@@ -108,11 +108,11 @@ class Layer:
     bias: np.ndarray = field(repr=False, compare=False)
     block_shape: Optional[Tuple[int, ...]] = limited_field(SHAPE, None)
     pool: int = limited_field(AT_LEAST_1, 1)
-    starts: Tuple[int, ...] = limited_field(RISING, (0,))
+    section_starts: Tuple[int, ...] = limited_field(RISING, (0,))
     recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)
 
     def __post_init__(self):
-        for name in ("input_shape", "block_shape", "starts"):
+        for name in ("input_shape", "block_shape", "section_starts"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, tuple(int(n) for n in getattr(self, name)))
         try:
@@ -232,11 +232,11 @@ class Layer:
     @property
     def sections(self) -> int:
         """Number of sections of the presentation, each of which has weights of its own."""
-        return len(self.starts)
+        return len(self.section_starts)
 
     def find_section(self, steps) -> np.ndarray:
         """The section, from 0, to which steps of a sample, also from 0, belong."""
-        return np.searchsorted(self.starts, steps, side="right") - 1
+        return np.searchsorted(self.section_starts, steps, side="right") - 1
 
     @property
     def weights_by_class(self) -> np.ndarray:
@@ -295,7 +295,7 @@ class Layer:
             "stride": PLACEHOLDERS["stride"],
             "padding": PLACEHOLDERS["padding"],
             "pool": self.pool,
-            "starts": self.starts,
+            "starts": self.section_starts,
             **self.operation.to_file(),
         }
 
@@ -332,7 +332,7 @@ class Layer:
             bias=arrays[f"{record.name}.bias"],
             block_shape=record.block_shape,
             pool=record.pool,
-            starts=record.starts,
+            section_starts=record.starts,
             recurrent=arrays.get(f"{record.name}.recurrent"),
         )
         layer._require(layer.shape == record.shape, f"shape should be {layer.shape}")

@@ -128,14 +128,14 @@ class SpikingGradient:
     ----------
     architecture : Architecture
     neuron : Neuron
-    starts : tuple of int
+    section_starts : tuple of int
         See :class:`models.spiking.network.SpikingNetwork`.
     """
 
-    def __init__(self, architecture: Architecture, neuron: Neuron, starts: tuple = (0,)):
+    def __init__(self, architecture: Architecture, neuron: Neuron, section_starts: tuple = (0,)):
         self.architecture = architecture
         self.neuron = neuron
-        self.starts = starts
+        self.section_starts = section_starts
         self.names = architecture.names[:-1]
         self.neurons = [architecture.neurons[name] for name in self.names]
         hidden = zip(architecture.layers[:-1], architecture.shapes, strict=False)
@@ -316,11 +316,11 @@ class SpikingGradient:
 
     def _scale_output_kernel(self, values):
         kernel = np.asarray(values["output.kernel"], np.float32) * np.float32(OUTPUT_SCALE)
-        return np.ascontiguousarray(kernel.reshape(len(self.starts), self.neurons[-1], -1))
+        return np.ascontiguousarray(kernel.reshape(len(self.section_starts), self.neurons[-1], -1))
 
     def _find_section(self, steps):
         """The section of the readout that each step belongs to."""
-        return np.searchsorted(self.starts, np.arange(steps), side="right") - 1
+        return np.searchsorted(self.section_starts, np.arange(steps), side="right") - 1
 
     def _make_ones(self, samples):
         return [np.ones((samples, neurons), np.float32) for neurons in self.neurons]

@@ -64,7 +64,7 @@ class SpikingNetwork(tf.Module):
     neuron : Neuron
     seed : int
         Seed of the initial weights, which are normal with a variance of one over the fan-in.
-    starts : tuple of int
+    section_starts : tuple of int
         First step of each section of a sample, which has output weights of its own.
 
     Raises
@@ -78,13 +78,13 @@ class SpikingNetwork(tf.Module):
         architecture: Architecture,
         neuron: Neuron | None = None,
         seed: int = 0,
-        starts: tuple = (0,),
+        section_starts: tuple = (0,),
     ):
         super().__init__()
         quiet_compiler()
         self.architecture = architecture
         self.neuron = neuron or Neuron()
-        self.starts = tuple(starts)
+        self.section_starts = tuple(section_starts)
         if not all(layer.has_neurons for layer in architecture.layers):
             raise ValueError(f"{architecture}: spikes are not pooled; use a stride")
         if len(architecture.layers) < 2:
@@ -98,7 +98,7 @@ class SpikingNetwork(tf.Module):
             scale = 1 / np.sqrt(layer.count_fan_in(input_shape))
             kernel = rng.normal(0, scale, shapes["kernel"])
             if name == "output":
-                self._add("output.kernel", np.tile(kernel, (len(self.starts), 1)))
+                self._add("output.kernel", np.tile(kernel, (len(self.section_starts), 1)))
                 continue
             self._add(f"{name}.kernel", kernel)
             self._add(f"{name}.bias", np.zeros(shapes["bias"]))
@@ -189,10 +189,10 @@ class SpikingNetwork(tf.Module):
                 signal = signal * dropout_factors[index]
             signal = tf.reshape(signal, (steps, samples, *layer.compute_shape(before)))
         kernel = tf.cast(values["output.kernel"], dtype) * OUTPUT_SCALE
-        kernels = tf.split(kernel, len(self.starts))
-        ends = (*self.starts[1:], None)
+        kernels = tf.split(kernel, len(self.section_starts))
+        ends = (*self.section_starts[1:], None)
         added = []
-        for first, end, section_kernel in zip(self.starts, ends, kernels, strict=True):
+        for first, end, section_kernel in zip(self.section_starts, ends, kernels, strict=True):
             section = tf.reshape(signal[first:end], (-1, section_kernel.shape[0]))
             added.append(tf.matmul(section, section_kernel))
         added = tf.reshape(tf.concat(added, 0), (steps, samples, kernel.shape[1]))

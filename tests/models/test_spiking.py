@@ -61,7 +61,7 @@ def test_the_forward_pass_is_the_integers_of_plain_numpy(text):
 
 
 def test_each_part_of_a_sample_has_its_output_weights():
-    network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, starts=(0, 20, 33))
+    network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, section_starts=(0, 20, 33))
     weights = network.get_weights()
     for name in network.names:
         weights[f"{name}.kernel"] *= 2.5

@@ -83,12 +83,12 @@ def test_outputs_are_those_of_tensorflow(text):
 
 
 def test_sections_of_the_readout():
-    network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, starts=(0, 10, 23))
+    network = SpikingNetwork(parse("6x6x1-20-12-3o"), seed=3, section_starts=(0, 10, 23))
     for name in network.names:
         kernel = network.variables_by_name[f"{name}.kernel"]
         kernel.assign(2.5 * kernel)
     batch = batch_for(network)
-    compiled = SpikingGradient(network.architecture, network.neuron, network.starts)
+    compiled = SpikingGradient(network.architecture, network.neuron, network.section_starts)
     result = compiled.compute_gradients(values_of(network), batch, EARLY, PRICE)
     _, _, gradients = in_tensorflow(network, batch)
     expected = gradients["output.kernel"]

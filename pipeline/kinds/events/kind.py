@@ -232,7 +232,7 @@ def make_event_spec(
 
     architecture = parse(design.architecture)
     integers = build_network(design, weights).compute_integers()
-    links = from_integers(architecture, weights, integers, design.starts)
+    links = from_integers(architecture, weights, integers, design.section_starts)
     is_early = presentation.threshold < 1
     estimator = Estimator.from_arrays(weights, architecture.outputs) if is_early else None
     stimulus = design.stimulus

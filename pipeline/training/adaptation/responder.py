@@ -52,7 +52,7 @@ class Responder:
             block_shape=None,
             weights=np.eye(inputs),
             bias=np.zeros(inputs),
-            starts=(0,),
+            section_starts=(0,),
         )
         self.spec = spec
         self._emulation = Emulation(

@@ -37,7 +37,7 @@ class EventDesign:
         Initial time constants of current and voltage, in milliseconds of recording time.
     floor, beta : float
         See :class:`models.spiking.network.Neuron`.
-    starts : tuple of int
+    section_starts : tuple of int
         First step of each section of a sample.
     epochs, batch_size : int
         0 epochs: as many as :func:`pipeline.training.event_rules.choose_epochs` says.
@@ -60,7 +60,7 @@ class EventDesign:
     tau_v_ms: tuple = (80.0,)
     floor: float = -2.0
     beta: float = 4.0
-    starts: tuple = (0,)
+    section_starts: tuple = (0,)
     epochs: int = EventTraining.epochs
     batch_size: int = EventTraining.batch_size
     learning_rate: float = EventTraining.learning_rate
@@ -100,7 +100,7 @@ class EventDesign:
         values |= {
             "step_ms": inputs.step,
             "limits": SpikeLimits.from_input(inputs),
-            "starts": settings.section_starts,
+            "section_starts": settings.section_starts,
         }
         del values["parts"], values["part"], values["size"]
         return cls(**values, alteration=alteration)
@@ -130,4 +130,4 @@ class EventDesign:
 
     def make_network(self, seed: int = 0) -> SpikingNetwork:
         """The network with its initial weights."""
-        return SpikingNetwork(parse(self.architecture), self.neuron, seed, self.starts)
+        return SpikingNetwork(parse(self.architecture), self.neuron, seed, self.section_starts)

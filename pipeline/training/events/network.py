@@ -177,13 +177,13 @@ def delay_as_on_chip(outputs, design: EventDesign) -> np.ndarray:
 
 def _compile(design):
     """``run(frames, values)``: outputs, operations per sample, spikes per neuron, in float64."""
-    return _compile_network(design.architecture, design.neuron, design.starts)
+    return _compile_network(design.architecture, design.neuron, design.section_starts)
 
 
 @functools.lru_cache(maxsize=8)
-def _compile_network(architecture, neuron, starts):
+def _compile_network(architecture, neuron, section_starts):
     # For any weights: networks of the same shape share one compilation, which takes seconds.
-    network = SpikingNetwork(parse(architecture), neuron, starts=starts)
+    network = SpikingNetwork(parse(architecture), neuron, section_starts=section_starts)
     variables = {
         name: tf.TensorSpec(v.shape, v.dtype) for name, v in network.variables_by_name.items()
     }

@@ -122,7 +122,9 @@ class Trainer:
         self.seed = seed
         self.batches = divide_up(len(train), design.batch_size)
         self._network = design.make_network(seed)
-        self._gradient = SpikingGradient(parse(design.architecture), design.neuron, design.starts)
+        self._gradient = SpikingGradient(
+            parse(design.architecture), design.neuron, design.section_starts
+        )
         variables = self._network.variables_by_name.items()
         values = {name: variable.numpy() for name, variable in variables}
         self._calibrate(values)

@@ -45,7 +45,7 @@ def test_each_step_is_read_with_the_weights_of_its_part():
     spec = make_image_network(steps=5, readout_start=0)
     readout = spec.layers[-1]
     weights = np.concatenate([readout.weights, 10 * readout.weights, 100 * readout.weights])
-    in_parts = replace(readout, weights=weights, starts=(0, 1, 3))
+    in_parts = replace(readout, weights=weights, section_starts=(0, 1, 3))
     assert in_parts.find_section(np.arange(5)).tolist() == [0, 1, 1, 2, 2]
     spec = replace(spec, layers=(*spec.layers[:-1], in_parts))
     spikes = np.random.default_rng(0).normal(size=(2, 5, weights.shape[1]))

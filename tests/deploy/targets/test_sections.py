@@ -21,7 +21,7 @@ def spec():
     readout = plain.layers[-1]
     factors = np.random.default_rng(0).normal(size=(3, *readout.weights.shape))
     weights = (factors * readout.weights).reshape(-1, readout.weights.shape[1])
-    readout = replace(readout, weights=weights, starts=(0, 12, 30))
+    readout = replace(readout, weights=weights, section_starts=(0, 12, 30))
     made = replace(plain, layers=(*plain.layers[:-1], readout))
     return NetworkSpec.from_json(made.to_json(), made.to_arrays())
 
@@ -58,4 +58,4 @@ def test_nir_has_no_parts(spec):
 @pytest.mark.parametrize("starts", [(), (1,), (0, 0), (0, 5, 3), (0, 10**9)])
 def test_parts_begin_one_after_the_other(spec, starts):
     with pytest.raises(UserError, match="starts"):
-        replace(spec.layers[-1], starts=starts)
+        replace(spec.layers[-1], section_starts=starts)

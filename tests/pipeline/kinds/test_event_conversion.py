@@ -18,16 +18,16 @@ from tests.pipeline.handmade import event_table
 STEPS, GAP = 40, 60
 
 
-def trained_like(architecture, seed=0, starts=(0,)):
+def trained_like(architecture, seed=0, section_starts=(0,)):
     """Random weights with which all layers spike."""
-    network = SpikingNetwork(parse(architecture), Neuron((1.5, 3.0), (3.0, 5.0)), seed, starts)
+    neuron = Neuron((1.5, 3.0), (3.0, 5.0))
+    network = SpikingNetwork(parse(architecture), neuron, seed, section_starts)
     weights = network.get_weights()
     for name in network.names:
         weights[f"{name}.kernel"] *= 2.5
     kernel = weights["output.kernel"]
-    weights["output.kernel"] = (
-        kernel * np.repeat(1 + np.arange(len(starts)), len(kernel) // len(starts))[:, None]
-    )
+    factors = np.repeat(1 + np.arange(len(section_starts)), len(kernel) // len(section_starts))
+    weights["output.kernel"] = kernel * factors[:, None]
     return weights
 
 
@@ -42,17 +42,17 @@ def table_of(samples=6, events=150, seed=0):
 
 @pytest.mark.parametrize("target", ["fast", "emulator"])
 @pytest.mark.parametrize(
-    ("architecture", "starts"),
+    ("architecture", "section_starts"),
     [
         ("10x10x2-12c4s2-32-10o", (0,)),
         ("10x10x2-4c3s2p-8c2-16-10o", (0, 5, 21)),
         (Settings().events.architecture, (0,)),
     ],
 )
-def test_every_spike_is_that_of_the_trained_network(architecture, starts, target):
+def test_every_spike_is_that_of_the_trained_network(architecture, section_starts, target):
     design, weights, table = (
-        EventDesign(architecture=architecture, starts=starts),
-        trained_like(architecture, starts=starts),
+        EventDesign(architecture=architecture, section_starts=section_starts),
+        trained_like(architecture, section_starts=section_starts),
         table_of(),
     )
     # Each sample of a stream ends in silence long enough that nothing is left of it.
