@@ -57,9 +57,9 @@ class Link:
         The linear map.
     input_shape : tuple of int
         (rows, columns, channels), or (values,), before pooling.
-    weights : ndarray, shape (rows, columns, channels in, filters) or (sections * inputs, units)
-        Weights of the values after average pooling, in the order of the trained kernel; for neurons
-        in units of their threshold.
+    kernel : ndarray, shape (rows, columns, channels in, filters) or (sections * inputs, units)
+        Weights of the values after average pooling, with the axes of training; for neurons in units
+        of their threshold.
     bias : ndarray, shape (filters,) or (units,)
     neurons : Neurons, NeuronDecays or None
         Neurons as they are deployed, in seconds; neurons by their decay factors, before they
@@ -68,7 +68,7 @@ class Link:
         Time constant in seconds of the low-pass on the input; None for none.
     pool : int
         Side length of the windows of the average pooling before the weights; 1 for none.
-    recurrent : ndarray, shape (units, units), or None
+    recurrent_kernel : ndarray, shape (units, units), or None
         Weights of a dense link's own spikes, by sending and receiving unit; they arrive with the
         input of the next step.
     sources : tuple of str
@@ -80,12 +80,12 @@ class Link:
     name: str
     operation: Operation
     input_shape: tuple
-    weights: np.ndarray = field(repr=False)
+    kernel: np.ndarray = field(repr=False)
     bias: np.ndarray = field(repr=False)
     neurons: Neurons | NeuronDecays | None = None
     synapse: float | None = None
     pool: int = 1
-    recurrent: np.ndarray | None = field(default=None, repr=False)
+    recurrent_kernel: np.ndarray | None = field(default=None, repr=False)
     sources: tuple = ()
     section_starts: tuple = (0,)
 
@@ -187,7 +187,7 @@ def from_rates(
     """The chain of a network trained with rate-LIF neurons.
 
     With an activation ``z`` at which the trained network's neurons receive ``J = 1 + gain * z``,
-    a link has weights ``gain * W`` and bias currents ``1 + gain * b``, and a spike has the area
+    a link has the kernel ``gain * W`` and bias currents ``1 + gain * b``, and a spike has the area
     ``1 / max_rate``.
 
     Parameters
@@ -210,16 +210,16 @@ def from_rates(
     from models.cnn import find_gain  # imports TensorFlow
     from models.quantised import quantise_bias, quantise_weights
 
-    def add_neurons(link, rate, weights, bias):
+    def add_neurons(link, rate, kernel, bias):
         neurons = Neurons(1 / rate, snn.tau_rc, snn.tau_ref)
-        return replace(link, weights=weights, bias=bias, neurons=neurons, synapse=synapse or None)
+        return replace(link, kernel=kernel, bias=bias, neurons=neurons, synapse=synapse or None)
 
     *hidden, output = make_links(architecture, weights)
     chain = []
     for index, link in enumerate(hidden):
         rate = snn.get_max_rate(index)
         gain = find_gain(rate, snn.tau_rc, snn.tau_ref)
-        kernel = gain * link.weights
+        kernel = gain * link.kernel
         bias = 1 + gain * link.bias
         if snn.is_on_chip:
             kernel = quantise_weights(kernel).numpy()
@@ -230,7 +230,7 @@ def from_rates(
         rate = OUTPUT_RATE_SHARE / snn.tau_ref
         gain = find_gain(rate, snn.tau_rc, snn.tau_ref) / max(full - threshold, 1e-6)
         bias = 1 + gain * (output.bias - threshold)
-        output = add_neurons(output, rate, gain * output.weights, bias)
+        output = add_neurons(output, rate, gain * output.kernel, bias)
     return (*chain, output)
 
 
@@ -282,9 +282,8 @@ def build_network_spec(
 def _deploy(link: Link) -> Layer:
     """The layer of a link.
 
-    A link and a layer have the same names.  The arrays of a link have the order of axes of training
-    in TensorFlow, and those of a layer the order of Nengo; a link's operation has its training,
-    too.
+    The kernels of a link have the axes of training in TensorFlow, and become the weights of the
+    layer, which have the axes of Nengo; a link's operation has its training, too.
     """
     assert not isinstance(link.neurons, NeuronDecays), f"{link}: its neurons are not integers yet"
     return Layer(
@@ -293,11 +292,11 @@ def _deploy(link: Link) -> Layer:
         input_shape=link.input_shape,
         neurons=link.neurons,
         synapse=link.synapse,
-        weights=link.operation.to_deployed(link.weights, len(link.section_starts)),
+        weights=link.operation.to_deployed(link.kernel, len(link.section_starts)),
         bias=link.bias,
         pool=link.pool,
         section_starts=link.section_starts,
-        recurrent=None if link.recurrent is None else link.recurrent.T,
+        recurrent=None if link.recurrent_kernel is None else link.recurrent_kernel.T,
     )
 
 

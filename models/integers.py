@@ -8,22 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deploy.network.chip import LOIHI
+from deploy.network.chip import LOIHI, Chip
 from deploy.network.layer import Neurons
 from models.architecture import Architecture
 from models.chain import Link, make_links
-
-# Increase of q by a weight of 1: at exponent 0 NengoLoihi's weights are even, shifted by 6.
-WEIGHT_UNIT = 128
-
-THRESHOLD_UNIT = 64
-
-# A unit below the chip's maximum: NengoLoihi may round that up, and then halves all values.
-MAX_THRESHOLD = (2**17 - 2) * THRESHOLD_UNIT
-
-DECAY_UNIT = LOIHI.decay_unit
-
-BIAS_MANTISSA = 2**LOIHI.bias_bits - 1
 
 
 @dataclass(frozen=True)
@@ -32,29 +20,29 @@ class Integers:
 
     Attributes
     ----------
-    weights : ndarray of int32
-        Shape of the kernel: (rows, columns, channels in, filters) or (inputs, units).
+    kernel : ndarray of int32, shape (rows, columns, channels in, filters) or (inputs, units)
+        The weights.
     bias : ndarray of int32, shape (filters,) or (units,)
     threshold, floor : int
-    keep_u, keep_v : int
-        Remaining share of current and voltage after a step, in 4096ths.
+    keep_u_4096ths, keep_v_4096ths : int
+        Remaining share of current and voltage after a step, in the chip's ``decay_unit``.
     exponent : int
-        0 or less: a weight of 1 adds ``WEIGHT_UNIT`` times 2 to this power.
-    recurrent : ndarray of int32, shape (units, units), or None
-        Weights of the layer's own spikes of the step before.
+        0 or less: a weight of 1 adds the chip's ``weight_unit`` times 2 to this power.
+    recurrent_kernel : ndarray of int32, shape (units, units), or None
+        Weights of the layer's own spikes of the step before, by sending and receiving unit.
     """
 
-    weights: np.ndarray
+    kernel: np.ndarray
     bias: np.ndarray
     threshold: int
     floor: int
-    keep_u: int
-    keep_v: int
+    keep_u_4096ths: int
+    keep_v_4096ths: int
     exponent: int = 0
-    recurrent: np.ndarray | None = None
+    recurrent_kernel: np.ndarray | None = None
 
 
-def derive_parameters(link: Link, layer: Integers, height: float = 1.0) -> Link:
+def derive_parameters(link: Link, layer: Integers, height: float = 1.0, chip: Chip = LOIHI) -> Link:
     """The link with parameters from which NengoLoihi derives these integers.
 
     NengoLoihi makes decays of 12 bits from the time constants.  It scales a block's weights so that
@@ -73,40 +61,45 @@ def derive_parameters(link: Link, layer: Integers, height: float = 1.0) -> Link:
         threshold again (:func:`deploy.network.blocks.find_rescaled_layers`).
     height : float
         Area of an input spike in units of the chip's time step.
+    chip : Chip
 
     Returns
     -------
     Link
         Its neurons' spikes have the area of one step.
     """
-    dt = LOIHI.dt
-    decay_u = DECAY_UNIT - 1 - layer.keep_u
-    decay_v = DECAY_UNIT - layer.keep_v
-    sum_u = _sum_of_decays(layer.keep_u)
-    sum_v = _sum_of_decays(layer.keep_v)
-    share_u = (decay_u + 1) / (DECAY_UNIT - 1)
-    share_v = decay_v / (DECAY_UNIT - 1)
-    real_per_integer = 255 / LOIHI.weight_levels * THRESHOLD_UNIT * sum_u * sum_v / layer.threshold
-    tau_rc = float(-dt / np.log1p(-share_v))
+    decay_u = chip.decay_levels - layer.keep_u_4096ths
+    decay_v = chip.decay_unit - layer.keep_v_4096ths
+    sum_u = _sum_of_decays(layer.keep_u_4096ths / chip.decay_unit)
+    sum_v = _sum_of_decays(layer.keep_v_4096ths / chip.decay_unit)
+    share_u = (decay_u + 1) / chip.decay_levels
+    share_v = decay_v / chip.decay_levels
+    real_per_integer = (
+        255 / chip.weight_levels * chip.threshold_unit * sum_u * sum_v / layer.threshold
+    )
     real_per_integer *= 2.0**layer.exponent
+    tau_rc = float(-chip.dt / np.log1p(-share_v))
+    recurrent_kernel = layer.recurrent_kernel
+    if recurrent_kernel is not None:
+        recurrent_kernel = recurrent_kernel * real_per_integer
     return replace(
         link,
-        weights=layer.weights * real_per_integer * (link.pool**2 / height),
-        recurrent=None if layer.recurrent is None else layer.recurrent * real_per_integer,
+        kernel=layer.kernel * real_per_integer * (link.pool**2 / height),
+        recurrent_kernel=recurrent_kernel,
         bias=layer.bias * (sum_v / layer.threshold),
-        neurons=Neurons(dt, tau_rc, 0.0, layer.floor / layer.threshold),
-        synapse=None if share_u == 1 else float(-dt / np.log1p(-share_u)),
+        neurons=Neurons(chip.dt, tau_rc, 0.0, layer.floor / layer.threshold),
+        synapse=None if share_u == 1 else float(-chip.dt / np.log1p(-share_u)),
     )
 
 
-def _sum_of_decays(keep):
+def _sum_of_decays(kept_share):
     """NengoLoihi's estimate of the sum of a current of 2^21 while it decays to 0, divided by 2^21.
 
     x(k+1) = floor(r x(k)), where rounding down subtracts 0.494 per step on average.
     """
     start = 2.0**21
     lost_per_step = 0.494
-    r = keep / DECAY_UNIT
+    r = kept_share
     steps = -np.log1p(start * (1 - r) / lost_per_step) / np.log(r)
     geometric = (1 - r ** (steps + 1)) / (1 - r)
     return geometric - lost_per_step / ((1 - r) * start) * (steps + 1 - geometric)
@@ -135,5 +128,5 @@ def from_integers(
     *hidden, output = make_links(architecture)
     # On the chip, the relay and each layer of neurons take a step.
     arrive = (0, *(first + len(hidden) + 1 for first in section_starts[1:]))
-    output = replace(output, weights=weights["output.kernel"].astype(float), section_starts=arrive)
+    output = replace(output, kernel=weights["output.kernel"].astype(float), section_starts=arrive)
     return (*(derive_parameters(link, integers[link.name]) for link in hidden), output)

@@ -17,25 +17,11 @@ from deploy.network.chip import LOIHI, Chip
 from deploy.network.geometry import sum_squares
 from deploy.network.reference import NeuronEquations
 from models.chain import Link
-from models.integers import (
-    MAX_THRESHOLD,
-    THRESHOLD_UNIT,
-    WEIGHT_UNIT,
-    Integers,
-    derive_parameters,
-)
+from models.integers import Integers, derive_parameters
 
-# In 4096ths.
-MIN_KEEP_U = 1
-
-MIN_KEEP_V = 2
-
-# The chip's lowest voltage, for neurons without a lower bound.
-FLOOR = -(2**23) + 1
-
-MAX_BIAS_FACTOR = 2**7
-
-WEIGHT_EXPONENTS = 8
+# Smallest shares of current and voltage that can remain after a step.
+MIN_KEEP_U_4096THS = 1
+MIN_KEEP_V_4096THS = 2
 
 # Shares of a layer's largest weight that may become 127; larger weights are clipped.
 CLIP_SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
@@ -77,8 +63,9 @@ def round_chain(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple
             rounded.append(link)
             continue
         factor = height if index == 0 else 1.0
-        scaled = replace(link, weights=link.weights * factor)
-        rounded.append(derive_parameters(link, choose_integers(scaled, spikes, chip), factor))
+        scaled = replace(link, kernel=link.kernel * factor)
+        integers = choose_integers(scaled, spikes, chip)
+        rounded.append(derive_parameters(link, integers, factor, chip))
         spikes = simulate_spikes(scaled, spikes)
     return tuple(rounded)
 
@@ -97,8 +84,8 @@ def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
     real_counts = spiked.sum(1, dtype=float)
     candidates = []
     moment_choices: list[np.ndarray | None] = [None]
-    if math.prod(link.weights.shape[:-1]) <= MAX_COMPENSATED_INPUTS:
-        inputs = spikes if link.recurrent is None else _append_own_spikes(spikes, spiked)
+    if math.prod(link.kernel.shape[:-1]) <= MAX_COMPENSATED_INPUTS:
+        inputs = spikes if link.recurrent_kernel is None else _append_own_spikes(spikes, spiked)
         moments = measure_moments(link, inputs)
         if moments is not None:
             moment_choices.append(moments)
@@ -114,14 +101,14 @@ def _append_own_spikes(spikes, own_spikes):
     return np.concatenate([spikes, np.pad(own_spikes[:, :-1], ((0, 0), (1, 0), (0, 0)))], 2)
 
 
-def compute_currents(link: Link, weights, spikes) -> np.ndarray:
+def compute_currents(link: Link, kernel, spikes) -> np.ndarray:
     """Input currents W s at each step.
 
     Parameters
     ----------
     link : Link
-    weights : ndarray
-        Weights in the link's shape, for sums over the squares that it averages.
+    kernel : ndarray
+        Weights in the shape of the link's, for sums over the squares that it averages.
     spikes : ndarray, shape (n_samples, steps, inputs)
 
     Returns
@@ -130,7 +117,7 @@ def compute_currents(link: Link, weights, spikes) -> np.ndarray:
     """
     operation = link.operation
     sums = sum_squares(np.reshape(spikes, (-1, *link.input_shape)), link.pool)
-    sums = operation.compute_sums(operation.to_deployed(weights), sums)
+    sums = operation.compute_sums(operation.to_deployed(kernel), sums)
     return sums.reshape(*spikes.shape[:2], -1)
 
 
@@ -158,22 +145,22 @@ def simulate_spikes(
     bias = link.bias if integers is None else integers.bias
     bias = np.tile(bias, link.size // len(bias))
     if integers is None:
-        sums = compute_currents(link, link.weights / link.pool**2, spikes)
+        sums = compute_currents(link, link.kernel / link.pool**2, spikes)
         equations = NeuronEquations(link.decays.keep_u, link.decays.keep_v, bias)
-        recurrent = link.recurrent
+        recurrent_kernel = link.recurrent_kernel
     else:
-        sums = compute_currents(link, integers.weights.astype(float), spikes)
+        sums = compute_currents(link, integers.kernel.astype(float), spikes)
         equations = NeuronEquations(
-            keep_u=integers.keep_u / chip.decay_unit,
-            keep_v=integers.keep_v / chip.decay_unit,
+            keep_u=integers.keep_u_4096ths / chip.decay_unit,
+            keep_v=integers.keep_v_4096ths / chip.decay_unit,
             bias=bias,
             threshold=integers.threshold,
             floor=integers.floor,
-            input_scale=WEIGHT_UNIT * 2.0**integers.exponent,
+            input_scale=chip.weight_unit * 2.0**integers.exponent,
             is_integer=True,
         )
-        recurrent = integers.recurrent
-    spiked = equations.compute_spikes(np.moveaxis(sums, 1, 0), recurrent)
+        recurrent_kernel = integers.recurrent_kernel
+    spiked = equations.compute_spikes(np.moveaxis(sums, 1, 0), recurrent_kernel)
     return np.ascontiguousarray(np.moveaxis(spiked, 0, 1))
 
 
@@ -202,22 +189,22 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     """
     levels = chip.weight_levels
     real = _spread_weights(link)
-    scale = _choose_scale(link, float(np.abs(real).max()) * clip, levels)
+    scale = _choose_scale(link, float(np.abs(real).max()) * clip, chip)
     if moments is None:
         weights = np.clip(np.rint(real / scale), -levels, levels)
     else:
         weights = _round_with_compensation(real / scale, moments, levels)
     threshold, exponent = _choose_threshold(link, scale, chip)
-    weights, recurrent = np.split(weights.astype(np.int32), [len(link.weights)])
+    kernel, recurrent_kernel = np.split(weights.astype(np.int32), [len(link.kernel)])
     return Integers(
-        weights=weights,
+        kernel=kernel,
         bias=_round_bias(link.bias * threshold, chip),
         threshold=threshold,
-        floor=FLOOR,
-        keep_u=_round_decay(link.decays.keep_u, MIN_KEEP_U, chip),
-        keep_v=_round_decay(link.decays.keep_v, MIN_KEEP_V, chip),
+        floor=-chip.voltage_limit,
+        keep_u_4096ths=_round_decay(link.decays.keep_u, MIN_KEEP_U_4096THS, chip),
+        keep_v_4096ths=_round_decay(link.decays.keep_v, MIN_KEEP_V_4096THS, chip),
         exponent=exponent,
-        recurrent=None if link.recurrent is None else recurrent,
+        recurrent_kernel=None if link.recurrent_kernel is None else recurrent_kernel,
     )
 
 
@@ -229,9 +216,9 @@ def _spread_weights(link):
     UserError
         A weight, bias or decay is infinite.
     """
-    real = link.weights / link.pool**2
-    if link.recurrent is not None:
-        real = np.concatenate([real, link.recurrent])
+    real = link.kernel / link.pool**2
+    if link.recurrent_kernel is not None:
+        real = np.concatenate([real, link.recurrent_kernel])
     parameters = (real, link.bias, link.decays.keep_u, link.decays.keep_v)
     if not all(np.isfinite(values).all() for values in parameters):
         raise UserError(
@@ -241,7 +228,7 @@ def _spread_weights(link):
     return real
 
 
-def _choose_scale(link, largest, levels):
+def _choose_scale(link, largest, chip):
     """The real weight of one level, for a largest weight.
 
     Raises
@@ -252,11 +239,12 @@ def _choose_scale(link, largest, levels):
     if largest == 0:
         raise UserError(f"{link}: all its weights are 0; train it, or leave it out")
     # The threshold, a whole number of units, is rounded up: only the largest weights are clipped.
+    units_per_weight = chip.weight_unit / chip.threshold_unit
     with np.errstate(over="ignore"):
-        units = np.ceil(WEIGHT_UNIT / THRESHOLD_UNIT * levels / largest - 1e-9)
+        units = np.ceil(units_per_weight * chip.weight_levels / largest - 1e-9)
     units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as `_choose_threshold` finds
-    scale = WEIGHT_UNIT / THRESHOLD_UNIT / max(units, 1)
-    if largest > 1.5 * levels * scale:
+    scale = units_per_weight / max(units, 1)
+    if largest > 1.5 * chip.weight_levels * scale:
         raise UserError(
             f"{link}: its weights are too large beside its threshold for the chip's integers, "
             f"{largest:.3g} of it; scale the weights or the threshold in training"
@@ -272,12 +260,12 @@ def _choose_threshold(link, scale, chip) -> tuple:
     UserError
         They fit with no exponent.
     """
-    largest_bias = _find_max_mantissa(chip) * MAX_BIAS_FACTOR
-    for lowered in range(WEIGHT_EXPONENTS):
-        per_threshold = WEIGHT_UNIT * 2.0**-lowered / scale
-        threshold = THRESHOLD_UNIT * round(per_threshold / THRESHOLD_UNIT)
+    unit = chip.threshold_unit
+    for lowered in range(chip.weight_exponents):
+        per_threshold = chip.weight_unit * 2.0**-lowered / scale
+        threshold = unit * round(per_threshold / unit)
         bias = link.bias * threshold
-        if 0 < threshold <= MAX_THRESHOLD and np.abs(bias).max() <= largest_bias:
+        if 0 < threshold <= chip.max_threshold and np.abs(bias).max() <= chip.max_bias:
             return threshold, -lowered
     raise UserError(
         f"{link}: its weights are too small beside its threshold for the chip's integers, or its "
@@ -333,7 +321,9 @@ def measure_moments(link: Link, spikes) -> np.ndarray | None:
             voltages.append(v)
     values = np.stack(voltages, 1)
     values = values.reshape(-1, values.shape[-1])
-    if link.recurrent is None:  # the inputs of others have the link's own spikes at their end
+    if (
+        link.recurrent_kernel is None
+    ):  # the inputs of others have the link's own spikes at their end
         values = sum_squares(values.reshape(-1, *link.input_shape), link.pool)
     inputs_of_neuron = link.operation.gather_inputs(values)
     if inputs_of_neuron is None:
@@ -346,11 +336,6 @@ def measure_moments(link: Link, spikes) -> np.ndarray | None:
 
 def _round_bias(bias, chip):
     """Round to the bits of a mantissa times a power of two, as NengoLoihi does."""
-    share = np.maximum(np.abs(np.rint(bias)) / _find_max_mantissa(chip), 1)
+    share = np.maximum(np.abs(np.rint(bias)) / chip.max_bias_mantissa, 1)
     unit = 2.0 ** np.ceil(np.log2(share))
     return (np.rint(np.rint(bias) / unit) * unit).astype(np.int32)
-
-
-def _find_max_mantissa(chip):
-    """Largest mantissa of a bias."""
-    return 2**chip.bias_bits - 1

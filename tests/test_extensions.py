@@ -220,6 +220,6 @@ def test_a_chip():
     link = Link("dense1", ops.Dense(5), (20,), weights, np.zeros(5), NeuronDecays(0.8, 0.9))
     spikes = (rng.random((4, 50, 20)) < 0.2).astype(float)
     integers = choose_integers(link, spikes, small)
-    assert np.abs(integers.weights).max() == small.weight_levels == 31
+    assert np.abs(integers.kernel).max() == small.weight_levels == 31
     counts = (simulate_spikes(link, spikes, *more).sum() for more in ((), (integers, small)))
     assert np.ptp(list(counts)) < 0.1 * spikes.sum()

@@ -23,6 +23,14 @@ class Chip:
         Bits of a weight, including its sign.
     bias_bits : int
         Bits of the mantissa of a bias current, without its sign.
+    bias_exponents : int
+        Number of exponents of a bias current: its unit is a power of two, from 1 on.
+    weight_unit : int
+        Increase of the current by a spike over a weight of 1 at the largest exponent, which is 0.
+    weight_exponents : int
+        Number of exponents of the weights, from 0 downwards.
+    threshold_bits, threshold_unit : int
+        Bits of the mantissa of a threshold, and its unit.
     decay_bits : int
     refractory_bits : int
         Bits of the steps from a spike to the first one that can spike again.
@@ -41,6 +49,11 @@ class Chip:
     limits: Dict[str, int] = field(hash=False)
     weight_bits: int
     bias_bits: int
+    bias_exponents: int
+    weight_unit: int
+    weight_exponents: int
+    threshold_bits: int
+    threshold_unit: int
     decay_bits: int
     refractory_bits: int
     input_bits: int
@@ -55,6 +68,21 @@ class Chip:
     def weight_levels(self) -> int:
         """Largest magnitude of a signed weight."""
         return 2 ** (self.weight_bits - 1) - 1
+
+    @property
+    def max_bias_mantissa(self) -> int:
+        """Largest mantissa of a bias current."""
+        return 2**self.bias_bits - 1
+
+    @property
+    def max_bias(self) -> int:
+        """Largest bias current."""
+        return self.max_bias_mantissa * 2 ** (self.bias_exponents - 1)
+
+    @property
+    def max_threshold(self) -> int:
+        """Largest threshold less a unit: NengoLoihi may round it up, and then halves all values."""
+        return (2**self.threshold_bits - 2) * self.threshold_unit
 
     @property
     def decay_unit(self) -> int:
@@ -102,6 +130,11 @@ LOIHI = Chip(
     },
     weight_bits=8,
     bias_bits=12,
+    bias_exponents=8,
+    weight_unit=128,  # NengoLoihi's weights are even and shifted by 6
+    weight_exponents=8,
+    threshold_bits=17,
+    threshold_unit=64,
     decay_bits=12,
     refractory_bits=6,
     input_bits=21,

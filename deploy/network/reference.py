@@ -25,7 +25,7 @@ from typing import Iterator, Union
 
 import numpy as np
 
-from .chip import DT
+from .chip import DT, LOIHI
 from .layer import Layer
 from .output import TargetOutput
 from .spec import NetworkSpec
@@ -58,14 +58,14 @@ class NeuronEquations:
     waiting_steps: int = 0
     is_integer: bool = False
 
-    def compute_spikes(self, sums: np.ndarray, recurrent=None) -> np.ndarray:
+    def compute_spikes(self, sums: np.ndarray, recurrent_kernel=None) -> np.ndarray:
         """Spikes of a layer from rest.
 
         Parameters
         ----------
         sums : ndarray, shape (steps, ..., neurons)
             Weighted sums of the spikes that arrive in each step.
-        recurrent : ndarray, shape (neurons, neurons), optional
+        recurrent_kernel : ndarray, shape (neurons, neurons), optional
             Weights of the layer's own spikes, by sending and receiving neuron.
 
         Returns
@@ -78,8 +78,8 @@ class NeuronEquations:
         spikes = np.zeros(sums.shape, bool)
         for t in range(len(sums)):
             u = self._cut(u * self.keep_u) + sums[t] * self.input_scale
-            if recurrent is not None and t:
-                u = u + spikes[t - 1].astype(float) @ recurrent * self.input_scale
+            if recurrent_kernel is not None and t:
+                u = u + spikes[t - 1].astype(float) @ recurrent_kernel * self.input_scale
             v = np.maximum(self._cut(v * self.keep_v) + u + self.bias, self.floor)
             v[waiting > 0] = 0
             spikes[t] = v > self.threshold
@@ -125,8 +125,8 @@ def read_equations(compartment) -> NeuronEquations:
         weights.
     """
     return NeuronEquations(
-        keep_u=(4095 - int(compartment.decay_u[0])) / 4096,
-        keep_v=(4096 - int(compartment.decay_v[0])) / 4096,
+        keep_u=(LOIHI.decay_levels - int(compartment.decay_u[0])) / LOIHI.decay_unit,
+        keep_v=(LOIHI.decay_unit - int(compartment.decay_v[0])) / LOIHI.decay_unit,
         bias=compartment.bias.astype(float),
         threshold=compartment.vth.astype(float),
         floor=float(compartment.vmin),
@@ -273,8 +273,8 @@ def run_reference(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[
                 break
             equations = derive_equations(layer, area)
             sums = layer.compute_sums(delay_one_step(signal))
-            recurrent = None if layer.recurrent is None else layer.recurrent.T
-            signal = equations.compute_spikes(sums, recurrent)
+            recurrent_kernel = None if layer.recurrent is None else layer.recurrent.T
+            signal = equations.compute_spikes(sums, recurrent_kernel)
             area = layer.neurons.amplitude
             spikes[layer.name] = signal
             output = signal * (area / DT)

@@ -43,7 +43,6 @@ import numpy as np
 from deploy import limits
 from deploy.network.chip import LOIHI
 from models.chain import Link, NeuronDecays
-from models.integers import DECAY_UNIT
 from models.nir.equations import METHODS
 from models.nir.errors import NirError
 from models.nir.graph import NirNetwork
@@ -125,8 +124,8 @@ def from_nir(
     if merged:
         first = layers[0]
         axis = 2 if first.kind == "conv" else 0
-        weights = np.repeat(first.weights, 2, axis)
-        layers[0] = replace(first, input_shape=(*first.input_shape[:2], 2), weights=weights)
+        kernel = np.repeat(first.kernel, 2, axis)
+        layers[0] = replace(first, input_shape=(*first.input_shape[:2], 2), kernel=kernel)
     return tuple(layers)
 
 
@@ -337,12 +336,12 @@ class _LinkNodes:
         fitting = fit_to_chip(window, self.before[1:], self.shape[1:])
         if fitting is None:
             return None
-        weights = fitting["weights"] * weight_scale[:, 0]
+        kernel = fitting["weights"] * weight_scale[:, 0]
         return {
             "operation": Convolution(
-                weights.shape[-1], len(weights), fitting["stride"], fitting["padding"]
+                kernel.shape[-1], len(kernel), fitting["stride"], fitting["padding"]
             ),
-            "weights": weights,
+            "kernel": kernel,
             "bias": bias[:, 0].copy(),
             "pool": fitting["pool"],
         }
@@ -367,16 +366,16 @@ class _LinkNodes:
         neurons = np.arange(outputs) if self.is_last else _order_channels_last(self.shape)
         matrix = matrix[_order_channels_last(self.before)][:, neurons]
         if loop is not None:
-            common["recurrent"] = (loop["weight"].T * weight_scale.reshape(-1))[
+            common["recurrent_kernel"] = (loop["weight"].T * weight_scale.reshape(-1))[
                 np.ix_(neurons, neurons)
             ]
         operation = Dense(outputs, output=self.is_last)
-        return Link(operation=operation, weights=matrix, bias=bias[neurons], **common)
+        return Link(operation=operation, kernel=matrix, bias=bias[neurons], **common)
 
 
 def _require_equal(node, keep, parameter) -> float:
     """The value of a parameter that must be equal for all neurons of a layer."""
-    low, high = (int(np.rint(DECAY_UNIT * k)) for k in (np.min(keep), np.max(keep)))
+    low, high = (int(np.rint(LOIHI.decay_unit * k)) for k in (np.min(keep), np.max(keep)))
     if low != high:
         raise NirError(
             f"{node}: its {parameter} differ between neurons, keeping {low} to {high} 4096ths per "

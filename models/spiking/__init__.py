@@ -10,11 +10,11 @@ voltage                  v(t) = max(trunc(keep_v v(t-1) / 4096) + u(t) + bias, f
 spike                    s(t) = 1 if v(t) > theta, and then v(t) is reset to 0
 =======================  ========================================================================
 
-keep_u and keep_v are integers from 2 to 4095; theta is a multiple of 64; floor, the lower voltage
-bound, is -(2^k) + 1; the bias is 12 bits times a power of two.  Without a refractory period
-(NengoLoihi's ``tau_ref`` of 0) the neuron integrates again in the step after its spike.  On the
-chip a spike arrives one step after it was sent; here it arrives in the same step, which only shifts
-the spikes of layer n by n steps.
+keep_u and keep_v are integers from 2 to 4095, in 4096ths; theta is a multiple of 64; floor, the
+lower voltage bound, is -(2^k) + 1; the bias is 12 bits times a power of two.  Without a refractory
+period (NengoLoihi's ``tau_ref`` of 0) the neuron integrates again in the step after its spike.  On
+the chip a spike arrives one step after it was sent; here it arrives in the same step, which only
+shifts the spikes of layer n by n steps.
 
 The trained parameters are real numbers: weights W and biases b in units of the threshold, and for
 each layer one time constant of the current and one of the voltage.  They determine the integers:

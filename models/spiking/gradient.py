@@ -19,9 +19,8 @@ import numpy as np
 
 from deploy.network.chip import LOIHI
 from models.architecture import Architecture
-from models.integers import BIAS_MANTISSA, DECAY_UNIT, MAX_THRESHOLD, THRESHOLD_UNIT, WEIGHT_UNIT
 from models.spiking import compiled
-from models.spiking.network import BIAS_CAP, BIAS_EXPONENTS, OUTPUT_SCALE, Neuron
+from models.spiking.network import BIAS_CAP, MIN_KEEP_4096THS, OUTPUT_SCALE, Neuron
 
 # Samples that are computed together.
 SAMPLES_IN_GROUP = 4
@@ -33,7 +32,7 @@ class ChipLayer(NamedTuple):
     Attributes
     ----------
     kernel : ndarray, shape (rows, filters)
-        Weights, multiplied by ``WEIGHT_UNIT``.
+        Weights, multiplied by the chip's ``weight_unit``.
     bias, rest_voltage : ndarray, shape (neurons,)
     keep_u, keep_v : float
         Remaining share of current and voltage after a step.
@@ -55,28 +54,26 @@ class ChipLayer(NamedTuple):
     def from_real_numbers(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
         """The integers of trained variables, as `SpikingNetwork.compute_integers`."""
         scale = max(float(np.abs(kernel).max()), 1e-12) / LOIHI.weight_levels
-        threshold = THRESHOLD_UNIT * np.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
-        threshold = float(np.clip(threshold, THRESHOLD_UNIT, MAX_THRESHOLD))
-        keep_u, keep_v = (
-            float(np.clip(np.round(DECAY_UNIT * _compute_sigmoid(tau)), 2, DECAY_UNIT - 1))
-            for tau in (tau_u, tau_v)
-        )
-        cap = BIAS_CAP * (1 - keep_v / DECAY_UNIT)
+        unit = LOIHI.threshold_unit
+        threshold = unit * np.round(LOIHI.weight_unit / unit / scale)
+        threshold = float(np.clip(threshold, unit, LOIHI.max_threshold))
+        keep_u, keep_v = (_round_share(_compute_sigmoid(tau)) for tau in (tau_u, tau_v))
+        cap = BIAS_CAP * (1 - keep_v)
         bias = _round_to_twelve_bits(np.minimum(bias, cap) * threshold)
         lowest = 1 - 2.0 ** np.round(np.log2(1 - floor * threshold))
-        below = np.floor((np.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
+        below = np.floor((np.abs(bias) - 1) / (1 - keep_v))
         rest_voltage = np.maximum(np.sign(bias) * (below + 1), lowest)
         repeats = neurons // len(bias)
         weights = np.round(kernel / scale)
         return cls(
-            kernel=(WEIGHT_UNIT * weights).astype(np.float32),
+            kernel=(LOIHI.weight_unit * weights).astype(np.float32),
             bias=np.tile(bias, repeats).astype(np.float32),
             rest_voltage=np.tile(rest_voltage, repeats).astype(np.float32),
-            keep_u=np.float32(keep_u / DECAY_UNIT),
-            keep_v=np.float32(keep_v / DECAY_UNIT),
+            keep_u=np.float32(keep_u),
+            keep_v=np.float32(keep_v),
             threshold=np.float32(threshold),
             floor=np.float32(lowest),
-            kernel_slope=np.float32(WEIGHT_UNIT / scale),
+            kernel_slope=np.float32(LOIHI.weight_unit / scale),
         )
 
 
@@ -378,8 +375,15 @@ def _compute_sigmoid(values):
     return 1 / (1 + np.exp(-np.asarray(values, np.float64)))
 
 
+def _round_share(share):
+    """A share that remains after a step, rounded to a multiple of 1/4096 that the chip can have."""
+    unit = LOIHI.decay_unit
+    return float(np.clip(np.round(unit * share), MIN_KEEP_4096THS, LOIHI.decay_levels)) / unit
+
+
 def _round_to_twelve_bits(bias):
     """Round to 12 bits times the smallest sufficient power of two, at most 2^7."""
-    size = np.abs(bias)[:, None] / BIAS_MANTISSA
-    unit = 2.0 ** np.sum(size > 2.0 ** np.arange(BIAS_EXPONENTS), 1)
-    return np.round(np.clip(bias / unit, -BIAS_MANTISSA, BIAS_MANTISSA)) * unit
+    mantissa = LOIHI.max_bias_mantissa
+    size = np.abs(bias)[:, None] / mantissa
+    unit = 2.0 ** np.sum(size > 2.0 ** np.arange(LOIHI.bias_exponents - 1), 1)
+    return np.round(np.clip(bias / unit, -mantissa, mantissa)) * unit

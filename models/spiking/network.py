@@ -4,20 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.network.chip import LOIHI
 from models.architecture import Architecture
-from models.integers import (
-    BIAS_MANTISSA,
-    DECAY_UNIT,
-    MAX_THRESHOLD,
-    THRESHOLD_UNIT,
-    WEIGHT_UNIT,
-    Integers,
-)
+from models.integers import Integers
 from models.keras.keras2 import quiet_compiler, tf
 from models.quantised import find_weight_scale, pass_gradient_through
 from models.spiking.neurons import find_length, fire
 
-BIAS_EXPONENTS = 7
+# Smallest share of current and voltage that remains after a step.
+MIN_KEEP_4096THS = 2
 
 # Largest voltage that a bias alone may cause, as a share of the threshold.
 BIAS_CAP = 0.9
@@ -205,23 +200,26 @@ class SpikingNetwork(tf.Module):
             for array in ("kernel", "bias", "tau_u", "tau_v")
         )
         scale = find_weight_scale(kernel)
-        threshold = THRESHOLD_UNIT * tf.round(WEIGHT_UNIT / THRESHOLD_UNIT / scale)
-        threshold = tf.clip_by_value(threshold, THRESHOLD_UNIT, MAX_THRESHOLD)
-        keep_u, keep_v = (
+        unit = LOIHI.threshold_unit
+        threshold = unit * tf.round(LOIHI.weight_unit / unit / scale)
+        threshold = tf.clip_by_value(threshold, unit, LOIHI.max_threshold)
+        keep_u_4096ths, keep_v_4096ths = (
             tf.clip_by_value(
-                pass_gradient_through(tf.round, DECAY_UNIT * tf.sigmoid(tau)), 2, DECAY_UNIT - 1
+                pass_gradient_through(tf.round, LOIHI.decay_unit * tf.sigmoid(tau)),
+                MIN_KEEP_4096THS,
+                LOIHI.decay_levels,
             )
             for tau in (tau_u, tau_v)
         )
-        cap = tf.stop_gradient(BIAS_CAP * (1 - keep_v / DECAY_UNIT))
+        cap = tf.stop_gradient(BIAS_CAP * (1 - keep_v_4096ths / LOIHI.decay_unit))
         capped = bias + tf.stop_gradient(tf.minimum(bias, cap) - bias)
         return {
-            "kernel": WEIGHT_UNIT * pass_gradient_through(tf.round, kernel / scale),
+            "kernel": LOIHI.weight_unit * pass_gradient_through(tf.round, kernel / scale),
             "bias": pass_gradient_through(_round_to_twelve_bits, capped * threshold),
             "threshold": threshold,
             "floor": -_round_to_power_of_two(1 - self.neuron.floor * threshold) + 1,
-            "keep_u": keep_u,
-            "keep_v": keep_v,
+            "keep_u_4096ths": keep_u_4096ths,
+            "keep_v_4096ths": keep_v_4096ths,
         }
 
     def compute_integers(self) -> dict:
@@ -234,14 +232,14 @@ class SpikingNetwork(tf.Module):
         layers = {}
         for name in self.names:
             chip = self._round_to_chip(name, self.variables_by_name, tf.float64)
-            weights = np.rint(chip["kernel"].numpy() / WEIGHT_UNIT).astype(np.int32)
+            kernel = np.rint(chip["kernel"].numpy() / LOIHI.weight_unit).astype(np.int32)
             layers[name] = Integers(
-                weights=weights,
+                kernel=kernel,
                 bias=chip["bias"].numpy().astype(np.int32),
                 threshold=int(chip["threshold"].numpy()),
                 floor=int(chip["floor"].numpy()),
-                keep_u=int(chip["keep_u"].numpy()),
-                keep_v=int(chip["keep_v"].numpy()),
+                keep_u_4096ths=int(chip["keep_u_4096ths"].numpy()),
+                keep_v_4096ths=int(chip["keep_v_4096ths"].numpy()),
             )
         return layers
 
@@ -303,11 +301,12 @@ def _repeat_bias(parameters, neurons):
 
 def _round_to_twelve_bits(bias):
     """Round to 12 bits times the smallest sufficient power of two, at most 2^7."""
-    size = tf.abs(bias)[..., None] / BIAS_MANTISSA
-    limits = tf.constant(2.0 ** np.arange(BIAS_EXPONENTS), bias.dtype)
+    mantissa = LOIHI.max_bias_mantissa
+    size = tf.abs(bias)[..., None] / mantissa
+    limits = tf.constant(2.0 ** np.arange(LOIHI.bias_exponents - 1), bias.dtype)
     exponent = tf.reduce_sum(tf.cast(size > limits, bias.dtype), -1)
     unit = tf.pow(tf.constant(2, bias.dtype), exponent)
-    return tf.round(tf.clip_by_value(bias / unit, -BIAS_MANTISSA, BIAS_MANTISSA)) * unit
+    return tf.round(tf.clip_by_value(bias / unit, -mantissa, mantissa)) * unit
 
 
 def _round_to_power_of_two(x):

@@ -5,10 +5,13 @@ The equations are in :mod:`models.spiking`.
 
 import functools
 
-from models.integers import DECAY_UNIT
+from deploy.network.chip import LOIHI
 from models.keras.keras2 import tf
 
-_NEURON_PARAMETERS = ("keep_u", "keep_v", "bias", "threshold", "floor")
+# Denominator of the shares that remain.
+DECAY_UNIT = LOIHI.decay_unit
+
+_NEURON_PARAMETERS = ("keep_u_4096ths", "keep_v_4096ths", "bias", "threshold", "floor")
 
 
 def fire(current, parameters: dict, beta: float):
@@ -19,8 +22,8 @@ def fire(current, parameters: dict, beta: float):
     current : tensor, shape (steps, samples, neurons)
         q of the equations.
     parameters : dict of str to tensor
-        ``keep_u``, ``keep_v``, ``threshold``, ``floor``: scalars; ``bias``: shape (neurons,).  All
-        are in the chip's integers; threshold and floor have no gradient.
+        ``keep_u_4096ths``, ``keep_v_4096ths``, ``threshold``, ``floor``: scalars; ``bias``: shape
+        (neurons,).  All are in the chip's integers; threshold and floor have no gradient.
     beta : float
         See :class:`models.spiking.network.Neuron`.
 
@@ -31,8 +34,10 @@ def fire(current, parameters: dict, beta: float):
     """
 
     @tf.custom_gradient
-    def with_gradient(current, keep_u, keep_v, bias, threshold, floor):
-        constants = [tf.stop_gradient(x) for x in (keep_u, keep_v, bias, threshold, floor)]
+    def with_gradient(current, keep_u_4096ths, keep_v_4096ths, bias, threshold, floor):
+        constants = [
+            tf.stop_gradient(x) for x in (keep_u_4096ths, keep_v_4096ths, bias, threshold, floor)
+        ]
         spikes, u, v = _run(tf.stop_gradient(current), *constants)
 
         def gradient(error):
@@ -51,14 +56,14 @@ _compiled = functools.partial(tf.function, jit_compile=True, autograph=False)
 
 
 @_compiled
-def _run(current, keep_u, keep_v, bias, threshold, floor):
+def _run(current, keep_u_4096ths, keep_v_4096ths, bias, threshold, floor):
     """Spikes, currents, and voltages before the reset, at every step; see :func:`fire`."""
-    rest_voltage = tf.maximum(_compute_rest_voltage(keep_v, bias), floor)
+    rest_voltage = tf.maximum(_compute_rest_voltage(keep_v_4096ths, bias), floor)
 
     def step(t, state):
         u, v = state
-        u = _decay(u, keep_u) + current[t]
-        v = tf.maximum(_decay(v, keep_v) + u + bias, floor)
+        u = _decay(u, keep_u_4096ths) + current[t]
+        v = tf.maximum(_decay(v, keep_v_4096ths) + u + bias, floor)
         return (u, tf.where(v > threshold, tf.zeros_like(v), v)), (u, v)
 
     v = tf.zeros_like(current[0]) + rest_voltage
@@ -68,13 +73,13 @@ def _run(current, keep_u, keep_v, bias, threshold, floor):
 
 @_compiled
 def _run_back(  # noqa: PLR0913 - TensorFlow compiles a function of tensors
-    error, spikes, v, beta, keep_u, keep_v, bias, threshold, floor
+    error, spikes, v, beta, keep_u_4096ths, keep_v_4096ths, bias, threshold, floor
 ):
     """dE/du and dE/dv at every step."""
     slope = error / (threshold * tf.square(1 + beta * tf.abs(v / threshold - 1)))
     free = tf.cast(v > floor, error.dtype)
-    a = keep_u / DECAY_UNIT
-    b = keep_v / DECAY_UNIT
+    a = keep_u_4096ths / DECAY_UNIT
+    b = keep_v_4096ths / DECAY_UNIT
 
     def step(t, state):
         grad_u, grad_v = state
@@ -87,12 +92,13 @@ def _run_back(  # noqa: PLR0913 - TensorFlow compiles a function of tensors
     return scan(step, error, (nothing, nothing), outputs=2, backwards=True)
 
 
-def _compute_rest_voltage(keep_v, bias):
+def _compute_rest_voltage(keep_v_4096ths, bias):
     """The resting voltage: the first fixed point that a bias alone reaches from 0.
 
-    v = trunc(keep_v v / 4096) + bias is true if ceil(v (4096 - keep_v) / 4096) = bias, v > 0.
+    With k = keep_v_4096ths, v = trunc(k v / 4096) + bias is true if ceil(v (4096 - k) / 4096) =
+    bias, v > 0.
     """
-    lower = tf.floor((tf.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v))
+    lower = tf.floor((tf.abs(bias) - 1) * DECAY_UNIT / (DECAY_UNIT - keep_v_4096ths))
     return tf.sign(bias) * (lower + 1)
 
 

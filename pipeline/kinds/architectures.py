@@ -162,7 +162,7 @@ def make_untrained_network(text: str, on_events: bool, deployment: Deployment) -
     chain = [
         replace(
             link,
-            weights=rng.uniform(0.5, 1.0, link.weights.shape),
+            kernel=rng.uniform(0.5, 1.0, link.kernel.shape),
             neurons=None if on_host and link is links[-1] else Neurons(0.01),
             synapse=deployment.synapse or None,
         )

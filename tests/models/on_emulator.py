@@ -63,11 +63,11 @@ def emulate(architecture, integers, frames, gap=0):
             bias = np.tile(chip.bias, n // len(chip.bias))
             ensemble = nengo.Ensemble(n, 1, neuron_type=neurons, gain=np.ones(n), bias=bias)
             if layer.kind == "dense":
-                transform = nengo.Dense((n, int(np.prod(shape))), init=chip.weights.T)
+                transform = nengo.Dense((n, int(np.prod(shape))), init=chip.kernel.T)
             else:
                 transform = nengo.Convolution(
                     layer.filters, shape, strides=(layer.stride,) * 2,
-                    kernel_size=(layer.kernel_size,) * 2, padding=layer.padding, init=chip.weights,
+                    kernel_size=(layer.kernel_size,) * 2, padding=layer.padding, init=chip.kernel,
                 )  # fmt: skip
             synapse = nengo.Lowpass(chip.synapse) if chip.synapse else None
             nengo.Connection(sender.neurons, ensemble.neurons, transform=transform, synapse=synapse)

@@ -25,19 +25,19 @@ def decay(x, keep):
 
 def run(layer, integers, frames):
     """Spikes, currents and voltages (before the reset) of a layer, each (steps, neurons)."""
-    weights = integers.weights.astype(np.int64)
+    weights = integers.kernel.astype(np.int64)
     n = int(np.prod(layer.compute_shape(frames.shape[1:])))
     bias = np.tile(integers.bias.astype(np.int64), n // len(integers.bias))
     u = v = np.zeros(n, np.int64)
     while True:  # to where the bias alone leads
-        settled = np.maximum(decay(v, integers.keep_v) + bias, integers.floor)
+        settled = np.maximum(decay(v, integers.keep_v_4096ths) + bias, integers.floor)
         if np.array_equal(settled, v):
             break
         v = settled
     spikes, currents, voltages = [], [], []
     for frame in frames.astype(np.int64):
-        u = decay(u, integers.keep_u) + 128 * convolve(frame, layer, weights).reshape(-1)
-        v = np.maximum(decay(v, integers.keep_v) + u + bias, integers.floor)
+        u = decay(u, integers.keep_u_4096ths) + 128 * convolve(frame, layer, weights).reshape(-1)
+        v = np.maximum(decay(v, integers.keep_v_4096ths) + u + bias, integers.floor)
         s = v > integers.threshold
         spikes.append(s.astype(np.int64))
         currents.append(u)
@@ -71,7 +71,7 @@ def gradients(error, current, spikes, voltages, layer, beta):
     keep_u, keep_v : float
     bias : ndarray, shape (neurons,)
     """
-    a, b = layer.keep_u / 4096, layer.keep_v / 4096
+    a, b = layer.keep_u_4096ths / 4096, layer.keep_v_4096ths / 4096
     to_q, by_a, by_b, by_bias = np.zeros(error.shape), 0.0, 0.0, 0.0
     to_u = to_v = np.zeros(error.shape[1])
     for t in reversed(range(len(error))):

@@ -36,7 +36,7 @@ def by_layers(network, inputs, step, method):
         if layer.neurons is not None:
             signal = simulate_spikes(layer, signal)
         else:
-            added, signal = signal @ layer.weights, np.zeros((*signal.shape[:2], layer.size))
+            added, signal = signal @ layer.kernel, np.zeros((*signal.shape[:2], layer.size))
             state = np.zeros(layer.size)
             keep = 0.0 if layer.synapse is None else np.exp(-0.001 / layer.synapse)
             for t in range(added.shape[1]):
@@ -246,9 +246,14 @@ def test_integers_by_hand():
     )
     (layer,) = from_nir(network, 0.001)
     result = round_to_integers(layer)
-    assert result.weights.T.tolist() == [[127, -64]]
-    assert (result.threshold, result.keep_u, result.keep_v, result.exponent) == (64 * 254, 1, 2, 0)
-    assert round_to_integers(layer, 0.5).weights.T.tolist() == [[127, -127]]
+    assert result.kernel.T.tolist() == [[127, -64]]
+    assert (result.threshold, result.keep_u_4096ths, result.keep_v_4096ths, result.exponent) == (
+        64 * 254,
+        1,
+        2,
+        0,
+    )
+    assert round_to_integers(layer, 0.5).kernel.T.tolist() == [[127, -127]]
 
 
 def test_the_scale_is_chosen_on_samples():
@@ -260,7 +265,7 @@ def test_the_scale_is_chosen_on_samples():
     (layer,) = from_nir(network, 0.001)
     inputs = spikes(rng, 8, 200, (20,), 0.3)
     inputs[:, :, 0] = 0
-    assert np.abs(round_to_integers(layer).weights[1:]).max() < 5
+    assert np.abs(round_to_integers(layer).kernel[1:]).max() < 5
     expected = simulate_spikes(layer, inputs).sum(1).astype(int)
 
     def error(integers):
@@ -280,8 +285,8 @@ def test_rounding_is_made_up_for_where_inputs_are_active_together():
     inputs = np.zeros((1, 80, 3))
     inputs[0, ::8] = [1, 0, 1]
     inputs[0, 4::8] = [0, 1, 0]
-    result = round_to_integers(layer, 1.0, measure_moments(layer, inputs)).weights.ravel()
-    assert round_to_integers(layer).weights.ravel().tolist() == [0, 127, 0]
+    result = round_to_integers(layer, 1.0, measure_moments(layer, inputs)).kernel.ravel()
+    assert round_to_integers(layer).kernel.ravel().tolist() == [0, 127, 0]
     assert sorted(result[[0, 2]]) == [0, 1]
     assert result[1] == 127
 
@@ -305,13 +310,13 @@ def test_compensated_weights_add_up_better_and_keep_the_largest(seed):
             round_to_integers(layer, 1.0, measure_moments(layer, signal)),
         )
         unit = layer.pool**2 * 128 * 2.0**near.exponent / near.threshold
-        real = compute_currents(layer, layer.weights / layer.pool**2, signal)
+        real = compute_currents(layer, layer.kernel / layer.pool**2, signal)
 
         def error(integers, layer=layer, signal=signal, unit=unit, real=real):
-            added = compute_currents(layer, integers.weights * unit / layer.pool**2, signal)
+            added = compute_currents(layer, integers.kernel * unit / layer.pool**2, signal)
             return np.square(np.cumsum(added - real, 1)).mean()
 
-        assert np.abs(made_up.weights).max() == 127
+        assert np.abs(made_up.kernel).max() == 127
         assert error(made_up) < error(near)
         signal = simulate_spikes(layer, signal)
 

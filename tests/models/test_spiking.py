@@ -3,8 +3,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from deploy.network.chip import LOIHI
 from models.architecture import parse
-from models.integers import MAX_THRESHOLD, Integers
+from models.integers import Integers
 from models.keras.keras2 import tf
 from models.spiking.network import (
     Neuron,
@@ -89,28 +90,37 @@ def test_nengoloihis_emulator_makes_the_same_spikes(text):
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**20),
-    keep_u=st.integers(2, 4095),
-    keep_v=st.integers(2, 4095),
-    threshold=st.integers(20, MAX_THRESHOLD // 64),
+    keep_u_4096ths=st.integers(2, 4095),
+    keep_v_4096ths=st.integers(2, 4095),
+    threshold=st.integers(20, LOIHI.max_threshold // 64),
     floor=st.integers(0, 23),
     largest_bias=st.sampled_from([0, 100, 4095, 4095 << 7]),
 )
 # NengoLoihi halves a network whose threshold is one unit above this one.
-@example(seed=0, keep_u=273, keep_v=587, threshold=MAX_THRESHOLD // 64, floor=0, largest_bias=0)
-def test_nengoloihi_comes_to_any_integers(seed, keep_u, keep_v, threshold, floor, largest_bias):
+@example(
+    seed=0,
+    keep_u_4096ths=273,
+    keep_v_4096ths=587,
+    threshold=LOIHI.max_threshold // 64,
+    floor=0,
+    largest_bias=0,
+)
+def test_nengoloihi_comes_to_any_integers(
+    seed, keep_u_4096ths, keep_v_4096ths, threshold, floor, largest_bias
+):
     rng = np.random.default_rng(seed)
     weights = rng.integers(-127, 128, (3, 3, 2, 4))
     weights.flat[0] = -127
     bias = largest_bias * np.array([1, -1, 0, 1])
-    layer = Integers(weights, bias, threshold * 64, 1 - 2**floor, keep_u, keep_v)
+    layer = Integers(weights, bias, threshold * 64, 1 - 2**floor, keep_u_4096ths, keep_v_4096ths)
     # One output neuron a position, so that it is one block.
     architecture = parse("5x5x2-4c3-10o")
     _, (block,) = emulate(architecture, {"conv1": layer}, np.zeros((1, 5, 5, 2), np.uint8))
     compartment = block.compartment
     assert set(compartment.vth) == {layer.threshold}
     assert compartment.vmin == layer.floor
-    assert set(4095 - compartment.decay_u) == {keep_u}
-    assert set(4096 - compartment.decay_v) == {keep_v}
+    assert set(4095 - compartment.decay_u) == {keep_u_4096ths}
+    assert set(4096 - compartment.decay_v) == {keep_v_4096ths}
     np.testing.assert_array_equal(compartment.bias.reshape(9, 4), np.tile(bias, (9, 1)))
     assert set(compartment.refract_delay) == {1}
     (synapse,) = block.synapses
@@ -137,10 +147,15 @@ def test_gradients_through_time_are_those_of_plain_numpy(floor):
     def tensor(value):
         return tf.Variable(np.asarray(value, float))
 
-    q = 128 * (frames.reshape(steps, 8).astype(float) @ layer.weights)
-    inputs = [tensor(q[:, None]), tensor(layer.keep_u), tensor(layer.keep_v), tensor(layer.bias)]
+    q = 128 * (frames.reshape(steps, 8).astype(float) @ layer.kernel)
+    inputs = [
+        tensor(q[:, None]),
+        tensor(layer.keep_u_4096ths),
+        tensor(layer.keep_v_4096ths),
+        tensor(layer.bias),
+    ]
     parameters = {
-        **dict(zip(("keep_u", "keep_v", "bias"), inputs[1:], strict=True)),
+        **dict(zip(("keep_u_4096ths", "keep_v_4096ths", "bias"), inputs[1:], strict=True)),
         "threshold": tf.constant(float(layer.threshold), tf.float64),
         "floor": tf.constant(float(layer.floor), tf.float64),
     }
@@ -219,8 +234,8 @@ def test_weights_there_and_back():
         np.testing.assert_allclose(value, weights[name], rtol=1e-5)
     for name, layer in other.compute_integers().items():
         result = network.compute_integers()[name]
-        np.testing.assert_array_equal(layer.weights, result.weights)
-        assert (layer.threshold, layer.keep_u) == (result.threshold, result.keep_u)
+        np.testing.assert_array_equal(layer.kernel, result.kernel)
+        assert (layer.threshold, layer.keep_u_4096ths) == (result.threshold, result.keep_u_4096ths)
     with pytest.raises(ValueError, match=r"conv1\.kernel"):
         other.set_weights({**weights, "conv1.kernel": np.zeros((1, 1, 2, 8))})
     with pytest.raises(ValueError, match=r"dense1\.tau_u"):

@@ -14,7 +14,7 @@ from deploy.terminal import WARNING
 from models import chain
 from models.nir.chain import from_nir
 from models.nir.graph import NirNetwork
-from models.rounding import FLOOR, round_chain, round_to_integers
+from models.rounding import round_chain, round_to_integers
 from pipeline.kinds.nir.importing import Stepping
 from pipeline.settings import Settings
 
@@ -74,8 +74,8 @@ def list_conversion_notes(
     for index, layer in enumerate(layers):
         if layer.neurons is None:
             continue
-        scaled = replace(layer, weights=layer.weights * (1.0 if index else height))
-        floor = FLOOR / round_to_integers(scaled).threshold
+        scaled = replace(layer, kernel=layer.kernel * (1.0 if index else height))
+        floor = -LOIHI.voltage_limit / round_to_integers(scaled).threshold
         if floor > FLOOR_IN_THRESHOLDS:
             yield f"{layer}: the chip's voltages end at {-floor:.1f} thresholds below the reset"
     for node in network.nodes:

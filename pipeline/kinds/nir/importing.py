@@ -188,7 +188,7 @@ def require_convertible_graph(settings: Settings, strict: bool = False):
     try:
         first, *others = from_nir(network, stepping.step_s, stepping.method)
         height = settings.stimulus.area / LOIHI.dt
-        for layer in (replace(first, weights=first.weights * height), *others):
+        for layer in (replace(first, kernel=first.kernel * height), *others):
             if layer.neurons is not None:
                 round_to_integers(layer)
     except UserError as error:

@@ -157,10 +157,10 @@ def test_an_exported_network_on_events_has_the_same_weights_again():
     for link, layer in zip(from_nir(graph, 0.001, "exact", (8, 8, 2)), spec.layers, strict=True):
         weights = layer.weights if layer.kind == "conv" else layer.weights.T
         if layer.neurons is None:
-            np.testing.assert_allclose(link.weights, weights)
+            np.testing.assert_allclose(link.kernel, weights)
             continue
         whole = np.rint(127 * weights / np.abs(weights).max())
-        assert np.abs(round_to_integers(link).weights - whole).max() <= 1
+        assert np.abs(round_to_integers(link).kernel - whole).max() <= 1
 
 
 def test_the_export_of_a_bundle_on_images_is_imported(tmp_path):
