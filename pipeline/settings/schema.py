@@ -43,26 +43,6 @@ from pipeline.settings.relations import IMPORTED, check_relations
 # Settings with the path of a file. The origin of an artifact has a hash of the file's content
 # instead of the path, so that every artifact may read these settings.
 PATHS = ("data.source", "cnn.model", "nir.file")
-# Settings with a value that stands for one that the program chooses.
-AUTOMATIC_VALUES: dict[str, float | str] = {
-    "data.samples_per_digit": 0,
-    "data.time_unit": "",
-    "data.rise": -1,
-    "skin.rows": 0,
-    "skin.columns": 0,
-    "image.duration": 0,
-    "cnn.epochs": 0,
-    "snn.epochs": 0,
-    "snn.batch_size": 0,
-    "snn.learning_rate": 0,
-    "nir.step": 0,
-    "events.epochs": 0,
-    "events.parts": 0,
-    "events.part": 0,
-    "presentation.steps": 0,
-}
-# Settings whose default asks for a choice, also if the user states it.
-CHOSEN_AT_DEFAULT = {"presentation.steps", "events.parts", "events.part", "events.augment"}
 # Settings that a trained network may change unless they are the user's: what is made from them
 # depends on whose they are.
 KEPT_IF_USERS = ("presentation.gap",)
@@ -154,11 +134,12 @@ class Settings(SettingsGroup):
         """Where the value of a setting comes from.
 
         A value that is not the default is the user's unless it was chosen: the user may have
-        edited the file of the settings.
+        edited the file of the settings.  A default that asks for a choice is never the user's.
         """
-        is_default = self.get_value(name) == find_default(name)
-        if is_default and name in CHOSEN_AT_DEFAULT:
+        value = self.get_value(name)
+        if is_automatic(name, value):
             return Provenance.DEFAULT
+        is_default = value == find_default(name)
         return self.provenance.get(name, Provenance.DEFAULT if is_default else Provenance.USER)
 
     def list_names(self, provenance: Provenance) -> tuple:
@@ -252,6 +233,21 @@ class Settings(SettingsGroup):
 def find_default(name: str):
     """The default of a setting by its dotted name."""
     return Settings().get_value(name)
+
+
+@functools.cache
+def list_automatic_names() -> frozenset:
+    """Dotted names of the settings whose defaults stand for values that the program chooses."""
+    return frozenset(
+        name
+        for name, section, entry in list_entries(Settings())
+        if section.__dataclass_fields__[entry].metadata.get("automatic")  # type: ignore[attr-defined]
+    )
+
+
+def is_automatic(name: str, value) -> bool:
+    """True if a setting's value stands for one that the program chooses."""
+    return name in list_automatic_names() and value == find_default(name)
 
 
 def _suggest_name(error):

@@ -11,7 +11,7 @@ import tomllib
 from deploy.errors import UserError
 from pipeline.settings.base import list_entries
 from pipeline.settings.nested import set_nested
-from pipeline.settings.schema import AUTOMATIC_VALUES, Settings
+from pipeline.settings.schema import Settings, is_automatic
 from pipeline.settings.toml import format_toml
 
 
@@ -58,9 +58,9 @@ def format_automatic(name: str, value) -> str:
         The setting's dotted name.
     value : object
     """
-    if name not in AUTOMATIC_VALUES or value != AUTOMATIC_VALUES[name]:
+    if not is_automatic(name, value):
         return ""
-    return f"automatic ({value:g})" if value != "" else "automatic"
+    return "automatic" if isinstance(value, str) else f"automatic ({value:g})"
 
 
 # The blanks before the name of a setting.

@@ -99,3 +99,10 @@ def test_a_value_that_the_user_edits_is_the_user_s(tmp_path):
     own = read_own_settings(path)
     assert own.list_names(Provenance.USER) == ("input.step",)
     assert own.input.step == 10
+
+
+@pytest.mark.parametrize("name", ["snn.epochs", "events.parts", "events.augment", "skin.rows"])
+def test_an_automatic_value_that_the_user_states_is_open(name):
+    stated = Settings().with_named_values({name: Settings().get_value(name)})
+    assert stated.is_open(name)
+    assert not stated.with_named_values({name: "time" if "augment" in name else 3}).is_open(name)
