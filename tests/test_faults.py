@@ -127,7 +127,7 @@ def test_a_process_that_is_killed(refused, tmp_path, monkeypatch):
         with call_in_processes([delayed(os.kill)(0, 0), delayed(os.abort)()], 2) as results:
             return list(results)
 
-    monkeypatch.setattr("pipeline.recordings.statistics.list_facts_with_events", killed)
+    monkeypatch.setattr("pipeline.recordings.facts.list_facts_with_events", killed)
     assert "--jobs" in refused("data", "import", tmp_path / "st.zip", "--jobs", 1)
 
 

@@ -50,7 +50,7 @@ def import_(
     as_json: options.Json = False,
 ):
     """Read recordings once and store them in the cache, so that the next start is fast."""
-    from pipeline.recordings.statistics import format_facts, list_facts_with_events
+    from pipeline.recordings.facts import format_facts, list_facts_with_events
 
     recordings = _load_recordings(source, reading, jobs)
     facts = list_facts_with_events(recordings)
@@ -64,7 +64,7 @@ def inspect(
 ):
     """Print facts about one recording."""
     from pipeline.recordings.cached_recordings import make_reading_options
-    from pipeline.recordings.statistics import format_facts_of_file, list_facts_of_file
+    from pipeline.recordings.facts_of_file import format_facts_of_file, list_facts_of_file
 
     is_zip = file.suffix.lower() == ".zip" and file.is_file()
     if file.is_dir() or is_zip:
@@ -92,8 +92,8 @@ def simulate_(
     if os.path.lexists(out):
         raise UserError(f"{out}: exists; choose another name, or move it away")
     from pipeline.progress import progress
+    from pipeline.recordings.facts import list_facts_with_events
     from pipeline.recordings.files.writing import write_mat_zip
-    from pipeline.recordings.statistics import list_facts_with_events
 
     recordings = _load_recordings(
         SIMULATED, reading, jobs, simulation_seed=seed, samples_per_digit=samples_per_digit

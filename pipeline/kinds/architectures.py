@@ -14,7 +14,6 @@ from models.architecture import parse
 from models.chain import build_network_spec, make_links
 from pipeline.recordings.sensor import MIN_GRID_SIDE, Sensor, describe_size
 from pipeline.settings import Deployment
-from pipeline.training.event_rules import NetworkSize, choose_hidden_units
 
 # Rows and columns of the first convolution's output on images, at most, on average.
 MAX_MAP_SIDE = 14
@@ -65,27 +64,6 @@ def suggest_architecture(
         first = f"6c{stride + 2}s{stride}"
         middle = [first, "24c3"] if smallest >= stride + 2 + 2 * stride else [f"{hidden}"]
     return "-".join([size, *middle, end])
-
-
-def suggest_event_architecture(sensor: Sensor, size: NetworkSize, samples: int) -> str:
-    """An architecture of a size for a network on events.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    size : pipeline.training.event_rules.NetworkSize
-    samples : int
-        Number of training samples; 0 for handwriting on a simulated sensor.
-    """
-    classes = len(sensor.classes)
-    if size.name == "small" and not samples:
-        return suggest_architecture(sensor, on_events=True)
-    if not size.is_for(sensor, samples):
-        return suggest_architecture(sensor, True, choose_hidden_units(size, samples, classes))
-    side = math.sqrt(sensor.rows * sensor.columns)
-    stride = max(size.stride, math.floor(side / EVENT_MAP))
-    convolution = f"{size.filters}c{stride + size.overlap}s{stride}"
-    return f"{sensor.rows}x{sensor.columns}x2-{convolution}-{size.hidden}-{classes}o"
 
 
 def describe_choice(section: str, architecture: str, sensor: Sensor) -> str:

@@ -13,7 +13,7 @@ from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration, alter
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.spike_frames import EventTable, SpikeLimits, make_spike_frames
 from pipeline.settings import EventTraining, Input, Settings
-from pipeline.training.event_rules import choose_epochs
+from pipeline.training.event_updates import choose_epochs
 
 # Shares of the training samples with hot and with dead taxels. On ST-MNIST a quarter of each cost
 # 1.4 points without faults; with none, one hot taxel cost 6. With a twentieth it costs 3.5.
@@ -40,7 +40,7 @@ class EventDesign:
     section_starts : tuple of int
         First step of each section of a sample.
     epochs, batch_size : int
-        0 epochs: as many as :func:`pipeline.training.event_rules.choose_epochs` says.
+        0 epochs: as many as :func:`pipeline.training.event_updates.choose_epochs` says.
     learning_rate : float
         Learning rate of Adam after a short warm-up; it then falls to 0 along a half cosine.
     average : float

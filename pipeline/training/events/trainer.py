@@ -14,7 +14,7 @@ from models.architecture import parse
 from models.spiking.gradient import Batch, SpikingGradient
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.spike_frames import EventTable
-from pipeline.training.event_rules import TAIL_STEPS
+from pipeline.training.event_updates import TAIL_STEPS
 from pipeline.training.events.checkpoint import Checkpoint, train_epochs
 from pipeline.training.events.design import EventDesign
 from pipeline.training.events.estimator import train_estimator

@@ -7,7 +7,9 @@ import pytest
 
 from deploy.errors import SeveralErrors, UserError
 from models.architecture import parse
-from pipeline.kinds.architectures import suggest_architecture, suggest_event_architecture
+from pipeline.kinds.architectures import suggest_architecture
+from pipeline.kinds.events.sizes import SIZES as NETWORK_SIZES
+from pipeline.kinds.events.sizes import suggest_event_architecture
 from pipeline.kinds.image import choices
 from pipeline.kinds.preparation import choose_settings
 from pipeline.kinds.registry import find_kind
@@ -16,8 +18,7 @@ from pipeline.recordings.sensor import Sensor
 from pipeline.settings import Settings
 from pipeline.sources import load_recordings
 from pipeline.storage.run_folder import RunFolder
-from pipeline.training.event_rules import SIZES as NETWORK_SIZES
-from pipeline.training.event_rules import choose_epochs
+from pipeline.training.event_updates import choose_epochs
 from tests.command import missing
 from tests.own_sensor import CLASSES, gestures, write_folder
 

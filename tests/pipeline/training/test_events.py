@@ -9,7 +9,7 @@ from models.architecture import parse
 from models.spiking.network import SpikingNetwork
 from pipeline.paper import CNN_MACS
 from pipeline.recordings.augmentation import AUGMENTATIONS, Alteration
-from pipeline.training.event_rules import TAIL_STEPS
+from pipeline.training.event_updates import TAIL_STEPS
 from pipeline.training.events import (
     Checkpoint,
     EventDesign,

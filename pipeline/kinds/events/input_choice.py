@@ -1,10 +1,4 @@
-"""Rules that choose how a network on events is trained, and what it reads, for the recordings.
-
-For handwriting on the skin the defaults of the settings are used.  They were chosen on
-thousands of recordings of ten classes with few events.  For all other recordings the functions
-below choose what suits their number, their classes and their events.  The rules were
-cross-validated within the training sets of two sets of real recordings of touch, objects in a
-robot's hand and Braille letters.
+"""What a network on events reads of the recordings: refractory period, sections, spikes.
 
 The refractory period of the input compresses large counts of events, as a square root does, and
 saves operations, but it loses events.  Readout weights for sections of a recording tell when
@@ -15,44 +9,14 @@ all others.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deploy.arithmetic import divide_up, thin
-from pipeline.recordings.recordings import Recordings, is_handwriting
-from pipeline.recordings.sensor import Sensor
+from deploy.arithmetic import thin
 from pipeline.recordings.spike_frames import EventTable, SpikeLimits
-from pipeline.settings import EventTraining, Input
-
-# Number of steps after a sample's last event in which its spikes still reach the outputs.
-TAIL_STEPS = 3
-
-# Minimum number of updates of the weights in a training on events.
-MIN_UPDATES = 1440
-
-# Updates by the square root of the number of training samples.
-UPDATES_BY_ROOT_OF_SAMPLES = 60
-
-# Number of training samples below which there are few, and the dropout of spikes for few.
-FEW_SAMPLES = 2000
-FEW_DROPOUT = 0.5
-
-# Minimum number of passes over the training samples, unless these take more updates than that.
-MIN_EPOCHS = 40
-MAX_UPDATES_OF_MIN_EPOCHS = 8000
-
-# Neurons of the hidden layer of a standard network without convolution, for more classes than
-# `MANY_CLASSES` and for fewer; and for few samples also with a convolution.
-HIDDEN_FEW_SAMPLES = 256
-HIDDEN_MANY_CLASSES = 128
-HIDDEN = 64
-MANY_CLASSES = 10
-
-# Events per recording for which the budgets of the sizes hold; they grow with the events.
-USUAL_EVENTS = 500
+from pipeline.settings import Input
 
 # Longest bin of counted events that becomes a step, in milliseconds.
 MAX_BIN_MS = 50.0
@@ -82,60 +46,12 @@ RIDGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 MAX_COMPARED_SAMPLES = 800
 
 
-@dataclass(frozen=True)
-class NetworkSize:
-    """The capacity of a network on events.
-
-    Attributes
-    ----------
-    name : str
-        A value of ``events.size``.
-    filters, stride, overlap : int
-        Of the convolution; its kernel has ``stride + overlap`` rows and columns.  The stride is for
-        ten rows and columns of taxels and grows with them.
-    hidden : int
-        Neurons of the hidden layer after the convolution.
-    width : float
-        Neurons of the hidden layer of other networks, in multiples of the standard size's.
-    budget : float
-        Synaptic operations of a recording of `USUAL_EVENTS`, in multiples of the CNN's.
-    passes : int
-        Passes over the training samples, in multiples of :func:`choose_epochs`.
-    dropout : float
-        Share of a layer's neurons whose spikes are left out, unless there are few samples.
-    """
-
-    name: str
-    filters: int
-    stride: int
-    overlap: int
-    hidden: int
-    width: float
-    budget: float
-    passes: int = 1
-    dropout: float = EventTraining.dropout
-
-    def is_for(self, sensor: Sensor, samples: int) -> bool:
-        """True if a sensor and a number of training samples suit its convolution."""
-        return sensor.is_grid and samples >= FEW_SAMPLES
-
-
-SIZES = {
-    size.name: size
-    for size in (
-        NetworkSize("small", 24, 3, 1, hidden=64, width=0.5, budget=0.8),
-        NetworkSize("standard", 32, 2, 2, hidden=128, width=1.0, budget=2.0),
-        NetworkSize("large", 48, 2, 2, hidden=192, width=1.5, budget=3.5, passes=3, dropout=0.2),
-    )
-}
-
-
 class InputChoice(NamedTuple):
     """How the events of recordings become input spikes, and how many sections the readout has.
 
     Attributes
     ----------
-    refractory : int
+    refractory_steps : int
         Refractory period of a taxel and polarity, in steps.
     sections : int
         Number of sections of a recording with readout weights of their own.
@@ -146,7 +62,7 @@ class InputChoice(NamedTuple):
         refractory period and without any.
     """
 
-    refractory: int
+    refractory_steps: int
     sections: int
     lost: float
     accuracy: float
@@ -156,51 +72,11 @@ class InputChoice(NamedTuple):
         """The choice and its reason in a line, with the number of sections that the network has."""
         span = f"each of {sections} sections" if sections > 1 else "the whole"
         return (
-            f"refractory period of {self.refractory * step_ms:g} ms: {self.lost:.0%} of the "
+            f"refractory period of {self.refractory_steps * step_ms:g} ms: {self.lost:.0%} of the "
             "events are merged or ignored; a linear classifier of the others, cross-validated in "
             f"training, has {self.accuracy:.3f} (of all events {self.complete:.3f}); readout "
             f"weights for {span} of a recording"
         )
-
-
-def choose_epochs(samples: int, batch_size: int) -> int:
-    """Number of passes over the training samples, which has a suitable number of updates.
-
-    Parameters
-    ----------
-    samples : int
-        Number of training samples.
-    batch_size : int
-        Samples per update.
-    """
-    batches = divide_up(max(samples, 1), batch_size)
-    updates = max(MIN_UPDATES, UPDATES_BY_ROOT_OF_SAMPLES * math.sqrt(samples))
-    fewest = min(MIN_EPOCHS, MAX_UPDATES_OF_MIN_EPOCHS // batches)
-    return max(round(updates / batches), fewest, 1)
-
-
-def choose_size(name: str, recordings: Recordings) -> NetworkSize:
-    """The size of a network: ``auto`` is small for handwriting that is simulated, else standard.
-
-    Parameters
-    ----------
-    name : str
-        The value of ``events.size``.
-    recordings : Recordings
-    """
-    if name != "auto":
-        return SIZES[name]
-    source = recordings.source
-    is_easy = is_handwriting(recordings) and (source.simulated or source.written)
-    return SIZES["small" if is_easy else "standard"]
-
-
-def choose_hidden_units(size: NetworkSize, samples: int, classes: int) -> int:
-    """Neurons of the hidden layer of a network that has few samples or no convolution."""
-    hidden = HIDDEN_MANY_CLASSES if classes > MANY_CLASSES else HIDDEN
-    if samples < FEW_SAMPLES:
-        hidden = HIDDEN_FEW_SAMPLES
-    return round(hidden * size.width)
 
 
 def compute_bin_ms(table: EventTable) -> float | None:
@@ -218,11 +94,6 @@ def compute_bin_ms(table: EventTable) -> float | None:
         bin_us = math.gcd(bin_us, int(np.gcd.reduce(np.unique(time_us), initial=0)))
     bin_ms = bin_us / 1000
     return bin_ms if 1 <= bin_ms <= MAX_BIN_MS else None
-
-
-def choose_dropout(size: NetworkSize, samples: int) -> float:
-    """Dropout for touch that is not simulated handwriting."""
-    return FEW_DROPOUT if samples < FEW_SAMPLES else size.dropout
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -251,26 +122,26 @@ def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -
     target = np.asarray(labels)[compared]
     lost = {}
     accuracy = {}
-    for refractory in REFRACTORY_STEPS:
-        lost[refractory] = table.measure_loss(step_ms, refractory)
-        is_long = refractory * step_ms > MAX_REFRACTORY_MS
-        if refractory and (is_long or lost[refractory] > MAX_LOST_EVENT_SHARE):
+    for period in REFRACTORY_STEPS:
+        lost[period] = table.measure_loss(step_ms, period)
+        is_long = period * step_ms > MAX_REFRACTORY_MS
+        if period and (is_long or lost[period] > MAX_LOST_EVENT_SHARE):
             continue
-        spikes = _count_spikes(table, compared, step_ms, steps, refractory)
-        accuracy[refractory] = {
+        spikes = _count_spikes(table, compared, step_ms, steps, period)
+        accuracy[period] = {
             sections: measure_left_out_accuracy(_merge_sections(spikes, sections), target)
             for sections in SECTION_COUNTS
         }
-    mean = {refractory: np.mean(list(each.values())) for refractory, each in accuracy.items()}
-    refractory = max(
+    mean = {period: np.mean(list(each.values())) for period, each in accuracy.items()}
+    longest = max(
         each for each in mean if mean[each] >= max(mean.values()) - MAX_EQUAL_ACCURACY_GAP
     )
-    sections = _choose_sections(accuracy[refractory], len(compared))
+    sections = _choose_sections(accuracy[longest], len(compared))
     return InputChoice(
-        refractory=refractory,
+        refractory_steps=longest,
         sections=sections,
-        lost=lost[refractory],
-        accuracy=accuracy[refractory][sections],
+        lost=lost[longest],
+        accuracy=accuracy[longest][sections],
         complete=accuracy[0][sections],
     )
 
@@ -331,10 +202,10 @@ def choose_max_spikes(table: EventTable, train, stimulus: Input, steps: int) -> 
     return 0
 
 
-def _count_spikes(table, indices, step_ms, steps, refractory):
+def _count_spikes(table, indices, step_ms, steps, refractory_steps):
     """Spikes of each sample, finest section, taxel and polarity."""
     section = np.arange(steps) * SECTION_COUNTS[-1] // steps
-    limits = SpikeLimits(refractory)
+    limits = SpikeLimits(refractory_steps)
     counts = []
     for start in range(0, len(indices), 64):
         frames = table.make_frames(indices[start : start + 64], step_ms, steps, limits)

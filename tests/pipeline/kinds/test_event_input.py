@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.training import event_rules
+from pipeline.kinds.events import input_choice
+from pipeline.training.event_updates import MIN_EPOCHS, MIN_UPDATES, choose_epochs
 from tests.pipeline.handmade import event_table
 
 
@@ -27,20 +28,20 @@ def test_what_only_time_tells_is_read_in_parts():
 
     table, labels = table_of(events)
     train = np.arange(len(labels))
-    reading = event_rules.choose_input(table, labels, train, 10.0, 100)
+    reading = input_choice.choose_input(table, labels, train, 10.0, 100)
     assert reading.sections > 1
     assert reading.accuracy > 0.7
-    again = event_rules.choose_input(table, labels, train, 10.0, 100)
+    again = input_choice.choose_input(table, labels, train, 10.0, 100)
     assert again == reading
-    assert event_rules.choose_input(table, labels, train[:1], 10.0, 100).sections == 1
+    assert input_choice.choose_input(table, labels, train[:1], 10.0, 100).sections == 1
 
 
 def test_what_place_tells_needs_no_parts_and_the_longest_period():
     def events(rng, label):
         return rng.uniform(0, 990, 15), np.full(15, int(label))
 
-    reading = event_rules.choose_input(*table_of(events), np.arange(120), 10.0, 100)
-    assert (reading.sections, reading.refractory) == (1, max(event_rules.REFRACTORY_STEPS))
+    reading = input_choice.choose_input(*table_of(events), np.arange(120), 10.0, 100)
+    assert (reading.sections, reading.refractory_steps) == (1, max(input_choice.REFRACTORY_STEPS))
     assert 0.3 < reading.lost < 0.95
     assert "sections" not in reading.describe(10.0, reading.sections)
 
@@ -50,10 +51,10 @@ def test_a_period_that_loses_most_events_is_not_chosen():
         return rng.uniform(0, 990, 60), np.full(60, int(label))
 
     table, labels = table_of(events)
-    reading = event_rules.choose_input(table, labels, np.arange(120), 10.0, 100)
-    longest = max(event_rules.REFRACTORY_STEPS)
-    assert table.measure_loss(10.0, longest) > event_rules.MAX_LOST_EVENT_SHARE
-    assert reading.lost <= event_rules.MAX_LOST_EVENT_SHARE
+    reading = input_choice.choose_input(table, labels, np.arange(120), 10.0, 100)
+    longest = max(input_choice.REFRACTORY_STEPS)
+    assert table.measure_loss(10.0, longest) > input_choice.MAX_LOST_EVENT_SHARE
+    assert reading.lost <= input_choice.MAX_LOST_EVENT_SHARE
 
 
 @pytest.mark.parametrize(
@@ -70,7 +71,7 @@ def test_the_bin_of_counted_events_is_found(times, expected):
     n = len(times)
     nothing = np.zeros(n, np.uint8)
     table = event_table((times, nothing, nothing, nothing), np.array([0, n]))
-    assert event_rules.compute_bin_ms(table) == expected
+    assert input_choice.compute_bin_ms(table) == expected
 
 
 def test_left_out_accuracy_is_that_of_fits_without_the_sample():
@@ -82,7 +83,7 @@ def test_left_out_accuracy_is_that_of_fits_without_the_sample():
     kernel = kernel / (np.trace(kernel) / 24) + 1
     classes = np.eye(3)[labels]
     best = 0.0
-    for ridge in event_rules.RIDGES:
+    for ridge in input_choice.RIDGES:
         right = 0
         for out in range(24):
             rest = np.delete(np.arange(24), out)
@@ -90,17 +91,13 @@ def test_left_out_accuracy_is_that_of_fits_without_the_sample():
             scores = kernel[out, rest] @ np.linalg.solve(inner, classes[rest])
             right += scores.argmax() == labels[out]
         best = max(best, right / 24)
-    assert event_rules.measure_left_out_accuracy(inputs, labels) == pytest.approx(best)
+    assert input_choice.measure_left_out_accuracy(inputs, labels) == pytest.approx(best)
 
 
-@pytest.mark.parametrize(
-    ("samples", "expected"), [(576, 80), (1079, 58), (5271, event_rules.MIN_EPOCHS)]
-)
+@pytest.mark.parametrize(("samples", "expected"), [(576, 80), (1079, 58), (5271, MIN_EPOCHS)])
 def test_the_number_of_updates_is_fixed(samples, expected):
-    assert event_rules.choose_epochs(samples, 32) == expected
+    assert choose_epochs(samples, 32) == expected
 
 
 def test_few_samples_have_as_many_updates():
-    assert event_rules.choose_epochs(200, 32) * 7 == pytest.approx(
-        event_rules.MIN_UPDATES, rel=0.01
-    )
+    assert choose_epochs(200, 32) * 7 == pytest.approx(MIN_UPDATES, rel=0.01)
