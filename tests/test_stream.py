@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.check.bundle import Bundle, CheckSet
+from deploy.conformance import networks
 from deploy.errors import UserError
 from deploy.network.decision import Estimator
 from deploy.network.stimulus import EventFrames
@@ -20,18 +21,20 @@ from deploy.stream.presentation import SharedNetwork
 from deploy.stream.stream import Stream
 from deploy.targets.emulation import Emulation
 from deploy.targets.registry import run_target
-from tests.deploy import networks
+from tests.deploy.networks import draw_checks
 
 STEP_US = 10_000
 
 
 def make_bundle(count=12, **presentation):
     """A bundle of random weights whose check has samples of 20 steps of 10 ms."""
-    spec = replace(networks.events_spec(**presentation), stimulus=EventFrames(0.01, refractory=2))
+    spec = replace(
+        networks.make_event_network(**presentation), stimulus=EventFrames(0.01, refractory=2)
+    )
     estimator = _estimator(3) if presentation.get("confidence") else None
     readout = replace(spec.layers[-1], bias=np.zeros(3))
     spec = replace(spec, estimator=estimator, layers=(*spec.layers[:-1], readout))
-    frames = networks.random_frames(spec, count, share=0.1)
+    frames = networks.draw_frames(spec, count, share=0.1)
     for sample in frames:
         sample[0, 0, 0, 0] = 1  # a recording begins with an event
         ready = np.zeros(sample.shape[1:], int)
@@ -376,8 +379,8 @@ def test_columns_of_different_lengths_are_refused_in_one_line(stream):
 
 
 def test_a_bundle_on_images_is_told_what_a_stream_needs():
-    spec = networks.small_spec()
-    bundle = Bundle("there/bundle", "random", spec, networks.random_checks(spec, 3))
+    spec = networks.make_image_network()
+    bundle = Bundle("there/bundle", "random", spec, draw_checks(spec, 3))
     with pytest.raises(UserError, match=r"there/bundle: .*on images.*needs one on events"):
         Stream(bundle)
 

@@ -16,6 +16,7 @@ from ..network.stimulus import EventFrames
 from ..targets.emulation import Emulation
 from ..terminal import format_command
 from .clock import UNIT_NS, SensorClock
+from .decider import Decider
 from .events import EventReader
 from .faults import LOG, Faults
 from .presentation import PresentingNetwork, SharedNetwork
@@ -114,10 +115,9 @@ class Stream:
             stream_length = spec.presentation.stream_length
         elif not isinstance(stream_length, Integral) or stream_length < 1:
             raise UserError(f"stream_length {stream_length!r}: must be a whole number from 1")
-        self._network = PresentingNetwork(network, stream_length, self._steps.longest)
-        self._frame = np.zeros(int(np.prod(spec.input_shape)), np.uint8)
-        self._touch: Optional[Touch] = None
-        self._touching = False
+        presenting = PresentingNetwork(network, stream_length, self._steps.longest)
+        self._decider = Decider(presenting, spec, self._steps, self._note_verdict)
+        self._touch: Optional[Touch] = None  # the present one, or the last one, which has ended
         self._single_events = 0  # consecutive touches of one event each
         self._has_warned_of_unit = False
         self._due: List[Decision] = []  # decisions that have not been returned
@@ -165,7 +165,7 @@ class Stream:
     @property
     def touching(self) -> bool:
         """True from the first event of a touch until silence."""
-        return self._touching
+        return self._touch is not None and not self._touch.has_ended
 
     @property
     def touch(self) -> Optional[Touch]:
@@ -202,14 +202,14 @@ class Stream:
         UserError
             The columns differ in length.
         """
-        if isinstance(t, NUMBERS) and self._take_in_present_step(t, x, y, p):
+        if isinstance(t, NUMBERS) and self._push_into_present_step(t, x, y, p):
             return []
         time_ns, cell = self._reader.read(t, x, y, p)
         if not len(time_ns):
             return []
         self._note_arrival(int(time_ns[-1]))
-        self._take(*self._clock.order(time_ns, cell))
-        return self._take_due()
+        self._present_events(*self._clock.order(time_ns, cell))
+        return self._pop_due_decisions()
 
     def advance(self, t=None) -> List[Decision]:
         """Advance the clock while no event does; call it a few times per step.
@@ -231,15 +231,15 @@ class Stream:
             t = self.now
             if t is None:
                 return []
-        if isinstance(t, NUMBERS) and self._advance_if_nothing_due(t):
+        if isinstance(t, NUMBERS) and self._advance_within_step(t):
             return []
         time_ns, is_valid = self._reader.convert_to_ns(np.atleast_1d(t))
         if not is_valid.all():
             self._faults.record("unreadable")
             return []
-        self._take(*self._clock.advance(int(time_ns[0])))
-        self._pass_time(self._clock.now_ns)
-        return self._take_due()
+        self._present_events(*self._clock.advance(int(time_ns[0])))
+        self._advance_touch(self._clock.now_ns)
+        return self._pop_due_decisions()
 
     def finish(self) -> List[Decision]:
         """End the current touch, as silence does, and report the remaining faults.
@@ -249,18 +249,18 @@ class Stream:
         list of Decision
             The decision on the touch, unless it was made before.
         """
-        self._take(*self._clock.release())
-        if self._touching:
+        self._present_events(*self._clock.release())
+        if self.touching:
             self._end_touch(self._clock.now_ns)
         self._faults.report()
-        return self._take_due()
+        return self._pop_due_decisions()
 
     def _note_arrival(self, sensor_ns):
         """Note the time of the last event on the sensor's clock, and on this machine's."""
         self._last_ns = sensor_ns
         self._arrived_s = time.monotonic()
 
-    def _take_in_present_step(self, t, x, y, p):
+    def _push_into_present_step(self, t, x, y, p):
         """Take a single event in the shortest time, if it is in the step that is not over yet.
 
         Returns
@@ -268,7 +268,7 @@ class Stream:
         bool
             False if it is not, or if anything about it is unusual; nothing has been done then.
         """
-        if not self._touching:
+        if not self.touching:
             return False
         touch = self._touch
         steps = touch.presentation.n_steps
@@ -285,22 +285,21 @@ class Stream:
         is_presented = steps < self._steps.longest and is_present and is_next
         if not (is_presented and inside and has_polarity):
             return False
-        self._frame[2 * (int(y) * self._columns + int(x)) + (not is_on)] = 1
-        touch.events[steps] += 1
+        self._decider.present_now(touch, 2 * (int(y) * self._columns + int(x)) + (not is_on))
         touch.last_ns = time_ns
         self._clock.note(time_ns)
         self._note_arrival(sensor_ns)
         self.n_events += 1
         return True
 
-    def _advance_if_nothing_due(self, t):
+    def _advance_within_step(self, t):
         """Take the present time in the shortest time, if no step or silence is over."""
         touch = self._touch
         try:
             time_ns = self._clock.to_stream_time(round(t * self._tick_ns))
         except (ValueError, OverflowError):
             return False
-        if self._touching:
+        if self.touching:
             if time_ns - touch.last_ns > self._silence_ns:
                 return False
             is_running = touch.presentation.n_steps < self._steps.find_last_step(touch)
@@ -308,28 +307,26 @@ class Stream:
                 return False
         return self._clock.advance_quietly(time_ns)
 
-    def _take_due(self):
+    def _pop_due_decisions(self):
         due = self._due
         self._due = []
         return due
 
-    def _take(self, time_ns, cell):
+    def _present_events(self, time_ns, cell):
         """Present events in order of time, touch by touch."""
         if not len(time_ns):
             return
         self.n_events += len(time_ns)
         ends = np.flatnonzero(np.diff(time_ns) > self._silence_ns) + 1
         for first, end in zip([0, *ends], [*ends, len(time_ns)]):
-            self._take_within_touch(time_ns[first:end], cell[first:end])
+            self._present_touch(time_ns[first:end], cell[first:end])
 
-    def _take_within_touch(self, time_ns, cell):
+    def _present_touch(self, time_ns, cell):
         """Present events without silence between them."""
-        if self._touching and time_ns[0] - self._touch.last_ns > self._silence_ns:
+        if self.touching and time_ns[0] - self._touch.last_ns > self._silence_ns:
             self._end_touch(int(self._touch.last_ns + self._silence_ns))
-        if not self._touching:
-            self._touch = self._begin_touch(int(time_ns[0]))
-            self._touching = True
-            self._frame[:] = 0
+        if not self.touching:
+            self._touch = self._decider.begin(int(time_ns[0]))
         touch = self._touch
         touch.last_ns = max(touch.last_ns, int(time_ns[-1]))
         step = np.maximum(self._steps.find_step(touch, time_ns), touch.presentation.n_steps)
@@ -339,117 +336,36 @@ class Stream:
             step = step[: len(step) - surplus]
             cell = cell[: len(cell) - surplus]
         if len(step):
-            np.add.at(touch.events, step, 1)
-            self._present(touch, step, cell)
-        self._pass_time(int(time_ns[-1]))
+            self._decider.present(touch, step, cell)
+        self._advance_touch(int(time_ns[-1]))
 
-    def _begin_touch(self, start_ns):
-        return Touch(start_ns, self._network.begin(), self._steps.longest)
-
-    def _present(self, touch, step, cell):
-        """Present events; the step of the last one is computed later, when it is over."""
-        first = touch.presentation.n_steps
-        if step[-1] > first:
-            frames = np.zeros((step[-1] - first + 1, len(self._frame)), np.uint8)
-            frames[0] = self._frame
-            frames[step - first, cell] = 1
-            self._frame = frames[-1].copy()
-            self._compute(touch, frames[:-1])
-        else:
-            self._frame[cell] = 1
-
-    def _pass_time(self, now_ns):
-        """Compute the steps that are over, and end the touch after silence."""
-        touch = self._touch
-        if not self._touching:
+    def _advance_touch(self, now_ns):
+        """Present the steps that are over, or end the touch after silence."""
+        if not self.touching:
             return
+        touch = self._touch
         if now_ns - touch.last_ns > self._silence_ns:
             self._end_touch(int(touch.last_ns + self._silence_ns))
-            return
-        over = int(self._steps.find_step(touch, np.int64(now_ns))) - touch.presentation.n_steps
-        steps_left = self._steps.find_last_step(touch) - touch.presentation.n_steps
-        self._compute(touch, self._list_frames_to_come(min(over, steps_left)))
+        else:
+            self._decider.advance(touch, now_ns)
 
-    def _list_frames_to_come(self, steps):
-        """The frame of the present step, and silence after it."""
-        frames = np.zeros((max(steps, 0), len(self._frame)), np.uint8)
-        if steps > 0:
-            frames[0] = self._frame
-            self._frame[:] = 0
-        return frames
-
-    def _compute(self, touch, frames):
-        """Compute some steps of the network, and decide if its rules say so."""
-        if not len(frames):
-            return
-        self._network.advance(touch.presentation, frames)
-        self._decide_early(touch, np.inf)
-        if touch.decision is None and touch.presentation.n_steps == self._steps.longest:
-            self._decide_at_end(touch, self._steps.find_end_ns(touch, self._steps.longest))
-
-    def _decide_early(self, touch, now_ns):
-        """Decide at the first step that reaches the threshold, if there is one."""
-        if touch.decision is not None:
-            return
-        threshold = self._spec.presentation.threshold
-        readout = touch.presentation.readout
-        start = self._spec.presentation.readout_start
-        confidences = readout.confidences[: self._steps.usual - start]
-        reached = np.flatnonzero(confidences[touch.checked :] >= threshold)
-        if len(reached):
-            row = touch.checked + int(reached[0])
-            steps = start + row + 1
-            self._decide(
-                touch,
-                steps,
-                number=int(readout.sums[row].argmax()),
-                probability=float(confidences[row]),
-                time=min(self._steps.find_end_ns(touch, steps), now_ns),
-                early=True,
-            )
-        touch.checked = len(confidences)
-
-    def _decide_at_end(self, touch, time_ns):
-        """The decision of a check, after the last step."""
-        steps = self._steps.find_last_step(touch)
-        row = steps - self._spec.presentation.readout_start - 1
-        readout = touch.presentation.readout
-        is_estimated = readout.spoke[row] and steps <= self._steps.usual
-        self._decide(
-            touch,
-            steps,
-            number=int(readout.compute_scores(steps).argmax()),
-            probability=float(readout.confidences[row]) if is_estimated else None,
-            time=time_ns,
-            early=False,
-        )
-
-    def _decide(self, touch, steps, number, time, **fields):
-        """Store a decision that is made on the first steps of a touch, at a time of the stream."""
+    def _note_verdict(self, touch, verdict):
+        """Convert a verdict to a decision on the sensor's clock, which is now due."""
         touch.decision = Decision(
-            label=self.classes[number],
-            number=number,
-            time=self._clock.to_sensor_time(time) / self._tick_ns,
+            label=self.classes[verdict.number],
+            number=verdict.number,
+            probability=verdict.probability,
+            time=self._clock.to_sensor_time(verdict.time_ns) / self._tick_ns,
             start=self._clock.to_sensor_time(touch.start_ns) / self._tick_ns,
-            ended=touch.end_ns is not None and time >= touch.end_ns,
-            events=int(touch.events[:steps].sum()),
-            **fields,
+            early=verdict.is_early,
+            ended=touch.end_ns is not None and verdict.time_ns >= touch.end_ns,
+            events=int(touch.events[: verdict.n_steps].sum()),
         )
         self._due.append(touch.decision)
 
     def _end_touch(self, time_ns):
-        """End the touch: compute the rest of its presentation, decide, prepare the next one."""
-        touch = self._touch
-        touch.end_ns = time_ns
-        steps_left = self._steps.find_last_step(touch) - touch.presentation.n_steps
-        if steps_left > 0:
-            self._network.advance(touch.presentation, self._list_frames_to_come(steps_left))
-        self._decide_early(touch, time_ns)
-        if touch.decision is None:
-            self._decide_at_end(touch, time_ns)
-        self._touching = False
-        self._network.prepare()
-        self._warn_of_single_events(touch)
+        self._decider.end(self._touch, time_ns)
+        self._warn_of_single_events(self._touch)
 
     def _warn_of_single_events(self, touch):
         """Warn once if touch after touch has one event, as with times in another unit."""

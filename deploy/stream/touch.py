@@ -81,6 +81,11 @@ class Touch:
         self.decision: Optional[Decision] = None
         self.checked = 0
 
+    @property
+    def has_ended(self) -> bool:
+        """True after silence."""
+        return self.end_ns is not None
+
 
 class TouchSteps:
     """The steps of a touch's presentation, in the time of the stream.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.check.bundle import Bundle, read_bundle
+from deploy.conformance import networks
 from deploy.network.decision import compute_confidence
 from deploy.network.stimulus import EventFrames
 from deploy.targets.registry import run_target as answers_of
@@ -17,7 +18,6 @@ from pipeline.recordings.sensor import Sensor
 from pipeline.recordings.spike_frames import EventTable, SpikeLimits
 from pipeline.settings import Settings
 from pipeline.simulation.simulate import simulate
-from tests.deploy import networks
 
 
 @pytest.fixture(scope="module")
@@ -78,13 +78,13 @@ def test_layers_are_as_many_bytes_as_the_page_reads(bundle, decider, recordings)
 def events_bundle():
     """An events bundle of random weights, for whole recordings in steps of 10 ms."""
     rng = np.random.default_rng(0)
-    small = networks.events_spec()
-    conv1 = networks.conv("conv1", (10, 10, 2), 4, 4, rng, scale=8.0)
+    small = networks.make_event_network()
+    conv1 = networks.make_convolution("conv1", (10, 10, 2), 4, 4, rng, scale=8.0)
     spec = replace(
         small,
         input_shape=(10, 10, 2),
         stimulus=EventFrames(0.01, refractory=1),
-        layers=(conv1, networks.readout(conv1.shape, rng, classes=10)),
+        layers=(conv1, networks.make_readout(conv1.shape, rng, classes=10)),
         presentation=replace(small.presentation, steps=200, confidence=0.7),
     )
     return Bundle(None, "random", spec, None)
