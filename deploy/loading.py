@@ -91,7 +91,7 @@ class WrongValue(ValueError):
         super().__init__(f"'{name}' {problem}" if name else problem)
 
 
-def load(kind, values, name: str = "", extra: bool = False):
+def load_dataclass(kind, values, name: str = "", ignore_extra: bool = False):
     """Make a dataclass of plain values.
 
     Parameters
@@ -102,7 +102,7 @@ def load(kind, values, name: str = "", extra: bool = False):
         By the names of its fields.
     name : str
         Dotted name of the whole in error messages.
-    extra : bool
+    ignore_extra : bool
         Ignore entries that are not fields, here and below.
 
     Returns
@@ -119,13 +119,13 @@ def load(kind, values, name: str = "", extra: bool = False):
     entries = {entry.name: entry for entry in fields(kind) if entry.init}
     built = {}
     unknown = sorted(str(key)[:40] for key in set(values) - set(entries))
-    if unknown and not extra:
+    if unknown and not ignore_extra:
         raise WrongValue(_join_names(name, unknown[0]), "is unknown")
     for entry_name, entry in entries.items():
         full_name = _join_names(name, entry_name)
         if entry_name in values:
             hint = _read_hints(kind)[entry_name]
-            built[entry_name] = _build_value(hint, values[entry_name], full_name, extra)
+            built[entry_name] = _build_value(hint, values[entry_name], full_name, ignore_extra)
             _require_limit(entry.metadata.get("limit"), built[entry_name], full_name)
         elif entry.default is MISSING and entry.default_factory is MISSING:
             raise WrongValue(full_name, "is missing")
@@ -156,30 +156,32 @@ def _read_hints(kind):
         return get_type_hints(kind)
 
 
-def _build_value(hint, value, name, extra):
+def _build_value(hint, value, name, ignore_extra):
     """The value of a field; raises an error if it is of another type."""
     for limit in getattr(hint, "__metadata__", ()):
-        value = _build_value(hint.__origin__, value, name, extra)
+        value = _build_value(hint.__origin__, value, name, ignore_extra)
         _require_limit(limit, value, name)
         return value
     origin = getattr(hint, "__origin__", hint)
     inner = getattr(hint, "__args__", ())
     if origin is Union or type(hint).__name__ == "UnionType":  # Optional[X], or X | None
-        return None if value is None else _build_value(inner[0], value, name, extra)
+        return None if value is None else _build_value(inner[0], value, name, ignore_extra)
     if is_dataclass(hint):
-        return value if isinstance(value, hint) else load(hint, value, name, extra)
+        return value if isinstance(value, hint) else load_dataclass(hint, value, name, ignore_extra)
     if origin in (tuple, list):
         _require(isinstance(value, (list, tuple)), name, f"a list, such as [{value!r}]", value)
         if origin is tuple and inner[-1] is not Ellipsis:
             _require(len(value) == len(inner), name, f"a list of {len(inner)}", value)
         hints = inner if origin is tuple and inner[-1] is not Ellipsis else inner[:1] * len(value)
         pairs = zip(hints, value)
-        return origin(_build_value(h, v, f"{name}[{i}]", extra) for i, (h, v) in enumerate(pairs))
+        return origin(
+            _build_value(h, v, f"{name}[{i}]", ignore_extra) for i, (h, v) in enumerate(pairs)
+        )
     if origin is dict:
         _require(isinstance(value, dict), name, "a table of values", value)
         of_values = inner[1] if inner else None  # None lets a value of any kind pass
         return {
-            key: _build_value(of_values, v, _join_names(name, key), extra)
+            key: _build_value(of_values, v, _join_names(name, key), ignore_extra)
             for key, v in value.items()
         }
     if origin is bool:

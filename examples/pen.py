@@ -28,7 +28,9 @@ if __name__ == "__main__":
         turned = [tuple(stroke[::-1] for stroke in trace.strokes[::-1]) for trace in traces]
         traces = tuple(replace(t, strokes=s) for t, s in zip(traces, turned, strict=True))
     counts = np.bincount([trace.digit for trace in traces], minlength=10)
-    people = parameters.load()  # who press like the people of the network of the live page
+    people = (
+        parameters.read_parameters()
+    )  # who press like the people of the network of the live page
     recordings = load_simulated(0, counts, 2, traces=traces, parameters=people)
     columns = recordings.taxels.column, recordings.taxels.row
     events = [(*(c[r.taxel] for c in columns), r.time_ns, r.polarity > 0) for r in recordings]

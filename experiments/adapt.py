@@ -81,7 +81,7 @@ def select_people(pen: Path, fold: int, writers: int = parameters.PEOPLE) -> Peo
     except ValueError as error:
         raise UserError(f"{pen}: {error}, without fold {fold}; give more people") from error
     selected = tuple(trace for trace in traces if trace.writer in people)
-    return People(selected, replace(parameters.load(writers), shapes=shapes))
+    return People(selected, replace(parameters.read_parameters(writers), shapes=shapes))
 
 
 def measure_fold(pen: Path, draws: int, case: Case, networks) -> dict:

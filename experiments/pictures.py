@@ -65,7 +65,7 @@ def compute_stamps() -> dict:
 
 def _draw_hand(seed):
     """A simulated person's 8 in 1.2 s: milliseconds, and shares of the width and height."""
-    p = parameters.load()
+    p = parameters.read_parameters()
     rng = np.random.default_rng(seed)
     writer = handwriting.draw_writer(rng, p)
     motion = simulate.draw_motion(simulate.Sample(8, 0, 0), writer, rng, p)

@@ -273,7 +273,7 @@ def main(
     result = {"experiment": "speed", "bundles": {}, "measured": {"processor": name_processor()}}
     for path in bundles or ():
         bundle = read_bundle(options.find_bundle(path))
-        kind = "image" if bundle.spec.stimulus.static else "events"
+        kind = "image" if bundle.spec.stimulus.is_static else "events"
         result["bundles"][kind] = measure_on_bundle(bundle, samples)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -113,7 +113,7 @@ class Architecture:
             for array, shape in layer.list_array_shapes(before).items()
         }
 
-    def list_event_weight_shapes(self, sections: int = 1) -> dict:
+    def list_event_weight_shapes(self, n_sections: int = 1) -> dict:
         """Shapes of the trained arrays of a spiking network on events (:mod:`models.spiking`).
 
         In addition to `weight_shapes`, each layer with neurons has two time constants; the output
@@ -121,7 +121,7 @@ class Architecture:
         """
         shapes = {n: s for n, s in self.weight_shapes.items() if n != "output.bias"}
         inputs, outputs = shapes["output.kernel"]
-        shapes["output.kernel"] = sections * inputs, outputs
+        shapes["output.kernel"] = n_sections * inputs, outputs
         for name in self.names[:-1]:
             shapes |= {f"{name}.tau_u": (), f"{name}.tau_v": ()}
         return shapes

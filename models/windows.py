@@ -31,13 +31,13 @@ class Window:
     pool: int = 1
 
 
-def spread_kernel(weight, groups: int = 1, dilation=(1, 1)) -> np.ndarray:
+def spread_kernel(weight, n_groups: int = 1, dilation=(1, 1)) -> np.ndarray:
     """The kernel of a convolution without groups and dilation.
 
     Parameters
     ----------
     weight : ndarray, shape (filters, channels of a group, rows, columns)
-    groups : int
+    n_groups : int
     dilation : tuple of int
 
     Returns
@@ -46,9 +46,9 @@ def spread_kernel(weight, groups: int = 1, dilation=(1, 1)) -> np.ndarray:
     """
     filters, channels, *size = weight.shape
     reach = [(k - 1) * d + 1 for k, d in zip(size, dilation, strict=True)]
-    kernel = np.zeros((filters, channels * groups, *reach))
-    per_group = filters // groups
-    for group in range(groups):
+    kernel = np.zeros((filters, channels * n_groups, *reach))
+    per_group = filters // n_groups
+    for group in range(n_groups):
         of_group = slice(group * per_group, (group + 1) * per_group)
         into = slice(group * channels, (group + 1) * channels)
         kernel[of_group, into, :: dilation[0], :: dilation[1]] = weight[of_group]

@@ -12,8 +12,8 @@ from pipeline.recordings.cached_recordings import (
     find_cache_file,
     hash_source,
     import_recordings,
-    load,
     make_reading_options,
+    read_stored,
     store_and_load,
 )
 from pipeline.recordings.dataset import Dataset
@@ -66,7 +66,7 @@ class SimulatedSource:
         rows, columns : int
             0 for ten.
         """
-        people = parameters.load(self.writers, self.chunked)
+        people = parameters.read_parameters(self.writers, self.chunked)
         return {"parameters": people, "size": (rows or GRID, columns or GRID)}
 
 
@@ -176,7 +176,7 @@ def load_simulated(seed: int, counts, jobs: int, **how) -> Recordings:
         ``parameters``, ``traces`` and ``size`` of :func:`pipeline.simulation.simulate.simulate`.
     """
     path = find_path_of_simulated(make_source(seed, counts, **how).sha256)
-    recordings = load(path)
+    recordings = read_stored(path)
     if recordings is None:
         with progress("simulate", sum(counts), "recordings") as advance:
             new_recordings = simulate(seed, counts, jobs, advance, **how)

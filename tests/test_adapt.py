@@ -27,7 +27,7 @@ LEANING = np.array([[1.0, 0.7], [0.0, 1.0]])
 
 def strange_hand(each, seed=5):
     """Recordings of somebody whose digits lean far to the left."""
-    p, rng = parameters.load(), np.random.default_rng(seed)
+    p, rng = parameters.read_parameters(), np.random.default_rng(seed)
     who = handwriting.draw_writer(rng, p)
     traces = []
     for digit in np.repeat(np.arange(10), each):
@@ -126,7 +126,7 @@ def test_of_images(tiny_run, person, tmp_path, capsys):
     result = told(capsys)
     assert result["samples"] == 50
     assert result["after"] > result["before"]
-    assert read_bundle(result["bundle"]).spec.stimulus.static
+    assert read_bundle(result["bundle"]).spec.stimulus.is_static
 
 
 def test_labels_that_are_all_wrong_cost_others_as_little_as_is_promised(run, tmp_path, capsys):

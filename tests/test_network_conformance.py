@@ -99,7 +99,7 @@ def test_mistakes_in_an_operation_are_found(mistaken, fact, one_to_one, monkeypa
 REFERENCE = Target("reference", run_reference, "The equations in NumPy")
 
 # Every registered target that needs no board.
-SIMULATORS = [target for target in TARGETS.values() if not target.hardware]
+SIMULATORS = [target for target in TARGETS.values() if not target.needs_board]
 
 
 @pytest.mark.parametrize("target", [REFERENCE, *SIMULATORS], ids=lambda target: target.name)

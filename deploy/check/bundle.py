@@ -205,12 +205,12 @@ def require_replaceable(path):
         )
 
 
-def require_room(samples: int, shape: tuple, stimulus: Stimulus):
+def require_room(n_samples: int, shape: tuple, stimulus: Stimulus):
     """Refuse a check whose inputs are too large for a bundle, before the inputs exist.
 
     Parameters
     ----------
-    samples : int
+    n_samples : int
         Number of samples.
     shape : tuple of int
         Shape of one sample.
@@ -220,13 +220,15 @@ def require_room(samples: int, shape: tuple, stimulus: Stimulus):
     ------
     UserError
     """
-    _require_room(math.prod((samples, *shape, _choose_dtype(stimulus).itemsize)), samples, stimulus)
+    _require_room(
+        math.prod((n_samples, *shape, _choose_dtype(stimulus).itemsize)), n_samples, stimulus
+    )
 
 
 def _require_room(n_bytes, samples, stimulus):
     if n_bytes > limits.ARRAY_BYTES - MAX_HEADER_BYTES:
         remedy = "fewer check.samples"
-        if not stimulus.static:
+        if not stimulus.is_static:
             remedy += " or presentation.steps, or a larger data.downsample"
         raise UserError(
             f"the check's {samples} samples take {n_bytes / 2**20:.0f} MB, more than the "
@@ -235,7 +237,7 @@ def _require_room(n_bytes, samples, stimulus):
 
 
 def _choose_dtype(stimulus):
-    return np.dtype(np.float32 if stimulus.static else np.uint8)
+    return np.dtype(np.float32 if stimulus.is_static else np.uint8)
 
 
 def find_result_path(folder, target: str) -> Path:
@@ -312,7 +314,7 @@ def _read_checks(path, spec):
         raise UserError(f"{path}: does not fit the network: {wrong}; {_REMEDY}")
     inputs = arrays["inputs"]
     return CheckSet(
-        inputs=inputs.astype(float) if spec.stimulus.static else inputs,
+        inputs=inputs.astype(float) if spec.stimulus.is_static else inputs,
         labels=arrays["labels"],
         ids=tuple(arrays["ids"].tolist()),
         seed=int(arrays["seed"]),

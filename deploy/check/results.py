@@ -12,7 +12,7 @@ import numpy as np
 from .. import __version__
 from ..errors import CheckFailed, UserError
 from ..files import read_json
-from ..loading import Limit, WrongValue, between, limited_field, load
+from ..loading import Limit, WrongValue, between, limited_field, load_dataclass
 from ..network.decision import compute_share_of_time
 from ..network.provenance import read_classes
 from ..network.stimulus import find_last_steps
@@ -127,7 +127,7 @@ def _measure_while_written(bundle, decisions, labels, samples) -> dict:
     A recording ends with the sample's last event; steps after the end count as the last step.
     """
     spec = bundle.spec
-    if spec.stimulus.static:
+    if spec.stimulus.is_static:
         return {}
     written = find_last_steps(bundle.checks.inputs) + 1
     rows = np.arange(len(labels))
@@ -174,7 +174,7 @@ def read_result(path, remedy="run the check again") -> dict:
             f"{path}: schema {result.get('schema')!r}, but this version reads {SCHEMA!r}; {remedy}"
         )
     try:
-        load(_Result, result, extra=True)
+        load_dataclass(_Result, result, ignore_extra=True)
     except WrongValue as error:
         raise UserError(f"{path}: not a complete check result ({error}); {remedy}") from error
     samples = result["samples"]

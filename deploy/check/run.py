@@ -13,7 +13,7 @@ from typing import Callable, Dict, Iterator, List, Optional
 
 from ..errors import UserError
 from ..files import lock_file, reporting_os_errors, write_json
-from ..loading import load
+from ..loading import load_dataclass
 from ..network.responses import Responses
 from ..network.spec import NetworkSpec
 from ..targets.options import Options
@@ -230,7 +230,7 @@ class OpenCheck:
         records = [self.records[stream.start] for stream in _list_streams(bundle)]
         samples = [sample for record in records for sample in record["samples"]]
         extra = {**self._describe_notes(records), **_describe_options(self.options)}
-        if self.target.hardware:
+        if self.target.needs_board:
             extra.update(self._compare_with_fast(samples))
         overflows = {number for record in records for number in record.get("overflows", ())}
         if overflows:
@@ -382,7 +382,7 @@ def _read_records(file, identity, streams) -> dict:
     for line in file.read().decode("utf-8", "replace").split("\n"):
         try:
             record = json.loads(line)
-            load(_SavedStream, record, extra=True)
+            load_dataclass(_SavedStream, record, ignore_extra=True)
         except (ValueError, RecursionError):  # cut short by an interruption
             continue
         if record["of"] != identity:

@@ -51,9 +51,9 @@ class Estimator:
     biases: Tuple[np.ndarray, ...]
 
     @staticmethod
-    def list_shapes(classes: int) -> dict:
+    def list_shapes(n_classes: int) -> dict:
         """Shape of each array by name, for networks with some number of classes."""
-        features = min(RANKS, classes) + 2 * classes + 1 + len(LAGS) * classes
+        features = min(RANKS, n_classes) + 2 * n_classes + 1 + len(LAGS) * n_classes
         sizes = (features, *HIDDEN_NEURONS, 1)
         shapes: dict = {}
         for index, (before, after) in enumerate(zip(sizes, sizes[1:]), 1):
@@ -68,7 +68,7 @@ class Estimator:
         return dict(zip(names, arrays))
 
     @classmethod
-    def from_arrays(cls, arrays: dict, classes: int):
+    def from_arrays(cls, arrays: dict, n_classes: int):
         """Make an estimator from arrays by name; other arrays are ignored.
 
         Returns
@@ -81,7 +81,7 @@ class Estimator:
         ValueError
             Some arrays are missing, have another shape, or contain NaN or infinite values.
         """
-        shapes = cls.list_shapes(classes)
+        shapes = cls.list_shapes(n_classes)
         if not any(name in arrays for name in shapes):
             return None
         checked = []
@@ -128,20 +128,20 @@ def make_estimator_inputs(outputs, first: int = 0) -> np.ndarray:
     return np.concatenate([ranked, is_largest, log_p, step, *changes], -1)
 
 
-def delay_outputs(outputs, steps: int) -> np.ndarray:
+def delay_outputs(outputs, n_steps: int) -> np.ndarray:
     """The values some steps earlier; 0 before the first step.
 
     Parameters
     ----------
     outputs : ndarray, shape (..., steps, classes)
-    steps : int
+    n_steps : int
 
     Returns
     -------
     ndarray of the same shape
     """
     outputs = np.asarray(outputs)
-    silence = np.zeros_like(outputs[..., :steps, :])
+    silence = np.zeros_like(outputs[..., :n_steps, :])
     return np.concatenate([silence, outputs], -2)[..., : outputs.shape[-2], :]
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from .. import limits
 from ..errors import UserError
-from ..loading import Limit, WrongValue, between, check, limited_field, load, one_of
+from ..loading import Limit, WrongValue, between, check, limited_field, load_dataclass, one_of
 from .geometry import compute_pooled_shape, sum_squares
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 
@@ -377,7 +377,9 @@ class LayerRecord:
         """
         if not isinstance(plain, dict):
             raise WrongValue(where, "must be a table of values")
-        return load(cls, {name: plain[name] for name in plain if name in LAYER_NAMES}, where)
+        return load_dataclass(
+            cls, {name: plain[name] for name in plain if name in LAYER_NAMES}, where
+        )
 
 
 # Names in a layer's description that no operation may have for its numbers.

@@ -150,9 +150,9 @@ class InputNeurons:
     """
 
     def __init__(self, stimulus, n_streams, size):
-        self._static = stimulus.static
-        self._max_rate = stimulus.max_rate if self._static else 0.0
-        self._phase = stimulus.initial_phase if self._static else 0.0
+        self._is_static = stimulus.is_static
+        self._max_rate = stimulus.max_rate if self._is_static else 0.0
+        self._phase = stimulus.initial_phase if self._is_static else 0.0
         self._voltage = np.full((n_streams, size), self._phase, float)
         self._frames = None
 
@@ -176,7 +176,7 @@ class InputNeurons:
         n_streams, size = self._voltage.shape
         spikes = np.zeros((n_streams, last - first, size), np.uint8)
         n_silent_steps = min(max(-first, 0), last - first)
-        if not self._static:
+        if not self._is_static:
             frames = self._frames[:, first + n_silent_steps : last]
             np.greater(frames, 0, out=spikes[:, n_silent_steps:].view(bool))
             return spikes

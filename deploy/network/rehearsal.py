@@ -39,7 +39,7 @@ class Rehearsal:
         return {"rehearsal.responses": responses, "rehearsal.labels": self.labels}
 
     @classmethod
-    def from_arrays(cls, arrays: dict, inputs: int, classes: int) -> Optional[Rehearsal]:
+    def from_arrays(cls, arrays: dict, n_inputs: int, n_classes: int) -> Optional[Rehearsal]:
         """The inverse of :meth:`to_arrays`, for a readout's numbers of inputs and classes.
 
         Returns None if none of its arrays exists; other arrays are ignored.
@@ -58,10 +58,10 @@ class Rehearsal:
         valid = (
             (responses.dtype.kind, labels.ndim) == ("f", 1)
             and labels.dtype.kind in "iu"
-            and responses.shape == (len(labels), inputs)
+            and responses.shape == (len(labels), n_inputs)
             and 1 <= len(labels) <= limits.SAMPLES
             and np.isfinite(responses).all()
-            and 0 <= labels.min() <= labels.max() < classes
+            and 0 <= labels.min() <= labels.max() < n_classes
         )
         require(valid, "rehearsal", "its arrays do not fit the readout")
         return cls(responses.astype(np.float32), labels.astype(np.uint16))

@@ -13,7 +13,7 @@ import numpy as np
 
 from .. import limits
 from ..errors import UserError
-from ..loading import load
+from ..loading import load_dataclass
 from .chip import DT
 from .decision import Estimator
 from .layer import SHAPE, Layer, require
@@ -179,7 +179,7 @@ class NetworkSpec:
                 input_shape=value["input_shape"],
                 stimulus=_read_stimulus(value["stimulus"]),
                 layers=tuple(layers),
-                presentation=load(Presentation, value["presentation"], "presentation"),
+                presentation=load_dataclass(Presentation, value["presentation"], "presentation"),
                 provenance=dict(value.get("provenance", {})),
                 estimator=Estimator.from_arrays(arrays, layers[-1].size if layers else 0),
             )
@@ -199,7 +199,7 @@ def _read_stimulus(value):
     values = dict(value)
     kind = values.pop("kind")
     require(kind in STIMULI, "stimulus", f"kind {kind!r} is not one of {', '.join(STIMULI)}")
-    return load(STIMULI[kind], values, "stimulus")
+    return load_dataclass(STIMULI[kind], values, "stimulus")
 
 
 def _refuse_unknown(values, known, where):

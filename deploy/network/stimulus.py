@@ -25,14 +25,14 @@ class Stimulus:
     ----------
     kind : str
         Name of the class in a bundle.
-    static : bool
+    is_static : bool
         True if a sample is one constant frame for all steps; else it has one frame per step.
     area : float
         Area of one spike of the input neurons.
     """
 
     kind: ClassVar[str] = ""
-    static: ClassVar[bool] = True
+    is_static: ClassVar[bool] = True
 
     @property
     def area(self) -> float:
@@ -49,20 +49,20 @@ class Stimulus:
         """Minimum number of steps between two spikes of an input neuron."""
         return 1
 
-    def find_sample_shape(self, input_shape, steps: int) -> tuple:
+    def find_sample_shape(self, input_shape, n_steps: int) -> tuple:
         """Shape of one sample: (rows, columns, channels), with (steps,) before it unless static."""
-        return tuple(input_shape) if self.static else (steps, *input_shape)
+        return tuple(input_shape) if self.is_static else (n_steps, *input_shape)
 
     def flatten(self, samples) -> np.ndarray:
         """Samples in the network's input format: (n_samples, size), or (n_samples, steps, size)."""
         samples = np.asarray(samples)
-        if self.static:
+        if self.is_static:
             return samples.reshape(len(samples), -1).astype(float)
         return samples.reshape(*samples.shape[:2], -1)
 
-    def find_problem(self, samples, input_shape, steps: int) -> Optional[str]:
+    def find_problem(self, samples, input_shape, n_steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        expected = self.find_sample_shape(input_shape, steps)
+        expected = self.find_sample_shape(input_shape, n_steps)
         if samples.shape[1:] != expected:
             return f"samples have shape {samples.shape[1:]}, not {expected}"
         if samples.dtype.kind not in "fiub":
@@ -112,9 +112,9 @@ class ImageSpikes(Stimulus):
         """Minimum number of steps between two spikes of a pixel of at most 1."""
         return max(1, int(1 / (self.max_rate * LOIHI.dt)))
 
-    def find_problem(self, samples, input_shape, steps: int) -> Optional[str]:
+    def find_problem(self, samples, input_shape, n_steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        problem = super().find_problem(samples, input_shape, steps)
+        problem = super().find_problem(samples, input_shape, n_steps)
         if problem is not None:
             return problem
         largest = np.max(samples, initial=0)
@@ -147,7 +147,7 @@ class EventFrames(Stimulus):
     """
 
     kind: ClassVar[str] = "events"
-    static: ClassVar[bool] = False
+    is_static: ClassVar[bool] = False
     seconds: float = limited_field(between(1e-6, limits.SECONDS), 0.02)
     refractory: int = limited_field(between(0, limits.STEPS), 0)
     max_spikes: int = limited_field(between(0, limits.STEPS), 0)
@@ -177,9 +177,9 @@ class EventFrames(Stimulus):
         """Time in seconds of the recording that one step represents."""
         return self.seconds
 
-    def find_problem(self, samples, input_shape, steps: int) -> Optional[str]:
+    def find_problem(self, samples, input_shape, n_steps: int) -> Optional[str]:
         """The reason why samples cannot be presented with this stimulus, or None."""
-        problem = super().find_problem(samples, input_shape, steps)
+        problem = super().find_problem(samples, input_shape, n_steps)
         if problem is not None:
             return problem
         if not np.isin(samples, (0, 1)).all():

@@ -17,21 +17,21 @@ from ..network.ops.base import count_list_words
 AXON_CFGS_PER_AXON = {0: 1, 32: 2}
 
 
-def count_used(block, chip: Chip, registers: int) -> Dict[str, int]:
+def count_used(block, chip: Chip, n_registers: int) -> Dict[str, int]:
     """Number of each of the chip's limited resources that a block needs.
 
     Parameters
     ----------
     block : nengo_loihi.block.LoihiBlock
     chip : Chip
-    registers : int
+    n_registers : int
         AxonCfg registers of the block.
     """
     return {
         "compartments": int(block.compartment.n_compartments),
         "input axons": int(sum(synapse.n_axons for synapse in block.synapses)),
         "output axons": int(sum(axon.axon_slots() for axon in block.axons)),
-        "AxonCfg registers": registers,
+        "AxonCfg registers": n_registers,
         "synapse words": count_synapse_words(block, chip),
     }
 

@@ -120,9 +120,9 @@ class TouchSteps:
         since_ms = ((time_ns - touch.start_ns) / NANOSECONDS_PER_MS).astype(np.float32)
         return np.floor(since_ms / np.float32(self.step_ms)).astype(np.int64)
 
-    def find_end_ns(self, touch: Touch, steps: int) -> int:
+    def find_end_ns(self, touch: Touch, n_steps: int) -> int:
         """Time at which some number of steps of a touch are over."""
-        return touch.start_ns + round(steps * self.step_ms * NANOSECONDS_PER_MS)
+        return touch.start_ns + round(n_steps * self.step_ms * NANOSECONDS_PER_MS)
 
     def find_certain_end_ns(self, touch: Touch) -> float:
         """A time at which the present step is certainly not over.

@@ -72,7 +72,7 @@ def describe_overflows(spec: NetworkSpec, target: str, numbers) -> str:
         Some of the `NUMBERS`.
     """
     remedy = "a lower --set deployment.input_rate"
-    if not spec.stimulus.static:
+    if not spec.stimulus.is_static:
         remedy = "a longer --set input.step or shorter time constants"
     which = " and ".join(sorted(numbers))
     return (

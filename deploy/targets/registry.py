@@ -60,13 +60,13 @@ class Target:
         Short description.
     note : str
         Additional information for readers of its results; empty if the title is sufficient.
-    slow : bool
+    is_slow : bool
         True if the whole test set takes minutes.
     must_fit_integers : bool
         True if a network that the chip's integers cannot hold is refused before the target runs,
         since the target itself would run it: see :func:`refuse_unfit`, which needs NengoLoihi.
-    hardware : bool
-        True if the target needs a board.
+    needs_board : bool
+        True if the target is hardware.
     is_exact : bool
         True if every spike is that of NengoLoihi's emulator.
     in_ladder : bool
@@ -83,9 +83,9 @@ class Target:
     run: Callable
     title: str
     note: str = ""
-    slow: bool = False
+    is_slow: bool = False
     must_fit_integers: bool = False
-    hardware: bool = False
+    needs_board: bool = False
     is_exact: bool = False
     in_ladder: bool = False
     options: Optional[Type[Options]] = None
@@ -110,7 +110,7 @@ TARGETS: Dict[str, Target] = {
             name="nengo",
             run=import_when_called("simulators", "run_nengo"),
             title="Nengo's reference simulator",
-            slow=True,
+            is_slow=True,
             must_fit_integers=True,
             in_ladder=True,
         ),
@@ -118,7 +118,7 @@ TARGETS: Dict[str, Target] = {
             name="simreal",
             run=import_when_called("simulators", "run_simreal"),
             title="Loihi's network before rounding",
-            slow=True,
+            is_slow=True,
             must_fit_integers=True,
             in_ladder=True,
         ),
@@ -126,7 +126,7 @@ TARGETS: Dict[str, Target] = {
             name="emulator",
             run=import_when_called("simulators", "run_emulator"),
             title="Emulated Loihi",
-            slow=True,
+            is_slow=True,
             is_exact=True,
             in_ladder=True,
         ),
@@ -141,7 +141,7 @@ TARGETS: Dict[str, Target] = {
             name="loihi",
             run=import_when_called("board", "run_loihi"),
             title="Loihi 1 through NxSDK",
-            hardware=True,
+            needs_board=True,
             in_ladder=True,
             options=BoardOptions,
             describe=import_when_called("board", "describe"),
@@ -172,7 +172,7 @@ def list_ladder_targets() -> Tuple[str, ...]:
     deployed network of the ladder and the report.
     """
     targets = [target for target in TARGETS.values() if target.in_ladder]
-    targets.sort(key=lambda target: (target.hardware, target.is_exact))  # a stable sort
+    targets.sort(key=lambda target: (target.needs_board, target.is_exact))  # a stable sort
     return tuple(target.name for target in targets)
 
 
@@ -189,7 +189,7 @@ def rank_targets_by_spikes() -> Tuple[str, ...]:
     """
     exact = list_exact_targets()
     others = [target for target in reversed(list(TARGETS.values())) if target.name not in exact]
-    others.sort(key=lambda target: target.hardware)  # a stable sort
+    others.sort(key=lambda target: target.needs_board)  # a stable sort
     return (*exact, *(target.name for target in others))
 
 

@@ -110,14 +110,14 @@ class Operation(DeployedOperation):
             return {}
         return {"kernel": kernel, "bias": self.compute_shape(input_shape)[-1:]}
 
-    def to_deployed(self, kernel, sections: int = 1) -> np.ndarray:
+    def to_deployed(self, kernel, n_sections: int = 1) -> np.ndarray:
         """A trained kernel in the order of :attr:`deploy.network.layer.Layer.weights`.
 
         Parameters
         ----------
         kernel : ndarray
             Of a readout, those of all sections along the first axis.
-        sections : int
+        n_sections : int
         """
         return kernel
 

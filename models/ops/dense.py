@@ -39,8 +39,8 @@ class Dense(Operation, DeployedDense):
     def compute_kernel_shape(self, input_shape):
         return (math.prod(input_shape), self.units)
 
-    def to_deployed(self, kernel, sections=1):
-        by_section = kernel.reshape(sections, -1, self.units).swapaxes(1, 2)
+    def to_deployed(self, kernel, n_sections=1):
+        by_section = kernel.reshape(n_sections, -1, self.units).swapaxes(1, 2)
         return by_section.reshape(-1, by_section.shape[2])
 
     def count_fan_in(self, input_shape):

@@ -51,7 +51,9 @@ class ChipLayer(NamedTuple):
     kernel_slope: np.float32
 
     @classmethod
-    def from_real_numbers(cls, kernel, bias, tau_u, tau_v, floor: float, neurons: int) -> ChipLayer:
+    def from_real_numbers(
+        cls, kernel, bias, tau_u, tau_v, floor: float, n_neurons: int
+    ) -> ChipLayer:
         """The integers of trained variables, as `SpikingNetwork.compute_integers`."""
         scale = max(float(np.abs(kernel).max()), 1e-12) / LOIHI.weight_levels
         unit = LOIHI.threshold_unit
@@ -63,7 +65,7 @@ class ChipLayer(NamedTuple):
         lowest = 1 - 2.0 ** np.round(np.log2(1 - floor * threshold))
         below = np.floor((np.abs(bias) - 1) / (1 - keep_v))
         rest_voltage = np.maximum(np.sign(bias) * (below + 1), lowest)
-        repeats = neurons // len(bias)
+        repeats = n_neurons // len(bias)
         weights = np.round(kernel / scale)
         return cls(
             kernel=(LOIHI.weight_unit * weights).astype(np.float32),
@@ -150,7 +152,7 @@ class SpikingGradient:
                     tau_u=values[f"{name}.tau_u"],
                     tau_v=values[f"{name}.tau_v"],
                     floor=self.neuron.floor,
-                    neurons=neurons,
+                    n_neurons=neurons,
                 )
             )
         return layers

@@ -67,7 +67,7 @@ def _run(current, keep_u_4096ths, keep_v_4096ths, bias, threshold, floor):
         return (u, tf.where(v > threshold, tf.zeros_like(v), v)), (u, v)
 
     v = tf.zeros_like(current[0]) + rest_voltage
-    u, v = scan(step, current, (tf.zeros_like(v), v), outputs=2)
+    u, v = scan(step, current, (tf.zeros_like(v), v), n_outputs=2)
     return tf.cast(v > threshold, current.dtype), u, v
 
 
@@ -89,7 +89,7 @@ def _run_back(  # noqa: PLR0913 - TensorFlow compiles a function of tensors
         return (grad_u, grad_v), (grad_u, grad_v)
 
     nothing = tf.zeros_like(error[0])
-    return scan(step, error, (nothing, nothing), outputs=2, backwards=True)
+    return scan(step, error, (nothing, nothing), n_outputs=2, backwards=True)
 
 
 def _compute_rest_voltage(keep_v_4096ths, bias):
@@ -112,18 +112,18 @@ def find_length(tensor, axis):
     return tf.shape(tensor)[axis] if tensor.shape[axis] is None else tensor.shape[axis]
 
 
-def scan(step, like, state, outputs: int, backwards: bool = False):
+def scan(step, like, state, n_outputs: int, backwards: bool = False):
     """Call a step function at every time step and collect its values.
 
     Parameters
     ----------
     step : callable
-        ``step(t, state) -> state, values``, with ``outputs`` values.
+        ``step(t, state) -> state, values``, with ``n_outputs`` values.
     like : tensor, shape (steps, ...)
         Defines the number of steps and the type of the values.
     state : tuple of tensor
         State before the first step.
-    outputs : int
+    n_outputs : int
         Number of values per step.
     backwards : bool
         Run from the last step to the first.
@@ -134,7 +134,7 @@ def scan(step, like, state, outputs: int, backwards: bool = False):
         One tensor for each value.
     """
     steps = find_length(like, 0)
-    arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(outputs))
+    arrays = tuple(tf.TensorArray(like.dtype, steps) for _ in range(n_outputs))
 
     def body(i, state, arrays):
         t = steps - 1 - i if backwards else i

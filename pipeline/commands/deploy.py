@@ -52,7 +52,7 @@ def export(
     opened = _read_bundle(bundle)
     write_nir(out, opened.spec)
     show(f"written to {out}")
-    if not (stimulus := opened.spec.stimulus).static:
+    if not (stimulus := opened.spec.stimulus).is_static:
         step = 1000 * stimulus.step_seconds
         silent = 1000 * stimulus.step_seconds * stimulus.refractory
         show(f"convert with --step {step:g} --set input.refractory={silent:g} for the same input")

@@ -26,7 +26,7 @@ ANY_NUMBER = 10_000
 
 
 def suggest_architecture(
-    sensor: Sensor, on_events: bool, hidden: int = 64, channels: int = 1
+    sensor: Sensor, on_events: bool, hidden: int = 64, n_channels: int = 1
 ) -> str:
     """An architecture for a sensor and its classes, in the paper's notation.
 
@@ -41,7 +41,7 @@ def suggest_architecture(
         For events, with a channel for each polarity.
     hidden : int
         Neurons of the hidden layer of a network on events, or of one without convolutions.
-    channels : int
+    n_channels : int
         Channels of an image.
     """
     rows = sensor.rows
@@ -49,8 +49,8 @@ def suggest_architecture(
     classes = len(sensor.classes)
     side = math.sqrt(rows * columns)
     smallest = min(rows, columns)
-    channels = 2 if on_events else channels
-    size = f"{rows}x{columns}" + (f"x{channels}" if channels > 1 else "")
+    n_channels = 2 if on_events else n_channels
+    size = f"{rows}x{columns}" + (f"x{n_channels}" if n_channels > 1 else "")
     end = f"{classes}o"
     if on_events:
         stride = max(3, math.floor(side / EVENT_MAP))
@@ -74,10 +74,10 @@ def describe_choice(section: str, architecture: str, sensor: Sensor) -> str:
     )
 
 
-def is_for(architecture: str, sensor: Sensor, channels: int) -> bool:
+def is_for(architecture: str, sensor: Sensor, n_channels: int) -> bool:
     """True if an architecture has the sensor's input size and as many outputs as classes."""
     parsed = parse(architecture)
-    shape = (sensor.rows, sensor.columns, channels)
+    shape = (sensor.rows, sensor.columns, n_channels)
     return parsed.input_shape == shape and parsed.outputs == len(sensor.classes)
 
 

@@ -68,7 +68,7 @@ class Baseline:
 
 # In one thread: the matrix products of a fit are too small for several.
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Baseline:
+def fit_baseline(counts, labels, training, n_classes: int, seed: int = 0) -> Baseline:
     """Fit the classifier to the training samples, and compute the scores of all samples.
 
     Parameters
@@ -78,7 +78,7 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     labels : ndarray of int, shape (n_samples,)
     training : ndarray of int
         Indices of the training samples.
-    classes : int
+    n_classes : int
     seed : int
         Seed of the folds.
 
@@ -88,12 +88,12 @@ def fit_baseline(counts, labels, training, classes: int, seed: int = 0) -> Basel
     """
     order = np.random.default_rng(seed).permutation(training)
     slices, strength, accuracy = _choose_features(
-        counts, labels, order[:MAX_COMPARED_SAMPLES], classes
+        counts, labels, order[:MAX_COMPARED_SAMPLES], n_classes
     )
     if len(training) > MAX_FITTED_SAMPLES:
         training = order[:MAX_FITTED_SAMPLES]
     features = _compute_features(counts, slices, training)
-    model = _Model.fit(features, labels[training], classes, strength)
+    model = _Model.fit(features, labels[training], n_classes, strength)
     by_batch = []
     for start in range(0, len(labels), SAMPLES_AT_ONCE):
         batch = np.arange(start, min(start + SAMPLES_AT_ONCE, len(labels)))

@@ -229,7 +229,7 @@ class NetworkKind:
                 "these recordings, or give those that it was trained on (--data) or their images "
                 "(--set image.slices, image.aggregation)"
             )
-        example = suggest_architecture(sensor, self.settings.on_events, channels=self.channels)
+        example = suggest_architecture(sensor, self.settings.on_events, n_channels=self.channels)
         raise UserError(
             f"{self.settings.data.source}: '{self.settings_group}.architecture' must be for an "
             f"input of {size} and {classes} classes, such as {example}, not {self.architecture}"

@@ -30,7 +30,7 @@ from deploy.stream.stream import Stream
 from deploy.targets.emulation import Emulation
 from pipeline.recordings.dataset import make_inputs_for
 from pipeline.recordings.events import Events
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 
 # Maximum number of neurons of a layer whose spikes are sent to the page, limited by the rows of a
@@ -188,7 +188,7 @@ class ImageDecider(Decider):
         if len(events) == 0:
             return None
         source = Source("live", "", True)
-        recording = collect([events], [0], [""], [-1], source, self._taxels, self._sensor)
+        recording = join_recordings([events], [0], [""], [-1], source, self._taxels, self._sensor)
         presented = self._present(make_inputs_for(self._spec, recording))
         if presented is None:
             return None

@@ -53,10 +53,10 @@ class Examples:
         self._rng = np.random.default_rng(seed)
         self._decks = {}
 
-    def count_by_class(self, classes: int) -> list:
+    def count_by_class(self, n_classes: int) -> list:
         """Number of examples of each class."""
         labels = np.array([example.label for example in self._examples], int)
-        return np.bincount(labels, minlength=classes).tolist()
+        return np.bincount(labels, minlength=n_classes).tolist()
 
     def draw(self, label: int | None = None) -> Example:
         """The next example of a class; default: of any.

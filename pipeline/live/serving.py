@@ -79,7 +79,9 @@ def serve(
                 threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
         facts = describe_for_page(bundle, sensor, record, note)
-        page = Live(load_decider, keeper, parameters.load(), facts, make_examples=make_examples)
+        page = Live(
+            load_decider, keeper, parameters.read_parameters(), facts, make_examples=make_examples
+        )
         try:
             Server(page, listening, when_listening, host).run()
         finally:

@@ -86,7 +86,7 @@ def choose_augmentation(recordings: Recordings) -> str:
 
 
 def alter(
-    alteration: Alteration, rng, events: EventColumns, samples: int, step_ms: float, size=(10, 10)
+    alteration: Alteration, rng, events: EventColumns, n_samples: int, step_ms: float, size=(10, 10)
 ) -> EventColumns:
     """Alter samples.
 
@@ -95,7 +95,7 @@ def alter(
     alteration : Alteration
     rng : numpy.random.Generator
     events : EventColumns
-    samples : int
+    n_samples : int
         Number of samples.
     step_ms : float
         The step, in milliseconds, within which a sample begins at a random time.
@@ -107,12 +107,12 @@ def alter(
     EventColumns
         The remaining events, and those of hot taxels.
     """
-    altered, kept = _alter_each(alteration, rng, events, samples, step_ms, size)
+    altered, kept = _alter_each(alteration, rng, events, n_samples, step_ms, size)
     altered = altered.select(kept)
     if not alteration.hot and not alteration.dead:
         return altered
     faults = draw_faults(
-        alteration.hot, alteration.dead, rng, altered.measure_durations_ms(samples), size
+        alteration.hot, alteration.dead, rng, altered.measure_durations_ms(n_samples), size
     )
     return faults.apply(altered)
 
@@ -182,14 +182,14 @@ def _alter_each(alteration, rng, events, samples, step_ms, size):
     return altered, kept
 
 
-def move_places(alteration: Alteration, rng, samples: int, sample, places, size) -> np.ndarray:
+def move_places(alteration: Alteration, rng, n_samples: int, sample, places, size) -> np.ndarray:
     """The places of events after the change of their sample in space.
 
     Parameters
     ----------
     alteration : Alteration
     rng : numpy.random.Generator
-    samples : int
+    n_samples : int
     sample : ndarray of int, shape (n_events,)
         Sample of each event.
     places : ndarray, shape (n_events, 2)
@@ -201,18 +201,18 @@ def move_places(alteration: Alteration, rng, samples: int, sample, places, size)
     ndarray of int, shape (n_events, 2)
         In whole taxels; places outside of ``size`` are beyond the edge.
     """
-    angle = rng.normal(0, alteration.turn, samples)
+    angle = rng.normal(0, alteration.turn, n_samples)
     cosine = np.cos(angle)
     sine = np.sin(angle)
     turned = np.moveaxis(np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
-    slanted = np.tile(np.eye(2), (samples, 1, 1))
-    slanted[:, 1, 0] = rng.normal(0, alteration.shear, samples)  # columns move with the row
-    stretched = np.exp(rng.normal(0, alteration.scale, (samples, 2)))[:, :, None]
+    slanted = np.tile(np.eye(2), (n_samples, 1, 1))
+    slanted[:, 1, 0] = rng.normal(0, alteration.shear, n_samples)  # columns move with the row
+    stretched = np.exp(rng.normal(0, alteration.scale, (n_samples, 2)))[:, :, None]
     matrix = stretched * (turned @ slanted)
     centre = (np.array(size) - 1) / 2
     row, column = (places - centre).T
     to_rows, to_columns = matrix.transpose(1, 2, 0)
-    shift = centre[:, None] + rng.normal(0, alteration.shift, (samples, 2)).T
+    shift = centre[:, None] + rng.normal(0, alteration.shift, (n_samples, 2)).T
     moved_rows = to_rows[0][sample] * row + to_rows[1][sample] * column
     moved_columns = to_columns[0][sample] * row + to_columns[1][sample] * column
     moved = np.stack([moved_rows + shift[0][sample], moved_columns + shift[1][sample]], -1)

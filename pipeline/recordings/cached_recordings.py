@@ -79,7 +79,7 @@ def import_recordings(
     refused = [list(entry) for entry in listing.refused]
     options = (skip_bad, *astuple(reading), refused)
     path = find_cache_file("imported", source.name, hash_source(listing), *options)
-    recordings = load(path)
+    recordings = read_stored(path)
     if recordings is None:
         new_recordings = read_source(source, jobs, skip_bad, progress, reading)
         recordings = store_and_load(path, new_recordings)
@@ -147,12 +147,12 @@ def store(path, recordings: Recordings):
 def store_and_load(path, new_recordings: Recordings) -> Recordings:
     """Save recordings, and load them from the files, so that they do not take memory."""
     store(path, new_recordings)
-    recordings = load(path)
+    recordings = read_stored(path)
     assert recordings is not None
     return recordings
 
 
-def load(path) -> Recordings | None:
+def read_stored(path) -> Recordings | None:
     """Load recordings, or return None if the file does not exist.
 
     Raises

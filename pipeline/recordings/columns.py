@@ -37,8 +37,8 @@ class EventColumns(NamedTuple):
         pairs = zip(self, other, strict=True)
         return EventColumns(*(np.concatenate([a, b.astype(a.dtype)]) for a, b in pairs))
 
-    def measure_durations_ms(self, samples: int) -> np.ndarray:
+    def measure_durations_ms(self, n_samples: int) -> np.ndarray:
         """Time of each sample's last event in milliseconds, shape (samples,); 0 without events."""
-        durations = np.zeros(samples)
+        durations = np.zeros(n_samples)
         np.maximum.at(durations, self.sample, self.time_ms)
         return durations

@@ -387,12 +387,12 @@ def list_event_warnings(settings: Settings, recordings: Recordings) -> list:
     return lines
 
 
-def describe_cut_recordings(table: EventTable, step_ms: float, steps: int) -> str:
+def describe_cut_recordings(table: EventTable, step_ms: float, n_steps: int) -> str:
     """A note on recordings that are longer than their presentation; empty if there are none."""
-    number = int(np.sum(table.duration_ms >= step_ms * steps))
+    number = int(np.sum(table.duration_ms >= step_ms * n_steps))
     if not number:
         return ""
     return (
-        f"{number} of {len(table)} recordings are longer than {steps} steps of {step_ms:g} ms, and "
-        "their ends are not presented"
+        f"{number} of {len(table)} recordings are longer than {n_steps} steps of {step_ms:g} ms, "
+        "and their ends are not presented"
     )

@@ -187,7 +187,7 @@ class FaultCounts:
 
 
 def place_faults(
-    counts: FaultCounts, rng, durations_ms, places, size: tuple, polarities: int = 2
+    counts: FaultCounts, rng, durations_ms, places, size: tuple, n_polarities: int = 2
 ) -> TaxelFaults:
     """Place a number of faulty taxels in each sample, as a check measures their effect.
 
@@ -201,7 +201,7 @@ def place_faults(
         Row and column of each taxel of the sensor.
     size : (int, int)
         Rows and columns.
-    polarities : int
+    n_polarities : int
         2 for ON and OFF events, 1 for ON events only.
 
     Returns
@@ -224,13 +224,13 @@ def place_faults(
     row, column = np.asarray(places)[order[:, :faulty]].transpose(2, 0, 1)
     silent_from_ms = np.full((samples, *size), np.inf)
     silent_from_ms[np.arange(samples)[:, None], row[:, hot:], column[:, hot:]] = 0.0
-    sample = np.repeat(np.arange(samples), hot * polarities)
+    sample = np.repeat(np.arange(samples), hot * n_polarities)
     n = len(sample)
     sources = HotSources(
         sample,
-        np.repeat(row[:, :hot].ravel(), polarities),
-        np.repeat(column[:, :hot].ravel(), polarities),
-        np.tile(np.arange(polarities), samples * hot),
+        np.repeat(row[:, :hot].ravel(), n_polarities),
+        np.repeat(column[:, :hot].ravel(), n_polarities),
+        np.tile(np.arange(n_polarities), samples * hot),
         np.full(n, CHECK_PERIOD_MS),
         rng.uniform(0, CHECK_PERIOD_MS, n),
         durations_ms[sample],

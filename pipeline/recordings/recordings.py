@@ -243,7 +243,7 @@ class Recordings:
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
 
-def collect(  # noqa: PLR0913 - the columns of a table of recordings
+def join_recordings(  # noqa: PLR0913 - the columns of a table of recordings
     samples, labels, ids, writers, source, taxels=None, sensor=None, parts=()
 ) -> Recordings:
     """Join the events of single recordings.
@@ -315,13 +315,16 @@ def describe_recordings(recordings: Recordings) -> str:
     offsets = recordings.offsets
     sensor = recordings.sensor
     has_events = np.diff(offsets) > 0
-    lasts = (time_ns[offsets[1:][has_events] - 1] - time_ns[offsets[:-1][has_events]]) * 1e-9
-    lasts = lasts if has_events.any() else np.zeros(1)
+    durations_s = (time_ns[offsets[1:][has_events] - 1] - time_ns[offsets[:-1][has_events]]) * 1e-9
+    durations_s = durations_s if has_events.any() else np.zeros(1)
     parts = [
         f"{len(recordings)} recordings",
         describe_size(sensor),
         format_count(len(sensor.classes), "class", "classes"),
-        " to ".join(dict.fromkeys(f"{limit:.2g}" for limit in (lasts.min(), lasts.max()))) + " s",
+        " to ".join(
+            dict.fromkeys(f"{limit:.2g}" for limit in (durations_s.min(), durations_s.max()))
+        )
+        + " s",
     ]
     if recordings.source.time_unit:
         parts.append(f"times read as {UNIT_NAMES[recordings.source.time_unit]}")

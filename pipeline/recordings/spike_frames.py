@@ -127,12 +127,12 @@ class EventTable:
         for name in EVENT_DTYPES:
             release_pages(getattr(self.events, name))
 
-    def count_in_slices(self, slices: int, duration_ms: float, indices=None) -> np.ndarray:
+    def count_in_slices(self, n_slices: int, duration_ms: float, indices=None) -> np.ndarray:
         """Count the events of each taxel and polarity in equal slices of time.
 
         Parameters
         ----------
-        slices : int
+        n_slices : int
         duration_ms : float
             Time from a recording's first event that is divided into slices.  Later events are
             counted in the last one.
@@ -145,28 +145,28 @@ class EventTable:
             First ON, then OFF.
         """
         indices = np.arange(len(self)) if indices is None else np.asarray(indices)
-        counts = make_empty_array((len(indices), slices, *self.size, 2), np.float32)
+        counts = make_empty_array((len(indices), n_slices, *self.size, 2), np.float32)
         for span, events in self.select_in_batches(indices):
-            counts[span] = self.count(events, span.stop - span.start, slices, duration_ms)
+            counts[span] = self.count(events, span.stop - span.start, n_slices, duration_ms)
         return counts
 
     def count(
-        self, events: EventColumns, samples: int, slices: int, duration_ms: float, weights=None
+        self, events: EventColumns, n_samples: int, n_slices: int, duration_ms: float, weights=None
     ) -> np.ndarray:
         """Count events that were selected; see :meth:`count_in_slices`.
 
         Parameters
         ----------
         events : EventColumns
-        samples : int
-        slices : int
+        n_samples : int
+        n_slices : int
         duration_ms : float
         weights : ndarray, shape (n_events,), optional
             Number that each event counts for; default: 1.
         """
-        slice_of_time = (events.time_ms * np.float32(slices / duration_ms)).astype(int)
-        slice_of_time = np.minimum(slice_of_time, slices - 1)
-        shape = (samples, slices, *self.size, 2)
+        slice_of_time = (events.time_ms * np.float32(n_slices / duration_ms)).astype(int)
+        slice_of_time = np.minimum(slice_of_time, n_slices - 1)
+        shape = (n_samples, n_slices, *self.size, 2)
         indices = (events.sample, slice_of_time, events.row, events.column, events.polarity)
         cell = np.ravel_multi_index(indices, shape)
         counts = np.bincount(cell, weights, minlength=math.prod(shape))
@@ -204,11 +204,11 @@ class EventTable:
         )
 
     def make_frames(
-        self, indices, step_ms: float, steps: int, limits: SpikeLimits = NO_LIMITS
+        self, indices, step_ms: float, n_steps: int, limits: SpikeLimits = NO_LIMITS
     ) -> np.ndarray:
         """Frames of some recordings; see :func:`make_spike_frames`."""
         events = self.select(np.asarray(indices))
-        return make_spike_frames(events, step_ms, len(indices), steps, self.size, limits)
+        return make_spike_frames(events, step_ms, len(indices), n_steps, self.size, limits)
 
     def measure_loss(self, step_ms: float, refractory_steps: int = 0) -> float:
         """Share of the events without a spike of their own; see :func:`make_spike_frames`."""
@@ -236,8 +236,8 @@ class EventTable:
 def make_spike_frames(
     events: EventColumns,
     step_ms: float,
-    samples: int,
-    steps: int,
+    n_samples: int,
+    n_steps: int,
     size: tuple = (10, 10),
     limits: SpikeLimits = NO_LIMITS,
 ) -> np.ndarray:
@@ -251,7 +251,7 @@ def make_spike_frames(
     events : EventColumns
     step_ms : float
         Length of a step; an event belongs to the step in which it is.
-    samples, steps : int
+    n_samples, n_steps : int
         Numbers of samples and steps.
     size : (int, int)
         Rows and columns.
@@ -261,9 +261,9 @@ def make_spike_frames(
     -------
     ndarray of uint8, shape (steps, samples, rows, columns, 2)
     """
-    frames = np.zeros((steps, samples, *size, 2), np.uint8)
+    frames = np.zeros((n_steps, n_samples, *size, 2), np.uint8)
     step = np.floor(events.time_ms / step_ms).astype(np.int64)
-    inside = (step >= 0) & (step < steps)
+    inside = (step >= 0) & (step < n_steps)
     sample, _, row, column, polarity = events.select(inside)
     frames[step[inside], sample, row, column, polarity] = 1
     frames = apply_refractory_period(frames, limits.refractory_steps)

@@ -35,7 +35,7 @@ MAX_LOSS_POINTS = 3.0
 
 def list_boards() -> list:
     """Targets whose existing results are included, but which the ladder does not run."""
-    return [name for name, target in TARGETS.items() if target.hardware]
+    return [name for name, target in TARGETS.items() if target.needs_board]
 
 
 def list_stages(kind: NetworkKind) -> list:
@@ -162,19 +162,19 @@ def select_deployed_result(results) -> dict:
     return results[-1]
 
 
-def count_confusions(labels, predictions, classes: int = 10) -> np.ndarray:
+def count_confusions(labels, predictions, n_classes: int = 10) -> np.ndarray:
     """Count samples by label (row) and prediction (column).
 
     Parameters
     ----------
     labels, predictions : sequence of int
-    classes : int
+    n_classes : int
 
     Returns
     -------
     ndarray of int, shape (classes, classes)
     """
-    matrix = np.zeros((classes, classes), int)
+    matrix = np.zeros((n_classes, n_classes), int)
     np.add.at(matrix, (np.asarray(labels, int), np.asarray(predictions, int)), 1)
     return matrix
 

@@ -283,7 +283,7 @@ def _measure_typical_duration_s(recordings):
 
 
 def replace_check_samples(
-    bundle: Bundle, recordings: Recordings, samples: int | None, seed: int, image: Image
+    bundle: Bundle, recordings: Recordings, n_samples: int | None, seed: int, image: Image
 ) -> tuple:
     """A bundle with other recordings as the samples of its check, and the indices of these.
 
@@ -292,7 +292,7 @@ def replace_check_samples(
     bundle : Bundle
     recordings : Recordings
         From :func:`read_recordings_for`.
-    samples : int or None
+    n_samples : int or None
         Number of samples drawn at random; 0 for all, None for 200 at most.
     seed : int
         Seed of the draw.
@@ -305,7 +305,7 @@ def replace_check_samples(
         There are fewer recordings, or they cannot be presented to the network.
     """
     n = len(recordings)
-    count = min(CHECK_SAMPLES, n) if samples is None else samples or n
+    count = min(CHECK_SAMPLES, n) if n_samples is None else n_samples or n
     try:
         chosen = draw_check_samples(np.arange(n), count, seed)
     except ValueError as error:
@@ -377,8 +377,8 @@ def _measure_accuracy(right, chosen):
     return {"n": n, "accuracy": count / n, "accuracy_ci95": list(compute_wilson_interval(count, n))}
 
 
-def find_result_path(bundle: Bundle, recordings: Recordings, samples: int, target: str) -> Path:
+def find_result_path(bundle: Bundle, recordings: Recordings, n_samples: int, target: str) -> Path:
     """The file of such a result: beside the bundle, one for each set of recordings."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in recordings.source.name)[:60]
-    file = f"{name}-{recordings.source.sha256[:8]}-{samples}-{target}.json"
+    file = f"{name}-{recordings.source.sha256[:8]}-{n_samples}-{target}.json"
     return find_checks_folder(bundle.path) / FOLDER / file

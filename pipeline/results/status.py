@@ -27,7 +27,7 @@ WIDTH = 80
 
 # Targets of the check that the ladder does not run.
 CHECKED_ALONE = tuple(
-    name for name, target in TARGETS.items() if target.hardware or not target.in_ladder
+    name for name, target in TARGETS.items() if target.needs_board or not target.in_ladder
 )
 
 

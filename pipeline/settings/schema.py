@@ -14,7 +14,7 @@ from typing import Annotated
 
 from deploy import limits
 from deploy.errors import UserError
-from deploy.loading import WrongValue, load
+from deploy.loading import WrongValue, load_dataclass
 from deploy.network.presentation import Presentation
 from deploy.network.stimulus import EventFrames, ImageSpikes, Stimulus
 from pipeline import paper
@@ -98,7 +98,7 @@ class Settings(SettingsGroup):
             An unknown setting, or a value of the wrong kind or out of range.
         """
         try:
-            settings = load(Settings, merge_values(self.to_json(), changes))
+            settings = load_dataclass(Settings, merge_values(self.to_json(), changes))
             if settings.data.source != SIMULATED:  # a run can be repeated from any folder
                 source = os.path.abspath(settings.data.source)
                 settings = replace(settings, data=replace(settings.data, source=source))

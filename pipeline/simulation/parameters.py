@@ -97,7 +97,7 @@ class Parameters:
 
 
 @functools.cache
-def load(people: int = PEOPLE, chunked: float = 0.0) -> Parameters:
+def read_parameters(people: int = PEOPLE, chunked: float = 0.0) -> Parameters:
     """The built-in parameters, with a number of writers and a share of chunked recordings."""
     fit = json.loads(FITTED.read_text("utf-8"))
     fitted = from_fit(fit, shape_model.read(FITTED_SHAPES), people)
@@ -125,7 +125,7 @@ def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
     return Parameters(
         **sections,
         forms=tuple(map(_make_form, fit["digits"])),
-        shapes=shape_model.load().join(shapes, 1 - sections["writers"].tablet),
+        shapes=shape_model.read_shape_model().join(shapes, 1 - sections["writers"].tablet),
         people=people,
     )
 

@@ -277,7 +277,7 @@ def even_out(stroke, share: float) -> np.ndarray:
 
 
 @functools.cache
-def load() -> ShapeModel:
+def read_shape_model() -> ShapeModel:
     """The built-in model of people who write on a tablet."""
     return read(MODEL)
 

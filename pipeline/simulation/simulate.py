@@ -12,11 +12,11 @@ from deploy.errors import UserError
 from pipeline.jobs import call_in_processes
 from pipeline.paper import SAMPLES_PER_DIGIT
 from pipeline.recordings.chunks import chunk_events
-from pipeline.recordings.recordings import Recordings, Source, collect
+from pipeline.recordings.recordings import Recordings, Source, join_recordings
 from pipeline.recordings.sensor import GRID, Sensor, TaxelMap
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
-from pipeline.simulation.parameters import PEOPLE, load
+from pipeline.simulation.parameters import PEOPLE, read_parameters
 from pipeline.simulation.spurious_events import draw_spurious_events
 
 # Part of the hash of the recordings; increase it with any change of the simulation.
@@ -123,7 +123,7 @@ def simulate(
     UserError
         A digit is requested that no trace has.
     """
-    parameters = parameters or load()
+    parameters = parameters or read_parameters()
     counts = _check_counts(samples_per_digit)
     samples = list_samples(seed, counts, parameters.people, traces)
     batches = [samples[first : first + BATCH] for first in range(0, len(samples), BATCH)]
@@ -134,7 +134,7 @@ def simulate(
             parts += batch_events
             if advance:
                 advance(len(batch_events))
-    return collect(
+    return join_recordings(
         parts,
         labels=[sample.digit for sample in samples],
         ids=[sample.name for sample in samples],
@@ -147,7 +147,7 @@ def simulate(
 
 def make_source(seed=0, samples_per_digit=None, parameters=None, traces=None, size=SIZE) -> Source:
     """The source (name and hash) of the recordings of :func:`simulate` with the same arguments."""
-    parameters = parameters or load()
+    parameters = parameters or read_parameters()
     content = [VERSION, int(seed), _check_counts(samples_per_digit), parameters.compute_hash()]
     if tuple(size) != SIZE:
         content.append(list(size))

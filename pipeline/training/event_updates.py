@@ -18,17 +18,17 @@ MIN_EPOCHS = 40
 MAX_UPDATES_OF_MIN_EPOCHS = 8000
 
 
-def choose_epochs(samples: int, batch_size: int) -> int:
+def choose_epochs(n_samples: int, batch_size: int) -> int:
     """Number of passes over the training samples, which has a suitable number of updates.
 
     Parameters
     ----------
-    samples : int
+    n_samples : int
         Number of training samples.
     batch_size : int
         Samples per update.
     """
-    batches = divide_up(max(samples, 1), batch_size)
-    updates = max(MIN_UPDATES, UPDATES_BY_ROOT_OF_SAMPLES * math.sqrt(samples))
+    batches = divide_up(max(n_samples, 1), batch_size)
+    updates = max(MIN_UPDATES, UPDATES_BY_ROOT_OF_SAMPLES * math.sqrt(n_samples))
     fewest = min(MIN_EPOCHS, MAX_UPDATES_OF_MIN_EPOCHS // batches)
     return max(round(updates / batches), fewest, 1)

@@ -94,7 +94,7 @@ def run(
     settings: Settings,
     weights: dict,
     images,
-    steps: int,
+    n_steps: int,
     spiking: bool = True,
     batch: int = 200,
     advance=None,
@@ -108,7 +108,7 @@ def run(
         Weights of the rate-based network.
     images : ndarray, shape (n_samples, rows, columns, channels)
         Presented as constant currents.
-    steps : int
+    n_steps : int
         Steps of 1 ms; 1 is enough for the rate-based neurons.
     spiking : bool
         Use spiking LIF neurons, not rate-based ones.
@@ -138,26 +138,26 @@ def run(
         results = []
         for images_of_batch in np.split(padded, len(padded) // batch):
             results.append(
-                simulator.predict_on_batch({source: np.repeat(images_of_batch, steps, 1)})[output]
+                simulator.predict_on_batch({source: np.repeat(images_of_batch, n_steps, 1)})[output]
             )
             if advance is not None:
                 advance(min(batch, len(images) - (len(results) - 1) * batch))
     return np.concatenate(results)[: len(images)]
 
 
-def predict(settings: Settings, weights: dict, images, steps: int) -> np.ndarray:
+def predict(settings: Settings, weights: dict, images, n_steps: int) -> np.ndarray:
     """Predictions of the spiking network: the largest mean logit in the readout window.
 
     Parameters
     ----------
-    settings, weights, images, steps
+    settings, weights, images, n_steps
         As in :func:`run`.
 
     Returns
     -------
     ndarray of int, shape (n_samples,)
     """
-    outputs = run(settings, weights, images, steps)
+    outputs = run(settings, weights, images, n_steps)
     return outputs[:, settings.presentation.readout_start :].mean(axis=1).argmax(1)
 
 

@@ -106,7 +106,7 @@ def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> li
     states = {stage: artifact.find_state() for stage, artifact in artifacts.items()}
     targets = [stage for stage in stages if stage in TARGETS and not states[stage].is_current]
     results = {}
-    if jobs > 1 and any(TARGETS[name].slow for name in targets):
+    if jobs > 1 and any(TARGETS[name].is_slow for name in targets):
         for name in targets:
             states[name].announce("checking", opened.say)
         paths = {name: artifacts[name].record for name in targets}
@@ -153,7 +153,7 @@ def _run_targets(bundle, paths, seed, jobs, advance, meanwhile):
         stream_jobs = []
         for check in checks.values():
             batches = [check.remaining_streams]
-            if check.target.slow:
+            if check.target.is_slow:
                 batches = [[stream] for stream in check.remaining_streams]
             stream_jobs += [check.make_job(streams) for streams in batches if streams]
         for job, records in run_jobs(_run_all_streams, stream_jobs, jobs, meanwhile=meanwhile):

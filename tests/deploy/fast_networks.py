@@ -160,7 +160,7 @@ def loud_spec(filters, sign):
 def images_for(spec, n, seed=0):
     """Images between 0 and 1, some pixels of them black, shape (n, n_pixels), or event frames."""
     rng = np.random.default_rng(seed)
-    if not spec.stimulus.static:
+    if not spec.stimulus.is_static:
         shape = (n, *spec.stimulus.find_sample_shape(spec.input_shape, spec.presentation.steps))
         return spec.stimulus.flatten((rng.random(shape) < 0.2).astype(np.uint8))
     shape = (n, int(np.prod(spec.input_shape)))

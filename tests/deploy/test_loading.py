@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.loading import WrongValue, between, check, limited_field, load, one_of
+from deploy.loading import WrongValue, between, check, limited_field, load_dataclass, one_of
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ PLAIN = {"name": "n", "inner": {"rate": 1}, "many": [{"kind": "b"}], "shape": [2
 
 
 def test_defaults_nested_values_and_whole_numbers():
-    loaded = load(Outer, PLAIN)
+    loaded = load_dataclass(Outer, PLAIN)
     assert loaded == Outer("n", Inner(1.0), [Inner(kind="b")], (2, 3))
-    assert load(Outer, json.loads(json.dumps(asdict(loaded)))) == loaded
+    assert load_dataclass(Outer, json.loads(json.dumps(asdict(loaded)))) == loaded
 
 
 @pytest.mark.parametrize(
@@ -62,14 +62,14 @@ def test_defaults_nested_values_and_whole_numbers():
 )
 def test_what_does_not_fit_is_named(change, line):
     with pytest.raises(WrongValue) as caught:
-        load(Outer, {**PLAIN, **change})
+        load_dataclass(Outer, {**PLAIN, **change})
     assert str(caught.value) == line
 
 
 def test_a_missing_entry_and_the_name_of_the_whole():
     with pytest.raises(WrongValue, match=r"'file\.name' is missing"):
-        load(Outer, {key: PLAIN[key] for key in ("inner", "many")}, "file")
-    assert load(Inner, {"rate": 1, "new": 2}, extra=True) == Inner(1)
+        load_dataclass(Outer, {key: PLAIN[key] for key in ("inner", "many")}, "file")
+    assert load_dataclass(Inner, {"rate": 1, "new": 2}, ignore_extra=True) == Inner(1)
 
 
 JUNK = st.none() | st.integers() | st.text() | st.lists(st.floats())
@@ -78,7 +78,7 @@ JUNK = st.none() | st.integers() | st.text() | st.lists(st.floats())
 @given(st.sampled_from(sorted(PLAIN)), JUNK)
 def test_any_value_in_any_place_fits_or_is_refused(name, junk):
     try:
-        load(Outer, {**PLAIN, name: junk})
+        load_dataclass(Outer, {**PLAIN, name: junk})
     except WrongValue as error:
         assert name in str(error)  # noqa: PT017 - anything else is a crash
 

@@ -16,7 +16,7 @@ from experiments.fidelity import (
 from pipeline.recordings.chunks import CHUNK_NS
 from pipeline.recordings.events import Events
 from pipeline.recordings.formats.mat import read_recording
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.simulation import parameters
 from pipeline.simulation.simulate import simulate
@@ -24,7 +24,7 @@ from pipeline.sources import load_recordings
 
 
 def recordings_of(events, **how):
-    return collect([events], [0], ["0/0"], [-1], Source("by hand", "", True), **how)
+    return join_recordings([events], [0], ["0/0"], [-1], Source("by hand", "", True), **how)
 
 
 def test_chunks_by_hand():
@@ -87,7 +87,7 @@ def test_the_published_arrays_are_chunks_of_the_files(shared_data, tmp_path):
 
 def test_the_share_of_simulated_recordings_in_chunks():
     whole = simulate(0, [4] * 10, 1)
-    half = simulate(0, [4] * 10, 1, parameters=parameters.load(chunked=0.5))
+    half = simulate(0, [4] * 10, 1, parameters=parameters.read_parameters(chunked=0.5))
     is_chunked = [not (half[index].time_ns % CHUNK_NS).any() for index in range(len(half))]
     assert sum(is_chunked) == 20
     np.testing.assert_array_equal(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from experiments.slayer import bin_events
 from pipeline.recordings.events import Events, expand_bursts
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import TaxelMap
 
 SOURCE = Source("made by hand", "0" * 64, simulated=True)
@@ -16,7 +16,7 @@ SOURCE = Source("made by hand", "0" * 64, simulated=True)
 def recordings(*samples, taxels=None):
     parts = [Events(*np.array(rows).reshape(-1, 4).T) for rows in samples]
     n = len(parts)
-    return collect(parts, [0] * n, [str(i) for i in range(n)], [-1] * n, SOURCE, taxels)
+    return join_recordings(parts, [0] * n, [str(i) for i in range(n)], [-1] * n, SOURCE, taxels)
 
 
 def test_events_by_hand():

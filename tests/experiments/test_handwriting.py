@@ -13,7 +13,7 @@ from pipeline.simulation.handwriting import Trace
 from pipeline.simulation.shape_model import POINTS, Allograph
 from tests.command import call
 
-BUILT_IN = shape_model.load()
+BUILT_IN = shape_model.read_shape_model()
 
 
 def stroke(start, end, points=24):

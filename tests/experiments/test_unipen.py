@@ -7,7 +7,7 @@ from deploy.errors import UserError
 from experiments import unipen
 from pipeline.simulation import handwriting, parameters
 
-P = parameters.load()
+P = parameters.read_parameters()
 
 SEVEN = """\
 .INCLUDE dene.doc

@@ -7,7 +7,7 @@ import numpy as np
 import scipy.io
 
 from pipeline.recordings.events import Events
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import TaxelMap
 from pipeline.recordings.spike_frames import EventTable
 
@@ -24,7 +24,7 @@ def events(rows=GOOD):
 def recordings(*samples, labels=None, taxels=None, parts=()):
     each, n = [events(rows) for rows in samples], len(samples)
     ids, labels = [f"0/{i}" for i in range(n)], labels or [0] * n
-    return collect(each, labels, ids, [-1] * n, SOURCE, taxels, parts=parts)
+    return join_recordings(each, labels, ids, [-1] * n, SOURCE, taxels, parts=parts)
 
 
 def event_table(columns, offsets, size=(10, 10)):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...arithmetic import divide_up
 from ...errors import UserError
-from ...loading import load
+from ...loading import load_dataclass
 from ..chip import Chip
 from ..geometry import compute_pooled_shape, unpool
 
@@ -189,7 +189,7 @@ class DeployedOperation:
         deploy.loading.WrongValue
             A number is missing, unknown or out of range.
         """
-        return load(cls, numbers)
+        return load_dataclass(cls, numbers)
 
     def find_largest_weights(self, weights: np.ndarray, pooled_shape) -> np.ndarray:
         """The largest magnitude of a weight of each channel or unit, shape (channels,)."""
@@ -315,14 +315,14 @@ def find_index_bits(highest: int) -> int:
     return next((bits for bits in INDEX_BITS if 2**bits >= highest), INDEX_BITS[-1])
 
 
-def count_input_words(synapses: int, bits: int, chip: Chip) -> int:
+def count_input_words(n_synapses: int, bits: int, chip: Chip) -> int:
     """Number of words of synapse memory for the lists of one input's synapses."""
-    full_lists, remaining = divmod(synapses, SYNAPSES_OF_LIST)
+    full_lists, remaining = divmod(n_synapses, SYNAPSES_OF_LIST)
     words = full_lists * count_list_words(SYNAPSES_OF_LIST, bits, chip)
     return words + (count_list_words(remaining, bits, chip) if remaining else 0)
 
 
-def count_axon_words(atoms: int, synapses: int, bits: int, chip: Chip) -> int:
+def count_axon_words(n_atoms: int, n_synapses: int, bits: int, chip: Chip) -> int:
     """Number of words of synapse memory for the lists of one axon whose spikes name an atom.
 
     The chip starts the lists of each atom with a new word.  NengoLoihi counts the synapses of all
@@ -330,27 +330,27 @@ def count_axon_words(atoms: int, synapses: int, bits: int, chip: Chip) -> int:
 
     Parameters
     ----------
-    atoms : int
-    synapses : int
+    n_atoms : int
+    n_synapses : int
         Number of synapses of each atom.
     bits : int
         Bits of each synapse.
     chip : Chip
     """
     return max(
-        atoms * count_input_words(synapses, bits, chip),
-        count_input_words(atoms * synapses, bits, chip),
+        n_atoms * count_input_words(n_synapses, bits, chip),
+        count_input_words(n_atoms * n_synapses, bits, chip),
     )
 
 
-def count_list_words(synapses: int, bits: int, chip: Chip) -> int:
+def count_list_words(n_synapses: int, bits: int, chip: Chip) -> int:
     """Number of words of synapse memory for one list, which starts with a new word.
 
     Parameters
     ----------
-    synapses : int
+    n_synapses : int
     bits : int
         Bits of each synapse.
     chip : Chip
     """
-    return divide_up(synapses * bits + chip.synapse_header_bits, chip.synapse_word_bits)
+    return divide_up(n_synapses * bits + chip.synapse_header_bits, chip.synapse_word_bits)

@@ -8,7 +8,7 @@ from typing import List, NamedTuple
 import numpy as np
 
 from ...arithmetic import divide_up
-from ...loading import Limit, WrongValue, limited_field, load
+from ...loading import Limit, WrongValue, limited_field, load_dataclass
 from ..geometry import (
     compute_convolution_shape,
     compute_padded_kernel_size,
@@ -71,7 +71,7 @@ class DeployedConvolution(DeployedOperation):
         if "kernel" in values:
             values["kernel_size"] = values.pop("kernel")
         try:
-            return load(cls, values)
+            return load_dataclass(cls, values)
         except WrongValue as error:
             name = "kernel" if error.name == "kernel_size" else error.name
             raise WrongValue(name, error.problem) from error

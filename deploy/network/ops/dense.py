@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...loading import load
+from ...loading import load_dataclass
 from ..chip import Chip
 from ..geometry import list_inputs_within
 from .base import (
@@ -40,7 +40,7 @@ class DeployedDense(DeployedOperation):
 
     @classmethod
     def from_file(cls, numbers, shape):
-        return load(cls, {**numbers, "units": shape[-1]})
+        return load_dataclass(cls, {**numbers, "units": shape[-1]})
 
     def compute_shape(self, pooled_shape):
         return (self.units,)

@@ -135,9 +135,9 @@ class EventChoices:
         if settings.is_open("events.budget"):
             self._choose_budget(text, size, samples)
 
-    def _choose_budget(self, architecture: str, size: NetworkSize, samples: int):
+    def _choose_budget(self, architecture: str, size: NetworkSize, n_samples: int):
         events = len(self.recordings.events) / max(len(self.recordings), 1)
-        if size.is_for(self.recordings.sensor, samples):
+        if size.is_for(self.recordings.sensor, n_samples):
             budget = size.budget * max(1, events / USUAL_EVENTS)
         else:
             received = events * count_operations_of_event(architecture) / CNN_MACS

@@ -68,9 +68,9 @@ class InputChoice(NamedTuple):
     accuracy: float
     complete: float
 
-    def describe(self, step_ms: float, sections: int) -> str:
+    def describe(self, step_ms: float, n_sections: int) -> str:
         """The choice and its reason in a line, with the number of sections that the network has."""
-        span = f"each of {sections} sections" if sections > 1 else "the whole"
+        span = f"each of {n_sections} sections" if n_sections > 1 else "the whole"
         return (
             f"refractory period of {self.refractory_steps * step_ms:g} ms: {self.lost:.0%} of the "
             "events are merged or ignored; a linear classifier of the others, cross-validated in "
@@ -97,7 +97,7 @@ def compute_bin_ms(table: EventTable) -> float | None:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -> InputChoice:
+def choose_input(table: EventTable, labels, train, step_ms: float, n_steps: int) -> InputChoice:
     """Choose the refractory period and the number of sections on the training samples.
 
     The refractory period is the longest of those with nearly the highest accuracy of the linear
@@ -112,7 +112,7 @@ def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -
         Indices of the training samples.
     step_ms : float
         Milliseconds of a step.
-    steps : int
+    n_steps : int
         Steps of a presentation.
     """
     with_events = np.asarray(train)[np.diff(table.offsets)[train] > 0]
@@ -127,7 +127,7 @@ def choose_input(table: EventTable, labels, train, step_ms: float, steps: int) -
         is_long = period * step_ms > MAX_REFRACTORY_MS
         if period and (is_long or lost[period] > MAX_LOST_EVENT_SHARE):
             continue
-        spikes = _count_spikes(table, compared, step_ms, steps, period)
+        spikes = _count_spikes(table, compared, step_ms, n_steps, period)
         accuracy[period] = {
             sections: measure_left_out_accuracy(_merge_sections(spikes, sections), target)
             for sections in SECTION_COUNTS
@@ -153,18 +153,18 @@ def _merge_sections(spikes, sections):
     return merged.reshape(samples, -1)
 
 
-def _choose_sections(accuracy: dict, samples: int) -> int:
+def _choose_sections(accuracy: dict, n_samples: int) -> int:
     """The number of sections; a larger one must gain more than a standard error."""
     chosen, *others = SECTION_COUNTS
     for sections in others:
         share = accuracy[chosen]
-        standard_error = math.sqrt(share * (1 - share) / samples)
+        standard_error = math.sqrt(share * (1 - share) / n_samples)
         if accuracy[sections] > share + standard_error:
             chosen = sections
     return chosen
 
 
-def choose_max_spikes(table: EventTable, train, stimulus: Input, steps: int) -> int:
+def choose_max_spikes(table: EventTable, train, stimulus: Input, n_steps: int) -> int:
     """Choose the maximum number of spikes of a taxel and polarity in a sample.
 
     It is the smallest that leaves out at most :data:`MAX_LIMITED_SPIKE_SHARE` of the spikes of the
@@ -177,7 +177,7 @@ def choose_max_spikes(table: EventTable, train, stimulus: Input, steps: int) -> 
         Indices of the training samples.
     stimulus : Input
         With the length of a step and the refractory period.
-    steps : int
+    n_steps : int
         Number of steps of a presentation.
 
     Returns
@@ -190,11 +190,11 @@ def choose_max_spikes(table: EventTable, train, stimulus: Input, steps: int) -> 
     for start in range(0, len(counted), 64):
         indices = counted[start : start + 64]
         frames = table.make_frames(
-            indices, stimulus.step, steps, SpikeLimits(stimulus.refractory_steps)
+            indices, stimulus.step, n_steps, SpikeLimits(stimulus.refractory_steps)
         )
         by_batch.append(frames.sum(0, dtype=int).ravel())
     counts = np.concatenate(by_batch)
-    most = steps // (1 + stimulus.refractory_steps)
+    most = n_steps // (1 + stimulus.refractory_steps)
     for max_spikes in range(1, most // 2 + 1):
         left_out = np.maximum(counts - max_spikes, 0).sum()
         if left_out <= MAX_LIMITED_SPIKE_SHARE * counts.sum():

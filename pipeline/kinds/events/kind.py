@@ -275,12 +275,12 @@ def choose_confidence(settings: Settings, samples: EventSamples, trained, seed: 
     return drop_unreliable_confidence(chosen, len(held_out))
 
 
-def drop_unreliable_confidence(chosen: Threshold, samples: int) -> Threshold:
+def drop_unreliable_confidence(chosen: Threshold, n_samples: int) -> Threshold:
     """A confidence for early decisions, or 1 if it was chosen on fewer samples than `MIN_HELD_OUT`.
 
     With a confidence of 1 the network decides at the end of each recording.
     """
-    return chosen if samples >= MIN_HELD_OUT else chosen._replace(confidence=1.0, share=1.0)
+    return chosen if n_samples >= MIN_HELD_OUT else chosen._replace(confidence=1.0, share=1.0)
 
 
 def read_confidence(artifact) -> float | None:

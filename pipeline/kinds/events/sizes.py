@@ -57,9 +57,9 @@ class NetworkSize:
     passes: int = 1
     dropout: float = EventTraining.dropout
 
-    def is_for(self, sensor: Sensor, samples: int) -> bool:
+    def is_for(self, sensor: Sensor, n_samples: int) -> bool:
         """True if a sensor and a number of training samples suit its convolution."""
-        return sensor.is_grid and samples >= FEW_SAMPLES
+        return sensor.is_grid and n_samples >= FEW_SAMPLES
 
 
 SIZES = {
@@ -88,34 +88,34 @@ def choose_size(name: str, recordings: Recordings) -> NetworkSize:
     return SIZES["small" if is_easy else "standard"]
 
 
-def choose_hidden_units(size: NetworkSize, samples: int, classes: int) -> int:
+def choose_hidden_units(size: NetworkSize, n_samples: int, n_classes: int) -> int:
     """Neurons of the hidden layer of a network that has few samples or no convolution."""
-    hidden = HIDDEN_MANY_CLASSES if classes > MANY_CLASSES else HIDDEN
-    if samples < FEW_SAMPLES:
+    hidden = HIDDEN_MANY_CLASSES if n_classes > MANY_CLASSES else HIDDEN
+    if n_samples < FEW_SAMPLES:
         hidden = HIDDEN_FEW_SAMPLES
     return round(hidden * size.width)
 
 
-def choose_dropout(size: NetworkSize, samples: int) -> float:
+def choose_dropout(size: NetworkSize, n_samples: int) -> float:
     """Dropout for touch that is not simulated handwriting."""
-    return FEW_DROPOUT if samples < FEW_SAMPLES else size.dropout
+    return FEW_DROPOUT if n_samples < FEW_SAMPLES else size.dropout
 
 
-def suggest_event_architecture(sensor: Sensor, size: NetworkSize, samples: int) -> str:
+def suggest_event_architecture(sensor: Sensor, size: NetworkSize, n_samples: int) -> str:
     """An architecture of a size for a network on events.
 
     Parameters
     ----------
     sensor : Sensor
     size : NetworkSize
-    samples : int
+    n_samples : int
         Number of training samples; 0 for handwriting on a simulated sensor.
     """
     classes = len(sensor.classes)
-    if size.name == "small" and not samples:
+    if size.name == "small" and not n_samples:
         return suggest_architecture(sensor, on_events=True)
-    if not size.is_for(sensor, samples):
-        return suggest_architecture(sensor, True, choose_hidden_units(size, samples, classes))
+    if not size.is_for(sensor, n_samples):
+        return suggest_architecture(sensor, True, choose_hidden_units(size, n_samples, classes))
     side = math.sqrt(sensor.rows * sensor.columns)
     stride = max(size.stride, math.floor(side / EVENT_MAP))
     convolution = f"{size.filters}c{stride + size.overlap}s{stride}"

@@ -210,12 +210,12 @@ def _choose_training(settings, defaults):
     return choices
 
 
-def _make_architecture_of_slices(sensor: Sensor, defaults: SliceDefaults, channels: int) -> str:
+def _make_architecture_of_slices(sensor: Sensor, defaults: SliceDefaults, n_channels: int) -> str:
     """A convolution with a stride, then a dense layer; on a strip only the latter."""
     rows = sensor.rows
     columns = sensor.columns
     stride = max(2, math.floor(math.sqrt(rows * columns) / SLICES_MAP))
-    layers = [f"{rows}x{columns}x{channels}"]
+    layers = [f"{rows}x{columns}x{n_channels}"]
     if min(rows, columns) >= max(MIN_GRID_SIDE, stride + 2):
         layers.append(f"32c{stride + 2}s{stride}")
     return "-".join([*layers, f"{defaults.hidden}", f"{len(sensor.classes)}o"])

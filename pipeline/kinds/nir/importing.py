@@ -195,7 +195,7 @@ def require_convertible_graph(settings: Settings, strict: bool = False):
         raise UserError(f"{source}: {error}") from error
 
 
-def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events: bool):
+def require_fit(network: NirNetwork, fed_shape, n_classes: int, source, on_events: bool):
     """Refuse a graph for another sensor or other classes.
 
     Parameters
@@ -203,7 +203,7 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events:
     network : NirNetwork
     fed_shape : tuple of int
         (rows, columns, channels) of the input in this run.
-    classes : int
+    n_classes : int
     source : path-like
     on_events : bool
         Both polarities of events may be one channel of the graph.
@@ -225,10 +225,10 @@ def require_fit(network: NirNetwork, fed_shape, classes: int, source, on_events:
             f"{remedy}train it for that, or give another --data or --input, or other settings "
             "image.*"
         )
-    if network.outputs != classes:
+    if network.outputs != n_classes:
         raise UserError(
             f"{source}: {network.nodes[-1]} outputs {network.outputs} values, and there are "
-            f"{classes} classes: train it for those, or give other recordings (--data)"
+            f"{n_classes} classes: train it for those, or give other recordings (--data)"
         )
 
 

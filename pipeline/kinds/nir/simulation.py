@@ -62,16 +62,16 @@ def compute_predictions(outputs, settings):
     return outputs[:, start:].mean(1).argmax(1)
 
 
-def make_graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
+def make_graph_inputs(network: NirNetwork, inputs, n_steps: int) -> np.ndarray:
     """Samples of a run in the form of a graph's input.
 
     Parameters
     ----------
     network : NirNetwork
     inputs : ndarray
-        Images (n_samples, rows, columns, channels), which are presented for ``steps`` steps, or
+        Images (n_samples, rows, columns, channels), which are presented for ``n_steps`` steps, or
         frames of events (n_samples, steps, rows, columns, 2).
-    steps : int
+    n_steps : int
 
     Returns
     -------
@@ -79,7 +79,7 @@ def make_graph_inputs(network: NirNetwork, inputs, steps: int) -> np.ndarray:
         Channels first, or flat.
     """
     if inputs.ndim == 4:
-        inputs = np.broadcast_to(inputs[:, None], (len(inputs), steps, *inputs.shape[1:]))
+        inputs = np.broadcast_to(inputs[:, None], (len(inputs), n_steps, *inputs.shape[1:]))
     if merges_polarities(network, inputs.shape[-3:]):
         inputs = inputs.max(-1, keepdims=True)
     first = np.moveaxis(inputs, -1, 2)
@@ -113,7 +113,7 @@ def compute_graph_responses(
     readout = spec.layers[-1]
     if readout.neurons is None:
         outputs = outputs - readout.bias  # which compute_responses adds
-    if spec.stimulus.static:  # a graph takes the image itself, not spikes
+    if spec.stimulus.is_static:  # a graph takes the image itself, not spikes
         sizes = {"input": int(np.prod(spec.input_shape))}
         sizes |= {layer.name: layer.size for layer in spec.layers if layer.neurons}
         silent = {name: np.zeros((len(inputs), size)) for name, size in sizes.items()}

@@ -22,7 +22,7 @@ from pipeline.recordings.interpretation.interpretation import Interpretation
 from pipeline.recordings.interpretation.layouts import interpret
 from pipeline.recordings.interpretation.options import AS_FOUND
 from pipeline.recordings.interpretation.taxel_tables import read_positions
-from pipeline.recordings.recordings import Recordings, Source, collect
+from pipeline.recordings.recordings import Recordings, Source, join_recordings
 
 # Events of a source: 100,000 recordings of 600. To read a million events takes up to 75 MB, once:
 # then they are in the cache.
@@ -222,7 +222,7 @@ def _collect_recordings(files, interpretation: Interpretation, source: Source):
     entries = files.entries
     sensor = interpretation.make_sensor({entry.of_class for entry in entries})
     ids = [entry.id for entry in entries]
-    return collect(
+    return join_recordings(
         samples=interpretation.events,
         labels=[sensor.classes.index(entry.of_class) for entry in entries],
         ids=ids if len(set(ids)) == len(ids) else [entry.member for entry in entries],

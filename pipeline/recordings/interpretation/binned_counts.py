@@ -73,7 +73,7 @@ def add_events(path, interpretation: Interpretation, recordings, options) -> Int
     )
 
 
-def choose_rise(path, channels: int, is_grid: bool, options: ReadingOptions) -> int:
+def choose_rise(path, n_channels: int, is_grid: bool, options: ReadingOptions) -> int:
     """The channel of rising pressure in arrays of counts: the user's, or 1 on ST-MNIST's grid.
 
     Raises
@@ -82,8 +82,8 @@ def choose_rise(path, channels: int, is_grid: bool, options: ReadingOptions) -> 
         The user's is not a channel of the arrays.
     """
     if options.rise == AUTOMATIC_RISE:
-        return 1 if is_grid and channels == 2 else 0
-    if options.rise >= channels:
+        return 1 if is_grid and n_channels == 2 else 0
+    if options.rise >= n_channels:
         raise UserError(
             f"{path}: data.rise is {options.rise}, and the arrays have one channel; use --set "
             "data.rise=0"

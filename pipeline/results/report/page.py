@@ -367,7 +367,7 @@ def _make_confusion_matrix(inputs):
 
 def has_time(spec) -> bool:
     """True if small pictures show taxels over time: of events of taxels in an unknown order."""
-    return not spec.stimulus.static and spec.input_shape[0] == 1 and read_positions(spec) is None
+    return not spec.stimulus.is_static and spec.input_shape[0] == 1 and read_positions(spec) is None
 
 
 def _group_samples(inputs):
@@ -375,7 +375,7 @@ def _group_samples(inputs):
     groups = defaultdict(list)
     positions = read_positions(inputs.bundle.spec)
     images = inputs.bundle.checks.inputs
-    static = inputs.bundle.spec.stimulus.static
+    static = inputs.bundle.spec.stimulus.is_static
     if has_time(inputs.bundle.spec):
         starts = np.linspace(0, images.shape[1], BINS, endpoint=False).astype(int)
         images = np.add.reduceat(images.sum((2, -1)), starts, axis=1).swapaxes(1, 2)

@@ -114,7 +114,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
         sums = compute_running_sums(spec, select_readout(spec, output[:, presentation.gap :]))
         limit = presentation.threshold
         decided, predictions = decide(sums, limit, spec.estimator, presentation.readout_start)
-        if spec.stimulus.static and limit == 1:  # trained on means, without a threshold for sums
+        if spec.stimulus.is_static and limit == 1:  # trained on means, without a threshold for sums
             sums = sums / np.arange(1, sums.shape[1] + 1)[:, None]
         chances = compute_probabilities(
             sums, compute_confidence(sums, spec.estimator, presentation.readout_start)
@@ -135,7 +135,7 @@ def replay(bundle: Bundle, indices, seed: int = 0, advance=None) -> dict:
 
 
 def _draw_layer_spikes(spec, name, size, steps, neurons):
-    if name != "input" or spec.stimulus.static:
+    if name != "input" or spec.stimulus.is_static:
         return Spikes(name, "neurons", size, (("s1", steps, neurons),))
     taxels = neurons // 2
     is_on = neurons % 2 == 0

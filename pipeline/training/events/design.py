@@ -77,14 +77,14 @@ class EventDesign:
         return alter(self.alteration, rng, events, len(indices), self.step_ms, table.size)
 
     def make_frames(
-        self, events: EventColumns, samples: int, steps: int, size: tuple
+        self, events: EventColumns, n_samples: int, n_steps: int, size: tuple
     ) -> np.ndarray:
         """Frames of events; see :func:`pipeline.recordings.spike_frames.make_spike_frames`."""
-        return make_spike_frames(events, self.step_ms, samples, steps, size, self.limits)
+        return make_spike_frames(events, self.step_ms, n_samples, n_steps, size, self.limits)
 
-    def make_frames_of_samples(self, table: EventTable, indices, steps: int) -> np.ndarray:
+    def make_frames_of_samples(self, table: EventTable, indices, n_steps: int) -> np.ndarray:
         """Frames of some samples as they are, shape (steps, n_samples, rows, columns, 2)."""
-        return table.make_frames(indices, self.step_ms, steps, self.limits)
+        return table.make_frames(indices, self.step_ms, n_steps, self.limits)
 
     @classmethod
     def from_settings(cls, settings: Settings) -> EventDesign:
@@ -105,11 +105,11 @@ class EventDesign:
         del values["parts"], values["part"], values["size"]
         return cls(**values, alteration=alteration)
 
-    def with_epochs_for(self, samples: int) -> EventDesign:
+    def with_epochs_for(self, n_samples: int) -> EventDesign:
         """The design with its number of epochs, for some number of training samples."""
         if self.epochs:
             return self
-        return replace(self, epochs=choose_epochs(samples, self.batch_size))
+        return replace(self, epochs=choose_epochs(n_samples, self.batch_size))
 
     @property
     def stimulus(self) -> EventFrames:

@@ -56,7 +56,7 @@ class TrainedOnEvents:
         return Estimator.from_arrays(self.weights, parse(self.design.architecture).outputs)
 
     def choose_threshold(
-        self, table, labels, held_out, steps: int, seed: int, loss: float
+        self, table, labels, held_out, n_steps: int, seed: int, loss: float
     ) -> Threshold:
         """Choose the confidence for early decisions on held-out samples.
 
@@ -69,7 +69,7 @@ class TrainedOnEvents:
         labels : ndarray of int, shape (n_samples,)
         held_out : ndarray of int
             Indices of the held-out samples, which the network was not trained on.
-        steps : int
+        n_steps : int
             Number of steps for which each sample is presented.
         seed : int
             Seed of the data augmentation.
@@ -79,8 +79,8 @@ class TrainedOnEvents:
         with_copies = np.tile(held_out, COPIES)
         rng = np.random.default_rng([seed, 0x7E57])
         events = self.design.alter_samples(rng, table, with_copies)
-        altered = self.design.make_frames(events, len(with_copies), steps, table.size)
-        as_they_are = self.design.make_frames_of_samples(table, held_out, steps)
+        altered = self.design.make_frames(events, len(with_copies), n_steps, table.size)
+        as_they_are = self.design.make_frames_of_samples(table, held_out, n_steps)
         frames = np.moveaxis(np.concatenate([as_they_are, altered], 1), 0, 1)
         result = self.run_on_frames(frames)
         return choose_threshold(

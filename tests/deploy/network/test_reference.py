@@ -31,7 +31,7 @@ def respond(spec, samples):
 def test_the_reference_is_nengoloihi_before_rounding(make_spec):
     """Both compute in real numbers, NengoLoihi in single precision."""
     spec = make_spec()
-    samples = draw_checks(spec, 3).inputs if spec.stimulus.static else draw_frames(spec, 3)
+    samples = draw_checks(spec, 3).inputs if spec.stimulus.is_static else draw_frames(spec, 3)
     result = respond(spec, samples)
     expected = run_target(spec, samples, "simreal")
     for name in spec.spiking_layers:

@@ -70,7 +70,7 @@ SPECS = {
 
 @pytest.mark.parametrize("spec", SPECS.values(), ids=SPECS)
 def test_every_spike_is_the_emulators(nxsdk, spec):
-    if spec.stimulus.static:
+    if spec.stimulus.is_static:
         images = draw_checks(spec, 7).inputs.reshape(7, -1)
     else:
         images = spec.stimulus.flatten(draw_frames(spec, 7, share=0.3))

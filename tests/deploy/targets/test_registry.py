@@ -144,7 +144,7 @@ def test_what_nengo_loihi_cannot_build_is_one_error():
 
 
 # The targets that need no board.
-ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.hardware)
+ANYWHERE = tuple(name for name, target in TARGETS.items() if not target.needs_board)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from pipeline.kinds.image.kind import make_kept_image_settings
 from pipeline.kinds.imported import ImportedNetwork
 from pipeline.kinds.registry import find_compared_stage, find_kind
 from pipeline.recordings.events import Events
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.settings import Image, Settings, apply_choices, list_reasons, set_nested
 from pipeline.storage.artifacts import CURRENT, MISSING, State
@@ -41,7 +41,7 @@ def recordings(rows, columns, duration_ms=400):
     source, taxels = Source("made", "0" * 64, False), TaxelMap.grid(rows, columns)
     sensor = Sensor(rows, columns, classes=("a", "b", "c"))
     ids, labels = [str(i) for i in range(n)], [i % 3 for i in range(n)]
-    return collect([events] * n, labels, ids, [-1] * n, source, taxels, sensor)
+    return join_recordings([events] * n, labels, ids, [-1] * n, source, taxels, sensor)
 
 
 def test_a_strip_gets_polarities_and_slices_of_time_as_channels():

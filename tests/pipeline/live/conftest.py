@@ -51,7 +51,11 @@ def served(folder, make_decider=None, tests=(), sensor=None, host=None, port=0):
     }
     with closing(Keeper(folder, sensor)) as keeper:
         live = Live(
-            make_decider, keeper, parameters.load(), about, make_examples=lambda: list(tests)
+            make_decider,
+            keeper,
+            parameters.read_parameters(),
+            about,
+            make_examples=lambda: list(tests),
         )
         server = Server(live, listen(port, host), host=host)
         thread = threading.Thread(target=server.run, daemon=True)

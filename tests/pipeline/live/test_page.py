@@ -25,7 +25,7 @@ from pipeline.live.examples import Example
 from pipeline.look import STYLE
 from tests import robot
 
-P = parameters.load()
+P = parameters.read_parameters()
 STEP_S = 1 / 500
 
 

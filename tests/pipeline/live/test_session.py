@@ -20,7 +20,7 @@ from pipeline.simulation import parameters
 from tests.pipeline.live.conftest import Parrot, stroke
 from tests.pipeline.live.test_keeping import recording
 
-P = parameters.load()
+P = parameters.read_parameters()
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pipeline.recordings.augmentation import (
 )
 from pipeline.recordings.columns import EventColumns
 from pipeline.recordings.events import Events
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor
 
 STILL = Alteration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ def test_each_change_does_what_it_says():
 def recordings(*columns):
     parts = [Events(*part) for part in columns]
     labels, ids = [3, 5][: len(parts)], ["3/0000", "5/0000"][: len(parts)]
-    return collect(parts, labels, ids, [4, 4][: len(parts)], Source("made up", "", True))
+    return join_recordings(parts, labels, ids, [4, 4][: len(parts)], Source("made up", "", True))
 
 
 def test_recordings_that_are_altered_by_nothing():
@@ -113,7 +113,9 @@ def test_events_of_altered_recordings_are_those_of_alter():
     ],
 )
 def test_handwriting_is_altered_in_space_and_other_grids_slightly(source, sensor, how):
-    recordings = collect([Events([0], [0], [1], [1])], [0], ["0"], [-1], source, sensor=sensor)
+    recordings = join_recordings(
+        [Events([0], [0], [1], [1])], [0], ["0"], [-1], source, sensor=sensor
+    )
     assert choose_augmentation(recordings) == how
 
 

@@ -15,7 +15,7 @@ from pipeline.recordings.faulty_taxels import (
     draw_faults,
     place_faults,
 )
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 
 SIZE = (4, 5)
 PLACES = np.stack(np.divmod(np.arange(20), 5), 1)
@@ -56,7 +56,7 @@ def test_a_check_has_the_number_of_faults_that_was_asked_for():
 
 def test_a_sensor_with_one_polarity_has_no_hot_off_events():
     hot = place_faults(
-        FaultCounts(1, 0), np.random.default_rng(0), [800.0], PLACES, SIZE, polarities=1
+        FaultCounts(1, 0), np.random.default_rng(0), [800.0], PLACES, SIZE, n_polarities=1
     )
     assert set(hot.draw_hot_events().polarity) == {0}
 
@@ -100,7 +100,7 @@ def test_no_faults():
 
 def test_recordings_with_faults():
     one = Events([10_000_000, 500_000_000], [44, 55], [1, -1], [4, 2])
-    recordings = collect(
+    recordings = join_recordings(
         [one, Events([], [], [], [])], [3, 5], ["3/0", "5/0"], [4, 4], Source("made up", "", True)
     )
     same = add_faults(recordings, FaultCounts(0, 0), 0)

@@ -9,7 +9,7 @@ from scipy.io import loadmat
 from pipeline.recordings import statistics
 from pipeline.recordings.events import Events
 from pipeline.recordings.formats.mat import read_recording
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from tests.command import missing
 
@@ -21,7 +21,7 @@ def by_hand():
     one = Events([100, 5000], [0, 12], [1, -1], [4, 2])
     other = Events([100], [99], [1], [5])
     empty = Events([], [], [], [])
-    return collect([one, other, empty], [4, 4, 7], ["a", "b", "c"], [0, 0, 0], SOURCE)
+    return join_recordings([one, other, empty], [4, 4, 7], ["a", "b", "c"], [0, 0, 0], SOURCE)
 
 
 def test_by_hand():
@@ -60,7 +60,7 @@ def test_another_lookup_table():
 
 def test_the_one_real_recording(real_recording):
     recording = read_recording(real_recording.read_bytes())
-    recordings = collect([recording.events], [0], ["real"], [-1], SOURCE)
+    recordings = join_recordings([recording.events], [0], ["real"], [-1], SOURCE)
     measures = {name: values[0] for name, values in statistics.measure_samples(recordings).items()}
     assert (measures["on"], measures["off"]) == (745, 1601)
     assert (measures["on_physical"], measures["off_physical"]) == (306, 359)

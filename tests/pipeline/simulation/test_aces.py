@@ -12,7 +12,7 @@ from pipeline.simulation import aces, parameters
 from pipeline.simulation.simulate import simulate
 from tests.pipeline.simulation import wire as wire_of
 
-P = SimpleNamespace(**vars(parameters.load().aces), **wire_of.WIRE)
+P = SimpleNamespace(**vars(parameters.read_parameters().aces), **wire_of.WIRE)
 SIGNATURE_NS = P.signature_s * 1e9
 
 sent = st.lists(

@@ -10,7 +10,7 @@ from pipeline.simulation import parameters
 from pipeline.simulation.contact import Creep, add_vibration, press
 from pipeline.simulation.handwriting import Motion
 
-P = parameters.load().skin
+P = parameters.read_parameters().skin
 QUIET = replace(P, scrape=0.0, noise=0.0)
 STEP = 1e-3
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipeline.simulation import handwriting, parameters, shape_model
 from pipeline.simulation.handwriting import move
 
-P = parameters.load()
+P = parameters.read_parameters()
 STEP = 1e-3
 
 
@@ -82,7 +82,7 @@ def test_people_differ_as_the_parameters_say():
 
 def test_a_person_does_not_depend_on_the_number_of_people():
     one, other = (
-        handwriting.draw_writer(np.random.default_rng([7, 3]), parameters.load(count))
+        handwriting.draw_writer(np.random.default_rng([7, 3]), parameters.read_parameters(count))
         for count in (10, 99)
     )
     assert one.tempo == other.tempo
@@ -136,7 +136,7 @@ def test_places_vary_as_the_form_says():
 
 
 def test_some_people_write_a_1_as_one_straight_line():
-    straight = shape_model.load().allographs[1][-1]
+    straight = shape_model.read_shape_model().allographs[1][-1]
     (line,) = straight.make_strokes(np.zeros(3))
     np.testing.assert_allclose(line[[0, -1], 0], [-0.5, 0.5], atol=1e-9)
     assert np.ptp(line[:, 1]) < 0.2

@@ -11,7 +11,7 @@ from pipeline.simulation.contact import Creep, Receptors, add_vibration, press, 
 from pipeline.simulation.handwriting import Motion
 from pipeline.simulation.pen import START_S, PenPoint, Writing
 
-P = parameters.load()
+P = parameters.read_parameters()
 STEP = 1e-3
 
 

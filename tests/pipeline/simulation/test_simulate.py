@@ -54,7 +54,7 @@ def test_every_writer_writes_every_digit_about_thirty_times():
 
 
 def test_the_hash_is_over_all_that_matters(recordings):
-    p = parameters.load()
+    p = parameters.read_parameters()
     changed = replace(p, skin=replace(p.skin, spread=p.skin.spread + 0.01))
     another = replace(p, shapes=replace(p.shapes, tempo=p.shapes.tempo + 0.1))
     hashes = {
@@ -84,12 +84,12 @@ def test_recordings_are_such_as_the_decoder_makes(recordings):
 
 
 def without_faults():
-    p = parameters.load()
+    p = parameters.read_parameters()
     return replace(p, faults=replace(p.faults, sessions=(), strays=0.0))
 
 
 def test_no_taxel_fires_twice_within_its_blind_time():
-    p = parameters.load().receptor
+    p = parameters.read_parameters().receptor
     recordings = simulate(5, FEW, 1, parameters=without_faults())
     for index in range(len(recordings)):
         events = recordings[index]

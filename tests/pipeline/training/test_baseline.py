@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.kinds.counts import fit_baseline
 from pipeline.recordings.events import Events
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.recordings.spike_frames import EventTable
 
@@ -19,7 +19,7 @@ def recordings():
         for t, x, p in parts
     ]
     source = Source("two", "0" * 64, False)
-    return collect(events, [0, 1], ["one", "two"], [-1, -1], source, taxels, sensor)
+    return join_recordings(events, [0, 1], ["one", "two"], [-1, -1], source, taxels, sensor)
 
 
 def test_counts_by_hand():

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 
 from pipeline.look import find_colour
 from pipeline.recordings.events import Events
-from pipeline.recordings.recordings import Source, collect
+from pipeline.recordings.recordings import Source, join_recordings
 from pipeline.recordings.sensor import Sensor, TaxelMap
 from pipeline.results.report import figures
 from pipeline.results.report.figures import recordings as data_figures
@@ -22,7 +22,7 @@ def recordings():
     # Taxel 3 is in row 3 of the first column, taxel 70 in the first row of column 7 (zero-based).
     events = Events([100e6, 200e6, 1500e6], [3, 70, 70], [1, -1, 1], [4, 2, 5])
     other = Events([300e6], [99], [1], [4])
-    return collect(
+    return join_recordings(
         [events, other], [4, 8], ["4/0000", "8/0000"], [0, 1], Source("simulated, seed 0", "", True)
     )
 
@@ -71,8 +71,9 @@ def test_all_text_of_a_sheet_is_inside_it(rows):
     taxels = TaxelMap(np.repeat(np.arange(rows), 3), np.tile(np.arange(3), rows))
     classes = ("tap", "slide")
     samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
-    source = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
-                     Sensor(rows, 3, duration_s=1.0, classes=classes))  # fmt: skip
+    sensor = Sensor(rows, 3, duration_s=1.0, classes=classes)
+    ids, of = ["a/0", "b/0"], Source("strip", "", False)
+    source = join_recordings(samples, [0, 1], ids, [-1, -1], of, taxels, sensor)
     figure = data_figures.draw_sheet(source)
     figure.draw_without_rendering()
     texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
@@ -90,8 +91,9 @@ def test_all_text_of_a_sheet_is_inside_it(rows):
 def test_taxels_in_one_row_are_drawn_where_they_are_or_over_time(positions):
     taxels = TaxelMap(np.zeros(3, int), np.arange(3), positions and np.array(positions))
     samples = [Events([0, 9e8], [0, 2], [1, -1], [1, 1]), Events([5e8], [1], [1], [1])]
-    strip = collect(samples, [0, 1], ["a/0", "b/0"], [-1, -1], Source("strip", "", False), taxels,
-                    Sensor(1, 3, duration_s=1.0, classes=("a", "b")))  # fmt: skip
+    sensor = Sensor(1, 3, duration_s=1.0, classes=("a", "b"))
+    ids, of = ["a/0", "b/0"], Source("strip", "", False)
+    strip = join_recordings(samples, [0, 1], ids, [-1, -1], of, taxels, sensor)
     shown = [axes for axes in data_figures.draw_sheet(strip).get_axes() if axes.get_visible()]
     first, second, _ = shown
     panels = data_figures.draw_recording(strip, 0).get_axes()
