@@ -16,6 +16,7 @@ OTHERS = {
     "calibrate": ("calibration", "Fit the simulation to real recordings", "3 min"),
     "fidelity": ("fidelity", "Compare simulated recordings with real ones", "3 min"),
     "transfer": ("transfer", "Networks trained on simulated recordings, on real ones", "10 min"),
+    "pens": ("pens", "Pen trajectories on the sensor of the live page", "1 min"),
     "handwriting": ("handwriting", "Estimate the model of handwriting", "1 min"),
     "tutorials": ("tutorials", "Execute the notebooks of the tutorials", "5 min"),
     "pictures": ("pictures", "Make the pictures of the documents", "1 min"),

@@ -40,18 +40,31 @@ class SimulatedSource:
         Number of simulated people.
     chunked : float
         Share of the recordings that keep the order of events and not their time.
+    tablet : float
+        Share of the digits that are written as people write on a tablet.
+    reversed_share : float
+        Share of the people who draw a 0 or an 8 from its end to its beginning.
     """
 
     seed: int = 0
     samples_per_digit: int = 0
     writers: int = parameters.PEOPLE
     chunked: float = 0.0
+    tablet: float = parameters.TABLET_SHARE
+    reversed_share: float = parameters.REVERSED_SHARE
 
     @classmethod
     def from_settings(cls, settings: Settings) -> "SimulatedSource":
         """The simulated recordings that are named in the settings."""
         data = settings.data
-        return cls(data.simulation_seed, data.samples_per_digit, data.writers, data.chunked)
+        return cls(
+            data.simulation_seed,
+            data.samples_per_digit,
+            data.writers,
+            data.chunked,
+            data.tablet,
+            data.reversed,
+        )
 
     @property
     def counts(self) -> list:
@@ -66,7 +79,9 @@ class SimulatedSource:
         rows, columns : int
             0 for ten.
         """
-        people = parameters.read_parameters(self.writers, self.chunked)
+        people = parameters.read_parameters(
+            self.writers, self.chunked, self.tablet, self.reversed_share
+        )
         return {"parameters": people, "size": (rows or GRID, columns or GRID)}
 
 

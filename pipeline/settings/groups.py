@@ -77,6 +77,11 @@ class Data(SettingsGroup):
     #: Share of the simulated recordings that keep the order of events and not their time, as the
     #: published arrays of ST-MNIST do: events in one hundred chunks.
     chunked: Annotated[float, between(0, 1)] = 0.0
+    #: Share of the simulated digits that are written as people write on a tablet, with more forms
+    #: of each digit; the others are written as the people of ST-MNIST wrote on the sensor.
+    tablet: Annotated[float, between(0, 1)] = 0.15
+    #: Share of the simulated people who draw a 0 or an 8 from its end to its beginning.
+    reversed: Annotated[float, between(0, 1)] = 0.1
     #: Leave out files that cannot be read instead of stopping.
     skip_bad: bool = False
     #: Unit of the times in files of events (not .mat): s, ms, us or ns; empty: inferred from the

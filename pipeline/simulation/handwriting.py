@@ -69,7 +69,7 @@ class Writer:
         :meth:`pipeline.simulation.shape_model.Allograph.make_strokes`.
     backwards : ndarray of float, shape (10,)
         From 0 to 1: a digit is drawn from its end to its beginning if this is less than the share
-        of the people who do so (``backwards`` in ``parameters.toml``).
+        of the people who do so (``backwards`` of the parameters).
     placing : ndarray, shape (3,)
         Standard normal draws of this person's place and size; see :func:`draw_placing`.
     tempo, force, scrape : float

@@ -26,6 +26,17 @@ FITTED_SHAPES = FITTED.with_suffix(".npz")
 # Simulated people, so many that a network does not learn single ones.
 PEOPLE = 1000
 
+# Share of the digits that are written as people write on a tablet (handwriting.npz); the others are
+# written as on the sensor (fitted.npz).
+TABLET_SHARE = 0.15
+
+# Share of the people who draw a 0 or an 8 from its end to its beginning, in addition to those who
+# are known to do so.
+REVERSED_SHARE = 0.1
+
+# Digits that are closed lines, which can be drawn in both directions.
+CLOSED_DIGITS = (0, 8)
+
 
 @dataclass(frozen=True)
 class Form:
@@ -97,14 +108,37 @@ class Parameters:
 
 
 @functools.cache
-def read_parameters(people: int = PEOPLE, chunked: float = 0.0) -> Parameters:
-    """The built-in parameters, with a number of writers and a share of chunked recordings."""
+def read_parameters(
+    people: int = PEOPLE,
+    chunked: float = 0.0,
+    tablet: float = TABLET_SHARE,
+    reversed_share: float = REVERSED_SHARE,
+) -> Parameters:
+    """The built-in parameters.
+
+    Parameters
+    ----------
+    people : int
+        Number of writers.
+    chunked : float
+        Share of the recordings that keep the order of events and not their time.
+    tablet : float
+        Share of the digits that are written as people write on a tablet.
+    reversed_share : float
+        Share of the people who draw a 0 or an 8 from its end to its beginning.
+    """
     fit = json.loads(FITTED.read_text("utf-8"))
-    fitted = from_fit(fit, shape_model.read(FITTED_SHAPES), people)
+    fitted = from_fit(fit, shape_model.read(FITTED_SHAPES), people, tablet, reversed_share)
     return dataclasses.replace(fitted, chunked=chunked)
 
 
-def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
+def from_fit(
+    fit: dict,
+    shapes: ShapeModel,
+    people: int = PEOPLE,
+    tablet: float = TABLET_SHARE,
+    reversed_share: float = REVERSED_SHARE,
+) -> Parameters:
     """The assumed parameters together with fitted ones.
 
     Parameters
@@ -116,8 +150,16 @@ def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
         How people write on the sensor; a share of the digits is written as on a tablet.
     people : int
         Number of writers.
+    tablet : float
+        This share.
+    reversed_share : float
+        Share of the people who draw a 0 or an 8 from its end to its beginning.
     """
     assumed = tomllib.loads(ASSUMED.read_text("utf-8"))
+    assumed["writers"]["tablet"] = tablet
+    assumed["writers"]["backwards"] = [
+        reversed_share if digit in CLOSED_DIGITS else 0 for digit in range(10)
+    ]
     sections = {
         name: _read_group(name, {**entries, **fit["sections"].get(name, {})})
         for name, entries in assumed.items()
@@ -125,7 +167,7 @@ def from_fit(fit: dict, shapes: ShapeModel, people: int = PEOPLE) -> Parameters:
     return Parameters(
         **sections,
         forms=tuple(map(_make_form, fit["digits"])),
-        shapes=shape_model.read_shape_model().join(shapes, 1 - sections["writers"].tablet),
+        shapes=shape_model.read_shape_model().join(shapes, 1 - tablet),
         people=people,
     )
 

@@ -16,7 +16,7 @@ from pipeline.recordings.recordings import Recordings, Source, join_recordings
 from pipeline.recordings.sensor import GRID, Sensor, TaxelMap
 from pipeline.simulation import aces, handwriting
 from pipeline.simulation.contact import Creep, Receptors, add_vibration, press
-from pipeline.simulation.parameters import PEOPLE, read_parameters
+from pipeline.simulation.parameters import PEOPLE, REVERSED_SHARE, TABLET_SHARE, read_parameters
 from pipeline.simulation.spurious_events import draw_spurious_events
 
 # Part of the hash of the recordings; increase it with any change of the simulation.
@@ -161,6 +161,10 @@ def make_source(seed=0, samples_per_digit=None, parameters=None, traces=None, si
         name += ", in chunks" if parameters.chunked == 1 else ", some in chunks"
     if not traces and parameters.people != PEOPLE:
         name += f", {parameters.people} people"
+    if not traces and parameters.writers.backwards[0] != REVERSED_SHARE:
+        name += f", {parameters.writers.backwards[0]:.0%} reversed"
+    if not traces and parameters.writers.tablet != TABLET_SHARE:
+        name += f", {100 * parameters.writers.tablet:g} % as on a tablet"
     name += "" if tuple(size) == SIZE else f", {size[0]}x{size[1]} taxels"
     return Source(name, digest.hexdigest(), True)
 

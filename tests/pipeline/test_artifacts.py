@@ -165,6 +165,14 @@ DEPENDS = {
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
     ),
+    ("data.reversed", 0.5): (
+        "dataset cnn cnn-matched rate-lif bundle",
+        "dataset events threshold bundle",
+    ),
+    ("data.tablet", 0.5): (
+        "dataset cnn cnn-matched rate-lif bundle",
+        "dataset events threshold bundle",
+    ),
     ("data.samples_per_digit", 9): (
         "dataset cnn cnn-matched rate-lif bundle",
         "dataset events threshold bundle",
