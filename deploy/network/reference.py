@@ -273,7 +273,9 @@ def run_reference(spec: NetworkSpec, streams, seed=0, options=None) -> Iterator[
                 break
             equations = derive_equations(layer, area)
             sums = layer.compute_sums(delay_one_step(signal))
-            recurrent_kernel = None if layer.recurrent is None else layer.recurrent.T
+            recurrent_kernel = None
+            if layer.recurrent is not None:  # its own spikes have another area than its input's
+                recurrent_kernel = layer.recurrent.T * (layer.neurons.amplitude / area)
             signal = equations.compute_spikes(sums, recurrent_kernel)
             area = layer.neurons.amplitude
             spikes[layer.name] = signal
