@@ -29,6 +29,8 @@ MAGNITUDE = 1e9
 
 LAYERS = 100
 
+SYNAPSES_PER_WEIGHT = 8
+
 # Largest number of bytes of all arrays in a file.
 ARRAY_BYTES = 1 << 30
 

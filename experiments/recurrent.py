@@ -69,7 +69,7 @@ def compare_with_torch(graph, predictions_file, settings, dataset, target) -> tu
     stepping = Stepping.from_settings(settings, network)
     presentation = settings.make_presentation()
     samples = dataset.inputs[np.sort(dataset.split.train)[:: len(dataset.split.train) // 48]]
-    spec = make_nir_spec(network, stepping, settings.stimulus, presentation, samples, {})
+    spec = make_nir_spec(network, stepping, settings.stimulus, presentation, samples)
     inputs, labels = (x[dataset.split.test] for x in (dataset.inputs, dataset.labels))
     graph_inputs = make_graph_inputs(network, inputs, settings.steps)
     outputs = simulate(network, graph_inputs, stepping.step_s, stepping.method).outputs

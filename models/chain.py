@@ -74,6 +74,7 @@ class Link:
     sources : tuple of str
         Names of the nodes of an imported graph that the link represents, for messages.
     section_starts : tuple of int
+    synapses_per_weight : int
         See :class:`deploy.network.layer.Layer`.
     """
 
@@ -88,6 +89,7 @@ class Link:
     recurrent_kernel: np.ndarray | None = field(default=None, repr=False)
     sources: tuple = ()
     section_starts: tuple = (0,)
+    synapses_per_weight: int = 1
 
     def __str__(self):
         nodes = f" (nodes {', '.join(self.sources)})" if self.sources else ""
@@ -272,14 +274,14 @@ def build_network_spec(
         architecture=write_notation(chain),
         input_shape=chain[0].input_shape,
         stimulus=stimulus,
-        layers=tuple(_deploy(link) for link in chain),
+        layers=tuple(make_layer(link) for link in chain),
         presentation=presentation,
         provenance=provenance or {},
         estimator=estimator,
     )
 
 
-def _deploy(link: Link) -> Layer:
+def make_layer(link: Link) -> Layer:
     """The layer of a link.
 
     The kernels of a link have the axes of training in TensorFlow, and become the weights of the
@@ -297,6 +299,7 @@ def _deploy(link: Link) -> Layer:
         pool=link.pool,
         section_starts=link.section_starts,
         recurrent=None if link.recurrent_kernel is None else link.recurrent_kernel.T,
+        synapses_per_weight=link.synapses_per_weight,
     )
 
 

@@ -56,9 +56,10 @@ def derive_parameters(link: Link, layer: Integers, height: float = 1.0, chip: Ch
     ----------
     link : Link
     layer : Integers
-        Its largest weight is 127 or -127, unless all are 0.  The same must hold in each block of a
-        layer that is divided by its outputs; otherwise NengoLoihi rounds this block's weights and
-        threshold again (:func:`deploy.network.blocks.find_rescaled_layers`).
+        Its largest weight is 127 or -127, unless all are 0; if its weights are sums of several
+        synapses, :func:`deploy.network.synapses.count_weight_levels`.  The same must hold in each
+        block of a layer that is divided by its outputs; otherwise NengoLoihi rounds this block's
+        weights and threshold again (:func:`deploy.network.blocks.find_rescaled_layers`).
     height : float
         Area of an input spike in units of the chip's time step.
     chip : Chip

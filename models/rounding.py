@@ -13,10 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.errors import UserError
+from deploy.network.blocks import choose_block
 from deploy.network.chip import LOIHI, Chip
 from deploy.network.geometry import sum_squares
 from deploy.network.reference import NeuronEquations
-from models.chain import Link
+from deploy.network.synapses import FINE_EXPONENT, count_weight_levels
+from models.chain import Link, make_layer
 from models.integers import Integers, derive_parameters
 
 # Smallest shares of current and voltage that can remain after a step.
@@ -36,7 +38,9 @@ DAMPING = 0.01
 MAX_COMPENSATED_INPUTS = 2000
 
 
-def round_chain(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple:
+def round_chain(
+    chain, spikes, height: float = 1.0, synapses_per_weight: int = 1, chip: Chip = LOIHI
+) -> tuple:
     """A chain whose neurons are given by their decays, with the chip's integers.
 
     Parameters
@@ -46,6 +50,8 @@ def round_chain(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple
         Input on training samples, on which the scales of the weights are chosen.
     height : float
         Area of an input spike in units of the chip's time step.
+    synapses_per_weight : int
+        Of recurrent links; 0: two where they fit on a core.
     chip : Chip
 
     Returns
@@ -64,10 +70,28 @@ def round_chain(chain, spikes, height: float = 1.0, chip: Chip = LOIHI) -> tuple
             continue
         factor = height if index == 0 else 1.0
         scaled = replace(link, kernel=link.kernel * factor)
+        if link.recurrent_kernel is not None:
+            synapses = synapses_per_weight or choose_synapses_per_weight(scaled, chip)
+            link = replace(link, synapses_per_weight=synapses)
+            scaled = replace(scaled, synapses_per_weight=synapses)
         integers = choose_integers(scaled, spikes, chip)
         rounded.append(derive_parameters(link, integers, factor, chip))
         spikes = simulate_spikes(scaled, spikes)
     return tuple(rounded)
+
+
+def choose_synapses_per_weight(link: Link, chip: Chip = LOIHI) -> int:
+    """Two, if the link is then still on one core and its neurons' integers are not too large.
+
+    Several cores would have several scales of the weights, which takes from their accuracy.
+    """
+    several = replace(link, synapses_per_weight=2)
+    try:
+        integers = round_to_integers(several, chip=chip)
+    except UserError:
+        return 1
+    layer = make_layer(derive_parameters(several, integers, chip=chip))
+    return 2 if choose_block(layer, chip=chip) == layer.shape else 1
 
 
 def choose_integers(link: Link, spikes, chip: Chip = LOIHI) -> Integers:
@@ -171,7 +195,8 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     ----------
     link : Link
     clip : float
-        Share of the largest weight that becomes the chip's largest, 127 on Loihi.
+        Share of the largest weight that becomes the chip's largest, 127 on Loihi, or 380 as the
+        sum of two synapses.
     moments : ndarray, shape (inputs, inputs), optional
         From :func:`measure_moments`: the rounding error of a weight is then compensated by the
         following weights, if their inputs are active together.  The inputs of a recurrent link
@@ -187,14 +212,16 @@ def round_to_integers(link: Link, clip: float = 1.0, moments=None, chip: Chip = 
     UserError
         Threshold and bias do not fit with any exponent of the weights.
     """
-    levels = chip.weight_levels
+    levels = count_weight_levels(link.synapses_per_weight, chip)
+    exponents = _list_exponents(link, chip)
     real = _spread_weights(link)
-    scale = _choose_scale(link, float(np.abs(real).max()) * clip, chip)
+    unit = chip.weight_unit * 2.0 ** exponents[0]
+    scale = _choose_scale(link, float(np.abs(real).max()) * clip, levels, unit, chip)
     if moments is None:
         weights = np.clip(np.rint(real / scale), -levels, levels)
     else:
         weights = _round_with_compensation(real / scale, moments, levels)
-    threshold, exponent = _choose_threshold(link, scale, chip)
+    threshold, exponent = _choose_threshold(link, scale, exponents, chip)
     kernel, recurrent_kernel = np.split(weights.astype(np.int32), [len(link.kernel)])
     return Integers(
         kernel=kernel,
@@ -228,8 +255,18 @@ def _spread_weights(link):
     return real
 
 
-def _choose_scale(link, largest, chip):
-    """The real weight of one level, for a largest weight.
+def _list_exponents(link, chip) -> tuple:
+    """Possible exponents of the link's weights, the largest first.
+
+    The sum of several synapses is in steps of the fine one, and lower exponents lose their bits.
+    """
+    if link.synapses_per_weight > 1:
+        return (FINE_EXPONENT,)
+    return tuple(range(0, -chip.weight_exponents, -1))
+
+
+def _choose_scale(link, largest, levels, unit, chip):
+    """The real weight of one level, which adds a unit, for a largest weight.
 
     Raises
     ------
@@ -239,12 +276,12 @@ def _choose_scale(link, largest, chip):
     if largest == 0:
         raise UserError(f"{link}: all its weights are 0; train it, or leave it out")
     # The threshold, a whole number of units, is rounded up: only the largest weights are clipped.
-    units_per_weight = chip.weight_unit / chip.threshold_unit
+    units_per_weight = unit / chip.threshold_unit
     with np.errstate(over="ignore"):
-        units = np.ceil(units_per_weight * chip.weight_levels / largest - 1e-9)
+        units = np.ceil(units_per_weight * levels / largest - 1e-9)
     units = min(units, 2.0**1000)  # weights of 1e-310 are too small, as `_choose_threshold` finds
     scale = units_per_weight / max(units, 1)
-    if largest > 1.5 * chip.weight_levels * scale:
+    if largest > 1.5 * levels * scale:
         raise UserError(
             f"{link}: its weights are too large beside its threshold for the chip's integers, "
             f"{largest:.3g} of it; scale the weights or the threshold in training"
@@ -252,7 +289,7 @@ def _choose_scale(link, largest, chip):
     return scale
 
 
-def _choose_threshold(link, scale, chip) -> tuple:
+def _choose_threshold(link, scale, exponents, chip) -> tuple:
     """The threshold, and the largest exponent of the weights with which it and the biases fit.
 
     Raises
@@ -260,13 +297,13 @@ def _choose_threshold(link, scale, chip) -> tuple:
     UserError
         They fit with no exponent.
     """
-    unit = chip.threshold_unit
-    for lowered in range(chip.weight_exponents):
-        per_threshold = chip.weight_unit * 2.0**-lowered / scale
-        threshold = unit * round(per_threshold / unit)
+    threshold_unit = chip.threshold_unit
+    for exponent in exponents:
+        per_threshold = chip.weight_unit * 2.0**exponent / scale
+        threshold = threshold_unit * round(per_threshold / threshold_unit)
         bias = link.bias * threshold
         if 0 < threshold <= chip.max_threshold and np.abs(bias).max() <= chip.max_bias:
-            return threshold, -lowered
+            return threshold, exponent
     raise UserError(
         f"{link}: its weights are too small beside its threshold for the chip's integers, or its "
         "biases too large; scale weights and threshold in training, or use shorter time constants"

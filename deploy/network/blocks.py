@@ -96,7 +96,11 @@ def _choose_default_block(layer, is_recurrent, after, after_block, chip):
     count_output_axons = None
     if after:
         resources = after.operation.make_resources(after, chip)
-        count_output_axons = resources.make_output_axon_counter(after_block)
+        count_axons_of_synapse = resources.make_output_axon_counter(after_block)
+
+        def count_output_axons(ranges):
+            return after.synapses_per_weight * count_axons_of_synapse(ranges)
+
     if layer.size <= limit and needs.are_within_limits(layer.shape, count_output_axons):
         return layer.shape
     lengths = [list(_list_lengths(n)) for n in layer.shape]
@@ -130,12 +134,14 @@ class BlockNeeds:
         self.layer = layer
         self.chip = chip
         self.resources = layer.operation.make_resources(layer, chip)
+        self.synapses = layer.synapses_per_weight
         self.recurrent_axons = 0 if layer.recurrent is None else layer.size
 
     def count_input_axons(self, block) -> int:
         """Number of input axons of all blocks of one shape."""
         blocks = count_blocks(self.layer.shape, block)
-        return self.resources.count_input_axons(block) + self.recurrent_axons * blocks
+        axons = self.resources.count_input_axons(block) + self.recurrent_axons * blocks
+        return axons * self.synapses
 
     def count(self, ranges) -> Tuple[int, int]:
         """Input axons and words of synapse memory of the block with these ranges of outputs."""
@@ -144,7 +150,7 @@ class BlockNeeds:
             ((first, last),) = ranges
             words_of_one = count_input_words(last - first, self.chip.weight_bits, self.chip)
             words += self.recurrent_axons * words_of_one
-        return axons + self.recurrent_axons, words
+        return (axons + self.recurrent_axons) * self.synapses, words * self.synapses
 
     def are_within_limits(self, block, count_output_axons) -> bool:
         """True if each block is within the limits of a core, compartments excepted.
@@ -163,7 +169,8 @@ class BlockNeeds:
                 return False
             sent = 0 if count_output_axons is None else count_output_axons(ranges)
             if self.recurrent_axons:
-                sent += (ranges[0][1] - ranges[0][0]) * count_blocks(self.layer.shape, block)
+                neurons = ranges[0][1] - ranges[0][0]
+                sent += neurons * count_blocks(self.layer.shape, block) * self.synapses
             if sent > limits["output axons"]:
                 return False
         return True

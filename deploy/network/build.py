@@ -15,6 +15,7 @@ from .layer import Layer, Neurons
 from .loihi_import import nengo_loihi
 from .spec import NetworkSpec
 from .stimulus import EventFrames, Feed
+from .synapses import split_layer
 
 
 def pad(array, widths, **options):
@@ -144,21 +145,16 @@ def build(spec: NetworkSpec, seed: int = 0, chip: Chip = LOIHI) -> BuiltNetwork:
         network.config[neurons].on_chip = False
         nengo.Connection(pixels, neurons.neurons, synapse=None)
         source = neurons.neurons
+        area = spec.stimulus.area
         spikes["input"] = nengo.Probe(source)
         for layer in spec.layers:
             target = _add_units(network, layer, blocks)
-            transform, inputs = layer.operation.make_transform(layer, chip)
-            nengo.Connection(
-                source if inputs is None else source[inputs],
-                target,
-                transform=transform,
-                synapse=layer.synapse,
-            )
-            if layer.recurrent is not None:
-                _connect_to_itself(target, layer.recurrent, layer.synapse)
+            for part in split_layer(layer, area, chip):
+                _connect(source, target, part, chip)
             output = nengo.Probe(target)
             if layer.neurons is not None:
                 spikes[layer.name] = output
+                area = layer.neurons.amplitude
             source = target
     return BuiltNetwork(network, feed, output, spikes)
 
@@ -172,6 +168,19 @@ def _add_units(network, layer: Layer, blocks: dict):
     config.on_chip = True
     config.block_shape = nengo_loihi.BlockShape(blocks[layer.name], layer.shape)
     return ensemble.neurons
+
+
+def _connect(source, target, layer: Layer, chip: Chip):
+    """Connect the neurons before a layer, and its own if it is recurrent, with its neurons."""
+    transform, inputs = layer.operation.make_transform(layer, chip)
+    nengo.Connection(
+        source if inputs is None else source[inputs],
+        target,
+        transform=transform,
+        synapse=layer.synapse,
+    )
+    if layer.recurrent is not None:
+        _connect_to_itself(target, layer.recurrent, layer.synapse)
 
 
 def _connect_to_itself(target, weights: np.ndarray, synapse: float | None):

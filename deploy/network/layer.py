@@ -23,6 +23,7 @@ from .geometry import compute_pooled_shape, sum_squares
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 
 TAU = between(1e-6, limits.SECONDS, " seconds")
+SYNAPSES = between(1, limits.SYNAPSES_PER_WEIGHT)
 AT_LEAST_1 = Limit(lambda value: value >= 1, "at least 1")
 SHAPE = Limit(
     lambda shape: all(side >= 1 for side in shape) and math.prod(shape) <= limits.NEURONS,
@@ -97,6 +98,9 @@ class Layer:
     recurrent : ndarray, shape (units, units), or None
         Weights of a dense layer's own spikes, by receiving and sending unit; a spike arrives one
         step later.
+    synapses_per_weight : int
+        Of a layer on the chip: number of synapses between the same two neurons whose sum is a
+        weight, recurrent or not; see :mod:`deploy.network.synapses`.
     """
 
     name: str
@@ -110,6 +114,7 @@ class Layer:
     pool: int = limited_field(AT_LEAST_1, 1)
     section_starts: Tuple[int, ...] = limited_field(RISING, (0,))
     recurrent: Optional[np.ndarray] = field(default=None, repr=False, compare=False)
+    synapses_per_weight: int = limited_field(SYNAPSES, 1)
 
     def __post_init__(self):
         for name in ("input_shape", "block_shape", "section_starts"):
@@ -150,6 +155,10 @@ class Layer:
         self._require(
             self.recurrent is None or (self.operation.can_recur and has_neurons),
             f"{self.kind!r} cannot be recurrent, or has no neurons",
+        )
+        self._require(
+            self.synapses_per_weight == 1 or has_neurons,
+            "only a layer on the chip has several synapses for a weight",
         )
         common = set(self.operation.to_file()) & LAYER_NAMES
         self._require(
@@ -268,7 +277,8 @@ class Layer:
         Neurons near the edge of a convolution reach fewer positions; those outside of complete
         pooling windows reach none.  Zeros that pad a kernel are not counted.
         """
-        return self.operation.count_input_fan_out(self.input_shape, self.pool).ravel()
+        one = self.operation.count_input_fan_out(self.input_shape, self.pool).ravel()
+        return one * self.synapses_per_weight
 
     @property
     def multiply_accumulates(self) -> int:
@@ -282,6 +292,7 @@ class Layer:
 
     def to_json(self) -> dict:
         """The description without the arrays, for ``network.json``."""
+        several = self.synapses_per_weight > 1
         return {
             "name": self.name,
             "kind": self.kind,
@@ -296,6 +307,7 @@ class Layer:
             "padding": PLACEHOLDERS["padding"],
             "pool": self.pool,
             "starts": self.section_starts,
+            **({"synapses_per_weight": self.synapses_per_weight} if several else {}),
             **self.operation.to_file(),
         }
 
@@ -334,6 +346,7 @@ class Layer:
             pool=record.pool,
             section_starts=record.starts,
             recurrent=arrays.get(f"{record.name}.recurrent"),
+            synapses_per_weight=record.synapses_per_weight,
         )
         layer._require(layer.shape == record.shape, f"shape should be {layer.shape}")
         layer._require(
@@ -351,7 +364,7 @@ class LayerRecord:
     ----------
     kind, shape, placement
         Those of the layer, with which the values below must agree.
-    name, input_shape, neurons, synapse, block_shape, pool, starts
+    name, input_shape, neurons, synapse, block_shape, pool, starts, synapses_per_weight
         See `Layer`.
     """
 
@@ -365,6 +378,7 @@ class LayerRecord:
     block_shape: Optional[Tuple[int, ...]] = limited_field(SHAPE, None)
     pool: int = limited_field(AT_LEAST_1, 1)
     starts: Tuple[int, ...] = limited_field(RISING, (0,))
+    synapses_per_weight: int = limited_field(SYNAPSES, 1)
 
     @classmethod
     def read(cls, plain: dict, where: str) -> LayerRecord:

@@ -111,7 +111,8 @@ class NetworkSpec:
         for sender, layer in zip(senders, self.layers):
             operations[layer.name] = spikes[sender] @ layer.fan_out
             if layer.recurrent is not None:
-                operations[layer.name] += np.sum(spikes[layer.name], axis=-1) * layer.size
+                own_fan_out = layer.size * layer.synapses_per_weight
+                operations[layer.name] += np.sum(spikes[layer.name], axis=-1) * own_fan_out
         return operations
 
     def with_presentation(self, **changes) -> NetworkSpec:

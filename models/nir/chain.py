@@ -24,9 +24,9 @@ CubaLI     at the end of a graph only: the low-pass with the longer time constan
            shorter one is left out, which shifts the outputs in time but does not change their sum.
 =========  ====================================================================================
 
-Integers cause further differences: weights have 8 bits, with one scale for each layer; decays have
-12 bits; current and voltage are truncated to whole numbers at each step.  keep_u is at least
-1/4096.
+Integers cause further differences: weights have 8 bits, with one scale for each layer, and those of
+recurrent layers are the sum of two such; decays have 12 bits; current and voltage are truncated to
+whole numbers at each step.  keep_u is at least 1/4096.
 
 A layer has one time constant of the voltage and one of the current.  A convolution whose windows
 the chip supports remains a convolution (:mod:`models.nir.windows`).  All other maps become a

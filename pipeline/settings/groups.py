@@ -267,6 +267,9 @@ class NIR(SettingsGroup):
     #: with a spike each, as sinabs and Rockpool do by default; ``auto``, ``subtract`` or
     #: ``subtract-late`` if Rockpool or Spyx wrote the graph, otherwise ``value``.
     reset: Annotated[str, one_of(*NIR_RESETS)] = automatic("auto")
+    #: Synapses that add up to a weight of a recurrent layer, which is finer with two than the 8
+    #: bits of one; 0: two if the layer then fits on a core, otherwise one.
+    synapses_per_weight: Annotated[int, between(0, limits.SYNAPSES_PER_WEIGHT)] = automatic(0)
 
 
 @dataclass(frozen=True)

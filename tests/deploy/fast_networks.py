@@ -109,7 +109,8 @@ def _dense(rng, name, before, size):
 def _perhaps_recurrent(rng, layer, size):
     if layer.kind == "conv" or rng.random() < 0.6:
         return layer
-    return replace(layer, recurrent=_weights(rng, size, layer.shape * 2))
+    recurrent = _weights(rng, size, layer.shape * 2)
+    return replace(layer, recurrent=recurrent, synapses_per_weight=int(rng.integers(1, 4)))
 
 
 def _weights(rng, size, shape):

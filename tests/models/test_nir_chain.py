@@ -15,6 +15,7 @@ from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from models.rounding import (
     choose_integers,
+    choose_synapses_per_weight,
     compute_currents,
     measure_moments,
     round_to_integers,
@@ -254,6 +255,22 @@ def test_integers_by_hand():
         0,
     )
     assert round_to_integers(layer, 0.5).kernel.T.tolist() == [[127, -127]]
+    fine = round_to_integers(replace(layer, synapses_per_weight=2))
+    assert fine.kernel.T.tolist() == [[380, -190]]
+    assert (fine.threshold, fine.exponent) == (64 * 380, -1)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "bias", "synapses"), [(100, 0.0, 2), (700, 0.0, 1), (100, 200.0, 1)]
+)
+def test_a_recurrent_link_has_two_synapses_if_they_fit(inputs, bias, synapses):
+    """Not with too many inputs for a core, or with biases that are too large with half steps."""
+    rng = np.random.default_rng(0)
+    tree = tree_of((inputs,), affine(rng, 90, inputs, bias=bias), lif(0.1), affine(rng, 4, 90))
+    tree["nodes"]["back"] = {"type": "Linear", "weight": rng.normal(0, 0.5, (90, 90))}
+    tree["edges"] += [("n1", "back"), ("back", "n1")]
+    link, _ = from_nir(read_nir(Graph(tree)), 0.001)
+    assert choose_synapses_per_weight(link) == synapses
 
 
 def test_the_scale_is_chosen_on_samples():

@@ -109,7 +109,7 @@ def make_nir_spec(
     stimulus: Stimulus,
     presentation: Presentation,
     samples,
-    provenance: dict,
+    synapses_per_weight: int = 0,
 ) -> NetworkSpec:
     """Describe the deployed network of a NIR graph.
 
@@ -121,14 +121,33 @@ def make_nir_spec(
     presentation : Presentation
     samples : ndarray
         Training samples in the format of the stimulus, on which the scales of weights are chosen.
-    provenance : dict
-        Stored in the bundle.
+    synapses_per_weight : int
+        Of recurrent layers; 0: two where they fit on a core.
     """
     readout_steps = range(presentation.readout_start, presentation.steps)
     links = from_nir(network, stepping.step_s, stepping.method, samples.shape[-3:], readout_steps)
     spikes = count_input_spikes(stimulus, samples, presentation.steps)
-    links = round_chain(links, spikes, stimulus.area / LOIHI.dt)
-    return chain.build_network_spec(links, stimulus, presentation, provenance)
+    links = round_chain(links, spikes, stimulus.area / LOIHI.dt, synapses_per_weight)
+    return chain.build_network_spec(links, stimulus, presentation)
+
+
+def list_synapse_notes(spec: NetworkSpec):
+    """Yield how many synapses the weights of recurrent layers have."""
+    for layer in spec.layers:
+        if layer.recurrent is None:
+            continue
+        number = layer.synapses_per_weight
+        synapses = int(layer.fan_out.sum()) + number * layer.size**2
+        if number > 1:
+            yield (
+                f"layer {layer.name}: {number} synapses for each weight, {synapses} in all, since "
+                "its loop needs finer weights than 8 bits ('nir.synapses_per_weight')"
+            )
+        else:
+            yield (
+                f"layer {layer.name}: one synapse for each weight, {synapses} in all; two would "
+                "make its weights finer, if they fit on a core ('nir.synapses_per_weight')"
+            )
 
 
 def count_input_spikes(stimulus, samples, steps):

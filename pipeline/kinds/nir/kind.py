@@ -15,7 +15,7 @@ from pipeline.kinds import counts
 from pipeline.kinds.events.kind import DECISION_SETTINGS, read_confidence
 from pipeline.kinds.imported import ImportedNetwork, is_file
 from pipeline.kinds.kind import NetworkKind
-from pipeline.kinds.nir.conversion import make_nir_spec, record_convention
+from pipeline.kinds.nir.conversion import list_synapse_notes, make_nir_spec, record_convention
 from pipeline.kinds.nir.importing import (
     GIVE_AGAIN,
     GRAPH,
@@ -108,7 +108,8 @@ class NirKind(NetworkKind):
 
     @property
     def bundle_settings(self):
-        return () if self.settings.on_events else ("deployment",)
+        own = "nir.synapses_per_weight"
+        return (own,) if self.settings.on_events else (own, "deployment")
 
     @property
     def steps(self):
@@ -151,15 +152,22 @@ class NirKind(NetworkKind):
         chosen = np.sort(rng.permutation(dataset.split.train)[:CALIBRATION_SAMPLES])
         samples = dataset.inputs[chosen]
         stepping = Stepping.from_settings(settings, network)
-        provenance = {**provenance, "nir": record_convention(network, stepping)}
         spec = make_nir_spec(
-            network, stepping, settings.stimulus, presentation, samples, provenance
+            network,
+            stepping,
+            settings.stimulus,
+            presentation,
+            samples,
+            settings.nir.synapses_per_weight,
         )
+        for line in list_synapse_notes(spec):
+            inputs.say(f"nir: {line}")
         is_users = settings.is_set_by_user("presentation.gap")
         presentation, line = fit_gap(presentation, list_current_taus(spec), is_users)
         if line:
             inputs.say(line)
-        return replace(spec, presentation=presentation)
+        provenance = {**provenance, "nir": record_convention(network, stepping)}
+        return replace(spec, presentation=presentation, provenance=provenance)
 
     def make_choices(self, recordings, train):
         settings = self.settings

@@ -7,8 +7,9 @@ import pytest
 
 from deploy.conformance.networks import make_dense, make_readout
 from deploy.errors import UserError
-from deploy.network.blocks import choose_blocks
+from deploy.network.blocks import BlockNeeds, choose_blocks
 from deploy.network.presentation import Presentation
+from deploy.network.reference import run_reference
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import EventFrames
 from deploy.preflight.plan import make_plan
@@ -69,6 +70,41 @@ def test_operations_and_the_plan_count_the_loop():
     (core,) = [core for core in plan.cores if core.layer == "dense1"]
     assert core.used["input axons"] == 24 + 12
     assert core.used["output axons"] >= 12
+
+
+def with_two_synapses(spec):
+    """The same network, whose first layer has two synapses for each weight."""
+    first, *others = spec.layers
+    return replace(spec, layers=(replace(first, synapses_per_weight=2), *others))
+
+
+def test_two_synapses_for_a_weight_count_twice():
+    one = recurrent_spec()
+    two = with_two_synapses(one)
+    spikes = {"input": np.ones((1, 24)), "dense1": np.ones((1, 12))}
+    counted = [spec.count_synaptic_operations(spikes)["dense1"].tolist() for spec in (one, two)]
+    assert counted == [[24 * 12 + 12 * 12], [2 * (24 * 12 + 12 * 12)]]
+    assert two.multiply_accumulates == one.multiply_accumulates
+    (core,), (core_of_two,) = (
+        [core for core in make_plan(spec).cores if core.layer == "dense1"] for spec in (one, two)
+    )
+    for name in ("input axons", "synapse words"):
+        assert core_of_two.used[name] == 2 * core.used[name]
+    assert BlockNeeds(two.layers[0]).count([(0, 12)]) == (
+        core_of_two.used["input axons"],
+        core_of_two.used["synapse words"],
+    )
+
+
+def test_every_target_adds_two_synapses():
+    spec = with_two_synapses(recurrent_spec())
+    frames = frames_of()
+    real = run_target(spec, frames, "simreal").spikes["dense1"]
+    (reference,) = run_reference(spec, [spec.flatten_samples(frames)[:2]])
+    np.testing.assert_allclose(real[:2], reference.spikes["dense1"].sum(1), atol=1)
+    emulated, fast = (run_target(spec, frames, target) for target in ("emulator", "fast"))
+    np.testing.assert_array_equal(emulated.spike_hashes, fast.spike_hashes)
+    assert emulated.spikes["dense1"].sum() > 0
 
 
 def test_a_layer_too_large_for_a_core_with_its_loop_is_divided():

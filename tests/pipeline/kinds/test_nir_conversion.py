@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +21,7 @@ from models.nir.chain import from_nir
 from models.nir.graph import read_nir
 from models.nir.simulator import simulate
 from models.rounding import choose_integers, round_to_integers, simulate_spikes
-from pipeline.kinds.nir.conversion import make_nir_spec
+from pipeline.kinds.nir.conversion import list_synapse_notes, make_nir_spec
 from pipeline.kinds.nir.importing import Stepping, make_nir_settings, require_fit
 from pipeline.kinds.nir.simulation import make_graph_inputs
 from pipeline.settings import Settings, read_settings
@@ -66,7 +67,7 @@ def test_fast_is_the_emulator_and_the_network_fits(end):
     rng = np.random.default_rng(2)
     network = events_network(rng, *end)
     frames = frames_of(rng, 4)
-    spec = make_nir_spec(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    spec = make_nir_spec(network, STEPPED, EventFrames(0.001, 0), FRESH, frames)
     found = run_target(spec, frames, "fast")
     emulated = run_target(spec, frames[:2], "emulator")
     np.testing.assert_array_equal(emulated.spike_hashes, found.spike_hashes[:2])
@@ -98,7 +99,7 @@ def test_spikes_are_the_chosen_integers_one_by_one(padded, target):
         affine(rng, 3, 7),
     )
     frames = frames_of(rng, 3, shape=(6, 6, 2))
-    spec = make_nir_spec(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    spec = make_nir_spec(network, STEPPED, EventFrames(0.001, 0), FRESH, frames)
     if padded:
         assert [layer.operation.padding for layer in spec.layers[:2]] == ["1", "2"]
     found = run_target(spec, frames, target)
@@ -129,7 +130,7 @@ def test_biases_of_a_filtered_readout_fade_in():
         ("Affine", {"weight": np.array([[1.0, 2, 0], [0, 1, 0], [0, 0, 1]]), "bias": np.ones(3)}),
     )
     frames = np.zeros((1, 60, 2, 2, 2), np.uint8)
-    spec = make_nir_spec(network, STEPPED, EventFrames(0.001, 0), FRESH, frames, {})
+    spec = make_nir_spec(network, STEPPED, EventFrames(0.001, 0), FRESH, frames)
     graph = simulate(network, np.zeros((1, 60, 2, 2, 2)), 0.001, "euler").outputs
     np.testing.assert_allclose(run_target(spec, frames, "fast").scores, graph.mean(1), atol=1e-9)
 
@@ -140,7 +141,7 @@ def test_an_image_is_held():
                          lif(0.01, 3.0), ("Linear", {"weight": np.eye(4)}))  # fmt: skip
     images = np.array([1.0, 0.5, 0.1, 0.0]).reshape(1, 2, 2, 1)
     shown = Presentation(steps=400, gap=0, readout_start=0, stream_length=1)
-    spec = make_nir_spec(network, STEPPED, ImageSpikes(), shown, images, {})
+    spec = make_nir_spec(network, STEPPED, ImageSpikes(), shown, images)
     found = run_target(spec, images, "fast").scores[0]
     # a held input of 3 v passes 1 after log(1 - 1 / 3 v) / log(0.9) steps: 4, 11, never
     np.testing.assert_allclose(found[:2], [1 / 4, 1 / 11], rtol=0.35)
@@ -151,7 +152,7 @@ def test_an_exported_network_on_events_has_the_same_weights_again():
     """NIR has no integers: threshold and weights are rounded once more."""
     rng = np.random.default_rng(2)
     frames = frames_of(rng, 3)
-    spec = make_nir_spec(events_network(rng), STEPPED, EventFrames(0.02, 0), FRESH, frames, {})
+    spec = make_nir_spec(events_network(rng), STEPPED, EventFrames(0.02, 0), FRESH, frames)
     graph = read_nir(make_nir_graph(spec))
     assert graph.convention.step_s == 0.001
     for link, layer in zip(from_nir(graph, 0.001, "exact", (8, 8, 2)), spec.layers, strict=True):
@@ -172,7 +173,7 @@ def test_the_export_of_a_bundle_on_images_is_imported(tmp_path):
     images = draw_checks(spec, 6).inputs
     network = read_nir(tmp_path / "n.nir")
     stepping = Stepping.from_settings(Settings().with_values(changes), network)
-    again = make_nir_spec(network, stepping, spec.stimulus, spec.presentation, images, {})
+    again = make_nir_spec(network, stepping, spec.stimulus, spec.presentation, images)
     one, other = (run_target(s, images, "fast").scores for s in (spec, again))
     assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.9
 
@@ -210,18 +211,24 @@ def merged_graph(loop=0.0):
     return nir.NIRGraph(nodes, edges)
 
 
-def test_a_recurrent_graph_with_one_input_for_both_polarities():
+@pytest.mark.parametrize("synapses", [1, 2, 3, 0])
+def test_a_recurrent_graph_with_one_input_for_both_polarities(synapses):
     rng, network = np.random.default_rng(1), read_nir(merged_graph())
     frames = (rng.random((3, 60, 10, 10, 2)) < 0.03).astype(np.uint8)
     frames[..., 1] &= 1 - frames[..., 0]  # never both in one step, which would count twice
     stepping = Stepping.from_settings(Settings(), network)
     assert stepping == Stepping(1e-4, "euler")
-    spec = make_nir_spec(network, stepping, EventFrames(0.02, 0), FRESH, frames, {})
+    spec = make_nir_spec(network, stepping, EventFrames(0.02, 0), FRESH, frames, synapses)
     assert make_plan(spec).problems == []
+    number = synapses or 2
+    assert spec.layers[0].synapses_per_weight == number
+    (note,) = list_synapse_notes(spec)
+    assert f"{number * (200 * 20 + 20 * 20)} in all" in note
     reference = simulate(network, make_graph_inputs(network, frames, 60), 1e-4, "euler")
     (link, _) = from_nir(network, 1e-4, "euler", (10, 10, 2))
     signal = simulate_spikes(link, frames.reshape(3, 60, -1))
     np.testing.assert_array_equal(signal, reference.spikes["lif"])
+    link = replace(link, synapses_per_weight=number)
     integers = choose_integers(link, frames.reshape(3, 60, -1))
     late = simulate_spikes(link, frames.reshape(3, 60, -1), integers)[:, :59]
     for target in ("emulator", "fast"):
