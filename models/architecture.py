@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from deploy.errors import UserError
-from models.ops import OPERATIONS
+from models.ops import OPERATIONS, Pooling
 from models.ops.base import NUMBER
 
 # Maximum number of layers in a text, including the output.
@@ -45,8 +45,8 @@ class Architecture:
     ----------
     input_shape : tuple of int
         (rows, columns, channels).
-    layers : tuple of models.ops.base.Operation
-        In order; the last one is the only output layer.
+    layers : tuple of models.ops.base.NotatedLayer
+        Operations, and the pooling before them, in order; the last one is the only output layer.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def _parse_layer(token: str, shape: tuple, is_last: bool):
     """
     layer = _read_token(token)
     if layer is None:
-        raise ValueError(f"must be a layer: {_list_operations()}")
+        raise ValueError(f"must be a layer: {_describe_tokens()}")
     _check_position(layer, shape, is_last)
     weights = [math.prod(s) for s in layer.list_array_shapes(shape).values()]
     shape = layer.compute_shape(shape)
@@ -236,12 +236,17 @@ def _parse_layer(token: str, shape: tuple, is_last: bool):
     return layer
 
 
-def _list_operations() -> str:
-    """The operations and examples of their notation, for a message."""
+def _list_notated_layers() -> tuple:
+    """The classes of what a token can be."""
+    return (*OPERATIONS.values(), Pooling)
+
+
+def _describe_tokens() -> str:
+    """The layers and examples of their notation, for a message."""
     texts = []
-    for operation in OPERATIONS.values():
-        examples = " or ".join(operation.examples)
-        texts.append(f"{operation.noun} such as {examples}" if examples else operation.noun)
+    for layer in _list_notated_layers():
+        examples = " or ".join(layer.examples)
+        texts.append(f"{layer.noun} such as {examples}" if examples else layer.noun)
     return "; ".join(texts)
 
 
@@ -257,13 +262,13 @@ def _read_token(token):
     ValueError
         A number is zero.
     """
-    for operation in OPERATIONS.values():
-        match = operation.token.fullmatch(token)
+    for layer in _list_notated_layers():
+        match = layer.token.fullmatch(token)
         if match is None:
             continue
         if any(group.isdecimal() and int(group) == 0 for group in match.groups("")):
             raise ValueError("has a zero")
-        return operation.from_token(match)
+        return layer.from_token(match)
     return None
 
 

@@ -26,7 +26,7 @@ from deploy.network.presentation import Presentation
 from deploy.network.spec import NetworkSpec
 from deploy.network.stimulus import Stimulus
 from models.architecture import Architecture
-from models.ops import Operation, Pooling
+from models.ops import NotatedLayer, Operation, Pooling
 
 
 @dataclass(frozen=True)
@@ -305,10 +305,10 @@ def make_layer(link: Link) -> Layer:
 
 def write_notation(chain) -> str:
     """A chain in the notation of architectures, such as ``10x10x2-12c4s2-64-10o``."""
-    return str(Architecture(chain[0].input_shape, tuple(_list_operations(chain))))
+    return str(Architecture(chain[0].input_shape, tuple(_list_notated_layers(chain))))
 
 
-def _list_operations(chain) -> Iterator[Operation]:
+def _list_notated_layers(chain) -> Iterator[NotatedLayer]:
     for link in chain:
         if link.pool > 1:
             yield Pooling(link.pool)

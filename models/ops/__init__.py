@@ -1,4 +1,4 @@
-"""The operations of a network: convolution, pooling and dense layers, one file each.
+"""The operations of a network, convolutions and dense layers, and the pooling before them.
 
 To add an operation, write two classes, and enter each in its table, or from another package,
 in a plugin (:mod:`deploy.plugins`), call :func:`register_operation`:
@@ -10,14 +10,13 @@ in a plugin (:mod:`deploy.plugins`), call :func:`register_operation`:
 """
 
 from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
-from models.ops.base import Operation, Synapses
+from models.ops.base import NotatedLayer, Operation, Synapses
 from models.ops.conv import Convolution
 from models.ops.dense import Dense
 from models.ops.pool import Pooling
 
 OPERATIONS: dict[str, type[Operation]] = {
     "conv": Convolution,
-    "pool": Pooling,
     "dense": Dense,
 }
 
@@ -25,6 +24,7 @@ __all__ = [
     "OPERATIONS",
     "Convolution",
     "Dense",
+    "NotatedLayer",
     "Operation",
     "Pooling",
     "Synapses",

@@ -1,4 +1,4 @@
-"""The base class of the operations of an architecture."""
+"""The base classes of the layers and operations of an architecture."""
 
 import math
 import re
@@ -49,29 +49,17 @@ class Synapses(NamedTuple):
         )
 
 
-class Operation(DeployedOperation):
-    """A layer of an architecture, with its notation and its training.
+class NotatedLayer:
+    """What stands between two hyphens of the notation: an operation, or a pooling before one.
 
-    A subclass has a second base, its deployed operation, which has its shapes and its sums.  It
-    adds `token` and `__str__`.  The other methods follow from the sums; an operation overrides
-    them where it can be faster, or where its numbers are not those of its notation:
-
-    ===================================  ===========================================================
-    `from_token`                         if the notation has more than numbers
-    `compute_kernel_shape`,              if the trained kernel has other axes than the deployed
-    `to_deployed`                        weights
-    `count_fan_in`,                      for layers with many inputs
-    `compute_tensor_sums`,
-    `make_synapses`
-    `gather_inputs`                      if rounding to integers should compensate errors of weights
-    `make_keras_layer`                   for an operation without weights, and where NengoDL should
-                                         convert a layer of Keras (the stage spiking-lif)
-    ===================================  ===========================================================
+    A subclass has `token` and `__str__`, and the methods ``compute_shape(input_shape)``,
+    ``count_fan_out(input_shape)``, ``list_array_shapes(input_shape)`` and
+    ``make_keras_layer(name, gain)`` of :class:`Operation`.
 
     Attributes
     ----------
     kind : str
-        The key in `OPERATIONS`, and the prefix of the layers' names but for ``"output"``.
+        The prefix of the layers' names but for ``"output"``.
     token : re.Pattern
         The notation; numbers are its groups of digits.
     noun : str
@@ -84,6 +72,7 @@ class Operation(DeployedOperation):
         True for the output layer.
     """
 
+    kind: ClassVar[str]
     token: ClassVar[re.Pattern]
     noun: ClassVar[str] = "a layer"
     examples: ClassVar[tuple] = ()
@@ -91,24 +80,44 @@ class Operation(DeployedOperation):
     output: bool = False
 
     @classmethod
-    def from_token(cls, match: re.Match) -> "Operation":
+    def from_token(cls, match: re.Match):
         """The layer of a match of `token`, whose groups are the fields in order, at least 1."""
-        names = [field.name for field in fields(cls)]
+        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
         numbers = zip(names, match.groups(), strict=False)
         return cls(**{name: int(digits) for name, digits in numbers if digits})
 
+
+class Operation(NotatedLayer, DeployedOperation):
+    """An operation of an architecture, with its notation and its training.
+
+    A subclass has a second base, its deployed operation, which has its shapes and its sums.  It
+    adds `token` and `__str__`, and is entered in `OPERATIONS` under its `kind`.  The other methods
+    follow from the sums; an operation overrides them where it can be faster, or where its numbers
+    are not those of its notation:
+
+    ===================================  ===========================================================
+    `from_token`                         if the notation has more than numbers
+    `compute_kernel_shape`,              if the trained kernel has other axes than the deployed
+    `to_deployed`                        weights
+    `count_fan_in`,                      for layers with many inputs
+    `compute_tensor_sums`,
+    `make_synapses`
+    `gather_inputs`                      if rounding to integers should compensate errors of weights
+    `make_keras_layer`                   where NengoDL should convert a layer of Keras (the stage
+                                         spiking-lif)
+    ===================================  ===========================================================
+    """
+
     # --- weights ----------------------------------------------------------------------------------
 
-    def compute_kernel_shape(self, input_shape) -> tuple | None:
-        """Shape of the trained kernel; None without weights."""
+    def compute_kernel_shape(self, input_shape) -> tuple:
+        """Shape of the trained kernel."""
         return self.compute_weight_shape(input_shape)
 
     def list_array_shapes(self, input_shape) -> dict:
-        """Shapes of the trained arrays, ``"kernel"`` and ``"bias"``; empty without weights."""
-        kernel = self.compute_kernel_shape(input_shape)
-        if kernel is None:
-            return {}
-        return {"kernel": kernel, "bias": self.compute_shape(input_shape)[-1:]}
+        """Shapes of the trained arrays, ``"kernel"`` and ``"bias"``."""
+        bias = self.compute_shape(input_shape)[-1:]
+        return {"kernel": self.compute_kernel_shape(input_shape), "bias": bias}
 
     def to_deployed(self, kernel, n_sections: int = 1) -> np.ndarray:
         """A trained kernel in the order of :attr:`deploy.network.layer.Layer.weights`.

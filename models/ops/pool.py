@@ -1,4 +1,8 @@
-"""Average pooling; a link and a deployed layer have it as a property."""
+"""Average pooling in the notation of architectures.
+
+It is not an operation: a link and a deployed layer have the pooling before their operation as a
+property.
+"""
 
 import re
 from dataclasses import dataclass
@@ -6,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.network.geometry import count_windows
-from models.ops.base import NUMBER, Operation
+from models.ops.base import NUMBER, NotatedLayer
 
 
 @dataclass(frozen=True)
-class Pooling(Operation):
+class Pooling(NotatedLayer):
     """Average pooling over square windows that do not overlap.
 
     Attributes
@@ -32,13 +36,15 @@ class Pooling(Operation):
             raise ValueError(f"{self}: the size must be at least 1")
 
     def compute_shape(self, input_shape):
+        """Shape of the averages."""
         rows, columns, channels = input_shape
         if self.size > min(rows, columns):
             raise ValueError(f"does not fit: its window is larger than its {rows}x{columns} input")
         return (rows // self.size, columns // self.size, channels)
 
-    def compute_kernel_shape(self, input_shape):
-        return None
+    def list_array_shapes(self, input_shape):
+        """As `Operation.list_array_shapes`: it has no weights."""
+        return {}
 
     def count_fan_out(self, input_shape):
         """As `DeployedOperation.count_fan_out`: 1, or 0 outside of complete windows."""
@@ -49,6 +55,7 @@ class Pooling(Operation):
         return np.repeat(np.outer(*reach)[..., None], input_shape[2], axis=2)
 
     def make_keras_layer(self, name, gain=None):
+        """As `Operation.make_keras_layer`."""
         from models.keras.keras2 import tf
 
         return tf.keras.layers.AveragePooling2D(self.size, name=name)
