@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from models.nir.conventions import EXPORTED_STEP
+from models.nir.conventions import EXPORTED_STEP_S
 from models.nir.graph import read_nir
 from models.nir.nodes import SPIKING
 from models.nir.simulator import simulate
@@ -17,10 +17,10 @@ PYTHON = ROOT / ".venv-nir" / "bin" / "python"
 STEP = 2.0**-9
 
 CASES = {
-    "snntorch-leaky": ("Affine LIF Linear LIF", EXPORTED_STEP),
-    "snntorch-synaptic": ("Linear CubaLIF Affine LIF", EXPORTED_STEP),
-    "snntorch-images": ("Conv2d LIF AvgPool2d Conv2d LIF Flatten Affine LIF", EXPORTED_STEP),
-    "snntorch-recurrent": ("Affine LIF Linear CubaLIF", EXPORTED_STEP),
+    "snntorch-leaky": ("Affine LIF Linear LIF", EXPORTED_STEP_S),
+    "snntorch-synaptic": ("Linear CubaLIF Affine LIF", EXPORTED_STEP_S),
+    "snntorch-images": ("Conv2d LIF AvgPool2d Conv2d LIF Flatten Affine LIF", EXPORTED_STEP_S),
+    "snntorch-recurrent": ("Affine LIF Linear CubaLIF", EXPORTED_STEP_S),
     "norse-writes": ("Affine LIF Affine LI", STEP),
     "norse-reads": ("Affine CubaLIF Affine LIF", STEP),
     # Norse adds the whole input to IF at each step, as a step of 1 s does

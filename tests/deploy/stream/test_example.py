@@ -12,7 +12,7 @@ import pytest
 from deploy.check.bundle import write_bundle
 from pipeline.recordings.recordings import Recordings
 from tests.command import ROOT, environment
-from tests.test_stream import STEP_US, events_of, make_bundle, replay
+from tests.deploy.stream.test_stream import STEP_US, events_of, make_bundle, replay
 
 COMMAND = [sys.executable, "-m", "examples.stream"]
 

@@ -8,8 +8,7 @@ import sys
 import pytest
 
 from deploy.terminal import INTERRUPTION
-
-from .command import environment, process_of
+from tests.command import environment, process_of
 
 LINE = f"stmnist: {INTERRUPTION}"
 

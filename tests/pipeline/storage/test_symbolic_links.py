@@ -6,8 +6,7 @@ import shutil
 import pytest
 
 from deploy.files import replacing
-
-from .deploy.checks import partial
+from tests.deploy.checks import partial
 
 CONTENT = b"somebody else's\n"
 

@@ -9,9 +9,8 @@ import pytest
 from deploy.files import read_json, write_json
 from pipeline.settings import read_settings
 from pipeline.storage.run_folder import RunFolder
-
-from .command import call
-from .pipeline.handmade import archive, good_members
+from tests.command import call
+from tests.pipeline.handmade import archive, good_members
 
 
 @pytest.mark.parametrize(
