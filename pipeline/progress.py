@@ -26,6 +26,18 @@ def hide_progress():
 
 
 @contextlib.contextmanager
+def hide_inner_bars():
+    """Hide the bars inside the block, whose caller draws one itself; lines are printed."""
+    with hide_progress() if _draws_bars() else contextlib.nullcontext():
+        yield
+
+
+def _draws_bars():
+    in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
+    return console.is_terminal or in_notebook
+
+
+@contextlib.contextmanager
 def ignore_progress(label: str, total: int, unit: str = "samples"):
     """Display nothing: the default where a function takes :func:`progress` as an argument."""
     yield lambda n=1, note=None: None
@@ -49,11 +61,10 @@ def progress(label: str, total: int, unit: str = "samples"):
     callable
         ``advance(n=1, note=None)``: n more units are done; ``note`` is printed after the label.
     """
-    in_notebook = console.is_jupyter and importlib.util.find_spec("ipywidgets") is not None
     if _hidden:
         yield lambda n=1, note=None: None
         return
-    if not (console.is_terminal or in_notebook):
+    if not _draws_bars():
         yield ProgressLines(label, total, unit).advance
         return
     with Progress(console=console) as bar:

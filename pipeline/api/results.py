@@ -234,7 +234,11 @@ class Predictions(Result):
 
     def __getitem__(self, recording: str | int) -> str:
         """Name of the predicted class of a recording, given by its id or its index."""
-        return self.names[recording] if isinstance(recording, int) else self._name_of[recording]
+        if isinstance(recording, int):
+            return self.names[recording]
+        if recording not in self._name_of:
+            raise KeyError(f"no recording {recording!r}; ids are like {self.ids[0]!r}")
+        return self._name_of[recording]
 
     def __iter__(self):
         return iter(self.ids)

@@ -76,7 +76,8 @@ class Run:
     ----------
     path : Path
     notes : list of str
-        What the last method had to say: choices, warnings, what is up to date.
+        What the last method had to say: choices, warnings, what is up to date.  Choices and
+        warnings on the recordings are printed by the first method only.
 
     Raises
     ------
@@ -96,6 +97,7 @@ class Run:
     def __init__(self, path, data=None, input=None, jobs=2, quiet=False, **settings):
         self.path = Path(path)
         self.notes = []
+        self._printed = set()
         self._jobs = _require_jobs(jobs)
         self._quiet = quiet
         self._input = input
@@ -115,8 +117,8 @@ class Run:
             data.write(self._name_source(data))
         if line := self._describe_changes():
             self._say(
-                f"{WARNING}{self.path}: {line}: its networks are replaced as soon as others are "
-                "trained; to keep them, give another path"
+                f"{WARNING}{self.path}: {line}: the next methods make its networks, bundle and "
+                "checks again if they depend on this; to keep the present ones, give another path"
             )
 
     def __repr__(self):
@@ -294,13 +296,14 @@ class Run:
 
         Parameters
         ----------
-        numbers : sequence of int
+        numbers : int or sequence of int
             Numbers of samples of the check, from 0.
 
         Returns
         -------
         dict of int to pipeline.results.report.samples.Replay
         """
+        numbers = [numbers] if isinstance(numbers, Integral) else list(numbers)
         bundle = self.bundle
         n_samples = len(bundle.checks.labels)
         for number in numbers:
@@ -315,7 +318,15 @@ class Run:
         with self._collect_notes(), lock_run(self.path) as folder:
             if validate is not None:
                 validate(self._user_settings)
-            yield workflow.open_run(folder, self._user_settings, self._jobs, self._say, needs_check)
+            opened = workflow.open_run(
+                folder,
+                self._user_settings,
+                self._jobs,
+                self._say_once,
+                needs_check,
+                warns=not self._describe_changes(),
+            )
+            yield replace(opened, say=self._say)
 
     @contextlib.contextmanager
     def _collect_notes(self):
@@ -328,6 +339,13 @@ class Run:
         self.notes.append(line)
         if not self._quiet:
             remark(line)
+
+    def _say_once(self, line):
+        """As :meth:`_say`, but a line that an earlier method has printed is not printed again."""
+        self.notes.append(line)
+        if not self._quiet and line not in self._printed:
+            remark(line)
+        self._printed.add(line)
 
     def _name_source(self, data):
         if isinstance(data, Recordings):

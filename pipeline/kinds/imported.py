@@ -54,8 +54,8 @@ class ImportedNetwork(NamedTuple):
         changed = [change.name for change in state.because]
         if state.state == MISSING:
             yield (
-                f"{self.step}: must have been trained on the training samples of this split only "
-                f"(seed {seed}), otherwise the accuracies are too high"
+                f"{self.step}: the accuracies are too high if the network in the file was trained "
+                f"on test samples of this split (seed {seed})"
             )
         of_split = [name for name in changed if name.startswith(SPLIT_SETTINGS)]
         if of_split and not set(changed) & set(IMPORTED.values()):

@@ -121,18 +121,19 @@ def format_activity(recordings: Recordings) -> str:
         return "taxels: none fires"
     shares = 100 * activity.recordings[fires]
     lines = [
-        f"taxels: {fires.sum()} of {len(taxels)} fire, each in {shares.min():.0f} to "
-        f"{shares.max():.0f} % of the recordings (median {np.median(shares):.0f} %) and through "
-        f"{100 * np.median(activity.extent[fires]):.0f} % of each (median)"
+        f"taxels: {fires.sum()} of {len(taxels)} fire; a taxel fires in {shares.min():.0f} to "
+        f"{shares.max():.0f} % of the recordings (median {np.median(shares):.0f} %), and through "
+        f"{100 * np.median(activity.extent[fires]):.0f} % of the time of such a recording (median)"
     ]
     hot = find_hot_taxels(activity)
     lines.append(
-        f"hot taxels, which fire through 80 % of a recording or more: {len(hot) or 'none'}"
+        "hot taxels, which fire throughout many recordings (through 80 % of the time or more): "
+        f"{len(hot) or 'none'}"
     )
     lines += [
-        f"  taxel {index} (row {taxels.row[index]}, column {taxels.column[index]}, from 0): so in "
-        f"{100 * activity.throughout[index]:.1f} % of the recordings, fires in "
-        f"{100 * activity.recordings[index]:.0f} %"
+        f"  taxel {index} (row {taxels.row[index]}, column {taxels.column[index]}, from 0): "
+        f"fires throughout {100 * activity.throughout[index]:.1f} % of the recordings, and in "
+        f"{100 * activity.recordings[index]:.0f} % at all"
         for index in hot[:MAX_LISTED]
     ]
     if len(hot) > MAX_LISTED:

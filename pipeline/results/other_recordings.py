@@ -15,6 +15,7 @@ from deploy.tables import list_names
 from deploy.targets.registry import run_target
 from deploy.terminal import WARNING, remark
 from pipeline.paper import CHECK_SAMPLES
+from pipeline.progress import progress
 from pipeline.recordings.dataset import (
     describe_cut_recordings,
     make_inputs_for,
@@ -190,7 +191,8 @@ def predict(bundle: Bundle, others: OtherRecordings, target: str = "fast", warn=
     spec = bundle.spec.with_presentation(stream_length=1)
     names = recordings.sensor.classes
     inputs = make_inputs_for(spec, recordings, settings.image)
-    responses = run_target(spec, inputs, target, bundle.seed)
+    with progress("classify", len(recordings), "recordings") as advance:
+        responses = run_target(spec, inputs, target, bundle.seed, advance)
     probabilities = responses.probabilities
     if probabilities is None:
         probabilities = np.full(len(recordings), np.nan)

@@ -191,7 +191,7 @@ def require_run_or_new_folder(path: Path, of_results: bool = False):
     if names:
         raise UserError(
             f"{path}: is not a run (it has no experiment.toml) and not empty "
-            f"(it has {names[0]!r}); give a new folder as RUN"
+            f"(it has {names[0]!r}); give another folder as RUN"
         )
 
 

@@ -15,7 +15,7 @@ from deploy.files import write_json
 from deploy.targets.registry import TARGETS
 from pipeline.jobs import Failure, run_jobs
 from pipeline.kinds.kind import NetworkKind
-from pipeline.progress import hide_progress, progress
+from pipeline.progress import hide_inner_bars, progress
 from pipeline.storage.artifacts import DELETE_IT, Artifact, Origin
 from pipeline.storage.run_folder import RunFolder
 from pipeline.workflow.conversion import convert
@@ -121,6 +121,9 @@ def check_stages(opened: OpenedRun, bundle: Bundle, stages, jobs: int = 1) -> li
 def _check_side_by_side(opened, bundle, paths, others, jobs) -> dict:
     """Results by name of targets in processes, and of the other stages in this process.
 
+    The samples of the targets are counted.  Those of the other stages are not, because the time
+    that these take is mostly that of a training.
+
     Parameters
     ----------
     paths : dict of str to Path
@@ -128,14 +131,13 @@ def _check_side_by_side(opened, bundle, paths, others, jobs) -> dict:
     others : list of str
     """
     results = {}
-    n_stages = len(paths) + len(others)
-    with progress("check", n_stages * len(bundle.checks)) as advance:
+    with progress("check", len(paths) * len(bundle.checks)) as advance:
 
         def check_others():
             for stage in others:
-                with hide_progress():
+                advance(0, stage)
+                with hide_inner_bars():
                     results[stage] = check_stage(opened, bundle, stage)
-                advance(len(bundle.checks), stage)
 
         seed = opened.settings.seed
         target_results = _run_targets(bundle, paths, seed, jobs, advance, check_others)

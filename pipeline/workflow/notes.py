@@ -8,8 +8,10 @@ from deploy.tables import format_count, list_names
 from deploy.terminal import WARNING
 from pipeline.kinds.registry import find_kind, has_networks
 from pipeline.recordings.recordings import describe_recordings
+from pipeline.recordings.sensor import describe_size, is_st_mnist_sensor
 from pipeline.recordings.splits import PUBLISHED, WRITERS, find_classes_without_test, find_copies
 from pipeline.settings import SIMULATED, read_settings
+from pipeline.storage.artifacts import OUTDATED
 
 # Test recordings below which a user is warned.
 MIN_TEST_RECORDINGS = 10
@@ -33,14 +35,13 @@ def list_notes(opened, choices) -> Iterator[str]:
     run = opened.run
     kind = opened.kind
     if run.experiment.exists():
-        before = read_settings(run.experiment)
-        yield from _list_replacements(run, before, opened.settings)
+        if text := _describe_split(opened.dataset):
+            yield f"{run.path}: {text}"
     elif opened.settings.data.source == SIMULATED:
         yield f"{run.path}: a new run, on simulated recordings (others: --data)"
     else:
         yield _describe_new_run(run.path, opened.dataset)
-    if run.experiment.exists() and (text := _describe_split(opened.dataset)):
-        yield f"{run.path}: {text}"
+        yield from _describe_unstated_size(opened)
     yield from choices
     if kind.imported is not None:
         yield from kind.imported.list_warnings()
@@ -54,6 +55,19 @@ def _describe_new_run(path, dataset):
     return f"{path}: a new run, on {recordings.source.name}: {text}"
 
 
+def _describe_unstated_size(opened):
+    """Where the size of a sensor comes from that is no known one and that the user leaves open."""
+    recordings = opened.dataset.recordings
+    sensor = recordings.sensor
+    is_known = is_st_mnist_sensor(sensor.rows, sensor.columns, sensor.classes)
+    is_open = not opened.settings.skin.rows and not opened.settings.skin.columns
+    if is_open and not is_known and min(sensor.rows, sensor.columns) > 1:
+        yield (
+            f"{describe_size(sensor)}: from the files, or from the largest y and x of all events "
+            "(another size: --set skin.rows=... --set skin.columns=...)"
+        )
+
+
 def _describe_split(dataset):
     """The kind of the split in a few words, unless it is the usual one."""
     recordings = dataset.recordings
@@ -65,22 +79,36 @@ def _describe_split(dataset):
     return "random split instead of the published one" if recordings.is_split else ""
 
 
-def _list_replacements(run, before, settings):
-    """A warning if a run's networks are going to be replaced by those of another kind or source."""
-    was = find_kind(before).name
-    now = find_kind(settings).name
-    if (was, before.input.kind) != (now, settings.input.kind):
-        description = f"is a run of the kind {was!r} with the input {before.input.kind!r}"
-    elif before.data.source != settings.data.source:
-        description = f"is a run on the recordings {before.data.source}"
-    else:
+def list_replacements(opened) -> Iterator[str]:
+    """Yield a warning if networks of another kind or of other recordings are going to be replaced.
+
+    Parameters
+    ----------
+    opened : pipeline.workflow.opening.OpenedRun
+        Its settings are not saved yet.
+    """
+    run = opened.run
+    if not run.experiment.exists():
         return
-    if has_networks(before, run.path):
+    before = read_settings(run.experiment)
+    now = opened.settings
+    if (find_kind(before).name, before.input.kind) != (opened.kind.name, now.input.kind):
+        change = f"the input {before.input.kind!r} is replaced by {now.input.kind!r}"
+        replaced = has_networks(before, run.path)
+    else:
+        change = f"the recordings {before.data.source} are replaced by {now.data.source}"
+        replaced = before.data.source != now.data.source and _has_outdated_networks(opened)
+    if replaced:
         yield (
-            f"{WARNING}{run.path}: {description}; its networks and bundle are replaced as soon as "
-            "others are trained.  To keep them, stop now (Ctrl-C) and give another RUN; with its "
-            "former options this one is as it was"
+            f"{WARNING}{run.path}: {change}, and its networks, bundle and checks are made again.  "
+            "To keep the present ones, stop now (Ctrl-C) and give another RUN"
         )
+
+
+def _has_outdated_networks(opened):
+    """True if a step was made of other recordings or settings than the present ones."""
+    artifacts = [opened.find_artifact(step.name) for step in opened.kind.steps]
+    return any(artifact.find_state().state == OUTDATED for artifact in artifacts)
 
 
 def list_notes_on_recordings(opened) -> Iterator[str]:

@@ -20,7 +20,7 @@ from pipeline.settings import Settings
 from pipeline.sources import load_named_recordings
 from pipeline.storage.artifacts import Artifact, Library, Origin
 from pipeline.storage.run_folder import RunFolder, lock_run
-from pipeline.workflow.notes import list_notes
+from pipeline.workflow.notes import list_notes, list_replacements
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,12 @@ def open_experiment(store, settings: Settings, dataset: Dataset, say=print) -> O
 
 
 def open_run(
-    run: RunFolder, settings: Settings, jobs: int = 2, say=print, needs_check: bool = True
+    run: RunFolder,
+    settings: Settings,
+    jobs: int = 2,
+    say=print,
+    needs_check: bool = True,
+    warns: bool = True,
 ) -> OpenedRun:
     """Load the recordings of a run, choose what the settings leave open, and save both.
 
@@ -140,6 +145,8 @@ def open_run(
         Called with each note and warning.
     needs_check : bool
         True if the samples of a check will be drawn; training needs none.
+    warns : bool
+        True to warn that networks of other recordings or of another kind will be replaced.
 
     Raises
     ------
@@ -156,6 +163,9 @@ def open_run(
     if needs_check:
         _require_check_fits(opened)
     opened.kind.require_usable(opened.make_step_inputs(chosen.flatten()))
+    if warns:
+        for line in list_replacements(opened):
+            say(line)
     for line in list_notes(opened, lines):
         say(line)
     run.save_settings(chosen)

@@ -37,3 +37,14 @@ def test_the_estimate_leaves_out_what_an_earlier_session_has_done(capsys):
         now += 100.0
         progress.advance()
     assert "about 800 s left" in capsys.readouterr().err
+
+
+def test_the_estimate_leaves_out_the_time_before_the_first_units(capsys):
+    now = 0.0
+    progress = ProgressLines("check", 10, clock=lambda: now)
+    progress.advance(0, "cnn-matched")
+    for seconds in (300, *(6 * [5])):
+        now += seconds
+        progress.advance(1, "emulator")
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "check emulator: 6 of 10 samples after 325 s, about 20 s left"

@@ -207,7 +207,7 @@ class EventChoices:
             return
         most = format_count(max_spikes, "spike")
         reason = (
-            f"at most {most} of a taxel and polarity in a recording, so that one that fires "
+            f"at most {most} of a taxel and polarity in a recording, so that a taxel that fires "
             "all the time has little weight (another: --set input.max_spikes=...)"
         )
         self._choose("input.max_spikes", max_spikes, reason)

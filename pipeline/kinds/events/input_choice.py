@@ -73,8 +73,8 @@ class InputChoice(NamedTuple):
         span = f"each of {n_sections} sections" if n_sections > 1 else "the whole"
         return (
             f"refractory period of {self.refractory_steps * step_ms:g} ms: {self.lost:.0%} of the "
-            "events are merged or ignored; a linear classifier of the others, cross-validated in "
-            f"training, has {self.accuracy:.3f} (of all events {self.complete:.3f}); readout "
+            "events are merged or ignored; the cross-validated accuracy of a linear classifier is "
+            f"{self.accuracy:.3f} on the others and {self.complete:.3f} on all events; readout "
             f"weights for {span} of a recording"
         )
 

@@ -130,8 +130,8 @@ def _choose_normalisation(settings):
     if settings.cnn.model or not settings.is_open("image.normalisation"):
         return []
     reason = (
-        "image of the square roots of counts, on which one hot taxel has no effect (the paper may "
-        "mean: --set image.normalisation=max)"
+        "image of the square roots of counts, on which one hot taxel has no effect (counts divided "
+        "by the largest, as the paper may have done: --set image.normalisation=max)"
     )
     return [Choice("image.normalisation", "sqrt-clip", reason)]
 

@@ -64,9 +64,10 @@ def list_members(path: Path) -> Members:
         with open_regular(path) as file, _open_archive(file) as archive:
             members = archive.infolist()
     except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
-        raise UserError(
-            f"{path}: not a zip archive, or cut short ({error}); download it again"
-        ) from error
+        remedy = "give a zip or a folder of recordings"
+        if path.suffix.lower() == ".zip":
+            remedy = "download it again"
+        raise UserError(f"{path}: not a zip archive, or cut short ({error}); {remedy}") from error
     return _list_members_of_archive(members)
 
 

@@ -28,6 +28,9 @@ REMARKS = "#%"
 # Words and signs for polarities, and their numbers.
 POLARITIES = {"true": "1", "false": "0", "on": "1", "off": "0", "+": "1", "-": "-1"}
 
+# What a polarity may be, for an error.
+POLARITY_TEXT = "1 and 0, 1 and -1, + and -, on and off, or true and false"
+
 _POLARITY = re.compile(r"(?<![^\s,;])(true|false|on|off|[+-])(?![^\s,;#])", re.IGNORECASE)
 
 
@@ -171,9 +174,16 @@ def _describe_bad_line(body, separator, columns):
         event_values = values if columns is None else [values[column] for column in columns]
         if len(values) != size:
             return f"line {line.number} has {len(values)} values, those above {size}"
-        for value in event_values:
-            if not _is_number(value):
-                return f"line {line.number}: {value.strip()[:40]!r} is not a number"
+        wrong = [not _is_number(value) for value in event_values]
+        if columns is None and line is body[0] and all(wrong):
+            names = ", ".join(value.strip() for value in values[:6])
+            return f"line {line.number} has none of the names x, y, t and p among {names[:80]!r}"
+        if any(wrong):
+            at = wrong.index(True)
+            value = repr(event_values[at].strip()[:40])
+            if columns is not None and ARRAYS[at] == "p":
+                return f"line {line.number}: {value} is not a polarity; write {POLARITY_TEXT}"
+            return f"line {line.number}: {value} is not a number"
     return "has a line that is not numbers, or has more or fewer than the others"
 
 

@@ -338,7 +338,9 @@ def find_columns(names) -> dict:
         candidates = [name for name in names if find_column(name) == axis]
         if not candidates:
             listed = ", ".join(str(name) for name in list(names)[:6])
-            remedy = NO_POLARITY if axis == "p" else "expected x, y, t and p"
+            remedy = "expected x, y, t and p"
+            if axis == "p":
+                remedy = f"name the column of the polarity p, or {NO_POLARITY}"
             raise BadRecording(f"has no {axis!r} among {listed or 'no names'}; {remedy}")
 
         def rank(name, known_names=known_names):

@@ -112,14 +112,12 @@ def _find_outside(path, recordings, extents, options):
     """Recordings with events outside the rows and columns that the user states."""
     limits = np.array([options.rows or np.inf, options.columns or np.inf])
     outside = (extents > limits).any(axis=1)
-    stated = [str(n or "any") for n in (options.rows, options.columns)]
     if 2 * outside.sum() >= len(recordings):
         sizes = Counter(r.size for r in recordings if r.size)
         size = sizes.most_common(1)[0][0] if sizes else extents.max(axis=0)
         raise UserError(
-            f"{path}: recordings of a sensor of {size[0]} x {size[1]} taxels, larger than the "
-            f"{' x '.join(stated)} of skin.rows and skin.columns; give recordings of a sensor of "
-            "that size"
+            f"{path}: recordings of a sensor of {size[0]} rows x {size[1]} columns, larger than "
+            f"{_describe_stated_size(options)}; give recordings of a sensor of that size"
         )
     reasons = {}
     for index in np.flatnonzero(outside).tolist():
@@ -127,9 +125,15 @@ def _find_outside(path, recordings, extents, options):
         first = int(np.argmax((recording.y >= limits[0]) | (recording.x >= limits[1])))
         reasons[index] = (
             f"has an event at x = {recording.x[first]}, y = {recording.y[first]}, outside the "
-            f"sensor (skin.rows: {stated[0]}, skin.columns: {stated[1]}; x and y count from 0)"
+            f"sensor ({_describe_stated_size(options)}; x and y count from 0)"
         )
     return reasons
+
+
+def _describe_stated_size(options):
+    """The rows and columns that the user states."""
+    sizes = {"skin.rows": options.rows, "skin.columns": options.columns}
+    return " and ".join(f"{name}={size}" for name, size in sizes.items() if size)
 
 
 def _compare_parts(path, recordings, extents, parts, options):

@@ -1,12 +1,14 @@
 """``stmnist.Run``: the command line's results as objects, and mistakes in one line."""
 
 import json
+import shutil
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from deploy.errors import UserError
+from pipeline import workflow
 from pipeline.recordings.recordings import Recordings
 from pipeline.results.status import list_states
 from pipeline.storage.run_folder import RunFolder
@@ -183,7 +185,7 @@ def test_plan_energy_report_and_replay(run):
     assert is_one_line(energy)
     assert "uJ" in repr(energy)
     assert run.report().is_file()
-    assert list(run.replay([3])) == [3]
+    assert list(run.replay([3])) == list(run.replay(3)) == [3]
 
 
 def test_an_existing_run_keeps_its_settings_and_trains_nothing_again(run):
@@ -203,7 +205,7 @@ def test_an_existing_run_keeps_its_settings_and_trains_nothing_again(run):
 ])  # fmt: skip
 def test_changes_of_an_existing_run_are_said_at_once_and_by_its_old_bundle(run, changes, fact):
     changed = Run(run.path, quiet=True, **changes)
-    assert missing(changed.notes[0], fact, str(run.path), "another path") == []
+    assert missing(changed.notes[0], fact, str(run.path), "again", "another path") == []
     changed.plan()
     assert missing(changed.notes[-1], fact, "convert()") == []
     assert Run(run.path, quiet=True, input="events").notes == []
@@ -223,6 +225,43 @@ def test_other_recordings_in_memory_are_said(run, tmp_path):
     assert Run(copied, data=recordings, quiet=True).notes == []
     other = Run(copied, data=recordings.subset(range(50)), quiet=True)
     assert "recordings in memory" in other.notes[0]
+
+
+def test_choices_are_printed_once_and_kept_in_the_notes(run, capsys):
+    opened = Run(run.path)
+    opened.train()
+    notes = [line for line in opened.notes if "up to date" not in line]
+    assert notes
+    assert missing(capsys.readouterr().err, *notes) == []
+    opened.train()
+    assert missing(opened.notes, *notes) == []
+    assert not any(line in capsys.readouterr().err for line in notes)
+
+
+def test_other_recordings_are_warned_of_once_and_only_if_they_are_others(run, tmp_path, capsys):
+    copied = tmp_path / "run"
+    shutil.copytree(run.path, copied)
+    same = shutil.copy(run.settings.data.source, tmp_path / "same.zip")
+    Run(copied, quiet=True).train()
+    with workflow.open_locked_run(copied, {"data": {"source": str(same)}}, say=print):
+        assert "made again" not in capsys.readouterr().out
+    other = run.recordings.subset(range(50)).write(tmp_path / "other.zip")
+    changed = Run(copied, data=other)
+    changed.train()
+    printed = capsys.readouterr().err
+    assert printed.count("other.zip'") == printed.count("another path") == 1
+    with workflow.open_locked_run(copied, {"data": {"source": str(same)}}, say=print):
+        assert missing(capsys.readouterr().out, "same.zip", "made again", "another RUN") == []
+
+
+def test_a_size_that_nobody_has_stated_is_said_with_the_settings_for_another(run, tmp_path):
+    source = {"data": {"source": run.settings.data.source}}
+    for skin, n_lines in (({}, 1), ({"skin": {"rows": 6, "columns": 8}}, 0)):
+        lines = []
+        with workflow.open_locked_run(tmp_path / f"run{n_lines}", source | skin, say=lines.append):
+            said = [line for line in lines if "largest y and x" in line]
+        assert len(said) == n_lines
+        assert all("6 rows x 8 columns" in line and "skin.rows" in line for line in said)
 
 
 def test_runs_side_by_side(run):

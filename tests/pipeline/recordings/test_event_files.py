@@ -105,6 +105,8 @@ def test_a_camera_s_file_is_read(tmp_path, suffix, version):
 @pytest.mark.parametrize(("name", "content", "fact"), [
     ("a.csv", b"1,2,3,4\n1,2,3", "line 2 has 3 values"),
     ("a.csv", b"# of a sensor\n\nx,y,t,p\n1,2,3,1\n\n1,2,3.5s,1", "line 6: '3.5s' is not a number"),
+    ("a.csv", b"when,col_x,col_y,sign\n1,2,3,1", "line 1 has none of the names x, y, t and p"),
+    ("a.csv", b"t,x,y,p\n1,2,3,up", "line 2: 'up' is not a polarity; write 1 and 0"),
     ("a.csv", b"1 2 3 1\n1 2 4 1\n1 ? 3 1", "line 3: '\\?' is not a number"),
     ("a.csv", b"x,y,t,p\n1,2,3,1\n\n1.5,2,4,1", "line 4 has x 1.5"),
     ("a.csv", b"x,y,t,p\n1,2,3,1\n1,2,nan,1", "line 3 has a time that is NaN"),
