@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -216,3 +218,30 @@ print(kind, len(ours))
         capture_output=True, text=True,
     )  # fmt: skip
     assert done.stdout.split() == ["FastEmulator", "0"], done.stderr
+
+
+def test_in_a_zip_archive_the_compiled_code_is_cached_if_there_is_a_folder(tmp_path):
+    archive = shutil.make_archive(
+        str(tmp_path / "fast"), "zip", str(Path(fastloihi.__file__).parent.parent), "fastloihi"
+    )
+    archive = shutil.move(archive, str(tmp_path / "deploy.pyz"))
+    code = """
+import sys
+import numpy as np
+from fastloihi import compiled
+assert ".pyz" in compiled.__file__
+sums = np.zeros((1, 2))
+compiled.sum_rows(np.array([[256]], np.uint64), np.arange(16.0).reshape(8, 2), sums)
+assert sums.tolist() == [[2, 3]]
+print(sum(compiled.sum_rows.stats.cache_hits.values()), compiled._has_cache(compiled.sum_rows))
+"""
+    written = tmp_path / "cache"
+    not_written = tmp_path / "file" / "cache"
+    not_written.parent.touch()
+    for cache, expected in ((written, "0 True"), (written, "1 True"), (not_written, "0 False")):
+        env = {**os.environ, "PYTHONPATH": archive, "NUMBA_CACHE_DIR": str(cache)}
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=env, capture_output=True, text=True, cwd=str(tmp_path)
+        )
+        assert done.stdout.strip() == expected, done.stderr
+    assert len(list(written.glob("fastloihi/*/compiled.py"))) == 1

@@ -22,7 +22,10 @@ Reasons for the form of the code, each measured:
 
 from __future__ import annotations
 
+import hashlib
+import os
 import sys
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -58,6 +61,30 @@ _SPARE_INPUT_BITS = np.int32(10)
 _SPARE_CURRENT_BITS = np.int32(8)
 
 
+def _copy_for_cache():
+    """A copy of this file on disk, for which Numba can keep a cache; None if none can be written.
+
+    Numba has no cache for a file in a zip archive, such as ``deploy.pyz``.  The copy is not
+    executed: its path is the key of the cache, in a folder that the content of this file names.
+    """
+    content = __loader__.get_data(__file__)
+    folder = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    name = hashlib.sha256(content).hexdigest()[:16]
+    path = Path(os.path.expanduser(folder)) / "fastloihi" / name / "compiled.py"
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not path.is_file() or path.read_bytes() != content:
+            new = path.with_name(f"{path.name}.{os.getpid()}")
+            new.write_bytes(content)
+            os.replace(new, path)
+    except OSError:
+        return None
+    return path
+
+
+_COPY = None if os.path.exists(__file__) else _copy_for_cache()
+
+
 def _jit(from_python=False, **options):
     """`numba.njit`, cached on disk if there is a folder for it.
 
@@ -72,9 +99,11 @@ def _jit(from_python=False, **options):
     }
 
     def decorate(function):
+        if _COPY is not None:
+            function.__code__ = function.__code__.replace(co_filename=str(_COPY))
         try:
             return numba.njit(cache=True, **common, **options)(function)
-        except RuntimeError:  # in a zip archive there is no place for Numba's cache
+        except RuntimeError:  # there is no folder that Numba can write to
             return numba.njit(**common, **options)(function)
 
     return decorate
@@ -779,13 +808,20 @@ def sum_rows(words, matrix, sums):
                 word ^= lowest
 
 
+def _has_cache(dispatcher):
+    """True if Numba has a folder for the compiled code of a function."""
+    return getattr(dispatcher._cache, "cache_path", None) is not None
+
+
 class _Announcer(event.Listener):
     """Prints a message when one of the two functions is compiled, not when it is in the cache."""
 
     def on_start(self, event):
-        if event.data["dispatcher"] in (advance_integers, advance_floats):
+        dispatcher = event.data["dispatcher"]
+        if dispatcher in (advance_integers, advance_floats):
+            each = "" if _has_cache(dispatcher) else " at each start, since no cache can be written"
             print(
-                "fastloihi: compiling the emulator; this takes some five seconds",
+                f"fastloihi: compiling the emulator; this takes some five seconds{each}",
                 file=sys.stderr,
                 flush=True,
             )
