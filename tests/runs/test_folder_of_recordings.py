@@ -191,7 +191,7 @@ def test_recordings_of_other_classes_or_sensors_are_refused(folder, tmp_path, ca
     write_recordings(tmp_path / "larger.zip", larger, CLASSES)
     for name, reason in (
         ("renamed.zip", "class 0"),
-        ("larger.zip", "of a sensor of 9 x 23 taxels"),
+        ("larger.zip", "of a sensor of 9 rows x 23 columns"),
     ):
         shown = ("--target", "fast", "--data", tmp_path / name)
         assert call("check", "run", folder / "image", *shown) == 2

@@ -2,7 +2,7 @@
 
 from markupsafe import Markup, escape
 
-from deploy.tables import format_p
+from deploy.tables import format_count, format_p
 from deploy.targets.registry import TARGETS
 from pipeline.kinds.registry import list_references
 from pipeline.results.report.charts import format_percent
@@ -19,7 +19,7 @@ def format_points(change: float) -> str:
 def format_p_value(p: float) -> Markup:
     """The p value of a test, such as ``"p = 0.03"`` or ``"p < 0.001"``, without a line break."""
     sign = "=&nbsp;" if p >= 0.001 else ""
-    return Markup(f"p&nbsp;{sign}") + escape(format_p(p))
+    return Markup(f"p&nbsp;{sign}") + escape(format_p(p).replace(" ", "\u00a0"))
 
 
 def format_interval(bounds) -> str:
@@ -56,7 +56,7 @@ def describe_losses(verdict: dict) -> Markup:
     """The loss from each reference to the deployed network."""
     return Markup(" ").join(
         escape(
-            f"From {other['title']} to {verdict['title']}: "
+            f"From “{other['title']}” to “{verdict['title']}”: "
             f"{format_points(other['change'])} points, "
         )
         + format_p_value(other["p"])
@@ -79,15 +79,16 @@ def describe_stories(groups: list, stories: list, time: dict | None, has_estimat
     n_shown = sum(not story["right"] for story in stories)
     sentences = []
     if n_wrong:
-        which = "All" if n_shown == n_wrong else f"{n_shown} of the"
-        sentences.append(f"{which} {n_wrong} mistakes, then right ones.")
+        mistakes = format_count(n_wrong, "mistake")
+        which = f"{n_shown} of the {mistakes}" if n_shown < n_wrong else mistakes.capitalize()
+        sentences.append(f"{which}, then correct predictions.")
     colours = " (ON blue, OFF orange)" if time and time["on_events"] else ""
     outputs = "the softmax of the outputs, which only suggests probabilities"
     if has_estimator:
         outputs = "the probabilities of the most likely classes, estimated at each step"
     early = "; the network decides when one reaches the dotted line"
     sentences += [
-        "Right or wrong is the prediction at the end.",
+        "“Correct” or “wrong” is the prediction at the end.",
         "All panels of a sample have the same time axis: the spikes of the input"
         f"{colours} and of each layer on the emulated chip, and {outputs}"
         f"{early if time and time['early'] else ''}.",
@@ -104,7 +105,7 @@ def describe_story(story: dict, n_classes: int) -> str:
     if not story["early"]:
         return text
     at_ms, prediction, probability = story["early"]
-    is_right = "right" if prediction == story["shown"] else "wrong"
+    is_right = "correct" if prediction == story["shown"] else "wrong"
     return (
         f"{text}; early decision after {at_ms:.0f} ms (line): {prediction}, {is_right}, "
         f"{format_percent(min(probability, MAX_PROBABILITY))}"
@@ -127,12 +128,13 @@ def describe_time(time: dict, accuracy: float) -> str:
         whole = "recording" if time["on_events"] else "presentation"
         half = format_percent(time["half"])
         sentences.append(
-            f"If the prediction were read after half of the {whole}, {half} would "
-            f"be right; at the end of the presentation it is {format_percent(accuracy)}."
+            f"If the predictions were read after half of the {whole}, {half} would "
+            f"be correct; at the end of the presentation {format_percent(accuracy)} are."
         )
     if time["on_events"]:
         sentences.append(
-            "At the last event, which is at 100 %, some spikes have not reached the output."
+            "The axis ends at the last event (100 %); some spikes reach the output after it, so "
+            "that the accuracy at the end of the presentation can be another."
         )
     else:
         sentences.append("An image is presented when its recording has ended.")

@@ -269,7 +269,7 @@ def test_in_python_a_model_gets_the_images_of_the_run_unless_others_are_stated(
     class Opened(Exception):
         pass
 
-    def open_run(folder, settings, *more):
+    def open_run(folder, settings, *more, **options):
         raise Opened(settings)
 
     monkeypatch.setattr(workflow, "open_run", open_run)

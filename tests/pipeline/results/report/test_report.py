@@ -17,6 +17,7 @@ from deploy.check.results import read_result
 from deploy.preflight.plan import make_plan
 from deploy.targets.registry import run_target
 from pipeline.results.report import page as report
+from pipeline.results.report import prose
 from pipeline.results.report.figures import animation
 from pipeline.results.report.gather import gather
 from pipeline.results.report.samples import choose_samples, replay
@@ -201,19 +202,38 @@ def test_an_animation_ends_with_the_answer(tiny_run, tmp_path, refused, monkeypa
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here (Debian: apt install chromium)")
 @pytest.mark.parametrize("width", [390, 1280, 1920])
 def test_a_browser_shows_it_without_errors(html, tmp_path, width):
-    """There is no console message, and nothing is wider than the page."""
+    """There is no console message, nothing is wider than the page, and the ladder fits."""
     wrapper = tmp_path / "wrapper.html"  # the browser's own window is never narrower than 500
     wrapper.write_text(
         f'<iframe style="width: {width}px; height: 900px; border: 0" '
         f'srcdoc="{escape(html.read_text())}" onload="'
         "const page = this.contentDocument.documentElement;"
-        "document.title = [page.scrollWidth, page.scrollHeight].join(' ')"
+        "const ladder = this.contentDocument.querySelector('.ladder').parentNode;"
+        "const hidden = ladder.scrollWidth - ladder.clientWidth;"
+        "document.title = [page.scrollWidth, page.scrollHeight, hidden].join(' ')"
         '"></iframe>'
     )
     command = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
     command += ["--enable-logging=stderr", "--dump-dom", wrapper.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    content, height = map(int, re.search(r"<title>([\d ]+)</title>", done.stdout)[1].split())
+    title = re.search(r"<title>([\d ]+)</title>", done.stdout)[1]
+    content, height, hidden = map(int, title.split())
     assert "CONSOLE" not in done.stderr
     assert content == width
+    assert hidden == 0
     assert height > 3000
+
+
+def test_words_of_correct_and_wrong_are_no_names_of_classes_and_mistakes_are_counted():
+    """A class may be called right."""
+    groups = [{"right": False, "samples": [1]}, {"right": True, "samples": [2, 3]}]
+    stories = [{"right": False}, {"right": True}]
+    text = prose.describe_stories(groups, stories, None, False)
+    assert text.startswith("1 mistake, then correct predictions.")
+    groups[0]["samples"] = [1, 4]
+    text = prose.describe_stories(groups, stories, None, False)
+    assert text.startswith("1 of the 2 mistakes, then correct predictions.")
+
+
+def test_a_p_value_is_not_broken_over_two_lines():
+    assert " " not in prose.format_p_value(0.0001) + prose.format_p_value(0.2)
