@@ -4,7 +4,7 @@ const SURE = 0.5; // confidence below which a verdict is not sure
 const FLICKER = 0.4; // confidence below which an open answer would only flicker
 const GUESS = 1.02; // times the share of equal classes: below it an answer is no better than a guess
 const NOT_SURE = "Not sure";
-const SLOW = "slower than the digits of the training: the confidence is not known";
+const SLOW = "because this is slower than the digits of the training";
 const SOFTMAX = "softmax"; // of a network without confidence: no probability
 const TAP = 1; // taxels that a pen must move at least, or it has written nothing
 

@@ -87,7 +87,9 @@ function describe() {
 // What to do on the sensor, and what the network depends on, appears where one draws.
 function showHint() {
   const verb = about.digits ? "Write" : "Draw";
-  $("hint").replaceChildren(canDraw() ? `${verb} here, large` : "Show an example");
+  const text = document.createElement("span");
+  text.textContent = canDraw() ? `${verb} here, large` : "Show an example";
+  $("hint").replaceChildren(text);
   if (!canDraw() || ready === null || ready.window_s === null) return;
   const note = document.createElement("small");
   note.textContent = about.digits ? "from top to bottom, as usual: the direction of strokes counts"
@@ -223,7 +225,7 @@ server.on("hello", (message) => {
   setSensor(about);
   describe();
   $("folder").textContent = about.folder;
-  $("trained").textContent = `Network ${about.architecture}, trained on: ${about.trained_on}.`
+  $("trained").textContent = `The network ${about.architecture} was trained on these recordings: ${about.trained_on}.`
     + (about.outdated ? ` ${about.outdated}.` : "");
   $("share").hidden = !about.shared;
   if (about.shared) $("qr").src = "qr.svg";
@@ -247,10 +249,10 @@ server.on("ready", (network) => {
       : `Ready: draw with finger, pen or mouse. This presses a simulated sensor of ${about.rows} x ${about.columns} taxels, not your sensor.`
     : "Ready: this sensor is too large for drawing; play examples instead.";
   $("meaning").textContent = network.threshold === null
-    ? "How sure: softmax of the outputs, which is no probability."
-    : `How sure: estimated from outputs and time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
+    ? "“How sure” is the softmax of the outputs, which is no probability."
+    : `“How sure” is estimated from the outputs and the time, on ${about.simulated && about.digits ? "simulated writers" : "recordings of the training"}.`;
   if (canDraw()) $("meaning").textContent += " Lifting the pen shakes the sensor, which can change the prediction.";
-  $("meaning").textContent += ` Anything else is read as one of ${about.digits ? "the digits" : "these classes"}.`;
+  $("meaning").textContent += ` Any other drawing is read as one of ${about.digits ? "the digits" : "these classes"}.`;
   showHint();
   pen.sensor = canDraw() ? about : null;
   document.body.classList.remove("offline");

@@ -16,6 +16,9 @@ from pipeline.results.report.figures import SHADES, escape_formula
 # Tactile images above the raster.
 FRAMES = 8
 
+# Taxels of a raster whose marks are as high as half of a row; those of more taxels are not lower.
+MAX_ROWS_OF_MARKS = 100
+
 # Intervals of time of a recording of a strip on a sheet.
 BINS = 40
 
@@ -62,6 +65,7 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
     seconds = events.time_ns * 1e-9
     is_grid = taxels.positions is None and not _is_strip(taxels)
     place = taxels.row * sensor.columns + taxels.column if is_grid else np.arange(len(taxels))
+    height = 0.45 * max(1.0, (place.max() + 1) / MAX_ROWS_OF_MARKS)
     for polarity, name in ((1, "on"), (-1, "off")):  # the upper and lower half of a taxel's row
         chosen = events.polarity == polarity
         middle = place[events.taxel[chosen]]
@@ -69,7 +73,7 @@ def draw_recording(recordings: Recordings, index: int) -> Figure:
         axes.vlines(
             seconds[chosen],
             middle,
-            middle - 0.45 * polarity,
+            middle - height * polarity,
             snap=False,
             clip_on=False,  # the first and last events are at the borders
             zorder=3,  # above the frame
