@@ -162,10 +162,17 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("bundle", help="folder of a run or of a bundle on events")
     parser.add_argument("--udp", type=int, metavar="PORT", help="port on 127.0.0.1; 0 for any")
-    parser.add_argument("--unit", default="s", choices=("s", "ms", "us", "ns"), help="of times")
+    parser.add_argument(
+        "--unit", default="s", choices=("s", "ms", "us", "ns"), help="unit of the times"
+    )
     parser.add_argument("--silence", type=float, help="seconds without events that end a touch")
     parser.add_argument("--replay", metavar="DATA", help="recordings to play, a zip or folder")
-    parser.add_argument("--speed", type=float, default=1.0, help="of --replay; 0: at once")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        help="with --replay: times the speed of the recordings; 0 plays them at once",
+    )
     arguments = parser.parse_args()
     stream = stmnist.Stream(
         arguments.bundle, "ns" if arguments.replay else arguments.unit, arguments.silence

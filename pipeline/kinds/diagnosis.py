@@ -148,7 +148,7 @@ def describe_neurons(neurons: dict) -> list:
         if layer["silent"] == 1:
             line = f"warning: {line}: the layer is dead; lower the learning rate or max_rates"
         elif layer["silent"] > 0.5:
-            line = f"warning: {line}: most of its neurons never fire"
+            line = f"warning: {line}: most of its neurons never fire; a smaller layer may do"
         elif layer["saturated"] > 0.1:
             line = f"warning: {line}: lower max_rates, or train with smaller weights"
         lines.append(line)
