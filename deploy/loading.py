@@ -69,7 +69,7 @@ class KeyOf:
         return f"one of {', '.join(self._table)}"
 
 
-def limited_field(limit: Limit, default=MISSING):
+def limited_field(limit: Union[Limit, KeyOf], default=MISSING):
     """A field of a dataclass with a limit; its value may be None if the hint allows it."""
     return field(default=default, metadata={"limit": limit})
 

@@ -14,7 +14,9 @@ import pytest
 from deploy.check.run import open_check, run_check, run_streams
 from deploy.conformance.networks import make_image_network
 from deploy.errors import UserError
+from deploy.loading import WrongValue
 from deploy.network.chip import LOIHI
+from deploy.network.layer import LayerRecord
 from deploy.network.ops import DEPLOYED_OPERATIONS, DeployedOperation
 from deploy.network.output import TargetOutput
 from deploy.preflight.plan import make_plan
@@ -196,6 +198,8 @@ def test_an_operation(monkeypatch):
     assert spec.multiply_accumulates == {"own1": 25, "output": 75}
     assert make_plan(spec).problems == []
     own, output = spec.layers
+    with pytest.raises(WrongValue, match="one of conv, dense, own, not 'other'"):
+        LayerRecord.read({**own.to_json(), "kind": "other"}, "layers[0]")
     spec = replace(spec, layers=(replace(own, weights=np.full(25, 3.0)), output))
     images = np.ones((2, 5, 5, 1))
     images[0, 0] = 0  # 20 bright pixels of 25

@@ -18,7 +18,16 @@ import numpy as np
 
 from .. import limits
 from ..errors import UserError
-from ..loading import Limit, WrongValue, between, check, limited_field, load_dataclass, one_of
+from ..loading import (
+    KeyOf,
+    Limit,
+    WrongValue,
+    between,
+    check,
+    limited_field,
+    load_dataclass,
+    one_of,
+)
 from .geometry import compute_pooled_shape, sum_squares
 from .ops import DEPLOYED_OPERATIONS, DeployedOperation
 
@@ -29,7 +38,6 @@ SHAPE = Limit(
     lambda shape: all(side >= 1 for side in shape) and math.prod(shape) <= limits.NEURONS,
     f"sides of at least 1, with a product of at most {limits.NEURONS}",
 )
-KIND = Limit(lambda kind: kind in DEPLOYED_OPERATIONS, f"one of {', '.join(DEPLOYED_OPERATIONS)}")
 RISING = Limit(
     lambda starts: (
         starts[:1] == (0,)
@@ -369,7 +377,7 @@ class LayerRecord:
     """
 
     name: str
-    kind: str = limited_field(KIND)
+    kind: str = limited_field(KeyOf(DEPLOYED_OPERATIONS))
     input_shape: Tuple[int, ...] = limited_field(SHAPE)
     shape: Tuple[int, ...] = limited_field(SHAPE)
     placement: str = limited_field(one_of("chip", "host"))
