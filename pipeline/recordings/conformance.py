@@ -27,7 +27,12 @@ FOREIGN_CONTENTS = (b"\0", b"no recording", bytes(range(256)) * 40, b"\xff\xfe" 
 
 
 def assert_format_conforms(
-    ending: str, content: bytes, events: dict, folder: Path, others: Sequence[bytes] = ()
+    ending: str,
+    content: bytes,
+    events: dict,
+    folder: Path,
+    others: Sequence[bytes] = (),
+    size: tuple | None = None,
 ):
     """Find the usual mistakes of a reader of recordings; each is an error that names the mistake.
 
@@ -48,6 +53,8 @@ def assert_format_conforms(
         More files of the same sensor, which must fit together with the first one.  Best are some
         in which other taxels have events: a reader that infers the size of the sensor from one
         file fails on them.
+    size : (int, int), optional
+        Rows and columns of the sensor if the file has them, two different numbers.
 
     Raises
     ------
@@ -60,6 +67,7 @@ def assert_format_conforms(
     _require_types(result)
     _require_times(result, expected)
     _require_places(result, expected)
+    _require_size(result, size)
     _require_polarities(result, expected)
     _require_same_for_every_name(ending, content, result)
     _require_refusals(ending, content)
@@ -116,6 +124,25 @@ def _require_places(found, expected):
     rows_from_below = len(np.unique(top + expected[name])) == 1
     assert not rows_from_below, f"{name} counts from the other side; rows count from the top"
     raise AssertionError(f"{name} is {top.tolist()}, not {expected[name].tolist()}")
+
+
+def _require_size(found, expected):
+    """The size is (rows, columns), that of the file, and no event is outside of it."""
+    if expected is not None:
+        assert found.size is not None, (
+            f"no size, the file has {expected}: pass it to make_recording"
+        )
+        is_right = tuple(found.size) == tuple(expected)
+        is_exchanged = tuple(found.size) == tuple(reversed(expected))
+        assert is_right or not is_exchanged, (
+            f"rows and columns of the size are exchanged: {expected} is (rows, columns)"
+        )
+        assert is_right, f"the size is {found.size}, not {expected}"
+    if found.size is not None:
+        extent = (found.y.max() + 1, found.x.max() + 1)
+        assert np.all(np.less_equal(extent, found.size)), (
+            f"events are outside of the size {found.size}; it is (rows, columns)"
+        )
 
 
 def _require_polarities(found, expected):

@@ -79,6 +79,7 @@ def read_old_dat(content: bytes) -> EventRecording:
     header = content[:start].decode("latin-1").lower()
     sides = [re.search(rf"^% {side} (\d{{1,5}})\s*$", header, re.M) for side in ("height", "width")]
     size = [int(side[1]) for side in sides if side is not None]
+    # Events outside of the size are reported with the source.
     return replace(recording, size=tuple(size) if len(size) == len(sides) else None)
 
 

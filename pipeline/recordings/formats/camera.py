@@ -73,4 +73,5 @@ def read_camera(content: bytes, name: str) -> EventRecording:
             ) from error
     events = np.concatenate(parts) if parts else np.empty(0, faery.EVENTS_DTYPE)
     recording = make_recording({"t_us": events["t"], **{name: events[name] for name in "xyp"}})
+    # Events outside of the size are reported with the source.
     return replace(recording, size=(int(rows), int(columns)))

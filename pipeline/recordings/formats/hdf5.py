@@ -182,9 +182,10 @@ def _make_stemnist_recording(events, name) -> EventRecording:
             "y": taxel // STEMNIST_SIDE,
             columns["t"]: events[columns["t"]],
             "p": events[columns["p"]],
-        }
+        },
+        size=(STEMNIST_SIDE, STEMNIST_SIDE),
     )
-    return replace(recording, size=(STEMNIST_SIDE,) * 2, writer=_read_writer(name))
+    return replace(recording, writer=_read_writer(name))
 
 
 def _read_writer(name) -> int:

@@ -66,6 +66,7 @@ def read_npz(content: bytes, name: str = "") -> EventRecording:
         raise BadRecording("is not a .npz file, or damaged") from error
     facts = {name: arrays.pop(name) for name in fact_names}
     size = [_find_side(facts.get(name)) for name in ("rows", "columns")]
+    # Events outside of the size are reported with the source.
     return replace(
         make_recording(arrays) if len(arrays) > 1 else make_array_recording(*arrays.values()),
         simulated=bool(np.any(facts.get("simulated", False))),

@@ -217,7 +217,7 @@ def make_numbered_recording(
     )
 
 
-def make_recording(events) -> EventRecording:
+def make_recording(events, size: tuple | None = None) -> EventRecording:
     """Check events and bring them into order of time.
 
     Parameters
@@ -225,13 +225,16 @@ def make_recording(events) -> EventRecording:
     events : structured array, array_like of shape (n, 4), dict, or sequence of four arrays
         A dict has the arrays by name; a sequence and rows of four numbers have the order x, y,
         t, p.
+    size : (int, int), optional
+        Rows and columns of the sensor, of which no event can be outside.  A reader of files that
+        may have such events enters the size afterwards: they are then reported with the source.
 
     Raises
     ------
     BadRecording
         The events have another form; arrays are missing, empty, not numbers or of different
-        lengths; coordinates are not whole numbers from 0; times are NaN or negative; polarities
-        have three values.
+        lengths; coordinates are not whole numbers from 0, or not below the size; times are NaN or
+        negative; polarities have three values.
     """
     named, unit = _split_columns(events)
     arrays = {name: np.asarray(array) for name, array in named.items()}
@@ -258,6 +261,8 @@ def make_recording(events) -> EventRecording:
                 f"has {name} {coordinates[event]:g}, not a whole number from 0 to {MAX_PLACE}",
                 event,
             )
+    if size is not None:
+        _require_inside(x, y, size)
     order = np.argsort(t, kind="stable")
     polarity = _check_polarities(p)
     lowest = int(p.min())
@@ -267,8 +272,22 @@ def make_recording(events) -> EventRecording:
         time=t[order],
         polarity=polarity[order],
         unit=unit,
+        size=None if size is None else (int(size[0]), int(size[1])),
         off=lowest if lowest < 1 else None,
     )
+
+
+def _require_inside(x, y, size):
+    """Refuse an event outside of the sensor's rows and columns."""
+    rows, columns = size
+    outside = (y >= rows) | (x >= columns)
+    if outside.any():
+        event = int(np.argmax(outside))
+        raise BadRecording(
+            f"has an event at x = {x[event]:g}, y = {y[event]:g}, outside of its sensor of {rows} "
+            f"rows and {columns} columns",
+            event,
+        )
 
 
 def _check_times(t):

@@ -75,10 +75,14 @@ FILES = {
     ".hdf5": lambda folder: make_hdf5(),
     ".mat": lambda folder: mat5(spiketrain=SPIKETRAIN),
     ".npy": lambda folder: make_npy(),
-    ".npz": lambda folder: npz(**ARRAYS),
+    ".npz": lambda folder: npz(**ARRAYS, rows=ROWS, columns=COLUMNS),
     ".raw": lambda folder: make_camera_file(".raw", folder, "evt3"),
     ".txt": lambda folder: LINES,
 }
+
+
+# Endings of files that have the size of the sensor.
+WITH_SIZE = (".aedat4", ".dat", ".npz", ".raw")
 
 
 @pytest.mark.parametrize("ending", sorted(READERS))
@@ -86,7 +90,8 @@ def test_every_format_conforms(tmp_path, ending):
     assert ending in FILES, f"add a file with the ending {ending} to FILES"
     content = FILES[ending](tmp_path)
     events = NUMBERED if ending == ".mat" else EVENTS
-    assert_format_conforms(ending, content, events, tmp_path / "source")
+    size = (ROWS, COLUMNS) if ending in WITH_SIZE else None
+    assert_format_conforms(ending, content, events, tmp_path / "source", size=size)
 
 
 CONTENT = json.dumps([EVENTS[name] for name in "xytp"]).encode()
@@ -151,6 +156,30 @@ def test_a_mistake_is_named(tmp_path, monkeypatch, said):
 def test_a_good_reader_conforms(tmp_path, monkeypatch):
     monkeypatch.setitem(READERS, ".toy", read_well)
     assert_format_conforms(".toy", CONTENT, EVENTS, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("size", "stated", "said"),
+    [
+        ((5, 4), (4, 5), "rows and columns of the size are exchanged"),
+        ((4, 4), (4, 5), "the size is"),
+        (None, (4, 5), "no size"),
+        ((4, 3), None, "outside of the size"),
+    ],
+)
+def test_a_wrong_size_is_named(tmp_path, monkeypatch, size, stated, said):
+    monkeypatch.setitem(READERS, ".toy", alter(lambda found: replace(found, size=size)))
+    with pytest.raises(AssertionError, match=said):
+        assert_format_conforms(".toy", CONTENT, EVENTS, tmp_path, size=stated)
+
+
+def test_a_recording_with_a_size_has_no_event_outside():
+    assert make_recording(ARRAYS, size=(ROWS, COLUMNS)).size == (ROWS, COLUMNS)
+    with pytest.raises(
+        BadRecording, match="x = 3, y = 1, outside of its sensor of 4 rows"
+    ) as error:
+        make_recording(ARRAYS, size=(COLUMNS, ROWS))
+    assert error.value.event == 0
 
 
 def read_numbers(content, name):
