@@ -158,9 +158,11 @@ def _read_hints(kind):
 
 def _build_value(hint, value, name, ignore_extra):
     """The value of a field; raises an error if it is of another type."""
-    for limit in getattr(hint, "__metadata__", ()):
+    limits = getattr(hint, "__metadata__", ())
+    if limits:
         value = _build_value(hint.__origin__, value, name, ignore_extra)
-        _require_limit(limit, value, name)
+        for limit in limits:
+            _require_limit(limit, value, name)
         return value
     origin = getattr(hint, "__origin__", hint)
     inner = getattr(hint, "__args__", ())

@@ -50,8 +50,14 @@ class Options:
                 raise UserError(f"{flag} must be at most {maximum:g}")
 
     def list_output_values(self) -> dict:
-        """The values on which the outputs depend, by the names of the options."""
-        return asdict(self) if self.changes_outputs else {}
+        """The values that change the outputs, by the names of the options.
+
+        A default is not among them: a check without options has the same result.
+        """
+        if not self.changes_outputs:
+            return {}
+        defaults = {entry.name: entry.default for entry in fields(self)}
+        return {name: value for name, value in asdict(self).items() if value != defaults[name]}
 
 
 @dataclass(frozen=True)

@@ -191,7 +191,7 @@ class _LinkNodes:
         True if the link may be a convolution.
     is_last : bool
         True for the nodes after the last layer of neurons.
-    step : float
+    step_s : float
     method : str
         As for :func:`from_nir`.
     """

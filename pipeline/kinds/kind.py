@@ -133,36 +133,41 @@ class NetworkKind:
             raise ValueError(f"no step {name!r}; the steps are {', '.join(steps)}")
         return steps[name]
 
-    def make_origin(self, name: str, dataset: Origin) -> Origin:
+    def make_origin(self, name: str, dataset_origin: Origin) -> Origin:
         """The origin of a step, from that of the dataset."""
         step = self.find_step(name)
-        uses = [self.make_origin(used, dataset) for used in step.uses] or [dataset]
+        uses = [self.make_origin(used, dataset_origin) for used in step.uses] or [dataset_origin]
         return Origin.from_settings(self.settings, step.reads, uses)
 
     def list_steps_to(self, name: str) -> tuple:
         """A step and those that it is made from, directly or through others, in order."""
-        names = [name]
-        for each in names:
-            names += self.find_step(each).uses
+        names = self._collect_uses(name)
         return tuple(step for step in self.steps if step.name in names)
+
+    def _collect_uses(self, name):
+        """The names of a step and of all that it is made from."""
+        names = {name}
+        for used in self.find_step(name).uses:
+            names |= self._collect_uses(used)
+        return names
 
     def is_deployed(self, name: str) -> bool:
         """True if the bundle is made from a step, directly or through others."""
         return any(step.name == name for step in self.list_steps_to(self.deployed_step))
 
-    def find_artifact(self, name: str, store, dataset: Origin) -> Artifact:
+    def find_artifact(self, name: str, store, dataset_origin: Origin) -> Artifact:
         """The artifact of a step, in a run's folder or in a library."""
         step = self.find_step(name)
-        origin = self.make_origin(name, dataset)
+        origin = self.make_origin(name, dataset_origin)
         folder = store.find_folder(step.folder, origin)
         record, *files = (folder / file for file in step.files)
         return Artifact(name, record, origin, tuple(files))
 
-    def make_bundle_origin(self, dataset: Origin) -> Origin:
+    def make_bundle_origin(self, dataset_origin: Origin) -> Origin:
         """The origin of the bundle."""
         reads = [*self.bundle_settings, "presentation", "check"]
         return Origin.from_settings(
-            self.settings, reads, [self.make_origin(self.deployed_step, dataset)]
+            self.settings, reads, [self.make_origin(self.deployed_step, dataset_origin)]
         )
 
     def list_shapes(self, name: str) -> dict:

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -42,6 +43,8 @@ MISSING = "missing"
 
 # Remedy for a damaged file.
 DELETE_IT = "delete it and run the command again"
+
+_HASH = re.compile("[0-9a-f]{64}")
 
 # Maximum length of a value in a message.
 MAX_TEXT_LENGTH = 100
@@ -121,13 +124,19 @@ class Origin:
         changes = []
         for now, before, show in (
             (self.settings, recorded["settings"], _format_value),
-            (self.contents, recorded["contents"], "{!s:.12}".format),
+            (self.contents, recorded["contents"], _format_content),
         ):
             for name in dict.fromkeys([*now, *before]):
                 if now.get(name) != before.get(name) or (name in now) != (name in before):
                     values = (_describe(name, recorded, show) for recorded in (before, now))
                     changes.append(Change(name, *values))
         return tuple(changes)
+
+
+def _format_content(value):
+    """A content for a message: the first digits of a hash, all of another text."""
+    text = str(value)
+    return text[:12] if _HASH.fullmatch(text) else text
 
 
 def _describe(name, recorded, show):

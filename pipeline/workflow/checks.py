@@ -187,7 +187,7 @@ def _check_artifact_of(opened, bundle, stage):
 
 
 def make_check_artifact(
-    run: RunFolder, stage: str, kind: NetworkKind, dataset: Origin, bundle_id: str
+    run: RunFolder, stage: str, kind: NetworkKind, dataset_origin: Origin, bundle_id: str
 ) -> Artifact:
     """The check result of a stage as an artifact.
 
@@ -196,7 +196,7 @@ def make_check_artifact(
     """
     contents = {"bundle": bundle_id, "target": stage, "samples": OWN_SAMPLES}
     if stage in kind.references and stage not in kind.deployed_stages:
-        contents["network"] = kind.make_origin(kind.references[stage].step, dataset).key
+        contents["network"] = kind.make_origin(kind.references[stage].step, dataset_origin).key
     origin = Origin({"seed": kind.settings.seed}, contents)
     return Artifact(
         f"checks/{stage}", run.find_check_file(stage), origin, made_from=_read_check_record
@@ -206,7 +206,7 @@ def make_check_artifact(
 def _read_check_record(result):
     names = ("bundle", "network", "target")
     contents = {name: result[name] for name in names if name in result}
-    if "options" in result:  # a ladder's results have the default ones
+    if "options" in result:  # those that differ from the defaults
         contents["options"] = json.dumps(result["options"], sort_keys=True)
     contents["samples"] = "others" if result.get("data") else OWN_SAMPLES
     return Origin({"seed": result.get("seed")}, contents).to_json()

@@ -71,11 +71,11 @@ def _choose_check_samples(inputs) -> CheckSet:
 
 
 def find_bundle_artifact(
-    run: RunFolder, kind: NetworkKind, dataset: Origin, name="bundle"
+    run: RunFolder, kind: NetworkKind, dataset_origin: Origin, name="bundle"
 ) -> Artifact:
     """The bundle of a run, or one that was adapted from it, such as ``"adapted/7"``."""
     network, *others = (run.path / name / file for file in (*FILES, "MANIFEST.json"))
-    origin = kind.make_bundle_origin(dataset)
+    origin = kind.make_bundle_origin(dataset_origin)
     return Artifact(name, network, origin, tuple(others), _read_bundle_record)
 
 

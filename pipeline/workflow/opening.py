@@ -93,9 +93,9 @@ class OpenedRun:
         name : str, optional
             Default: the step from which the bundle is made.
         """
-        for step in self.kind.list_steps_to(name or self.kind.deployed_step):
-            record = self.make(step.name)
-        return record
+        requested = name or self.kind.deployed_step
+        records = {step.name: self.make(step.name) for step in self.kind.list_steps_to(requested)}
+        return records[requested]
 
     def read_weights(self, name: str) -> dict:
         """The trained arrays of a step; see :func:`pipeline.kinds.records.read_weights`."""

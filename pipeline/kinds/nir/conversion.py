@@ -38,14 +38,14 @@ def record_convention(network: NirNetwork, stepping: Stepping) -> dict:
 
 
 def list_conversion_notes(
-    network: NirNetwork, layers: tuple, stepping: Stepping, settings: Settings
+    network: NirNetwork, links: tuple, stepping: Stepping, settings: Settings
 ):
     """Yield how a graph is read, what its conversion changes and what may be wrong.
 
     Parameters
     ----------
     network : NirNetwork
-    layers : tuple of Link
+    links : tuple of Link
         As :func:`models.nir.chain.from_nir` gives them.
     stepping : Stepping
     settings : Settings
@@ -61,23 +61,23 @@ def list_conversion_notes(
         yield f"{WARNING}{convention.doubt}"
     for node in network.nodes:
         yield from _list_doubtful_times(node, stepping.step_s, settings.steps)
-    for layer in layers:
-        windows = [n for n in network.nodes if n.name in layer.sources and "Conv" in n.kind]
-        is_matrix = layer.neurons is not None and layer.kind == "dense"
+    for link in links:
+        windows = [n for n in network.nodes if n.name in link.sources and "Conv" in n.kind]
+        is_matrix = link.neurons is not None and link.kind == "dense"
         if is_matrix and windows and len(windows[0].input_shape) > 1:
             yield (
-                f"{layer}: takes the memory of a dense layer, since its windows are not the chip's "
+                f"{link}: takes the memory of a dense layer, since its windows are not the chip's "
                 "(square kernels, equal strides and paddings) or its neurons' parameters differ "
                 "within a channel"
             )
     height = settings.stimulus.area / LOIHI.dt
-    for index, layer in enumerate(layers):
-        if layer.neurons is None:
+    for index, link in enumerate(links):
+        if link.neurons is None:
             continue
-        scaled = replace(layer, kernel=layer.kernel * (1.0 if index else height))
+        scaled = replace(link, kernel=link.kernel * (1.0 if index else height))
         floor = -LOIHI.voltage_limit / round_to_integers(scaled).threshold
         if floor > FLOOR_IN_THRESHOLDS:
-            yield f"{layer}: the chip's voltages end at {-floor:.1f} thresholds below the reset"
+            yield f"{link}: the chip's voltages end at {-floor:.1f} thresholds below the reset"
     for node in network.nodes:
         if node.kind == "IF":
             yield f"{node}: the chip's neurons leak at least 1/4096 of the voltage per step"
