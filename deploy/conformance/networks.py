@@ -1,5 +1,7 @@
 """Small networks with random weights that fire, and samples for them: tests without training."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..network.geometry import compute_pooled_shape
@@ -11,6 +13,9 @@ from ..network.spec import NetworkSpec
 from ..network.stimulus import EventFrames, ImageSpikes
 
 LIF = Neurons(amplitude=0.01)
+
+# Values of a presentation in which neurons that fire often have tens of spikes.
+LONG_PRESENTATION = {"steps": 100, "gap": 5, "readout_start": 0, "stream_length": 8}
 
 
 def make_convolution(name, input_shape, filters, kernel_size, rng, scale=1.0, pool=1, **geometry):
@@ -99,6 +104,51 @@ def make_event_network(seed=0, **presentation):
     )
 
 
+def make_busy_image_network(on_chip_output=False):
+    """The network of :func:`make_image_network` with neurons that fire often.
+
+    Roundings change the numbers of spikes in a presentation only a little.
+    """
+    spec = make_image_network(on_chip_output=on_chip_output, **LONG_PRESENTATION)
+    layers = [
+        layer if layer.neurons is None else _excite(layer, scale=2, more_bias=2)
+        for layer in spec.layers
+    ]
+    return replace(spec, layers=tuple(layers))
+
+
+def make_busy_event_network(section_starts=(0,), inhibition=0.0):
+    """6x6x2-4c4-30-5o on frames of events, with neurons that fire often.
+
+    Parameters
+    ----------
+    section_starts : tuple of int
+        Sections of the readout.
+    inhibition : float
+        Mean of the sum of the weights from all neurons of the dense layer to one of them, which
+        are negative; 0 for a layer that is not recurrent.
+    """
+    rng = np.random.default_rng(1)
+    conv1 = make_convolution("conv1", (6, 6, 2), 4, 4, rng, scale=4.0)
+    dense1 = _excite(make_dense("dense1", conv1.shape, 30, rng), scale=1, more_bias=2)
+    output = make_readout((30,), rng, classes=5, section_starts=section_starts)
+    if inhibition:
+        weights = -inhibition * rng.uniform(0, 2, (30, 30)) / 30
+        dense1 = replace(dense1, recurrent=weights)
+    return NetworkSpec(
+        architecture="6x6x2-4c4-30-5o",
+        input_shape=(6, 6, 2),
+        stimulus=EventFrames(0.01),
+        layers=(conv1, dense1, output),
+        presentation=Presentation(**LONG_PRESENTATION),
+        provenance={"simulated": True, "weights": "random"},
+    )
+
+
+def _excite(layer, scale, more_bias):
+    return replace(layer, weights=scale * layer.weights, bias=layer.bias + more_bias)
+
+
 def draw_images(spec, count, rng):
     """Sparse random images, shape (count, *input_shape)."""
     shape = (count, *spec.input_shape)
@@ -112,4 +162,14 @@ def draw_frames(spec, count, seed=0, share=0.05):
     frames = rng.random((count, steps, *spec.input_shape)) < share
     for frame, end in zip(frames, rng.integers(1, steps + 1, count)):
         frame[end:] = False
+    return frames.astype(np.uint8)
+
+
+def draw_busy_frames(spec, count, seed=0):
+    """Frames with many events at some taxels in the first half, and none in the second, uint8."""
+    rng = np.random.default_rng(seed)
+    steps = spec.presentation.steps
+    rates = 0.5 * rng.random((count, 1, *spec.input_shape)) ** 2
+    frames = rng.random((count, steps, *spec.input_shape)) < rates
+    frames[:, steps // 2 :] = False
     return frames.astype(np.uint8)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Optional
+from typing import Dict, Optional, Tuple
 
 import numpy as np
 
+from ..network.readout import select_readout
 from ..network.reference import make_input_spikes, run_reference
 from ..network.responses import make_responses
+from ..network.spec import NetworkSpec
 from ..targets.options import Options
-from ..targets.registry import Target, find_target, run_target
+from ..targets.registry import REAL_NUMBERS, Target, find_target, run_target
 from .networks import (
+    LONG_PRESENTATION,
+    draw_busy_frames,
     draw_frames,
     draw_images,
+    make_busy_event_network,
+    make_busy_image_network,
     make_event_network,
     make_image_network,
     make_readout,
@@ -36,9 +42,9 @@ def assert_target_conforms(
 ):
     """Find the usual mistakes of a target; each is an error that names the mistake.
 
-    The target is tried on images, on events, and on a readout in sections.  These are the mistakes:
-    outputs of wrong shapes and types, samples or streams that disturb each other, and outputs that
-    are not those of the network.
+    The target is tried on images, on events, with output neurons, with a readout in sections and
+    with recurrent neurons.  These are the mistakes: outputs of wrong shapes and types, samples or
+    streams that disturb each other, and outputs that are not those of the network.
 
     Parameters
     ----------
@@ -46,8 +52,8 @@ def assert_target_conforms(
         It need not be registered.
     computes_network : bool
         True if its readout and spikes must be those of the network: if the target is exact, those
-        of the chip's emulator, otherwise about those of
-        :func:`deploy.network.reference.run_reference`.
+        of the chip's emulator, otherwise those of :func:`deploy.network.reference.run_reference`,
+        up to the target's ``tolerance``.
     options : Options, optional
         Options with which it computes the network, such as noise of 0; by default its defaults.
 
@@ -58,11 +64,16 @@ def assert_target_conforms(
     if options is None and target.options is not None:
         options = target.options()
     tried = _Tried(target, options)
-    images = make_image_network(stream_length=3)
-    samples = draw_images(images, 5, np.random.default_rng(0))
-    _assert_streams(tried, images, samples)
+    _assert_forms(tried)
     if computes_network:
-        _assert_values(tried, images, samples)
+        for title, (spec, samples) in make_busy_networks().items():
+            _assert_values(tried, title, spec, samples)
+
+
+def _assert_forms(tried):
+    """Its outputs have the right shapes on networks of all forms."""
+    images = make_image_network(stream_length=3)
+    _assert_streams(tried, images, draw_images(images, 5, np.random.default_rng(0)))
     on_chip = make_image_network(on_chip_output=True, stream_length=2)
     _assert_streams(tried, on_chip, draw_images(on_chip, 3, np.random.default_rng(0)))
     events = make_event_network(stream_length=2)
@@ -71,25 +82,86 @@ def assert_target_conforms(
         _assert_streams(tried, spec, draw_frames(spec, 3))
 
 
-def _assert_values(tried, spec, samples):
+def make_busy_networks() -> Dict[str, Tuple[NetworkSpec, np.ndarray]]:
+    """Networks whose outputs are compared, with a stream of samples of each, by their titles."""
+    on_images = {
+        "a network on images": make_busy_image_network(),
+        "a network with output neurons": make_busy_image_network(on_chip_output=True),
+    }
+    on_events = {
+        "a network on events": make_busy_event_network(),
+        "a network with a readout in sections": make_busy_event_network(section_starts=(0, 60)),
+        "a network with recurrent neurons": make_busy_event_network(inhibition=4.0),
+    }
+    rng = np.random.default_rng(0)
+    length = LONG_PRESENTATION["stream_length"]
+    return {
+        **{title: (spec, draw_images(spec, length, rng)) for title, spec in on_images.items()},
+        **{title: (spec, draw_busy_frames(spec, length)) for title, spec in on_events.items()},
+    }
+
+
+def _assert_values(tried, title, spec, samples):
     """Its outputs are those of the chip's integers, or about those of the equations."""
-    stream = spec.flatten_samples(samples)[: spec.presentation.stream_length]
+    stream = spec.flatten_samples(samples)
     run_expected = find_target("fast").run if tried.target.is_exact else run_reference
+    tolerance = REAL_NUMBERS if tried.target.is_exact else tried.target.tolerance
     (expected,) = run_expected(spec, [stream], 0, None)
     (result,) = tried.run(spec, [stream])
-    actual = _sum_tenths(result.readout)
-    reference = _sum_tenths(expected.readout)
-    error = np.abs(actual - reference).max() / np.abs(reference).max()
-    assert error < 0.1, f"the readout differs by {error:.0%} from the expected one"
+    found, right = (_select_values(spec, output.readout) for output in (result, expected))
+    of_samples = _Comparison(found.sum(1), right.sum(1), ("sample", "class"))
+    of_quarters = _Comparison(
+        *(_sum_quarters(values) for values in (found, right)), ("quarter of the steps", "class")
+    )
+    for comparison in (of_samples, of_quarters):
+        comparison.require(f"{title}: the readout", tolerance)
     for name, spikes in (result.spikes or {}).items():
-        total = np.sum(expected.spikes[name])
-        difference = abs(np.sum(spikes) - total) / total
-        assert difference < 0.1, f"{name} has {difference:.0%} more or fewer spikes"
+        counts = _Comparison(spikes.sum(0), expected.spikes[name].sum(0), ("neuron",))
+        counts.require(f"{title}: the number of spikes of {name!r}", tolerance)
+    if tried.target.is_exact:
+        np.testing.assert_array_equal(
+            result.spike_hashes,
+            expected.spike_hashes,
+            f"{title}: spikes differ from the emulator's",
+        )
 
 
-def _sum_tenths(readout):
-    """The readout summed over tenths of the presentation, shape (n_samples, 10, classes)."""
-    return np.stack([part.sum(1) for part in np.array_split(readout, 10, axis=1)], axis=1)
+def _select_values(spec, readout):
+    """The readout of the classes at each step, shape (n_samples, steps, classes)."""
+    values = np.asarray(readout)
+    has_only_classes = values.shape[-1] == spec.layers[-1].size
+    return values if has_only_classes else select_readout(spec, values)
+
+
+def _sum_quarters(values):
+    """The readout of all samples, summed over quarters of the presentation, (4, classes)."""
+    return np.stack([part.sum((0, 1)) for part in np.array_split(values, 4, axis=1)])
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Values of a target and those that they should be, with the names of their axes.
+
+    Single spikes at other times hardly change them: they are sums over many steps.
+    """
+
+    found: np.ndarray
+    right: np.ndarray
+    axes: Tuple[str, ...]
+
+    def require(self, title, tolerance):
+        """Refuse values whose differences, relative to the values, are above the tolerance.
+
+        Differences and values are each summarised by their root mean square.
+        """
+        differences = self.found - self.right.astype(float)
+        error = np.linalg.norm(differences) / np.linalg.norm(self.right)
+        worst = np.unravel_index(np.argmax(np.abs(differences)), differences.shape)
+        place = ", ".join(f"{axis} {index}" for axis, index in zip(self.axes, worst))
+        assert error <= tolerance, (
+            f"{title} differs by {error:.3g} of its size, more than the tolerance {tolerance:g} of "
+            f"the target; most at {place}: {self.found[worst]:.4g}, not {self.right[worst]:.4g}"
+        )
 
 
 def _assert_streams(tried, spec, samples):

@@ -14,7 +14,8 @@ To add a target:
 5. Set ``must_fit_integers`` unless the function itself refuses what the chip's integers cannot
    hold.
 6. Set ``is_exact`` if every spike is that of NengoLoihi's emulator: the energy and the comparison
-   of runs then take its counts.
+   of runs then take its counts.  Otherwise set ``tolerance`` if it computes in real numbers, or
+   rounds more than the chip.
 
 Ladder, report and both command lines read it from there.  The list is read without Nengo, since the
 help of the commands needs it; the file of a target is imported when the target runs.
@@ -35,6 +36,12 @@ from .overflow import OverflowWatch, describe_overflows
 if TYPE_CHECKING:
     from ..network.responses import Responses
     from ..network.spec import NetworkSpec
+
+
+# What a target can have for its ``tolerance``: it computes in real numbers of double precision, or
+# rounds weights and states, such as to 8 bits.
+REAL_NUMBERS = 1e-6
+ROUNDED = 0.15
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,10 @@ class Target:
         True if the target is hardware.
     is_exact : bool
         True if every spike is that of NengoLoihi's emulator.
+    tolerance : float
+        How far its readout and its numbers of spikes may be from those of the equations, relative
+        to them (:func:`deploy.conformance.targets.assert_target_conforms`): :data:`REAL_NUMBERS`,
+        :data:`ROUNDED`, or more if it rounds more.  Not read if it is exact.
     in_ladder : bool
         True if every ladder has a row of it, that of a board if there is one; see
         :func:`list_ladder_targets`.
@@ -87,6 +98,7 @@ class Target:
     must_fit_integers: bool = False
     needs_board: bool = False
     is_exact: bool = False
+    tolerance: float = ROUNDED
     in_ladder: bool = False
     options: Optional[Type[Options]] = None
     describe: Optional[Callable] = None
@@ -118,6 +130,7 @@ TARGETS: Dict[str, Target] = {
             name="simreal",
             run=import_when_called("simulators", "run_simreal"),
             title="Loihi's network before rounding",
+            tolerance=REAL_NUMBERS,
             is_slow=True,
             must_fit_integers=True,
             in_ladder=True,

@@ -14,7 +14,7 @@ from deploy.errors import UserError
 from deploy.network.ops import DEPLOYED_OPERATIONS
 from deploy.network.output import TargetOutput
 from deploy.network.reference import run_reference
-from deploy.targets.registry import TARGETS, Target
+from deploy.targets.registry import REAL_NUMBERS, TARGETS, Target
 from models.conformance import assert_operation_conforms
 from models.ops import OPERATIONS, Convolution, Dense
 from tests.deploy.networks import bundle_at
@@ -96,7 +96,7 @@ def test_mistakes_in_an_operation_are_found(mistaken, fact, one_to_one, monkeypa
 
 
 # A target without Nengo.
-REFERENCE = Target("reference", run_reference, "The equations in NumPy")
+REFERENCE = Target("reference", run_reference, "The equations", tolerance=REAL_NUMBERS)
 
 # Every registered target that needs no board.
 SIMULATORS = [target for target in TARGETS.values() if not target.needs_board]
@@ -104,8 +104,23 @@ SIMULATORS = [target for target in TARGETS.values() if not target.needs_board]
 
 @pytest.mark.parametrize("target", [REFERENCE, *SIMULATORS], ids=lambda target: target.name)
 def test_targets_conform(target):
-    # The neurons of Nengo's reference simulator are not the chip's.
-    assert_target_conforms(target, computes_network=target.name != "nengo")
+    assert_target_conforms(target)
+
+
+def round_weights(layer, n_bits):
+    step = np.abs(layer.weights).max() / (2 ** (n_bits - 1) - 1)
+    return replace(layer, weights=step * np.rint(layer.weights / step))
+
+
+@pytest.mark.parametrize("n_bits", [8, 10, 12, 16])
+def test_targets_with_rounded_weights_conform(n_bits):
+    def run(spec, streams, seed, options):
+        layers = tuple(round_weights(layer, n_bits) for layer in spec.layers)
+        return run_reference(replace(spec, layers=layers), streams)
+
+    assert_target_conforms(Target("coarse", run, "Rounded weights"))
+    with pytest.raises(AssertionError, match="the tolerance 1e-06 of the target; most at sample"):
+        assert_target_conforms(Target("coarse", run, "Rounded weights", tolerance=REAL_NUMBERS))
 
 
 def test_a_target_without_the_network_conforms_in_its_form():
@@ -181,14 +196,59 @@ def run_with_more_spikes(spec, streams, seed, options):
         yield replace(output, spikes=more)
 
 
+def run_ones_on_events(spec, streams, seed, options):
+    for output in run_reference(spec, streams):
+        is_static = spec.stimulus.is_static
+        yield output if is_static else replace(output, readout=np.ones_like(output.readout))
+
+
+def run_first_section(spec, streams, seed, options):
+    """Compute the readout with the weights of the first section only."""
+    for output in run_reference(spec, streams):
+        yield replace(output, readout=output.readout[..., : spec.layers[-1].size])
+
+
+def run_without_output_neurons(spec, streams, seed, options):
+    for output in run_reference(spec, streams):
+        is_on_chip = spec.layers[-1].neurons is not None
+        yield TargetOutput(np.zeros_like(output.readout)) if is_on_chip else output
+
+
+def run_without_recurrence(spec, streams, seed, options):
+    layers = tuple(replace(layer, recurrent=None) for layer in spec.layers)
+    for output in run_reference(replace(spec, layers=layers), streams):
+        yield replace(output, spikes=None)
+
+
+def run_with_exchanged_recurrence(spec, streams, seed, options):
+    """Exchange the sending and the receiving neurons."""
+    layers = tuple(
+        layer if layer.recurrent is None else replace(layer, recurrent=layer.recurrent.T)
+        for layer in spec.layers
+    )
+    return run_reference(replace(spec, layers=layers), streams)
+
+
+def run_fresh_for_every_sample(spec, streams, seed, options):
+    for samples in streams:
+        alone = [next(run_reference(spec, [sample[None]])) for sample in samples]
+        yield TargetOutput(np.concatenate([output.readout for output in alone]))
+
+
 @pytest.mark.parametrize(
     ("run", "fact"),
     [
+        (run_ones_on_events, "a network on events: the readout differs"),
+        (run_first_section, "a readout in sections: the readout differs"),
+        (run_without_output_neurons, "output neurons: the readout differs"),
+        (run_without_recurrence, "recurrent neurons: the readout differs"),
+        (run_with_exchanged_recurrence, "recurrent neurons: the readout differs"),
+        (run_fresh_for_every_sample, "differs .* most at quarter of the steps 0"),
         (change_readout(np.zeros_like), "differs"),
         (change_readout(np.negative), "differs"),
         (change_readout(lambda readout: readout[:, ::-1]), "differs"),
         (change_readout(lambda readout: readout[:, :, ::-1]), "differs"),
-        (run_with_more_spikes, "more or fewer spikes"),
+        (run_with_more_spikes, "number of spikes of 'conv1' differs"),
         (run_without_gaps, "'mine': readout of shape"),
         (run_in_one_stream, "streams before it"),
         (run_only_first, "1 outputs of 2 streams"),
